@@ -46,6 +46,7 @@ VERBS: Mapping[str, str] = {
     "diff": "Compare two policies: which subject gains or loses which permission.",
     "query": "Ask a policy who can do what, including subjects that it does not name.",
     "test": "Run the unit tests of a policy.",
+    "authority": "Show, renew, replace, import or export the certificate authorities.",
     "provision": "Run init, create, build and install in one step, e.g. in CI.",
     "discover": "Record the graph of a running system, or read captures of one.",
     "learn": "Generate the smallest policy that allows a graph.",

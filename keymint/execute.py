@@ -19,8 +19,8 @@ RECORD = "state.json"
 
 
 def open_store(workspace: Workspace) -> Store:
-    """Return the store of a workspace: its root and its spaces, of which ``private`` is private."""
-    roots = dict.fromkeys((workspace.root, *workspace.spaces()), False)
+    """Return the store of a workspace: its root, its spaces and a second keystore; ``private`` is private."""
+    roots = dict.fromkeys((workspace.root, *workspace.spaces(), workspace.next_install), False)
     return Store(roots | {workspace.private: True}, workspace.state)
 
 

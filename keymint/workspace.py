@@ -78,8 +78,14 @@ class Workspace:
         return self.root / ".keymint"
 
     def spaces(self) -> tuple[Path, ...]:
-        """Return the folders of all spaces."""
-        return (self.profile, self.private, self.public, self.src, self.build, self.install)
+        """Return the folders of all spaces, and of a second keystore if there is one."""
+        spaces = (self.profile, self.private, self.public, self.src, self.build, self.install)
+        return (*spaces, self.next_install) if self.next_install.is_dir() else spaces
+
+    @property
+    def next_install(self) -> Path:
+        """The folder of a second keystore, while the key of an authority is replaced."""
+        return self.install.with_name(f"{self.install.name}.next")
 
     def exists(self) -> bool:
         """Tell whether there is a profile."""

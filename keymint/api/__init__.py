@@ -20,6 +20,8 @@ group                        protocol
 from __future__ import annotations
 
 from comarmor.rules import Expectation as Expectation
+from keymint.api.authority_changes import AuthorityChanges as AuthorityChanges
+from keymint.api.authority_changes import Implementation as Implementation
 from keymint.api.building import Artifact as Artifact
 from keymint.api.building import AuthorityRole as AuthorityRole
 from keymint.api.building import BuildOptions as BuildOptions
@@ -39,9 +41,12 @@ from keymint.api.building import SharedDocuments as SharedDocuments
 from keymint.api.building import SharedInspection as SharedInspection
 from keymint.api.building import SigningAuthority as SigningAuthority
 from keymint.api.certificates import Authority as Authority
+from keymint.api.certificates import AuthorityIssuance as AuthorityIssuance
 from keymint.api.certificates import CertificateSpec as CertificateSpec
 from keymint.api.certificates import Extension as Extension
 from keymint.api.certificates import KeySpec as KeySpec
+from keymint.api.certificates import Phase as Phase
+from keymint.api.certificates import Rollover as Rollover
 from keymint.api.certificates import Validity as Validity
 from keymint.api.graphs import DiscoveredGraph as DiscoveredGraph
 from keymint.api.graphs import GraphSource as GraphSource
@@ -67,6 +72,7 @@ from keymint.api.policies import RowPolicy as RowPolicy
 from keymint.api.policies import StructuredPolicy as StructuredPolicy
 from keymint.api.policies import WrittenProfile as WrittenProfile
 from keymint.api.policies import WrittenRule as WrittenRule
+from keymint.api.profiles import AuthorityIssuanceFiles as AuthorityIssuanceFiles
 from keymint.api.profiles import Bootstrap as Bootstrap
 from keymint.api.profiles import Infrastructure as Infrastructure
 from keymint.api.profiles import InfrastructurePackage as InfrastructurePackage

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import field
 from datetime import datetime
+from enum import StrEnum
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
@@ -76,6 +77,7 @@ class CertificateSpec:
         key: the key pair.
         extensions: extensions that add to or replace the defaults of its role (authority or identity).
         origin: where it is requested.
+        adopted: PEM of the certificate itself, if somebody else issued it: it is used as it is. Else empty.
     """
 
     subject_name: str
@@ -86,11 +88,59 @@ class CertificateSpec:
     key: KeySpec
     extensions: tuple[Extension, ...]
     origin: Origin
+    adopted: bytes = b""
+
+
+class Phase(StrEnum):
+    """How far the replacement of an authority's key has come."""
+
+    DISTRIBUTE = "distribute"
+    """All enclaves trust the next authority beside the present one, which still issues."""
+    REISSUE = "reissue"
+    """The next authority issues, and all enclaves still trust the former one beside it."""
+    STAGE = "stage"
+    """A second keystore, by the next authority, lies beside the one in force."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rollover:
+    """The replacement of an authority's key, under way.
+
+    Attributes:
+        phase: how far it has come.
+        certificate: PEM of the authority's other certificate: the next one, in :attr:`Phase.REISSUE` the former one.
+    """
+
+    phase: Phase
+    certificate: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class AuthorityIssuance:
+    """What was decided about the certificate of an authority, beyond the documents of its owner.
+
+    Attributes:
+        renewed: when it was renewed, UTC: it ends as long after that as these documents say for its begin, which stays.
+            None if it was never renewed.
+        adopted: PEM of a certificate that somebody else issued, or that was issued after such a one; else empty.
+        rollover: the replacement of its key, or None if none is under way.
+    """
+
+    renewed: datetime | None = None
+    adopted: bytes = b""
+    rollover: Rollover | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Authority:
-    """A certificate authority of the workspace: its name in the profile, and its certificate."""
+    """A certificate authority of the workspace.
+
+    Attributes:
+        name: its name in the profile.
+        certificate: its certificate, with the validity that it has since it was renewed.
+        issuance: what was decided about it beyond the documents of its owner.
+    """
 
     name: str
     certificate: CertificateSpec
+    issuance: AuthorityIssuance = AuthorityIssuance()

@@ -12,7 +12,7 @@ from typing import Protocol, runtime_checkable
 from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api.building import BuildType
-from keymint.api.certificates import Authority
+from keymint.api.certificates import Authority, AuthorityIssuance
 from keymint.api.packages import Issuance, Package, Role
 from keymint.ir import SubjectRules
 
@@ -144,6 +144,21 @@ class ProfileSettings(Protocol):
 
         Raises:
             KeymintError: with ``file:line`` of a defect.
+        """
+
+
+@runtime_checkable
+class AuthorityIssuanceFiles(Protocol):
+    """Optional capability of a profile type: keeps what was decided about the authorities' certificates.
+
+    :meth:`ProfileType.load` returns it as :attr:`keymint.api.Authority.issuance`, applied to the certificate.
+    """
+
+    def with_authority_issuance(self, issuance: Mapping[str, AuthorityIssuance]) -> Mapping[str, bytes]:
+        """Return the files to write into the profile space so that it has this.
+
+        Args:
+            issuance: what was decided, by authority; those without any decision may be omitted.
         """
 
 

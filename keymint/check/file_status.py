@@ -38,7 +38,7 @@ def file_status(inputs: Inputs) -> Iterator[Diagnostic]:
     if root is not None:
         yield from _open_to_others(inputs, [_Entry(str(workspace.root), root)])
     private = list(_walk(inputs, workspace.private))
-    for entries in (private, list(_walk(inputs, workspace.install))):
+    for entries in (private, *(list(_walk(inputs, each)) for each in (workspace.install, workspace.next_install))):
         yield from _kinds(inputs, entries)
         yield from _each_folder(inputs, entries)
         yield from _owned_by_others(inputs, entries, owners)

@@ -308,8 +308,8 @@ new_authority_option = click.option(
     "--new-authority",
     multiple=True,
     metavar="NAME",
-    help="Replace the key and certificate of this authority. Deployed enclaves reject what the new one signs "
-    "until all are redeployed. May be repeated.",
+    help="Replace the key and certificate of this authority at once. Deployed enclaves reject what the new one signs "
+    "until all are redeployed; 'keymint authority replace' goes step by step. May be repeated.",
 )
 revoke_superseded_option = click.option(
     "--revoke-superseded",
@@ -331,6 +331,27 @@ strict_option = click.option(
     "--strict",
     is_flag=True,
     help="Accept no exceptions: what a claim leaves out counts as not proven.",
+)
+
+
+# -- authorities -----------------------------------------------------------------------------------------------------
+
+
+def complete_authority(context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[str]:
+    """Complete the name of an authority of the workspace, for the shell."""
+    try:
+        workspace = find(Path(context.params.get("workspace") or "."), {}, Path())
+    except KeymintError:
+        return []
+    names = sorted(entry.removesuffix(".cert.pem") for entry, _ in Tree().names(workspace.public))
+    return [name for name in names if name.startswith(incomplete)]
+
+
+authority_argument = click.argument("name", metavar="NAME", shell_complete=complete_authority)
+flag_day_option = click.option(
+    "--flag-day",
+    is_flag=True,
+    help="Accept that all subjects restart together, where the old and the new certificate do not work side by side.",
 )
 
 

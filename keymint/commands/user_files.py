@@ -31,7 +31,9 @@ def read_input(run: Run, path: Path) -> bytes:
     return content
 
 
-def write_outputs(run: Run, path: Path, content: bytes, beside: Mapping[str, bytes] | None = None) -> list[str]:
+def write_outputs(
+    run: Run, path: Path, content: bytes, beside: Mapping[str, bytes] | None = None, *, secret: bool = False
+) -> list[str]:
     """Write a file that the user named, and files beside it, atomically; unchanged files are not written.
 
     Args:
@@ -39,6 +41,7 @@ def write_outputs(run: Run, path: Path, content: bytes, beside: Mapping[str, byt
         path: the file.
         content: its bytes.
         beside: further files by path relative to its folder, written first.
+        secret: the file is 0600 from its first byte, and the folder stays as it is.
 
     Returns:
         The files that are, or would be, written, as the user would type them.
@@ -54,7 +57,7 @@ def write_outputs(run: Run, path: Path, content: bytes, beside: Mapping[str, byt
         store = Store({folder: False}, folder)
         for name, data in changed:
             place = folder / name
-            store.write(place.parent, {place.name: File(data)})
+            store.write(place.parent, {place.name: File(data, secret=secret)})
     return [str(path.parent / name) for name, _ in changed]
 
 

@@ -19,21 +19,31 @@ _COMMON = {"workspace", "as_json", "verbose", "quiet", "jobs", "dry_run", "execu
 
 
 def verb(
-    *, workspace: bool = True, jobs: bool = False, dry_run: bool = False, executor: bool = False
+    *, workspace: bool = True, jobs: bool = False, dry_run: bool = False, executor: bool = False, of: str = ""
 ) -> Callable[[Verb], click.Command]:
     """Return a decorator that makes a click command of a function ``(run, **options) -> Report``.
 
     The command adds the common options (see :func:`keymint.commands.options.common_options`), shows the report or
-    the error, and ends with the exit code.
+    the error, and ends with the exit code. Its name is that of the function's module, without the name of the group and
+    an underscore.
+
+    Args:
+        workspace: see :func:`keymint.commands.options.common_options`, as for the next three.
+        jobs: the verb writes several packages at a time.
+        dry_run: the verb writes files.
+        executor: the verb can compute in other processes.
+        of: the group of verbs that it belongs to, e.g. ``authority``; empty if it stands alone.
     """
 
     def decorate(function: Verb) -> click.Command:
-        name = function.__module__.rsplit(".", 1)[-1]
+        module = function.__module__.rsplit(".", 1)[-1]
+        name = module.removeprefix(f"{of}_")
+        said = f"{of} {name}".strip()
 
         def command(context: click.Context, /, **options: Any) -> None:
             common = {key: options.pop(key) for key in list(options) if key in _COMMON or key.endswith("_space")}
             setting: Setting = context.find_root().obj()
-            run = Run(setting, name, common)
+            run = Run(setting, said, common)
 
             def work() -> Report:
                 require_known_plugins(context, run.plugins)

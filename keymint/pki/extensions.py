@@ -75,6 +75,16 @@ def key_usage(*names: str) -> x509.KeyUsage:
     return x509.KeyUsage(**bits)
 
 
+def usages(usage: x509.KeyUsage) -> tuple[str, ...]:
+    """Return OpenSSL's names of the bits of a key usage, each bit once.
+
+    The two qualifiers of keyAgreement are undefined without it (RFC 5280, 4.2.1.3).
+    """
+    named = {attribute: name for name, attribute in KEY_USAGES.items()}
+    defined = [each for each in named if usage.key_agreement or each not in {"encipher_only", "decipher_only"}]
+    return tuple(named[each] for each in defined if getattr(usage, each))
+
+
 def authority_key_identifier(issuer: x509.Certificate) -> x509.AuthorityKeyIdentifier:
     """Return the identifier of the issuer's key, as the issuer's certificate has it (RFC 5280, 4.2.1.1)."""
     identifier = value(issuer, x509.SubjectKeyIdentifier)

@@ -10,19 +10,19 @@ from dataclasses import field
 from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.api import SigningAuthority
 from keymint.changes import Action, File, FolderChange, Plan, Step, changed
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import authority_files, key_record, token_keys
 from keymint.plan.authority_files import AuthorityFiles
+from keymint.plan.authority_issuance import STAGE, authority_named
 from keymint.plan.enclaves import deployed_authorities
 from keymint.plan.private_keys import password
 from keymint.session import Inputs, Session
 
-STAGE = "authorities"
+__all__ = ["STAGE", "MintedAuthority", "plan_authorities"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,8 @@ def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, M
             kind, belongs to another authority, or is needed but kept elsewhere; the defects of all authorities
             together.
     """
-    _require_named(session, new)
+    for name in new:
+        authority_named(session, name)
     deployed = functools.cache(functools.partial(deployed_authorities, session))
     minted: dict[str, MintedAuthority] = {}
     steps: list[Step] = []
@@ -82,7 +83,7 @@ def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, M
     for authority in authority_files.in_order(session.profile.authorities):
         if authority.certificate.issuer and authority.certificate.issuer not in minted:
             continue  # its issuer has a defect
-        files = authority_files.read_files(session, authority, deployed)
+        files = authority_files.read_files(session, authority, deployed).as_adopted()
         try:
             result, changes, diagnostics = _plan_authority(session, files, minted, renew=authority.name in new)
         except KeymintError as error:
@@ -100,28 +101,18 @@ def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, M
     return Plan(tuple(steps), state, tuple(warnings)), minted
 
 
-def _require_named(session: Session, new: Sequence[str]) -> None:
-    known = [authority.name for authority in session.profile.authorities]
-    for name in new:
-        if name not in known:
-            raise KeymintError(
-                f"no authority {name!r} in the profile, which has {', '.join(known)}",
-                help=did_you_mean(name, known, "name one of these"),
-                code="authority-unknown",
-                exit_code=ExitCode.USAGE,
-            )
-
-
 def _plan_authority(
     inputs: Inputs, files: AuthorityFiles, minted: Mapping[str, MintedAuthority], *, renew: bool
 ) -> tuple[MintedAuthority, tuple[FolderChange, ...], Sequence[Diagnostic]]:
     spec, name = files.authority.certificate, files.authority.name
     above = minted[spec.issuer] if spec.issuer else None
+    if renew:
+        _require_replaceable(files)
     if spec.key.uri:
         return _in_token(inputs, files, above, renew=renew)
     signing_error = _signing_error(inputs, files)
     if signing_error is not None and files.content is not None and not renew:
-        return _without_key(files, above, signing_error), (), ()
+        return _without_key(files, above, signing_error), _stored(inputs, name, files.content), ()
     secret = password(spec.key, inputs.environment, spec.origin)
     changes: tuple[FolderChange, ...] = ()
     if files.key is None or renew:
@@ -129,12 +120,13 @@ def _plan_authority(
             authority_files.require_unused(files)
         key = keys.generate(spec.key, spec.origin)
         pem = keys.to_pem(key, secret)
-        path = inputs.workspace.authority_key(name)
-        changes = (FolderChange(path.parent, {path.name: File(pem, secret=True)}, private=True),)
+        key_path = inputs.workspace.authority_key(name)
+        changes = (FolderChange(key_path.parent, {key_path.name: File(pem, secret=True)}, private=True),)
         certificate, warnings = _new_certificate(files, key, above)
     else:
         key, pem = authority_files.load_private_key(inputs, files), files.key
         public = key.public_key()
+        authority_files.require_rollover(files, public)
         if key_record.was_under_way(inputs.state, keys.fingerprint(public)):
             files = files.without_other_certificate(public)
         else:
@@ -144,7 +136,7 @@ def _plan_authority(
         certificate, warnings = _certificate(files, key, above)
     changes += _stored(inputs, name, certificate)
     keyed = certificates.Issuer(certificates.load(certificate), key), SigningAuthority(name, certificate, pem, secret)
-    return _minted(certificate, above, keyed), changes, warnings
+    return _minted(files, certificate, above, keyed), changes, warnings
 
 
 def _in_token(
@@ -155,6 +147,7 @@ def _in_token(
     if renew:
         certificate, warnings = _new_certificate(files, key, above)
     else:
+        authority_files.require_rollover(files, key.public_key())
         authority_files.require_name(files)
         authority_files.require_known(files, key.public_key())
         certificate, warnings = _certificate(files, key, above)
@@ -162,7 +155,7 @@ def _in_token(
     signer = SigningAuthority(name, certificate, b"", token_key=key)
     keyed = certificates.Issuer(certificates.load(certificate), key), signer
     changes = _stored(inputs, name, certificate)
-    return _minted(certificate, above, keyed), changes, (*warnings, *token_keys.left_over(files))
+    return _minted(files, certificate, above, keyed), changes, (*warnings, *token_keys.left_over(files))
 
 
 def _stored(inputs: Inputs, name: str, certificate: bytes) -> tuple[FolderChange, ...]:
@@ -171,9 +164,30 @@ def _stored(inputs: Inputs, name: str, certificate: bytes) -> tuple[FolderChange
 
 
 def _minted(
-    certificate: bytes, above: MintedAuthority | None, keyed: tuple[certificates.Issuer, SigningAuthority]
+    files: AuthorityFiles,
+    certificate: bytes,
+    above: MintedAuthority | None,
+    keyed: tuple[certificates.Issuer, SigningAuthority] | KeymintError,
 ) -> MintedAuthority:
-    return MintedAuthority(keyed[0].certificate, certificate + (above.chain if above else b""), keyed)
+    trusted = authority_files.chain(files.authority, certificate, above.chain if above else b"")
+    return MintedAuthority(certificates.load(certificate), trusted, keyed)
+
+
+def _require_replaceable(files: AuthorityFiles) -> None:
+    """Require that an authority may be replaced at once.
+
+    Raises:
+        KeymintError: its certificate is from elsewhere, or its replacement is under way.
+    """
+    issuance, name = files.authority.issuance, files.authority.name
+    if issuance.rollover or issuance.adopted:
+        why = "its replacement is under way" if issuance.rollover else "its certificate was imported"
+        raise KeymintError(
+            f"the authority {name!r} is not made again at once: {why}",
+            where=Origin(files.certificate_file),
+            help=f"use 'keymint authority replace {name}'",
+            code="authority-not-minted",
+        )
 
 
 def _new_certificate(
@@ -197,6 +211,14 @@ def _certificate(
         pem = certificates.to_pem(candidate)
         if authority_files.satisfies(pem, spec, key.public_key(), above.certificate if above else None):
             return pem, ()
+    if spec.adopted:
+        raise KeymintError(
+            f"the certificate that the profile adopts for {files.authority.name!r} was not issued by "
+            f"{repr(spec.issuer) if spec.issuer else 'itself'}",
+            where=spec.origin,
+            help="correct <issuer_name>, or import the certificate of its issuer first",
+            code="authority-issuer-elsewhere",
+        )
     issued = certificates.issue_authority(spec, key, above.issuer if above else None)
     if not files.in_use():
         return issued.pem, issued.diagnostics
@@ -244,10 +266,11 @@ def _without_key(files: AuthorityFiles, above: MintedAuthority | None, signing_e
     spec, content = files.authority.certificate, files.content or b""
     certificate = certificates.load(content, Origin(files.certificate_file))
     public_key = certificates.public_key(certificate, Origin(files.certificate_file))
+    authority_files.require_rollover(files, public_key)
     authority_files.require_known(files, public_key)
     authority_files.require_name(files)
     if not keys.fits(public_key, spec.key) or not authority_files.satisfies(
         content, spec, public_key, above.certificate if above else None
     ):
         raise signing_error
-    return MintedAuthority(certificate, content + (above.chain if above else b""), signing_error)
+    return _minted(files, content, above, signing_error)

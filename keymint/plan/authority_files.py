@@ -13,7 +13,7 @@ from cryptography import x509
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
-from keymint.api import Authority, CertificateSpec
+from keymint.api import Authority, CertificateSpec, Phase
 from keymint.errors import KeymintError
 from keymint.pki import certificates, distinguished_names, keys
 from keymint.plan import key_record
@@ -53,6 +53,8 @@ class AuthorityFiles:
     def subject(self) -> x509.Name:
         """The subject name that the profile specifies."""
         spec = self.authority.certificate
+        if spec.adopted:
+            return certificates.load(spec.adopted).subject
         return distinguished_names.parse(spec.subject_name, spec.origin)
 
     def in_use(self) -> Sequence[x509.Certificate]:
@@ -65,6 +67,11 @@ class AuthorityFiles:
         if self.recorded:
             return frozenset({self.recorded})
         return frozenset(keys.fingerprint(certificates.public_key(each)) for each in self.in_use())
+
+    def as_adopted(self) -> AuthorityFiles:
+        """Return the files with the certificate that the profile adopts, if it adopts one."""
+        pem = self.authority.certificate.adopted
+        return replace(self, content=pem, certificate=certificates.load(pem)) if pem else self
 
     def without_other_certificate(self, key: keys.PublicKey) -> AuthorityFiles:
         """Return the files without the certificate of another key that a killed run did not replace."""
@@ -126,16 +133,36 @@ def in_order(authorities: Sequence[Authority]) -> tuple[Authority, ...]:
 
 
 def trusted_chains(session: Session) -> Mapping[str, bytes]:
-    """Return the certificate chain (PEM) of each authority from the disk."""
+    """Return the certificate chain (PEM) of each authority from the disk; see :func:`chain`."""
     chains: dict[str, bytes] = {}
     for authority in in_order(session.profile.authorities):
         own = session.tree.read(session.workspace.authority_certificate(authority.name)) or b""
-        chains[authority.name] = own + chains.get(authority.certificate.issuer, b"")
+        chains[authority.name] = chain(authority, own, chains.get(authority.certificate.issuer, b""))
     return chains
+
+
+def chain(authority: Authority, certificate: bytes, above: bytes) -> bytes:
+    """Return what enclaves trust for an authority: the authority in force comes first.
+
+    Args:
+        authority: the authority.
+        certificate: PEM of its certificate; empty if there is none.
+        above: PEM of the chain of its issuer.
+    """
+    rollover = authority.issuance.rollover
+    trusted = rollover is not None and rollover.phase is not Phase.STAGE
+    return certificate + above + (rollover.certificate if rollover and trusted and certificate else b"")
 
 
 def satisfies(pem: bytes, spec: CertificateSpec, key: keys.PublicKey, issuer: x509.Certificate | None) -> bool:
     """Tell whether an authority's certificate is the one that the profile specifies."""
+    if spec.adopted:
+        certificate = certificates.load(spec.adopted)
+        return (
+            pem == spec.adopted
+            and certificate.public_key() == key
+            and certificates.is_issued_by(certificate, issuer or certificate)
+        )
     return certificates.certificate_satisfies(pem, spec, key, issuer, authority=True)
 
 
@@ -226,6 +253,23 @@ def require_known(files: AuthorityFiles, key: keys.PublicKey) -> None:
         help=f"restore {files.key_file} and {files.certificate_file}; {new_authority_help(name)}",
         code="authority-replaced",
     )
+
+
+def require_rollover(files: AuthorityFiles, key: keys.PublicKey) -> None:
+    """Require that the key in force is not the one that the profile exchanges it with.
+
+    Raises:
+        KeymintError: it is, because a run that exchanges them was killed.
+    """
+    rollover = files.authority.issuance.rollover
+    if rollover and certificates.public_key(certificates.load(rollover.certificate)) == key:
+        name = files.authority.name
+        raise KeymintError(
+            f"the replacement of the key of {name!r} was interrupted",
+            where=Origin(files.key_file),
+            help=f"'keymint authority replace {name}' goes on",
+            code="rollover-interrupted",
+        )
 
 
 def require_own_keys(inputs: Inputs, fingerprints: Mapping[str, str]) -> None:

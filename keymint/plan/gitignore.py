@@ -27,7 +27,7 @@ def missing_files(workspace: Workspace, plan: Plan) -> Sequence[FolderChange]:
     written = {str(change.folder) for change in plan.changes() if change.written}
     if written:
         written.add(str(workspace.state))  # has the record of what is written
-    spaces = (workspace.private, workspace.build, workspace.install, workspace.state)
+    spaces = (workspace.private, workspace.build, workspace.install, workspace.next_install, workspace.state)
     return [
         FolderChange(space, {NAME: File(_EVERYTHING)}, private=space == workspace.private)
         for space in spaces

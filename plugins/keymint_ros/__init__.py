@@ -13,7 +13,11 @@ __all__ = ["RosPackageType", "RosProfileType", "package_type", "profile_type"]
 
 
 class RosProfileType:
-    """Profiles; implements :class:`keymint.api.ProfileType` and :class:`keymint.api.ProfileSettings`."""
+    """Profiles.
+
+    Implements :class:`keymint.api.ProfileType`, :class:`keymint.api.ProfileSettings` and
+    :class:`keymint.api.AuthorityIssuanceFiles`.
+    """
 
     API = API_VERSION
 
@@ -30,6 +34,7 @@ class RosProfileType:
     load = lazy("keymint_ros.profile:load")
     with_policy = lazy("keymint_ros.profile:with_policy")
     settings = lazy("keymint_ros.profile:settings")
+    with_authority_issuance = lazy("keymint_ros.authority_issuance:with_authority_issuance")
 
 
 class RosPackageType:

@@ -17,7 +17,7 @@ from comarmor.xml.reader import line
 from keymint.api import Authority, PolicySource, WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint.source_documents import Reader, domains, file_in, place, text
-from keymint_ros import bootstrap, certificate, distros, manifest, placeholders, validity
+from keymint_ros import authority_issuance, bootstrap, certificate, distros, manifest, placeholders, validity
 from keymint_ros.certificate import CertificateElement
 from keymint_ros.manifest import BUILD_TYPE
 
@@ -178,6 +178,9 @@ def load(root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
         for authority, origin in _load_authorities(root, files, name, path, defaults_path):
             _check_unique(authority.name, authorities, authority.certificate.origin)
             authorities[authority.name], issuers[authority.name] = authority, origin
+    for each, issuance in authority_issuance.read(files, str(root), authorities).items():
+        spec = authority_issuance.applied(authorities[each].certificate, issuance)
+        authorities[each] = Authority(each, spec, issuance)
     _check_hierarchy(authorities, issuers)
     return WorkspaceProfile(
         name=own.name,

@@ -18,7 +18,8 @@ class DdsSecurity:
     """The build type for DDS Security 1.1 as Cyclone DDS and Fast DDS implement it.
 
     Implements :class:`keymint.api.BuildType`, :class:`keymint.api.NameMapping`, :class:`keymint.api.ActionMapping`,
-    :class:`keymint.api.RuleCheck`, :class:`keymint.api.RevocationReader`, :class:`keymint.api.RemoteCompiler`,
+    :class:`keymint.api.RuleCheck`, :class:`keymint.api.RevocationReader`, :class:`keymint.api.AuthorityChanges`,
+    :class:`keymint.api.RemoteCompiler`,
     :class:`keymint.api.Prover` and :class:`keymint.api.RemoteProver`.
     """
 
@@ -34,6 +35,7 @@ class DdsSecurity:
 
     files = staticmethod(files)
     authorities = lazy("keymint_ros2_dds.authority_roles:authorities")
+    implementations = lazy("keymint_ros2_dds.authority_roles:implementations")
     settings = lazy("keymint_ros2_dds.governance_source:settings")
     build = lazy("keymint_ros2_dds.build:build")
     install = lazy("keymint_ros2_dds.install:install")

@@ -3,11 +3,27 @@
 
 from __future__ import annotations
 
-from keymint.api import AuthorityRole, Package
+from collections.abc import Sequence
+
+from keymint.api import AuthorityRole, Implementation, Package
 from keymint.errors import KeymintError
 from keymint_ros2_dds.settings import settings_of
 
 IDENTITY, PERMISSIONS = "identity", "permissions"
+IMPLEMENTATIONS = (
+    Implementation("cyclonedds", "Cyclone DDS 0.10", reissues=frozenset({IDENTITY})),
+    Implementation(
+        "fastdds", "Fast DDS 2.9", bundles=frozenset({IDENTITY, PERMISSIONS}), reissues=frozenset({IDENTITY})
+    ),
+)
+"""What vendors accept while an authority changes, measured: Cyclone DDS reads the first authority of a file only, and
+Fast DDS tells two authorities of one name apart by their key identifiers. Both compare the certificates of the
+permissions authority, and verify a signed document with exactly the certificate that signed it."""
+
+
+def implementations() -> Sequence[Implementation]:
+    """Return what was measured: see :meth:`keymint.api.AuthorityChanges.implementations`."""
+    return IMPLEMENTATIONS
 
 
 def authorities(package: Package) -> tuple[AuthorityRole, ...]:

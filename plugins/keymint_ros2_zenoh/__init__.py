@@ -14,9 +14,10 @@ __all__ = ["Zenoh", "build_type"]
 class Zenoh:
     """The build type for Zenoh's access control, as rmw_zenoh uses Zenoh.
 
-    Implements :class:`keymint.api.BuildType`, :class:`keymint.api.SharedDocuments`,
+        Implements :class:`keymint.api.BuildType`, :class:`keymint.api.SharedDocuments`,
     :class:`keymint.api.Infrastructure`, :class:`keymint.api.CommonNameIdentity`, :class:`keymint.api.RuleCheck`,
-    :class:`keymint.api.ActionMapping`, :class:`keymint.api.Prover` and :class:`keymint.api.SharedProver`.
+    :class:`keymint.api.ActionMapping`, :class:`keymint.api.AuthorityChanges`, :class:`keymint.api.Prover` and
+    :class:`keymint.api.SharedProver`.
     """
 
     API = API_VERSION
@@ -34,6 +35,7 @@ class Zenoh:
     packages = lazy("keymint_ros2_zenoh.zenoh_source:packages")
     settings = lazy("keymint_ros2_zenoh.zenoh_source:settings")
     authorities = lazy("keymint_ros2_zenoh.authority_roles:authorities")
+    implementations = lazy("keymint_ros2_zenoh.authority_roles:implementations")
     build = lazy("keymint_ros2_zenoh.build:build")
     install = lazy("keymint_ros2_zenoh.install:install")
     shared = lazy("keymint_ros2_zenoh.install:shared")

@@ -12,6 +12,7 @@ import pytest
 
 from keymint import SPACES
 from keymint.cli import VERBS
+from keymint.commands import authority
 
 
 def run(*arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -31,7 +32,8 @@ def test_help_lists_every_verb(keymint) -> None:
     assert all(verb in outcome.out for verb in VERBS)
 
 
-WRITING = {"init", "create", "build", "install", "prove", "provision", "discover", "learn", "graph"}
+WRITING = {f"authority {verb}" for verb in ("renew", "replace", "import")}
+WRITING |= {"init", "create", "build", "install", "prove", "provision", "discover", "learn", "graph"}
 """Verbs that write files, so that they have ``--dry-run``."""
 STAGES = {"init", "create", "build", "install", "provision", "prove", "verify"}
 """Verbs that divide packages among processes, so that they have ``--jobs``."""
@@ -39,9 +41,19 @@ ELSEWHERE = {"diff", "discover", "learn", "plugins", "transports", "completion"}
 """Verbs that use no workspace, so that they have neither ``--workspace`` nor ``--src-space`` and the like."""
 
 
-@pytest.mark.parametrize("verb", VERBS)
+ALL = [*(verb for verb in VERBS if verb != "authority"), *(f"authority {verb}" for verb in authority.VERBS)]
+"""All verbs; those of a group with its name."""
+
+
+def test_help_of_a_group_lists_its_verbs(keymint) -> None:
+    outcome = keymint("authority", "--help")
+    assert outcome.code == 0
+    assert all(verb in outcome.out for verb in authority.VERBS)
+
+
+@pytest.mark.parametrize("verb", ALL)
 def test_help_of_every_verb_teaches(keymint, verb: str) -> None:
-    outcome = keymint(verb, "--help")
+    outcome = keymint(*verb.split(), "--help")
     assert outcome.code == 0
     for option in ("--json", "--verbose", "--quiet"):
         assert option in outcome.out

@@ -32,6 +32,7 @@ CALLS = {
     "build": ["build", "-f", "-w", "ws"],
     "install": ["install", "-w", "ws"],
     "check": ["check", "-w", "ws"],
+    "authority": ["authority", "show", "-w", "ws"],
     "prove": ["prove", "-w", "ws"],
     "revoke": ["revoke", "talker", "--reason", "superseded", "-w", "ws"],
     "issued": ["issued", "-w", "ws"],
@@ -70,7 +71,7 @@ def test_every_verb_has_it() -> None:
 @pytest.mark.parametrize("verb", CALLS)
 def test_of_a_verb_that_succeeds(keymint, provisioned: Path, verb: str) -> None:
     document = held(keymint(*CALLS[verb], "--json"))
-    assert document["verb"] == verb
+    assert document["verb"].split()[0] == verb
     assert document["exit_code"] == 0
 
 

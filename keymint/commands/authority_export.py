@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint authority export``: an authority's certificate, and on request its private key, to files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from comarmor.errors import Diagnostic, Origin, Severity
+from keymint.commands.options import FILE, authority_argument, usage_error
+from keymint.commands.run import Run
+from keymint.commands.user_files import show_written, write_outputs
+from keymint.commands.verb import verb
+from keymint.errors import KeymintError
+from keymint.output.report import Report
+from keymint.plan import authority_files
+from keymint.plan.authority_issuance import authority_named
+
+
+@verb(of="authority")
+@authority_argument
+@click.option("-o", "--output", type=FILE, metavar="FILE", help="Write the certificate here [standard output].")
+@click.option("--chain", is_flag=True, help="Add the certificates above it, up to the self-signed one.")
+@click.option(
+    "--with-key",
+    "key_file",
+    type=FILE,
+    metavar="FILE",
+    help="Also write its private key here (mode 0600). Whoever has it can make any robot do anything.",
+)
+def command(run: Run, name: str, output: Path | None, chain: bool, key_file: Path | None) -> Report:
+    """Write the certificate of an authority as PEM; never its private key, unless --with-key asks for it."""
+    workspace = run.workspace()
+    session = run.snapshot(workspace).session()
+    files = authority_files.read_files(session, authority_named(session, name), tuple)
+    if files.certificate is None or files.content is None:
+        raise KeymintError(
+            f"the authority {name!r} has no certificate",
+            where=Origin(files.certificate_file),
+            help="'keymint install' makes it",
+            code="authority-missing",
+        )
+    if key_file and output and (run.setting.cwd / key_file).resolve() == (run.setting.cwd / output).resolve():
+        raise usage_error("the certificate and the private key would be written into one file", "name two files")
+    content = authority_files.trusted_chains(session)[name] if chain else files.content
+    findings: list[Diagnostic] = []
+    written: list[str] = []
+    if key_file:
+        written += _export_key(run, files, key_file)
+        message = f"is the private key of the authority {name!r}: whoever has it can make any robot do anything"
+        help_ = "move it to where it belongs, and delete it here"
+        findings.append(Diagnostic("key-exported", Severity.WARNING, message, Origin(str(key_file)), help_))
+    if output:
+        own = write_outputs(run, output, content)
+        show_written(run, output, own)
+        written += own
+    else:
+        run.console.document(content)
+    result = {"certificate": content.decode("ascii"), "file": str(output) if output else None, "written": written}
+    return Report(run.verb, workspace, (), findings, result)
+
+
+def _export_key(run: Run, files: authority_files.AuthorityFiles, key_file: Path) -> list[str]:
+    """Write the private key of an authority as it is stored: encrypted if it has a password.
+
+    Raises:
+        KeymintError: it is not here, or the file cannot be written.
+    """
+    if files.key is None:
+        raise KeymintError(
+            f"the private key of the authority {files.authority.name!r} is not here",
+            where=Origin(files.key_file),
+            help="export it where it is",
+            code="authority-key-missing",
+        )
+    return write_outputs(run, key_file, files.key, secret=True)

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint authority import``: an authority's certificate from outside."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from keymint.changes import Plan
+from keymint.commands.authority_change import issued_again, require_flag_day
+from keymint.commands.options import FILE, authority_argument, flag_day_option
+from keymint.commands.run import Run
+from keymint.commands.user_files import read_input
+from keymint.commands.verb import verb
+from keymint.output.report import Report
+from keymint.plan.authority_renewal import plan_import
+from keymint.session import Inputs
+
+
+@verb(dry_run=True, of="authority")
+@authority_argument
+@click.argument("certificate", type=FILE)
+@click.option("--key", "key_file", type=FILE, metavar="FILE", help="Its private key, which is copied into private/.")
+@flag_day_option
+def command(run: Run, name: str, certificate: Path, key_file: Path | None, flag_day: bool) -> Report:
+    """Use the certificate of an authority that somebody else issued, as it is.
+
+    CERTIFICATE is a PEM file. Its private key may stay elsewhere: then everything works here that needs no signature of
+    it. Once enclaves are installed, the certificate must be for the key that they trust; another key is the matter of
+    'keymint authority replace'.
+    """
+    pem = read_input(run, certificate)
+    key = read_input(run, key_file) if key_file else None
+
+    def make_plan(inputs: Inputs) -> Plan:
+        session = inputs.session()
+        first = plan_import(session, name, pem, key, (run.typed(str(certificate)), run.typed(str(key_file))))
+        if first.writes():
+            require_flag_day(session, name, accepted=flag_day)
+        return issued_again(run, session, first, name)
+
+    return run.carry_out(run.workspace(), make_plan)

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint authority renew``: an authority's certificate again, for the same key."""
+
+from __future__ import annotations
+
+from keymint.changes import Plan
+from keymint.commands.authority_change import issued_again, require_flag_day
+from keymint.commands.options import authority_argument, flag_day_option
+from keymint.commands.run import Run
+from keymint.commands.verb import verb
+from keymint.output.report import Report
+from keymint.plan.authority_renewal import plan_renewal
+from keymint.session import Inputs
+
+
+@verb(dry_run=True, of="authority")
+@authority_argument
+@flag_day_option
+def command(run: Run, name: str, flag_day: bool) -> Report:
+    """Issue an authority's certificate again for the same key and name: it begins now, and is valid as long as before.
+
+    All enclaves get the new certificate. If the authority issues identities, robots with the old certificate and robots
+    with the new one work together. If it signs documents, these are signed again, and vendors let subjects that hold
+    different certificates of it not communicate: that needs --flag-day.
+    """
+
+    def make_plan(inputs: Inputs) -> Plan:
+        session = inputs.session()
+        first = plan_renewal(session, name)
+        if first.writes():
+            require_flag_day(session, name, accepted=flag_day)
+        return issued_again(run, session, first, name)
+
+    return run.carry_out(run.workspace(), make_plan)

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint authority replace``: a new key for an authority, phase by phase."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from comarmor.errors import Diagnostic, Severity
+from keymint.api import Phase
+from keymint.changes import Plan
+from keymint.commands.options import FILE, authority_argument, usage_error
+from keymint.commands.rollover_phases import Request, planned
+from keymint.commands.run import Run
+from keymint.commands.user_files import read_input
+from keymint.commands.verb import verb
+from keymint.output.report import Report
+from keymint.plan import rollover
+from keymint.plan.rollover import NextAuthority
+from keymint.session import Inputs, Session
+
+
+@verb(dry_run=True, of="authority")
+@authority_argument
+@click.option(
+    "--next", "go_on", is_flag=True, help="Go on to the next phase: all robots have the keystore of this one."
+)
+@click.option("--cancel", is_flag=True, help="Give up: the present authority stays. Only before the next one issues.")
+@click.option(
+    "--vendor",
+    "vendors",
+    multiple=True,
+    metavar="NAME",
+    help="The fleet has only this implementation of its transport; may be repeated [all]. If all of them "
+    "accept two authorities at once, no robot must wait for another one.",
+)
+@click.option("--certificate", type=FILE, metavar="FILE", help="The next authority is this one, made elsewhere.")
+@click.option("--key", "key_file", type=FILE, metavar="FILE", help="Its private key.")
+def command(
+    run: Run,
+    name: str,
+    go_on: bool,
+    cancel: bool,
+    vendors: tuple[str, ...],
+    certificate: Path | None,
+    key_file: Path | None,
+) -> Report:
+    """Replace the key of an authority, phase by phase; run it again to complete a phase, and with --next for the next.
+
+    Where subjects may trust two authorities: all enclaves get both certificates, then certificates by the next one,
+    then it alone. Elsewhere a second keystore by the next authority is staged in install.next/, all robots switch to it
+    (ROS_SECURITY_KEYSTORE) at a common restart, and it becomes install/. How far it has come stands in profile/.
+    --dry-run says what each phase does.
+    """
+    if (go_on and cancel) or ((go_on or cancel) and (vendors or certificate)) or (key_file and not certificate):
+        raise usage_error(
+            "these options do not go together",
+            "give --next, --cancel, or what begins it (--vendor, --certificate, --key)",
+        )
+    given = None
+    if certificate:
+        given = NextAuthority(read_input(run, certificate), read_input(run, key_file) if key_file else b"")
+    request = Request(go_on, cancel, vendors, given)
+    phases: list[str] = []
+
+    def make_plan(inputs: Inputs) -> Plan:
+        session = inputs.session()
+        before = rollover.phase_of(session, name)
+        plan = planned(run, session, name, request)
+        reached = rollover.phase_of(session.after(plan).session(), name)
+        phases[:] = [reached.value if reached else "done"]
+        if run.dry_run and not cancel:
+            for line in _outline(session, name, before, reached):
+                run.console.line(line)
+        return replace(plan, diagnostics=(*plan.diagnostics, *_told(session, name, before, reached, cancelled=cancel)))
+
+    report = run.carry_out(run.workspace(), make_plan)
+    return replace(report, result={"authority": name, "phase": phases[0]})
+
+
+# -- what is said ----------------------------------------------------------------------------------------------------
+
+
+def _outline(session: Session, name: str, before: Phase | None, reached: Phase | None) -> Iterator[str]:
+    """Yield the phases, with a mark at the one that a run would carry out."""
+    shown = session.workspace.shown(session.workspace.next_install)
+    if Phase.STAGE in {before, reached}:
+        steps = [
+            (
+                Phase.STAGE,
+                f"a second keystore by the next authority in {shown}/; copy it to all robots, beside the present",
+            ),
+            (None, "all robots restart together with it (ROS_SECURITY_KEYSTORE); then --next makes it install/"),
+        ]
+    else:
+        steps = [
+            (
+                Phase.DISTRIBUTE,
+                "all enclaves trust both authorities; copy them to all robots and restart these, in any order",
+            ),
+            (Phase.REISSUE, "--next: certificates by the next authority; copy them to all robots and restart these"),
+            (None, "--next: enclaves trust the next authority alone; copy them to all robots and restart these"),
+        ]
+    yield f"replacing the key of {name}:"
+    for number, (each, text) in enumerate(steps, 1):
+        yield f"  {'>' if each is reached else ' '} {number}. {each.value if each else 'end'}: {text}"
+
+
+def _told(
+    session: Session, name: str, before: Phase | None, reached: Phase | None, *, cancelled: bool
+) -> Iterator[Diagnostic]:
+    """Yield what is to be done on the robots before the next phase."""
+    go_on = f"'keymint authority replace {name} --next'"
+    install_space, second = (
+        session.workspace.shown(each) for each in (session.workspace.install, session.workspace.next_install)
+    )
+    if reached is Phase.DISTRIBUTE:
+        text = f"{name!r}: all enclaves trust the present and the next authority: copy {install_space}/ to all robots"
+        help_ = f"restart them, in any order; then {go_on}"
+    elif reached is Phase.REISSUE:
+        text = f"{name!r}: the next authority issues: copy {install_space}/ to all robots"
+        help_ = f"restart them, in any order; then {go_on}"
+    elif reached is Phase.STAGE:
+        text = f"{name!r}: a second keystore by the next authority is ready: copy {second}/ to all robots"
+        help_ = f"set ROS_SECURITY_KEYSTORE to it, and restart all of them together; then {go_on}"
+    elif cancelled:
+        text, help_ = f"{name!r}: its key stays", f"copy {install_space}/ to the robots that got another one"
+    elif before is Phase.STAGE:
+        text = f"{name!r} is replaced: {install_space}/ is the keystore that all robots have"
+        help_ = "the former one works with none of them any more"
+    else:
+        text = f"{name!r} is replaced: nobody trusts the former authority any more"
+        help_ = f"copy {install_space}/ to all robots and restart them, in any order"
+    yield Diagnostic("rollover-phase", Severity.WARNING, text, None, help_)

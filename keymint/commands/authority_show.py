@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint authority show``: each authority, where its key is, and whom it serves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import datetime
+from typing import Any
+
+import click
+
+from comarmor.errors import Diagnostic, Origin
+from comarmor.text import counted
+from keymint.commands.options import complete_authority
+from keymint.commands.run import Run
+from keymint.commands.verb import verb
+from keymint.output.report import Report
+from keymint.pki import adoption
+from keymint.plan import authority_files
+from keymint.plan.authority_issuance import authority_named
+from keymint.plan.authority_status import AuthorityStatus, CertificateStatus, statuses
+from keymint.session import Session
+
+
+@verb(of="authority")
+@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_authority)
+def command(run: Run, names: tuple[str, ...]) -> Report:
+    """Show each authority: its certificate, where its key is, whom it serves, and how far its replacement has come.
+
+    NAME is an authority of the profile [all].
+    """
+    workspace = run.workspace()
+    session = run.snapshot(workspace).session()
+    for name in names:
+        authority_named(session, name)
+    shown = [each for each in statuses(session) if not names or each.name in names]
+    for each in shown:
+        for line in _lines(each, session.now):
+            run.console.line(line)
+    result = {"authorities": [_document(each) for each in shown]}
+    return Report(run.verb, workspace, (), _findings(session, names), result)
+
+
+def _findings(session: Session, names: tuple[str, ...]) -> list[Diagnostic]:
+    """Return the warnings about what certificates lack."""
+    found: list[Diagnostic] = []
+    for authority in session.profile.authorities:
+        files = authority_files.read_files(session, authority, tuple)
+        if files.certificate is not None and (not names or authority.name in names):
+            found += adoption.lacking(files.certificate, authority.name, Origin(files.certificate_file))
+    return found
+
+
+def _lines(each: AuthorityStatus, now: datetime) -> Iterator[str]:
+    yield each.name
+    if each.certificate is None:
+        yield "  no certificate"
+    else:
+        for label, text in _of_certificate(each.certificate, now):
+            yield f"  {label:13} {text}"
+    issuer = each.issuer or "itself"
+    yield f"  {'issued by':13} {issuer}{' (imported)' if each.adopted else ''}"
+    yield f"  {'private key':13} {each.key_place}"
+    served = [
+        f"{counted(use.packages, 'package')} ({use.role}{', signs' if use.signs else ''}; {use.build_type})"
+        for use in each.uses
+    ]
+    yield f"  {'serves':13} {'; '.join(served) or 'nobody'}"
+    if each.phase and each.other:
+        yield f"  {'replacement':13} phase {each.phase}; the other key is {each.other.fingerprint}"
+
+
+def _of_certificate(status: CertificateStatus, now: datetime) -> Iterator[tuple[str, str]]:
+    days = (status.last - now).days
+    left = f"{days} d" if status.last >= now else f"expired {-days} d ago"
+    yield "subject", status.subject
+    yield "key", f"{status.key}, SHA-256 {status.fingerprint}"
+    yield (
+        "valid",
+        f"{status.first:%Y-%m-%d} to {status.last:%Y-%m-%d} ({left}), renew after {status.renew_after:%Y-%m-%d}",
+    )
+    yield "key usage", "any" if status.key_usage is None else ", ".join(status.key_usage)
+
+
+def _document(each: AuthorityStatus) -> dict[str, Any]:
+    return {
+        "name": each.name,
+        "issuer": each.issuer or None,
+        "certificate": _certificate(each.certificate),
+        "private_key": each.key_place,
+        "imported": each.adopted,
+        "serves": [
+            {"build_type": use.build_type, "role": use.role, "signs": use.signs, "packages": use.packages}
+            for use in each.uses
+        ],
+        "replacement": {"phase": each.phase.value, "certificate": _certificate(each.other)} if each.phase else None,
+    }
+
+
+def _certificate(status: CertificateStatus | None) -> dict[str, Any] | None:
+    if status is None:
+        return None
+    return {
+        "subject": status.subject,
+        "serial": f"{status.serial:x}",
+        "key": status.key,
+        "fingerprint": status.fingerprint,
+        "not_before": status.first.isoformat(),
+        "not_after": status.last.isoformat(),
+        "renew_after": status.renew_after.isoformat(),
+        "key_usage": None if status.key_usage is None else list(status.key_usage),
+        "subject_key_identifier": status.key_identifier or None,
+    }

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plans of ``keymint authority replace``: each phase, and what must be complete before it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from comarmor.errors import Origin
+from comarmor.text import counted
+from comarmor.values import dataclass
+from keymint.api import Phase
+from keymint.changes import Plan
+from keymint.commands.options import usage_error
+from keymint.commands.reissue import reissued
+from keymint.commands.run import Run
+from keymint.commands.second_keystore import dropped_keystore, exchanged_keystore, staged_keystore
+from keymint.errors import KeymintError
+from keymint.plan import install, rollover
+from keymint.plan.authority_files import trusted_chains
+from keymint.plan.authority_issuance import authority_named
+from keymint.plan.authority_uses import refusing
+from keymint.plan.enclaves import installed
+from keymint.plan.rollover import NextAuthority
+from keymint.session import Session
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What the user asks for.
+
+    Attributes:
+        go_on: the next phase: all robots have the keystore of the present one.
+        cancel: give up.
+        vendors: names of the implementations that the fleet has; empty for all.
+        given: the next authority, if it was made elsewhere.
+    """
+
+    go_on: bool = False
+    cancel: bool = False
+    vendors: tuple[str, ...] = ()
+    given: NextAuthority | None = None
+
+
+def planned(run: Run, session: Session, name: str, request: Request) -> Plan:
+    """Return the plan of a phase.
+
+    Raises:
+        KeymintError: the request does not fit to the phase that was reached, the phase before is not complete, or an
+            enclave cannot be built, signed or proven; with all defects.
+    """
+    phase, names = rollover.phase_of(session, name), _names(session, name)
+    if request.cancel:
+        return _cancelled(run, session, name, names)
+    if phase is None and request.go_on:
+        raise KeymintError(
+            f"the key of the authority {name!r} is not being replaced",
+            help=f"'keymint authority replace {name}' begins",
+            code="rollover-none",
+        )
+    if request.go_on or rollover.is_interrupted(session, name):
+        return _went_on(run, session, name, names)
+    if phase is None:
+        return _begun(run, session, name, names, request)
+    if request.vendors or request.given:
+        raise usage_error(
+            f"the key of the authority {name!r} is being replaced already (phase {phase})",
+            "leave --vendor, --certificate and --key out; or --cancel it first",
+        )
+    return _completed(run, session, name, names, phase)
+
+
+def _names(session: Session, name: str) -> list[str]:
+    """Return the packages whose enclaves follow.
+
+    Raises:
+        KeymintError: nothing is installed.
+    """
+    authority_named(session, name)
+    known = set(session.packages())
+    names = [each for each in installed(session) if each in known]
+    if not names:
+        raise KeymintError(
+            "nothing is installed, so nobody trusts an authority yet",
+            help=f"'keymint install --new-authority {name}' makes a new one at once",
+            code="enclave-missing",
+        )
+    return names
+
+
+def _begun(run: Run, session: Session, name: str, names: Sequence[str], request: Request) -> Plan:
+    phase = Phase.STAGE if refusing(session, name, request.vendors, "bundles") else Phase.DISTRIBUTE
+    _require_current(session, name, names, "the present keystore")
+    first = rollover.plan_begin(session, name, phase, request.given)
+    after = session.after(first).session()
+    return first.then(_completed(run, after, name, names, phase))
+
+
+def _completed(run: Run, session: Session, name: str, names: Sequence[str], phase: Phase) -> Plan:
+    """Return what is missing of a phase."""
+    present = reissued(run, session, Plan((), session.state), names)
+    if phase is not Phase.STAGE:
+        return present
+    return present.then(staged_keystore(run, session.after(present), name, names))
+
+
+def _went_on(run: Run, session: Session, name: str, names: Sequence[str]) -> Plan:
+    """Return the plan of the next phase; of one that a killed run began, what is missing."""
+    phase = rollover.phase_of(session, name)
+    if not rollover.is_interrupted(session, name):
+        if phase is Phase.STAGE:
+            _require_staged(run, session, name, names)
+        else:
+            _require_current(session, name, names, f"the keystore of the phase {phase}")
+    if phase is Phase.STAGE:
+        return exchanged_keystore(run, session, name, names)
+    first = rollover.plan_switch(session, name) if phase is Phase.DISTRIBUTE else rollover.plan_end(session, name)
+    after = session.after(first).session()
+    return first.then(reissued(run, after, Plan((), after.state), names))
+
+
+def _cancelled(run: Run, session: Session, name: str, names: Sequence[str]) -> Plan:
+    first = rollover.plan_cancel(session, name)
+    first = replace(first, steps=(*first.steps, *dropped_keystore(session)))
+    after = session.after(first).session()
+    return first.then(reissued(run, after, Plan((), after.state), names))
+
+
+def _require_current(session: Session, name: str, names: Sequence[str], what: str) -> None:
+    """Require that all enclaves are as the sources and the authorities say.
+
+    Raises:
+        KeymintError: one is not, so a phase would begin before the one before it is complete.
+    """
+    chains = trusted_chains(session)
+    stale = [each for each in names if not install.is_current(session, each, chains)]
+    if stale:
+        raise KeymintError(
+            f"{what} is not complete: {counted(len(stale), 'enclave')} not up to date, e.g. /{stale[0]}",
+            where=Origin(session.workspace.shown(session.enclaves / stale[0])),
+            help=f"'keymint status' says what is missing; run 'keymint build' and 'keymint install', copy the keystore "
+            f"to all robots, then 'keymint authority replace {name} --next'",
+            code="rollover-incomplete",
+        )
+
+
+def _require_staged(run: Run, session: Session, name: str, names: Sequence[str]) -> None:
+    """Require that the second keystore is complete and as the sources say.
+
+    Raises:
+        KeymintError: it is not.
+    """
+    if staged_keystore(run, session, name, names).writes():
+        shown = session.workspace.shown(session.workspace.next_install)
+        raise KeymintError(
+            "the second keystore is not as the sources and the authorities say now",
+            where=Origin(shown),
+            help=f"'keymint authority replace {name}' brings it up to date; copy it to all robots again",
+            code="rollover-incomplete",
+        )

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A second keystore beside the one in force, by the next authority; and the exchange of the two.
+
+It is planned as the keystore in force will be once the next authority is, with the profile, keys and documents of
+that time. Only its files are written, and nothing that the workspace records.
+"""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from keymint.api import BuildOptions
+from keymint.changes import Action, File, FolderChange, Plan, Step
+from keymint.commands.proof_gate import proof_stage, proven
+from keymint.commands.reissue import reissued
+from keymint.commands.run import Run
+from keymint.plan.authorities import plan_authorities
+from keymint.plan.build import BuildStage
+from keymint.plan.gitignore import NAME as GITIGNORE
+from keymint.plan.install import InstallStage
+from keymint.plan.policy import lazy_policy
+from keymint.plan.revocation import plan_lists
+from keymint.plan.rollover import plan_switch
+from keymint.session import Session
+
+STAGE = "install.next"
+
+
+def staged_keystore(run: Run, session: Session, name: str, names: Sequence[str]) -> Plan:
+    """Plan the second keystore; what is right of it stays.
+
+    Args:
+        run: the run.
+        session: the workspace in the phase ``stage`` of an authority's replacement, and its profile.
+        name: the authority.
+        names: the packages whose enclaves it has.
+
+    Raises:
+        KeymintError: an enclave cannot be built, signed or proven; with all defects.
+    """
+    workspace = session.workspace
+    ahead = session.after(plan_switch(session, name)).session()
+    ahead = replace(ahead, workspace=replace(workspace, install=workspace.next_install))
+    minted, authorities = plan_authorities(ahead)
+    ahead = ahead.after(minted)
+    ahead = ahead.after(plan_lists(ahead, authorities))
+    build = BuildStage(ahead, BuildOptions(), force=False, renew=False)
+    built = build.plan([build.package(each) for each in names])
+    ahead = ahead.after(built)
+    install = InstallStage(ahead, authorities, prune=True)
+    planned = install.plan([install.package(each) for each in names])
+    proof = proof_stage(run, lazy_policy(ahead), standard_only=False)
+    done = proven(run, ahead, planned, names, proof, planned)
+    steps = tuple(replace(step, stage=STAGE) for step in planned.steps)
+    return replace(done, steps=steps, state=session.state)
+
+
+def exchanged_keystore(run: Run, session: Session, name: str, names: Sequence[str]) -> Plan:
+    """Plan that the second keystore becomes the one in force, and that the next authority is the only one.
+
+    Args:
+        run: the run.
+        session: the workspace in the phase ``stage``, with a complete second keystore.
+        name: the authority.
+        names: the packages whose enclaves it has.
+
+    Raises:
+        KeymintError: an enclave cannot be built, signed or proven; with all defects.
+    """
+    switch = plan_switch(session, name)
+    copies = tuple(_copied(session))
+    step = Step("install", "", Action.UPDATED, copies, "the second keystore")
+    first = replace(switch, steps=(*switch.steps, step))
+    after = session.after(first).session()
+    done = first.then(reissued(run, after, Plan((), after.state), names))
+    return replace(done, steps=(*done.steps, *dropped_keystore(session)))
+
+
+def dropped_keystore(session: Session) -> tuple[Step, ...]:
+    """Return the step that removes the second keystore; none if there is none."""
+    folders: dict[Path, list[str]] = {}
+    for path, is_folder in session.tree.walk(session.workspace.next_install):
+        if not is_folder:
+            folders.setdefault(Path(path).parent, []).append(Path(path).name)
+    changes = tuple(FolderChange(folder, removed=tuple(sorted(names))) for folder, names in sorted(folders.items()))
+    return (Step(STAGE, "", Action.REMOVED, changes, "the second keystore"),) if changes else ()
+
+
+def _copied(session: Session) -> list[FolderChange]:
+    """Return the files of the second keystore as changes of the one in force, each with its mode."""
+    workspace, tree = session.workspace, session.tree
+    folders: dict[Path, dict[str, File]] = {}
+    for path, is_folder in tree.walk(workspace.next_install):
+        content, status = (None, None) if is_folder else (tree.read(path), tree.status(path))
+        if content is None or status is None or Path(path).name == GITIGNORE:
+            continue
+        target = workspace.install / Path(path).relative_to(workspace.next_install)
+        if tree.try_read(target) != content:
+            secret = not stat.S_IMODE(status.st_mode) & 0o077
+            folders.setdefault(target.parent, {})[target.name] = File(content, secret=secret)
+    return [FolderChange(folder, files) for folder, files in sorted(folders.items())]

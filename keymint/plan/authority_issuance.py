@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was decided about the certificates of authorities: written into the profile space."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from comarmor.text import did_you_mean
+from keymint.api import Authority, AuthorityIssuance, AuthorityIssuanceFiles
+from keymint.changes import Action, File, Plan, Step, changed
+from keymint.errors import ExitCode, KeymintError
+from keymint.session import Session
+
+STAGE = "authorities"
+
+
+def authority_named(session: Session, name: str) -> Authority:
+    """Return an authority of the profile.
+
+    Raises:
+        KeymintError: there is none of this name; exit code 2.
+    """
+    known = {authority.name: authority for authority in session.profile.authorities}
+    if name not in known:
+        raise KeymintError(
+            f"no authority {name!r} in the profile, which has {', '.join(known)}",
+            help=did_you_mean(name, known, "name one of these"),
+            code="authority-unknown",
+            exit_code=ExitCode.USAGE,
+        )
+    return known[name]
+
+
+def plan_authority_issuance(session: Session, new: Mapping[str, AuthorityIssuance], detail: str) -> Plan:
+    """Plan what was decided about some authorities; of the others it stays.
+
+    Args:
+        session: the workspace and its profile.
+        new: what was decided, by authority.
+        detail: a few words for the user.
+
+    Raises:
+        KeymintError: the type of the profile cannot keep it.
+    """
+    profile = session.profile
+    plugin = session.plugins.profile_type(profile.profile_type)
+    if not isinstance(plugin, AuthorityIssuanceFiles):
+        raise KeymintError(
+            f"the profile type {profile.profile_type!r} cannot keep what is decided about authorities",
+            where=session.profile_marker(),
+            help="change the dates in the profile instead, and run 'keymint install'",
+            code="profile-without-issuance",
+        )
+    issuance = {**{each.name: each.issuance for each in profile.authorities}, **new}
+    paths = {
+        session.workspace.profile / name: File(content)
+        for name, content in plugin.with_authority_issuance(issuance).items()
+    }
+    changes = tuple(
+        change for path, file in paths.items() for change in changed(session.tree, path.parent, {path.name: file})
+    )
+    if not changes:
+        return Plan((), session.state)
+    return Plan((Step(STAGE, "", Action.UPDATED, changes, detail),), session.state)

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Issue an authority's certificate again for the same key, with later dates, and take one from outside."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import datetime, timedelta
+
+from cryptography import x509
+
+from comarmor.errors import Origin
+from keymint.api import AuthorityIssuance, Validity
+from keymint.changes import Action, File, FolderChange, Plan, Step, changed
+from keymint.errors import KeymintError
+from keymint.pki import adoption, certificates, distinguished_names, keys
+from keymint.plan import authority_files, key_record
+from keymint.plan.authorities import MintedAuthority, plan_authorities
+from keymint.plan.authority_files import AuthorityFiles
+from keymint.plan.authority_issuance import STAGE, authority_named, plan_authority_issuance
+from keymint.plan.enclaves import deployed_authorities
+from keymint.plan.private_keys import password
+from keymint.session import Session
+
+
+def begin_of(now: datetime) -> datetime:
+    """Return the begin of a validity that is counted from now: a midnight at least a day ago, as in ADR 0008."""
+    return now.replace(hour=0, minute=0, second=0, microsecond=0) - timedelta(days=1)
+
+
+def plan_renewal(session: Session, name: str) -> Plan:
+    """Plan later dates for the certificate of an authority; its length, key and name stay.
+
+    Only the profile changes: what rests on it must be planned afterwards.
+
+    Raises:
+        KeymintError: there is no such authority, its key is elsewhere, or its key is being replaced.
+    """
+    authority = authority_named(session, name)
+    require_no_rollover(session, name)
+    minted = plan_authorities(session)[1][name]
+    _require_key(name, minted)
+    start = begin_of(session.now)
+    issuance = replace(authority.issuance, renewed=start)
+    if authority.issuance.adopted:
+        issuance = replace(issuance, adopted=_adopted_again(session, name, minted, start))
+    plan = plan_authority_issuance(session, {name: issuance}, f"{name} renewed on {session.now:%Y-%m-%d}")
+    after = authority_named(session.after(plan).session(), name).certificate
+    if (after.validity, after.adopted) == (authority.certificate.validity, authority.certificate.adopted):
+        return Plan((), session.state)  # it would not end later
+    return plan
+
+
+def _adopted_again(session: Session, name: str, minted: MintedAuthority, start: datetime) -> bytes:
+    """Return the successor of an imported certificate, or the certificate itself if it is from today."""
+    certificate = minted.certificate
+    where = Origin(session.workspace.shown(session.workspace.authority_certificate(name)))
+    first, last = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    end = start + (last - (authority_named(session, name).issuance.renewed or first))
+    if last >= end and not any(adoption.lacking(certificate, name, where)):
+        return certificates.to_pem(certificate)
+    above = authority_named(session, name).certificate.issuer
+    issuer = plan_authorities(session)[1][above].issuer if above else None
+    return adoption.issued_like(certificate, minted.issuer.key, Validity(first, max(end, last)), issuer, where)
+
+
+def _require_key(name: str, minted: MintedAuthority) -> None:
+    """Require that an authority can sign here.
+
+    Raises:
+        KeymintError: its private key is elsewhere, or its password is not set.
+    """
+    try:
+        _ = minted.issuer
+    except KeymintError as error:
+        elsewhere = (
+            f"run this where the key is, then 'keymint authority export {name}' there and "
+            f"'keymint authority import {name} FILE' here"
+        )
+        found = [
+            replace(each, help=elsewhere if each.code == "authority-key-missing" else each.help)
+            for each in error.diagnostics
+        ]
+        raise KeymintError.of(found) from None
+
+
+def require_no_rollover(session: Session, name: str) -> None:
+    """Require that the key of an authority is not being replaced.
+
+    Raises:
+        KeymintError: it is.
+    """
+    rollover = authority_named(session, name).issuance.rollover
+    if rollover is not None:
+        raise KeymintError(
+            f"the key of the authority {name!r} is being replaced (phase {rollover.phase})",
+            help=f"'keymint authority replace {name}' says how to end that",
+            code="rollover-under-way",
+        )
+
+
+def plan_import(session: Session, name: str, pem: bytes, key: bytes | None, shown: tuple[str, str]) -> Plan:
+    """Plan to use a certificate that somebody else issued, and perhaps its private key.
+
+    Only profile, certificate and key change: what rests on them must be planned afterwards.
+
+    Args:
+        session: the workspace and its profile.
+        name: the authority.
+        pem: a file with its certificate.
+        key: a file with its private key, encrypted with the authority's password or not; None if the key stays
+            elsewhere, or is here already.
+        shown: the two files as the user typed them, for messages.
+
+    Raises:
+        KeymintError: the certificate is not that of an authority, or not issued by its issuer in the profile; the key
+            is another one; or installed enclaves trust another key of this authority.
+    """
+    authority = authority_named(session, name)
+    require_no_rollover(session, name)
+    where = Origin(shown[0])
+    certificate = adoption.require_authority(pem, where)
+    public = certificates.public_key(certificate, where)
+    _require_issuer(session, authority.certificate.issuer, certificate, where)
+    files = authority_files.read_files(session, authority, lambda: deployed_authorities(session))
+    _require_same_key(files, public, where)
+    changes: list[FolderChange] = []
+    key_path = session.workspace.authority_key(name)
+    spec = adoption.adopted(authority.certificate, certificates.to_pem(certificate))
+    secret = password(spec.key, session.environment, spec.origin)
+    if key is not None:
+        private = keys.from_pem(key, secret, Origin(shown[1]))
+        if not keys.matches(private, certificate):
+            raise KeymintError(
+                f"is not the private key of {shown[0]}",
+                where=Origin(shown[1]),
+                help="name the files that belong together",
+                code="authority-key-mismatch",
+            )
+        content = keys.to_pem(private, secret)
+        if files.key is None or keys.from_pem(files.key, secret, Origin(files.key_file)).public_key() != public:
+            changes.append(FolderChange(key_path.parent, {key_path.name: File(content, secret=True)}, private=True))
+    elif files.key is not None and keys.from_pem(files.key, secret, Origin(files.key_file)).public_key() != public:
+        # Nobody trusts the key that was minted: the enclaves, if there are any, trust the new one.
+        changes.append(FolderChange(key_path.parent, removed=(key_path.name,), private=True))
+    decided = AuthorityIssuance(adopted=certificates.to_pem(certificate))
+    plan = plan_authority_issuance(session, {name: decided}, f"{name} imported from {shown[0]}")
+    path = session.workspace.authority_certificate(name)
+    changes += changed(session.tree, path.parent, {path.name: File(decided.adopted)})
+    files_step = Step(STAGE, name, Action.UPDATED, tuple(changes), "certificate authority")
+    fingerprint = keys.fingerprint(public)
+    state = key_record.record(session.state, key_record.AUTHORITIES, {name: fingerprint})
+    return replace(plan, steps=(*plan.steps, *((files_step,) if changes else ())), state=state)
+
+
+def _require_same_key(files: AuthorityFiles, public: keys.PublicKey, where: Origin) -> None:
+    known = files.known()
+    if known and keys.fingerprint(public) not in known:
+        name = files.authority.name
+        raise KeymintError(
+            f"has another key than the authority {name!r}, which installed enclaves trust",
+            where=where,
+            help=f"'keymint authority replace {name} --certificate {where.file}' replaces it step by step",
+            code="authority-replaced",
+        )
+
+
+def _require_issuer(session: Session, issuer: str, certificate: x509.Certificate, where: Origin) -> None:
+    """Require that a certificate was issued by the authority above it in the profile, or by itself.
+
+    Raises:
+        KeymintError: it was not: enclaves need all authorities up to a self-signed one.
+    """
+    above = certificate
+    if issuer:
+        path = session.workspace.authority_certificate(issuer)
+        above = certificates.load(session.tree.read(path) or b"", Origin(session.workspace.shown(path)))
+    if not certificates.is_issued_by(certificate, above):
+        expected = f"the authority {issuer!r}" if issuer else "itself"
+        raise KeymintError(
+            f"was issued by {distinguished_names.to_text(certificate.issuer)!r}, but the profile expects {expected}",
+            where=where,
+            help="add its issuer to authorities.xml and name it in <issuer_name>; then import the issuer first",
+            code="authority-issuer-elsewhere",
+        )

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The authorities of a workspace as they are: ``keymint authority show``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import datetime, timedelta
+
+from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from comarmor.values import dataclass
+from keymint.api import Phase
+from keymint.pki import certificates, distinguished_names, extensions, keys
+from keymint.plan import authority_files
+from keymint.plan.authority_files import AuthorityFiles
+from keymint.plan.authority_uses import Use, uses
+from keymint.session import Session
+
+HERE, ELSEWHERE = "here", "elsewhere"
+
+
+@dataclass(frozen=True, slots=True)
+class AuthorityStatus:
+    """An authority as it is.
+
+    Attributes:
+        name: its name in the profile.
+        issuer: name of its issuer in the profile; empty for a self-signed certificate.
+        certificate: its certificate as data, or None if it is missing or damaged.
+        key_place: where its private key is: ``here`` or ``elsewhere``.
+        uses: what it does.
+        adopted: its certificate was imported.
+        phase: how far the replacement of its key has come, or None.
+        other: the other certificate of this replacement, or None.
+    """
+
+    name: str
+    issuer: str
+    certificate: CertificateStatus | None
+    key_place: str
+    uses: tuple[Use, ...]
+    adopted: bool
+    phase: Phase | None
+    other: CertificateStatus | None
+
+
+@dataclass(frozen=True, slots=True)
+class CertificateStatus:
+    """A certificate of an authority.
+
+    Attributes:
+        subject: its subject name (RFC 4514).
+        serial: its serial number.
+        key: kind of its key, e.g. ``EC SECP256R1`` or ``RSA 2048``.
+        fingerprint: SHA-256 of the public key, hexadecimal.
+        first: begin of its validity, UTC.
+        last: end of its validity, UTC.
+        renew_after: when two thirds of its validity are over, UTC.
+        key_usage: its key usages (RFC 5280, 4.2.1.3), or None if it has no such extension and may do everything.
+        key_identifier: its subjectKeyIdentifier, hexadecimal; empty if it has none.
+    """
+
+    subject: str
+    serial: int
+    key: str
+    fingerprint: str
+    first: datetime
+    last: datetime
+    renew_after: datetime
+    key_usage: tuple[str, ...] | None
+    key_identifier: str
+
+
+def statuses(session: Session) -> Iterator[AuthorityStatus]:
+    """Yield the authorities in the order of the profile.
+
+    Raises:
+        KeymintError: a package has defects.
+    """
+    used = uses(session)
+    for authority in session.profile.authorities:
+        files = authority_files.read_files(session, authority, tuple)
+        rollover = authority.issuance.rollover
+        yield AuthorityStatus(
+            name=authority.name,
+            issuer=authority.certificate.issuer,
+            certificate=status_of(files.certificate) if files.certificate else None,
+            key_place=_place(files),
+            uses=used[authority.name],
+            adopted=bool(authority.certificate.adopted),
+            phase=rollover.phase if rollover else None,
+            other=status_of(certificates.load(rollover.certificate)) if rollover else None,
+        )
+
+
+def status_of(certificate: x509.Certificate) -> CertificateStatus:
+    """Return a certificate of an authority as data."""
+    public = certificates.public_key(certificate)
+    if isinstance(public, ec.EllipticCurvePublicKey):
+        kind = f"EC {public.curve.name.upper()}"
+    else:
+        kind = f"RSA {public.key_size}"
+    first, last = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    usage = extensions.value(certificate, x509.KeyUsage)
+    identifier = extensions.value(certificate, x509.SubjectKeyIdentifier)
+    return CertificateStatus(
+        subject=distinguished_names.to_text(certificate.subject),
+        serial=certificate.serial_number,
+        key=kind,
+        fingerprint=keys.fingerprint(public),
+        first=first,
+        last=last,
+        renew_after=first + timedelta(seconds=int((last - first).total_seconds()) * 2 // 3),
+        key_usage=None if usage is None else extensions.usages(usage),
+        key_identifier=identifier.digest.hex() if identifier else "",
+    )
+
+
+def _place(files: AuthorityFiles) -> str:
+    return HERE if files.key is not None else ELSEWHERE

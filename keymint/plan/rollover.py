@@ -1,0 +1,357 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Replace the key of an authority in phases, of which each is complete before the next begins.
+
+How far it has come stands in the profile (:class:`keymint.api.Rollover`), with the certificate not in force. The
+private key that is not in force lies beside the other one, as ``NAME.next.key.pem`` or ``NAME.former.key.pem``.
+
+* bundle: ``distribute`` (enclaves trust both, the present one issues), ``reissue`` (the next one issues), and its end,
+  after which they trust the next one alone;
+* second keystore: ``stage`` (another keystore, by the next one, lies beside), and its end.
+
+Each exchange of keys is one group of changes. A run that was killed within it is recognised by the key in force.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from cryptography import x509
+
+from comarmor.errors import Origin
+from comarmor.values import dataclass
+from keymint.api import Authority, AuthorityIssuance, Phase, Rollover
+from keymint.changes import Action, File, FolderChange, Plan, Step
+from keymint.errors import KeymintError
+from keymint.pki import adoption, certificates, extensions, keys
+from keymint.plan import authority_files, key_record
+from keymint.plan.authorities import plan_authorities
+from keymint.plan.authority_issuance import STAGE, authority_named, plan_authority_issuance
+from keymint.plan.authority_renewal import begin_of
+from keymint.plan.enclaves import deployed_authorities
+from keymint.plan.private_keys import password
+from keymint.session import Session
+
+NEXT, FORMER = "next", "former"
+"""Suffixes of the names of private keys that are not in force."""
+
+
+@dataclass(frozen=True, slots=True)
+class NextAuthority:
+    """The certificate and the private key, both PEM, of an authority that was made elsewhere; the key may be empty."""
+
+    certificate: bytes
+    key: bytes
+
+
+def phase_of(session: Session, name: str) -> Phase | None:
+    """Return how far the replacement of an authority's key has come; None if none is under way."""
+    rollover = authority_named(session, name).issuance.rollover
+    return rollover.phase if rollover else None
+
+
+def plan_begin(session: Session, name: str, phase: Phase, given: NextAuthority | None = None) -> Plan:
+    """Plan the next authority: its private key, and its certificate in the profile.
+
+    Args:
+        session: the workspace and its profile.
+        name: the authority; no replacement of its key is under way.
+        phase: :attr:`Phase.DISTRIBUTE` or :attr:`Phase.STAGE`.
+        given: the next authority, if it was made elsewhere; by default one is made.
+
+    Raises:
+        KeymintError: the present authority cannot be told from a next one, or the given one is not suitable.
+    """
+    authority = authority_named(session, name)
+    _require_free_names(session, name)
+    present = _certificate_in_force(session, authority)
+    key_path = _key_path(session, name, NEXT)
+    pem, key = _given(session, authority, given) if given else _made(session, authority)
+    if phase is Phase.DISTRIBUTE:
+        _require_distinct(session, name, present, certificates.load(pem))
+    changes: tuple[FolderChange, ...] = ()
+    if key and session.tree.read(key_path) != key:
+        changes = (FolderChange(key_path.parent, {key_path.name: File(key, secret=True)}, private=True),)
+    issuance = replace(authority.issuance, rollover=Rollover(phase, pem))
+    decided = plan_authority_issuance(session, {name: issuance}, f"{name}: phase {phase}")
+    made = Step(STAGE, name, Action.CREATED, changes, "next key")
+    return replace(decided, steps=(*((made,) if changes else ()), *decided.steps))
+
+
+def plan_switch(session: Session, name: str) -> Plan:
+    """Plan that the next authority is in force: after :attr:`Phase.DISTRIBUTE` beside the former one, else alone.
+
+    Raises:
+        KeymintError: the next private key is neither here nor was it ever, or another one.
+    """
+    authority = authority_named(session, name)
+    rollover = authority.issuance.rollover
+    assert rollover is not None  # noqa: S101 - the caller asked for the phase
+    following = certificates.load(rollover.certificate)
+    in_force, next_key = (_stored_key(session, authority, suffix) for suffix in ("", NEXT))
+    files: dict[str, File] = {}
+    removed: list[str] = []
+    if next_key is not None:
+        if not keys.matches(next_key[1], following):
+            raise _wrong_key(session, name, NEXT)
+        files[_key_path(session, name).name] = File(next_key[0], secret=True)
+        removed.append(_key_path(session, name, NEXT).name)
+        if in_force is not None and rollover.phase is Phase.DISTRIBUTE:
+            files[_key_path(session, name, FORMER).name] = File(in_force[0], secret=True)
+    elif in_force is not None and not keys.matches(in_force[1], following):
+        # The next key is elsewhere, and the present one must not stand in its place.
+        removed.append(_key_path(session, name).name)
+        if rollover.phase is Phase.DISTRIBUTE:
+            files[_key_path(session, name, FORMER).name] = File(in_force[0], secret=True)
+    issuance = _issuance_of(session, name, rollover.certificate)
+    if rollover.phase is Phase.DISTRIBUTE:
+        former = _former(session, authority, _stored_certificate(session, name), following)
+        issuance = replace(issuance, rollover=Rollover(Phase.REISSUE, former))
+    shown = f"{name}: {f'phase {Phase.REISSUE}' if issuance.rollover else 'replaced'}"
+    decided = plan_authority_issuance(session, {name: issuance}, shown)
+    public = session.workspace.authority_certificate(name)
+    changes = (
+        FolderChange(_key_path(session, name).parent, files, tuple(removed), private=True),
+        FolderChange(public.parent, {public.name: File(rollover.certificate)}),
+    )
+    exchanged = Step(STAGE, name, Action.UPDATED, tuple(each for each in changes if each.files or each.removed), "key")
+    fingerprint = keys.fingerprint(certificates.public_key(following))
+    state = key_record.record(session.state, key_record.AUTHORITIES, {name: fingerprint})
+    return replace(decided, steps=(exchanged, *decided.steps), state=state)
+
+
+def plan_end(session: Session, name: str) -> Plan:
+    """Plan that enclaves no longer trust the former authority, whose private key is removed (:attr:`Phase.REISSUE`)."""
+    issuance = replace(authority_named(session, name).issuance, rollover=None)
+    decided = plan_authority_issuance(session, {name: issuance}, f"{name}: replaced")
+    return replace(decided, steps=(*decided.steps, *_without_key(session, name, FORMER)))
+
+
+def plan_cancel(session: Session, name: str) -> Plan:
+    """Plan that the next authority is given up, which is not in force yet; its private key is removed.
+
+    Raises:
+        KeymintError: it is in force.
+    """
+    authority = authority_named(session, name)
+    rollover = authority.issuance.rollover
+    in_force = _stored_key(session, authority, "")
+    switched = rollover and in_force and keys.matches(in_force[1], certificates.load(rollover.certificate))
+    if rollover and (rollover.phase is Phase.REISSUE or switched):
+        raise KeymintError(
+            f"the next key of {name!r} is in force already: its replacement cannot be cancelled",
+            help=f"end it with 'keymint authority replace {name} --next'; then replace the key once more",
+            code="rollover-too-late",
+        )
+    decided = plan_authority_issuance(session, {name: replace(authority.issuance, rollover=None)}, f"{name}: cancelled")
+    return replace(decided, steps=(*decided.steps, *_without_key(session, name, NEXT)))
+
+
+def is_interrupted(session: Session, name: str) -> bool:
+    """Tell whether a run was killed that put the next authority into force."""
+    authority = authority_named(session, name)
+    rollover = authority.issuance.rollover
+    in_force = _stored_key(session, authority, "") if rollover else None
+    return bool(
+        rollover
+        and rollover.phase is not Phase.REISSUE
+        and in_force
+        and keys.matches(in_force[1], certificates.load(rollover.certificate))
+    )
+
+
+# -- the next authority ----------------------------------------------------------------------------------------------
+
+
+def _made(session: Session, authority: Authority) -> tuple[bytes, bytes]:
+    """Return the certificate and the private key of a new authority of the same name, both PEM."""
+    name, spec = authority.name, authority.certificate
+    secret = password(spec.key, session.environment, spec.origin)
+    # A key that a killed run left behind is used: nobody trusts it yet.
+    found = _stored_key(session, authority, NEXT)
+    usable = found is not None and keys.fits(found[1], spec.key)
+    pem, key = found if found and usable else _minted(keys.generate(spec.key, spec.origin), secret)
+    above = plan_authorities(session)[1][spec.issuer].issuer if spec.issuer else None
+    if spec.adopted:
+        present = certificates.load(spec.adopted)
+        first, last = present.not_valid_before_utc, present.not_valid_after_utc
+        end = begin_of(session.now) + (last - (authority.issuance.renewed or first))
+        where = Origin(session.workspace.shown(session.workspace.authority_certificate(name)))
+        validity = replace(spec.validity, not_before=first, not_after=max(end, last))
+        return adoption.issued_like(present, key, validity, above, where), pem
+    if spec.serial is not None:
+        raise KeymintError(
+            f"the authority {name!r} has a fixed serial number, which its next certificate must not have as well",
+            where=spec.origin,
+            help="leave <serial_number> empty for a random one",
+            code="serial-taken",
+        )
+    renewed = replace(authority.issuance, renewed=begin_of(session.now))
+    after = session.after(plan_authority_issuance(session, {name: renewed}, "")).session()
+    return certificates.issue_authority(authority_named(after, name).certificate, key, above).pem, pem
+
+
+def _minted(key: keys.PrivateKey, secret: bytes | None) -> tuple[bytes, keys.PrivateKey]:
+    return keys.to_pem(key, secret), key
+
+
+def _given(session: Session, authority: Authority, given: NextAuthority) -> tuple[bytes, bytes]:
+    """Return a next authority that was made elsewhere: its certificate, and its private key or nothing.
+
+    Raises:
+        KeymintError: it may not issue certificates, has the present key, or the private key is another one's.
+    """
+    spec, where = authority.certificate, Origin("the given certificate")
+    certificate = adoption.require_authority(given.certificate, where)
+    present = _certificate_in_force(session, authority)
+    above = certificate
+    if spec.issuer:
+        path = session.workspace.authority_certificate(spec.issuer)
+        above = certificates.load(session.tree.read(path) or b"", Origin(session.workspace.shown(path)))
+    problem, help_ = "", "name another one"
+    if certificate.public_key() == present.public_key():
+        problem = "has the present key of the authority"
+        help_ = f"'keymint authority import {authority.name}' takes a new certificate for it"
+    elif not certificates.is_issued_by(certificate, above):
+        problem = f"was not issued by {spec.issuer or 'itself'!r}, which the profile expects"
+    key = b""
+    if given.key:
+        secret = password(spec.key, session.environment, spec.origin)
+        private = keys.from_pem(given.key, secret, Origin("the given private key"))
+        if not keys.matches(private, certificate):
+            problem = "does not belong to the given private key"
+        key = keys.to_pem(private, secret)
+    if problem:
+        raise KeymintError(problem, where=where, help=help_, code="authority-unsuitable")
+    return certificates.to_pem(certificate), key
+
+
+def _require_distinct(session: Session, name: str, present: x509.Certificate, following: x509.Certificate) -> None:
+    """Require that the authorities of a bundle can be told apart, and that both may sign for the same subjects.
+
+    Raises:
+        KeymintError: they have one name, and one of them has no key identifier; or they have different names.
+    """
+    where = Origin(session.workspace.shown(session.workspace.authority_certificate(name)))
+    if any(extensions.value(each, x509.SubjectKeyIdentifier) is None for each in (present, following)):
+        raise KeymintError(
+            f"an authority {name!r} without subjectKeyIdentifier cannot be told from another one of its name",
+            where=where,
+            help=f"'keymint authority renew {name}' adds it; or stage a second keystore, without --vendor",
+            code="authority-without-identifier",
+        )
+    if present.subject != following.subject:
+        raise KeymintError(
+            f"the next authority {name!r} has another subject name than the present one, which some software compares",
+            where=where,
+            help="give it the same name, or stage a second keystore, without --vendor",
+            code="authority-renamed",
+        )
+
+
+# -- files -----------------------------------------------------------------------------------------------------------
+
+
+def _key_path(session: Session, name: str, suffix: str = "") -> Path:
+    return session.workspace.authority_key(f"{name}.{suffix}" if suffix else name)
+
+
+def _stored_key(session: Session, authority: Authority, suffix: str) -> tuple[bytes, keys.PrivateKey] | None:
+    """Return a private key of an authority as it is stored, and loaded; None if it is not here.
+
+    Raises:
+        KeymintError: it is damaged, or its password is not set or wrong.
+    """
+    path = _key_path(session, authority.name, suffix)
+    pem = session.tree.read(path)
+    if pem is None:
+        return None
+    spec = authority.certificate
+    secret = password(spec.key, session.environment, spec.origin)
+    return pem, keys.from_pem(pem, secret, Origin(session.workspace.shown(path)))
+
+
+def _stored_certificate(session: Session, name: str) -> x509.Certificate:
+    path = session.workspace.authority_certificate(name)
+    return certificates.load(session.tree.read(path) or b"", Origin(session.workspace.shown(path)))
+
+
+def _certificate_in_force(session: Session, authority: Authority) -> x509.Certificate:
+    """Return the certificate of an authority that has no defect.
+
+    Raises:
+        KeymintError: an authority of the workspace has a defect.
+    """
+    return plan_authorities(session)[1][authority.name].certificate
+
+
+def _former(session: Session, authority: Authority, present: x509.Certificate, following: x509.Certificate) -> bytes:
+    """Return the certificate that was in force, also if a killed run replaced its file already.
+
+    Raises:
+        KeymintError: no installed enclave has it.
+    """
+    if present != following:
+        return certificates.to_pem(present)
+    files = authority_files.read_files(session, authority, lambda: deployed_authorities(session))
+    for each in files.in_use():
+        if each != following:
+            return certificates.to_pem(each)
+    name = authority.name
+    raise KeymintError(
+        f"the former certificate of {name!r} is neither here nor in an enclave",
+        where=Origin(session.workspace.shown(session.workspace.authority_certificate(name))),
+        help="restore it from a backup",
+        code="authority-lost",
+    )
+
+
+def _issuance_of(session: Session, name: str, pem: bytes) -> AuthorityIssuance:
+    """Return the decision that makes a certificate the one in force: its dates, or the certificate itself."""
+    certificate = certificates.load(pem)
+    present = authority_named(session, name)
+    plain = AuthorityIssuance(renewed=present.issuance.renewed)
+    if not present.issuance.adopted:
+        period = present.certificate.validity
+        base = period.not_after - max(present.issuance.renewed or period.not_before, period.not_before)
+        plain = AuthorityIssuance(renewed=certificate.not_valid_after_utc - base)
+        after = session.after(plan_authority_issuance(session, {name: plain}, "")).session()
+        spec = authority_named(after, name).certificate
+        issuer = _stored_certificate(after, spec.issuer) if spec.issuer else None
+        if authority_files.satisfies(pem, spec, certificates.public_key(certificate), issuer):
+            return plain
+    return AuthorityIssuance(renewed=plain.renewed, adopted=pem)
+
+
+def _without_key(session: Session, name: str, suffix: str) -> tuple[Step, ...]:
+    path = _key_path(session, name, suffix)
+    if not session.tree.has_file(path):
+        return ()
+    change = FolderChange(path.parent, removed=(path.name,), private=True)
+    return (Step(STAGE, name, Action.REMOVED, (change,), f"{suffix} key"),)
+
+
+def _wrong_key(session: Session, name: str, suffix: str) -> KeymintError:
+    return KeymintError(
+        f"is not the private key of the next certificate of {name!r}",
+        where=Origin(session.workspace.shown(_key_path(session, name, suffix))),
+        help=f"restore it, or give up with 'keymint authority replace {name} --cancel'",
+        code="authority-key-mismatch",
+    )
+
+
+def _require_free_names(session: Session, name: str) -> None:
+    """Require that no other authority has the files of the keys that are not in force.
+
+    Raises:
+        KeymintError: one has.
+    """
+    taken = {f"{name}.{suffix}" for suffix in (NEXT, FORMER)}
+    for each in session.profile.authorities:
+        if each.name in taken:
+            raise KeymintError(
+                f"the name of the authority {each.name!r} is needed for a key of {name!r} while it is replaced",
+                where=each.certificate.origin,
+                help="rename it",
+                code="authority-name-taken",
+            )
