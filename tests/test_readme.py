@@ -50,6 +50,20 @@ def test_the_quick_start_prints_what_readme_shows(keymint, tmp_path: Path) -> No
     assert len(steps) >= 6
 
 
+def test_the_page_about_the_life_of_a_keystore_shows_what_happens(keymint, tmp_path: Path) -> None:
+    """In the workspace of the quick start; ``…`` stands for what is longer, or differs each time."""
+    for name, content in saved_files(README):
+        (tmp_path / name).write_text(content)
+    assert keymint("provision", "robot.xml", "-w", "ws", env={"SOURCE_DATE_EPOCH": CLOCK}).code == 0
+    steps = console(CHECKOUT / "docs/keystore-life.md")
+    for command, output in steps:
+        outcome = keymint(*shlex.split(command)[1:], cwd=tmp_path / "ws", env={"SOURCE_DATE_EPOCH": CLOCK})
+        assert outcome.code == 0, outcome.err
+        shown = re.escape(output).replace("…", ".*").replace("\\\n.*\\\n", "\n.*")
+        assert re.fullmatch(shown, outcome.out, re.DOTALL), outcome.out
+    assert len(steps) >= 2
+
+
 def test_the_policy_on_the_page_of_the_language_works_when_saved(keymint, tmp_path: Path) -> None:
     files = saved_files(CHECKOUT / "docs" / "language.md")
     assert [name for name, _ in files] == ["policy.xml", "policy.test.xml"]
