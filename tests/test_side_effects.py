@@ -41,6 +41,7 @@ WRITING_VERBS = (
     ("build", "-w", "ws", "--renew", "talker"),
     ("install", "-w", "ws", "--json"),
     ("install", "-w", "ws"),
+    ("request", "talker", "--folder", "robot"),
     ("provision", POLICY, "-w", "ws2"),
     ("graph", POLICY, "-o", "policy.svg"),
     ("graph", POLICY, "-o", "policy.html"),
@@ -65,6 +66,10 @@ READING_VERBS = (
     ("prove", "-w", "ws"),
     ("why", "-w", "ws", "/talker", "ros_publish", "/chatter"),
     ("verify", "-w", "ws", "-t", "omg", "-t", "cyclonedds-0.10", "-t", "fastdds-2.9", "--report", "report"),
+    ("request", "listener", "--folder", "ws/install"),
+    ("sign", "listener.request.pem", "-w", "ws"),
+    ("accept", "listener.bundle", "--folder", "ws/install"),
+    ("bundle", "listener", "-w", "ws"),
 )
 
 

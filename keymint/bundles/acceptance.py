@@ -99,12 +99,12 @@ def accept(bundle: Bundle, present: Present, owner: Owner, now: datetime, where:
         KeymintError: ``bundle-authority``: it rests on an authority that nobody knows here. ``bundle-unexpected``: it
             is for an enclave that nobody expects. ``bundle-nonce``: it answers another request.
             ``bundle-outdated``: a number would go back. ``bundle-key``: the keystore does not have its key.
-            ``bundle-dates``, ``bundle-chain``, ``bundle-revoked``: participants would not start with it.
+            ``bundle-dates``, ``bundle-chain``, ``bundle-revoked``: nodes would not start with it.
     """
     _require_known_authorities(bundle, present, owner, where)
     before = _manifest(present)
-    _require_expected(bundle, present, before, owner, where)
     _require_later(bundle, present, before, where)
+    _require_expected(bundle, present, before, owner, where)
     key = _private_key(bundle, present, where)
     _require_in_force(bundle, now, where)
     wanted = {**bundle.files, **({KEY: key} if key else {}), RECORD: bundle.encoded}
@@ -169,7 +169,7 @@ def _require_expected(bundle: Bundle, present: Present, before: Manifest | None,
     manifest, pending = bundle.manifest, present.pending
     nonces = {pending.request.nonce} if pending else set[str]()
     nonces |= {before.nonce} if before else set()
-    asks = pending is not None and before is None and pending.request.fingerprint == manifest.key
+    asks = pending is not None and not present.files and pending.request.fingerprint == manifest.key
     if (manifest.nonce or asks) and manifest.nonce not in nonces:
         raise KeymintError(
             f"it does not answer the request that {manifest.enclave} of this keystore made last",
@@ -262,7 +262,7 @@ def _older_than_installed(bundle: Bundle, present: Present) -> str:
     try:
         number = number_of(dict(revocation_lists(present.files)), bundle.signer)
     except ValueError:
-        number = 0  # what cannot be read keeps participants from starting, so nothing rests on it
+        number = 0  # what cannot be read keeps nodes from starting, so nothing rests on it
     return f"its revocation list is not the number {number}" if bundle.manifest.revocations < number else ""
 
 
@@ -272,7 +272,7 @@ def _outdated(message: str, where: Origin) -> KeymintError:
 
 
 def _require_in_force(bundle: Bundle, now: datetime, where: Origin) -> None:
-    """Require that participants start with it now: dates, chain and revocation lists."""
+    """Require that nodes start with it now: dates, chain and revocation lists."""
     manifest = bundle.manifest
     if not manifest.not_before <= now <= manifest.not_after:
         raise KeymintError(
@@ -298,14 +298,14 @@ def _require_in_force(bundle: Bundle, now: datetime, where: Origin) -> None:
         end = listed.next_update_utc
         if not by or listed.last_update_utc > now or (end is not None and end < now):
             raise KeymintError(
-                "it has a revocation list that is not in force, or by another authority: participants would not start",
+                "it has a revocation list that is not in force, or by another authority: nodes would not start",
                 where=where,
                 help="ask the authority for a new bundle; 'keymint crl --refresh' issues the list again",
                 code="bundle-revoked",
             )
         if by == [bundle.signer] and listed.get_revoked_certificate_by_serial_number(bundle.certificate.serial_number):
             raise KeymintError(
-                "its revocation list revokes its own certificate: participants would not start",
+                "its revocation list revokes its own certificate: nodes would not start",
                 where=where,
                 help="ask the authority for a new bundle",
                 code="bundle-revoked",

@@ -130,4 +130,4 @@ class Keystore:
     def take(self, enclaves: str, name: str, acceptance: Acceptance) -> FolderChange:
         """Return the change that makes an enclave what its bundle says; arguments as for :meth:`folder`."""
         files = {file: File(content, secret=file in acceptance.secret) for file, content in acceptance.files.items()}
-        return FolderChange(self.folder(enclaves, name), files, acceptance.removed)
+        return FolderChange(self.folder(enclaves, name), files, acceptance.removed, private=True)

@@ -14,15 +14,20 @@ from keymint.store import Store
 from keymint.tree import read_file
 
 
-def read_input(run: Run, path: Path) -> bytes:
+def read_input(run: Run, path: Path, most: int | None = None) -> bytes:
     """Return the content of a file that the user named; links are followed.
+
+    Args:
+        run: the run.
+        path: the file.
+        most: its largest size in bytes; :data:`keymint.tree.MAX_FILE` by default.
 
     Raises:
         KeymintError: it is missing, is not a regular file, or cannot be read.
     """
     resolved = _resolved(run, path)
     try:
-        content = read_file(resolved)
+        content = read_file(resolved, most)
     except KeymintError as error:
         message = error.diagnostics[0].message
         raise KeymintError(message, where=Origin(str(path)), code=error.diagnostics[0].code) from error
@@ -72,6 +77,11 @@ def show_written(run: Run, path: Path, written: list[str]) -> None:
 def exists(run: Run, path: Path) -> bool:
     """Return whether a path that the user named exists."""
     return _resolved(run, path).exists()
+
+
+def is_folder(run: Run, path: Path) -> bool:
+    """Return whether a path that the user named is an existing folder."""
+    return _resolved(run, path).is_dir()
 
 
 def _current(path: Path) -> bytes | None:

@@ -157,7 +157,7 @@ def _plan_enclave(
     ordered = dict(sorted(different.items(), key=lambda item: item[0] == CERTIFICATE))
     # What another build type of the package installed before would still have effect.
     obsolete = tuple(file for file in sorted(stamp.outputs) if file not in files and file in existing) if stamp else ()
-    changes = (FolderChange(folder, ordered, obsolete),) if ordered or obsolete else ()
+    changes = (FolderChange(folder, ordered, obsolete, private=True),) if ordered or obsolete else ()
     action = (Action.UPDATED if existing else Action.CREATED) if changes else Action.UNCHANGED
     # Unreadable files that do not belong to the enclave are only reported; the others are replaced.
     foreign = [each for each in unreadable if not each.where or each.where.file not in paths]

@@ -141,9 +141,16 @@ class Register:
         """Return the register after the issue of a revocation list; a number never goes back."""
         return replace(self, numbers={**self.numbers, issuer: max(number, self.numbers.get(issuer, 0))})
 
-    def with_bundle(self, name: str) -> Register:
-        """Return the register after the issue of a bundle, whose number is that of ``bundles``."""
-        return replace(self, bundles={**self.bundles, name: self.bundles.get(name, 0) + 1})
+    def with_bundle(self, name: str, at: datetime) -> Register:
+        """Return the register after the issue of a bundle, whose number is that of ``bundles``.
+
+        Numbers are at least the seconds since 1970, so that they rise also after the register was lost.
+
+        Args:
+            name: the package.
+            at: the clock, UTC.
+        """
+        return replace(self, bundles={**self.bundles, name: max(self.bundles.get(name, 0) + 1, int(at.timestamp()))})
 
 
 def _grouped(pairs: Iterable[tuple[str, IssuedCertificate]]) -> Mapping[str, tuple[IssuedCertificate, ...]]:

@@ -276,7 +276,7 @@ def test_an_authority_that_expired() -> None:
     assert code(made, THERE, Owner(frozenset({keys.fingerprint(key)}))) == "bundle-chain"
 
 
-def test_a_list_that_keeps_participants_from_starting() -> None:
+def test_a_list_that_keeps_nodes_from_starting() -> None:
     expired = revocations(authority(), 3, last=AT - timedelta(hours=1))
     assert code(NEXT.but(more={"crl.pem": expired}), THERE) == "bundle-revoked"
     foreign = revocations(authority("ca2"), 3)

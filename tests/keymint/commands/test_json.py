@@ -51,7 +51,13 @@ CALLS = {
     "plugins": ["plugins"],
     "transports": ["transports"],
     "completion": ["completion", "bash"],
+    "request": ["request", "talker", "--folder", "ws/install"],
+    "sign": ["sign", "talker.request.pem", "-w", "ws"],
+    "accept": ["accept", "talker.bundle", "--folder", "ws/install"],
+    "bundle": ["bundle", "talker", "-w", "ws"],
 }
+BEFORE = {"sign": "request", "accept": "bundle"}
+"""The verb that makes the file that another one takes."""
 
 
 @pytest.fixture(autouse=True)
@@ -70,6 +76,8 @@ def test_every_verb_has_it() -> None:
 
 @pytest.mark.parametrize("verb", CALLS)
 def test_of_a_verb_that_succeeds(keymint, provisioned: Path, verb: str) -> None:
+    if verb in BEFORE:
+        assert keymint(*CALLS[BEFORE[verb]]).code == 0
     document = held(keymint(*CALLS[verb], "--json"))
     assert document["verb"].split()[0] == verb
     assert document["exit_code"] == 0
@@ -122,9 +130,10 @@ def test_of_a_usage_error(keymint, verb: str) -> None:
     assert (document["exit_code"], document["diagnostics"][0]["code"]) == (2, "usage")
 
 
-@pytest.mark.parametrize("verb", ["create", "build", "install", "check", "status"])
+@pytest.mark.parametrize("verb", ["create", "build", "install", "check", "status", "bundle"])
 def test_of_a_missing_workspace(keymint, verb: str) -> None:
-    document = held(keymint(*CALLS[verb][:1], *(["--all"] if verb == "create" else []), "-w", "nowhere", "--json"))
+    named = {"create": ["--all"], "bundle": ["talker"]}.get(verb, [])
+    document = held(keymint(verb, *named, "-w", "nowhere", "--json"))
     assert (document["exit_code"], document["diagnostics"][0]["code"]) == (1, "workspace-missing")
 
 

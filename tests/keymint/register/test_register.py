@@ -60,4 +60,12 @@ def test_a_revocation_stays_as_it_is() -> None:
 def test_numbers_only_rise() -> None:
     register = Register().with_number("ca", 7).with_number("ca", 3)
     assert register.numbers == {"ca": 7}
-    assert register.with_bundle("talker").with_bundle("talker").bundles == {"talker": 2}
+
+
+def test_issue_numbers_rise_also_after_the_register_was_lost() -> None:
+    first = Register().with_bundle("talker", NOW)
+    assert first.bundles == {"talker": int(NOW.timestamp())}
+    assert first.with_bundle("talker", NOW).bundles["talker"] == first.bundles["talker"] + 1
+    earlier = first.with_bundle("talker", NOW - timedelta(1))
+    assert earlier.bundles["talker"] == first.bundles["talker"] + 1
+    assert Register().with_bundle("talker", NOW + timedelta(1)).bundles["talker"] > earlier.bundles["talker"]

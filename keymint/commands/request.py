@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint request``: a robot makes its key, and asks for a certificate."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Mapping
+from pathlib import Path
+
+import click
+
+from comarmor.errors import Origin
+from comarmor.values import dataclass
+from keymint.api import KeySpec
+from keymint.bundles import request as requests
+from keymint.bundles.bundle import CERTIFICATE, KEY
+from keymint.bundles.keystore import Keystore
+from keymint.commands.options import FILE
+from keymint.commands.robot import RobotKeystore, folder_option, keystore_of, opened
+from keymint.commands.run import Run
+from keymint.commands.user_files import show_written, write_outputs
+from keymint.commands.verb import verb
+from keymint.errors import KeymintError
+from keymint.names import package_name
+from keymint.output.report import Report
+from keymint.pki import certificates, keys
+from keymint.pki.distinguished_names import common_name
+
+_KINDS: Mapping[str, KeySpec] = {
+    "P-256": KeySpec("ec", curve="SECP256R1"),
+    "RSA-2048": KeySpec("rsa", size=2048),
+    "RSA-3072": KeySpec("rsa", size=3072),
+}
+
+
+@verb(workspace=False)
+@click.argument("name")
+@click.option("-o", "--output", type=FILE, metavar="FILE", help="The request [NAME.request.pem].")
+@folder_option
+@click.option(
+    "--rekey", is_flag=True, help="Make a new key for an enclave that has one; the old one signs the request."
+)
+@click.option("--discard", is_flag=True, help="Discard a request that waits for its answer, with its key.")
+@click.option(
+    "--key-type", type=click.Choice(list(_KINDS)), default="P-256", show_default=True, help="Kind of a new key."
+)
+def request(
+    run: Run, name: str, output: Path | None, folder: Path | None, rekey: bool, discard: bool, key_type: str
+) -> Report:
+    """Ask for a certificate, on the robot: make a key that never leaves it, and a request to carry to the authority.
+
+    Needs no workspace. NAME is the enclave, e.g. /robot1/talker. The fingerprint that is printed goes to the authority
+    by another way than the request, e.g. by telephone: whoever carries the request could exchange it.
+
+    An enclave that has a key keeps it, and the request is signed by it, as with --rekey by the old key. Then the
+    authority needs no fingerprint.
+
+    A request that is not answered yet is written again.
+    """
+    name = package_name(name)
+    keystore = keystore_of(run, folder)
+    with opened(run, keystore) as store:
+        there = keystore.read()
+        content = None if discard else there.request(name)
+        if content is None:
+            made = _made(there, keystore, name, rekey=rekey, kind=_KINDS[key_type])
+            content = made.request
+            with store.marked(b""):
+                store.change([there.wait(name, content, made.new_key)])
+            there = keystore.read()
+        pending = there.pending(name)
+    asked = requests.read(content, Origin(keystore.typed))
+    if pending is not None and rekey and not pending.key:
+        raise KeymintError(
+            f"a request of /{name} for the key that it has waits for its answer",
+            where=Origin(keystore.typed),
+            help="carry it to the authority, or say --discard as well",
+            code="request-waits",
+        )
+    target = output or Path(f"{name.replace('/', '.')}.request.pem")
+    written = write_outputs(run, target, content)
+    show_written(run, target, written)
+    vouched = asked.signer or (pending is not None and not pending.key)
+    run.console.line(f"fingerprint of the key: {asked.fingerprint}")
+    told = "" if vouched else f" --fingerprint /{name}={asked.fingerprint}"
+    run.console.line(f"at the authority:       keymint sign {target.name}{told}")
+    run.console.line("with its answer:        keymint accept BUNDLE")
+    result = {
+        "enclave": f"/{name}", "fingerprint": asked.fingerprint, "signed_by_current_key": bool(vouched),
+        "file": str(target), "written": written, "keystore": keystore.typed,
+    }  # fmt: skip
+    return Report(run.verb, result=result)
+
+
+@dataclass(frozen=True, slots=True)
+class _Made:
+    """A request, and its private key (PEM) unless the enclave has it."""
+
+    request: bytes
+    new_key: bytes
+
+
+def _made(there: Keystore, keystore: RobotKeystore, name: str, *, rekey: bool, kind: KeySpec) -> _Made:
+    """Return a new request of an enclave.
+
+    Raises:
+        KeymintError: the key or the certificate that the enclave has cannot be used.
+    """
+    files, nonce, claimed = there.installed(name), secrets.token_hex(requests.NONCE_BYTES), common_name(f"/{name}")
+    place = f"{keystore.typed}/…/{name}"
+    present = keys.from_pem(files[KEY], None, Origin(f"{place}/{KEY}")) if KEY in files else None
+    if present is not None and not rekey:
+        return _Made(requests.make(claimed, present, nonce), b"")
+    current = None
+    if present is not None and CERTIFICATE in files:
+        current = certificates.Issuer(certificates.load(files[CERTIFICATE], Origin(f"{place}/{CERTIFICATE}")), present)
+    key = keys.generate(kind)
+    return _Made(requests.make(claimed, key, nonce, current), keys.to_pem(key))

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Make bundles of installed enclaves; see :mod:`keymint.bundles`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from datetime import datetime
+
+from cryptography import x509
+
+from comarmor.errors import Diagnostic, Origin
+from comarmor.values import dataclass
+from keymint.api import Package
+from keymint.bundles import bundle as bundles
+from keymint.bundles.bundle import CERTIFICATE, KEY
+from keymint.bundles.manifest import Manifest
+from keymint.bundles.request import Request
+from keymint.changes import Plan
+from keymint.errors import KeymintError
+from keymint.pki import certificates, keys
+from keymint.plan.authorities import MintedAuthority
+from keymint.plan.enclaves import INSTALLED
+from keymint.plan.register import complete_register, register_change
+from keymint.session import Session
+
+
+@dataclass(frozen=True, slots=True)
+class MadeBundle:
+    """A bundle, its manifest, and whether it has the private key of its enclave."""
+
+    name: str
+    manifest: Manifest
+    content: bytes
+    secret: bool
+
+
+def plan_bundles(
+    session: Session, names: Mapping[str, Request | None], authorities: Mapping[str, MintedAuthority]
+) -> tuple[Plan, tuple[MadeBundle, ...]]:
+    """Plan bundles of enclaves, as they are installed.
+
+    Each gets an issue number of its own, which the register has before a bundle leaves.
+
+    Args:
+        session: the workspace and its profile, with what is planned.
+        names: the packages, each with the request that its bundle answers; None if it answers none.
+        authorities: the authorities by name.
+
+    Returns:
+        The plan for the register, and the bundles.
+
+    Raises:
+        KeymintError: an enclave is not installed, its authority's key is not here, or the authority may not sign
+            documents.
+    """
+    register = complete_register(session)
+    made: list[MadeBundle] = []
+    errors: list[Diagnostic] = []
+    for name, request in names.items():
+        register = register.with_bundle(name, session.now)
+        try:
+            made.append(_bundle(session, name, request, register.bundles[name], authorities))
+        except KeymintError as error:
+            errors += [replace(each, subject=each.subject or f"/{name}") for each in error.diagnostics]
+    if errors:
+        raise KeymintError.of(dict.fromkeys(errors))
+    return Plan((), session.state, first=register_change(session, register)), tuple(made)
+
+
+def _bundle(
+    session: Session, name: str, request: Request | None, number: int, authorities: Mapping[str, MintedAuthority]
+) -> MadeBundle:
+    package = session.package(name)
+    stamp = session.state.stamp(INSTALLED, name)
+    folder = session.enclaves / name
+    contents = {file: session.tree.read(folder / file) for file in (stamp.outputs if stamp else ())}
+    # The robot has the key that it asks a certificate for.
+    files = {file: data for file, data in contents.items() if data is not None and not (request and file == KEY)}
+    if CERTIFICATE not in files:
+        raise KeymintError(
+            f"the enclave /{name} is not installed",
+            where=Origin(session.workspace.shown(folder)),
+            help=f"run 'keymint install {name}'",
+            code="not-installed",
+        )
+    issuer = authorities[package.identity.issuer].issuer
+    certificate = certificates.load(files[CERTIFICATE], Origin(session.workspace.shown(folder / CERTIFICATE)))
+    first, last = _in_force(package, certificate, files)
+    manifest = Manifest(
+        enclave=package.subject,
+        folder=session.layouts[0].enclaves,
+        key=keys.fingerprint(certificates.public_key(certificate)),
+        authority=bundles.fingerprint(issuer.certificate),
+        generation=package.issuance.generation,
+        issue=number,
+        revocations=bundles.number_of(dict(bundles.revocation_lists(files)), issuer.certificate),
+        nonce=request.nonce if request else "",
+        not_before=first,
+        not_after=last,
+        files={},
+    )
+    return MadeBundle(name, manifest, bundles.write(manifest, files, issuer), KEY in files)
+
+
+def _in_force(package: Package, certificate: x509.Certificate, files: Mapping[str, bytes]) -> tuple[datetime, datetime]:
+    """Return from when to when all that is in an enclave is in force: what ends first ends all of it."""
+    # Software that reads one authority from a file reads the first one.
+    authorities = [chain[0] for _, chain in bundles.certificates_of_authorities(files)]
+    periods = [(each.not_valid_before_utc, each.not_valid_after_utc) for each in (certificate, *authorities)]
+    grant = package.grant.validity
+    periods += [(grant.not_before, grant.not_after)] if grant else []
+    lists = [each for _, of_file in bundles.revocation_lists(files) for each in of_file]
+    periods += [(each.last_update_utc, each.next_update_utc or certificate.not_valid_after_utc) for each in lists]
+    return max(first for first, _ in periods), min(last for _, last in periods)
