@@ -21,7 +21,7 @@ import pytest
 
 import comarmor
 from comarmor.errors import Diagnostic
-from keymint.api import BuildOptions
+from keymint.api import BuildOptions, LoadedPolicy
 from keymint.changes import Plan
 from keymint.errors import KeymintError
 from keymint.pins import Pins
@@ -206,16 +206,19 @@ def test_all_stages_plan_with_a_mutated_document_or_reject_it(workspace: Path) -
         "identities.xml",
     }
     before = _tree(workspace)
+    now = datetime.fromtimestamp(int(os.environ["SOURCE_DATE_EPOCH"]), UTC)
+    tokens = Tokens({}, Pins({}).pin)
+    policy = load_policy(Inputs(at, Tree(), State(), plugins, {}, now, tokens).session())
     outcomes: Counter[str] = Counter()
     for seed in range(DOCUMENTS):
         chance = random.Random(f"document {seed}")
         path, content = chance.choice(list(documents.items()))
         others = [other for name, other in documents.items() if name.name == path.name] + list(documents.values())[:3]
         mutated = _mutated(content, others, chance)
-        now = datetime.fromtimestamp(int(os.environ["SOURCE_DATE_EPOCH"]), UTC)
-        inputs = Inputs(at, Tree({path: mutated}), State(), plugins, {}, now, Tokens({}, Pins({}).pin))
+        inputs = Inputs(at, Tree({path: mutated}), State(), plugins, {}, now, tokens)
+        known = None if path.is_relative_to(at.profile) else policy  # only the profile says where the policy is
         with told(f"{path} with seed {seed}", mutated), in_time():
-            outcomes[_planned(inputs, in_build=path.is_relative_to(at.build))] += 1
+            outcomes[_planned(inputs, known, in_build=path.is_relative_to(at.build))] += 1
     assert _tree(workspace) == before  # planning writes nothing
     assert outcomes["planned"] > DOCUMENTS // 20, outcomes
     assert outcomes["refused"] > DOCUMENTS // 4, outcomes
@@ -225,10 +228,10 @@ def _plan(stage: PlanStage, names: Iterable[str]) -> Plan:
     return stage.plan([stage.package(name) for name in names])
 
 
-def _planned(inputs: Inputs, *, in_build: bool) -> str:
+def _planned(inputs: Inputs, known: LoadedPolicy | None, *, in_build: bool) -> str:
     try:
         session = inputs.session()
-        policy = load_policy(session)
+        policy = load_policy(session) if known is None else known
         names = packages_to_create(session, policy)
         create = CreateStage(session, policy, force=False)
         after = session.after(_plan(create, create.subjects(names)))
