@@ -35,6 +35,7 @@ VERBS: Mapping[str, str] = {
     "build": "Build unsigned documents.",
     "install": "Sign documents and stage enclaves for deployment.",
     "check": "Compare the installed keystore with its expected state.",
+    "renew": "Renew certificates and permissions that are due.",
     "prove": "Prove that installed documents permit exactly what the policy allows, for all names.",
     "revoke": "Revoke certificates, and issue new ones that old permissions do not fit.",
     "issued": "List the certificates that were issued, and which are revoked.",

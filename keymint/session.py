@@ -13,7 +13,17 @@ from comarmor.errors import Origin
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint import __version__
-from keymint.api import Infrastructure, InfrastructurePackage, Layout, Package, PackageType, Role, WorkspaceProfile
+from keymint.api import (
+    Infrastructure,
+    InfrastructurePackage,
+    Issuance,
+    IssuanceFiles,
+    Layout,
+    Package,
+    PackageType,
+    Role,
+    WorkspaceProfile,
+)
 from keymint.changes import Plan
 from keymint.errors import KeymintError
 from keymint.pki.tokens import Tokens
@@ -237,7 +247,37 @@ class Session(Inputs):
     def _sources_digest(self, name: str) -> str:
         infrastructure = self.infrastructure()
         placed = (str(self.workspace.install),) if infrastructure else ()
-        return digest(*placed, *(self._sources(each)[1] for each in (name, *infrastructure)))
+        return digest(*placed, self._sources(name)[1], *map(self._named_digest, infrastructure))
+
+    def _named_digest(self, name: str) -> str:
+        """Return a digest of what the documents of other packages may have from a package of infrastructure.
+
+        They name it, so they change with its generation, but not when it is renewed.
+        """
+        found, whole = self._sources(name)
+        try:
+            generation = self.issuance(name).generation
+        except KeymintError:  # reported when the package is loaded
+            return whole
+        own = (item for item in sorted(found.items()) if item[0] != getattr(self.package_type, "ISSUANCE", None))
+        return digest(*(part for item in own for part in item), *((str(generation),) if generation else ()))
+
+    def issuance(self, name: str) -> Issuance:
+        """Return what the authority decided about a package; the defaults if it has nothing about it.
+
+        Raises:
+            KeymintError: the file has defects, with ``file:line`` of each.
+        """
+        files = self.package_type
+        if not isinstance(files, IssuanceFiles) or files.ISSUANCE not in self.file_digests(name):
+            return Issuance()
+
+        def read() -> Issuance:
+            folder = self.workspace.src / name
+            content = self.tree.read(folder / files.ISSUANCE) or b""
+            return files.issuance(self.workspace.shown(folder), {files.ISSUANCE: content})
+
+        return self.once(("issuance", name), read, of_sources=True)
 
     def role(self, name: str) -> Role:
         """Return why a package exists; the role of a subject if there is none or its manifest has defects."""

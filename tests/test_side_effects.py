@@ -60,6 +60,8 @@ READING_VERBS = (
     ("status", "-w", "ws"),
     ("revoke", "talker", "--reason", "superseded", "-w", "ws"),
     ("revoke", "talker", "--reason", "key-compromise", "-w", "ws"),
+    ("renew", "-w", "ws"),
+    ("renew", "--rekey", "talker", "-w", "ws"),
     ("issued", "-w", "ws"),
     ("crl", "-w", "ws"),
     ("crl", "--refresh", "-w", "ws"),

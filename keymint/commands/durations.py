@@ -8,6 +8,8 @@ from datetime import timedelta
 
 import click
 
+from keymint.plan.threshold import Threshold
+
 _UNITS = {"h": timedelta(hours=1), "d": timedelta(days=1), "w": timedelta(weeks=1), "y": timedelta(days=365)}
 _ISO = re.compile(
     r"P(?=.)(?:(?P<y>[0-9]{1,4})Y)?(?:(?P<m>[0-9]{1,4})M)?(?:(?P<w>[0-9]{1,5})W)?(?:(?P<d>[0-9]{1,6})D)?(?:T(?:(?P<h>[0-9]{1,6})H))?"
@@ -43,6 +45,19 @@ def validity(_context: click.Context, _parameter: click.Parameter, value: str | 
         return value
     number, unit = int(value[:-1]), value[-1].upper()
     return f"PT{number}H" if unit == "H" else f"P{number}{unit}"
+
+
+def threshold(_context: click.Context, _parameter: click.Parameter, value: str) -> Threshold:
+    """Return when something is due for renewal: ``66%`` of its validity, or the time that is left, e.g. ``30d``.
+
+    Raises:
+        click.BadParameter: it is neither, or not a share between 1 % and 99 %.
+    """
+    if match := re.fullmatch(r"([1-9][0-9]?)%", value):
+        return Threshold(share=int(match[1]) / 100)
+    if value.endswith("%"):
+        raise click.BadParameter(f"{value!r} is not a share from 1% to 99%")
+    return Threshold(left=_length(value))
 
 
 def _length(value: str) -> timedelta:

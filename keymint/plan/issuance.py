@@ -23,16 +23,7 @@ def issuance_of(session: Session, name: str) -> Issuance:
     Raises:
         KeymintError: the file has defects, with ``file:line`` of each.
     """
-    files = session.package_type
-    if not isinstance(files, IssuanceFiles) or files.ISSUANCE not in session.file_digests(name):
-        return Issuance()
-    return session.once(("issuance", name), lambda: _read(session, name, files), of_sources=True)
-
-
-def _read(session: Session, name: str, files: IssuanceFiles) -> Issuance:
-    folder = session.workspace.src / name
-    content = session.tree.read(folder / files.ISSUANCE) or b""
-    return files.issuance(session.workspace.shown(folder), {files.ISSUANCE: content})
+    return session.issuance(name)
 
 
 def place_of(session: Session, name: str) -> Origin:

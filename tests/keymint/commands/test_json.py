@@ -37,6 +37,7 @@ CALLS = {
     "revoke": ["revoke", "talker", "--reason", "superseded", "-w", "ws"],
     "issued": ["issued", "-w", "ws"],
     "crl": ["crl", "-w", "ws"],
+    "renew": ["renew", "talker", "-w", "ws"],
     "status": ["status", "-w", "ws"],
     "provision": ["provision", "policy.xml", "-w", "third"],
     "discover": ["discover", "--from", "graph.json"],

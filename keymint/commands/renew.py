@@ -1,0 +1,261 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint renew``: certificates and permissions that are due, before they expire."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from typing import Any
+
+import click
+
+from comarmor.errors import Diagnostic, Severity
+from comarmor.text import counted
+from comarmor.values import dataclass
+from keymint.changes import Action, Plan
+from keymint.commands import durations
+from keymint.commands.options import complete_package, prove_option
+from keymint.commands.reissue import reissued
+from keymint.commands.run import Run, exit_code_of
+from keymint.commands.verb import verb
+from keymint.errors import ExitCode, KeymintError
+from keymint.output.report import Report
+from keymint.plan.enclaves import INSTALLED
+from keymint.plan.issuance import issuance_of, plan_issuance
+from keymint.plan.register import with_enclaves
+from keymint.plan.renewal import (
+    PERMISSIONS,
+    AuthorityDue,
+    Due,
+    Schedule,
+    enclave_terms,
+    installed_terms,
+    list_end,
+    renewed,
+    schedule,
+)
+from keymint.plan.renewing import chosen, packages_of, refuse_new_authorities
+from keymint.plan.terms import shown
+from keymint.plan.threshold import Threshold
+from keymint.session import Inputs, Session
+
+_SHOWN = 8
+"""Names of enclaves in one line; ``--json`` has all."""
+
+
+@verb(dry_run=True)
+@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
+@click.option(
+    "--threshold",
+    callback=durations.threshold,
+    default="66%",
+    show_default=True,
+    metavar="PART",
+    help="Due after this part of the validity, or if it ends within this time: 66%, 30d.",
+)
+@click.option("--rekey", is_flag=True, help="Also make new keys; the way back for a package whose key is barred.")
+@prove_option
+def renew(run: Run, names: tuple[str, ...], threshold: Threshold, rekey: bool, prove: bool) -> Report:
+    """Renew certificates and permissions that are due, for the same keys; nothing else changes.
+
+    Due is what the certificate, the permissions or the revocation list of an enclave say, whichever comes first. NAME
+    is a package, which is renewed in any case [all that are due]. Deploy the renewed enclaves and restart their
+    processes before the old documents end; all others go on as they are.
+
+    An authority is reported when it is due, and never renewed on the way.
+
+    \b
+    Exit codes, e.g. for cron:
+      0 renewed, or nothing is due
+      1 something that is due was not renewed
+      3 a person must renew an authority, or make a key elsewhere; with --dry-run: something is due
+    """
+    workspace = run.workspace()
+    done: list[_Renewal] = []
+
+    def make_plan(inputs: Inputs) -> Plan:
+        session = inputs.session()
+        packages = run.names(inputs, names)
+        due = schedule(session, installed_terms(session, with_enclaves(session, packages, names)), threshold)
+        if names:
+            due = Schedule(tuple(map(Due, packages)), due.lists, due.authorities, due.following)
+        renewal = _renewal(run, session, due, rekey=rekey, prove=prove, alone=not names)
+        done[:] = [renewal]
+        return renewal.plan
+
+    report = run.carry_out(workspace, make_plan, lambda plan: _exit_code(run, done[-1], plan))
+    renewal = done[-1]
+    for line in _lines(run, renewal):
+        run.console.line(line)
+    return Report(
+        report.verb, report.workspace, report.steps, report.diagnostics, _result(renewal), report.exit_code,
+        dry_run=report.dry_run,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class _Renewed:
+    """A package that is renewed: why, when it ends then, and whether its key is elsewhere."""
+
+    due: Due
+    now: datetime | None
+    elsewhere: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Renewal:
+    """What is due and what is done about it."""
+
+    schedule: Schedule
+    plan: Plan
+    renewed: tuple[_Renewed, ...]
+    needs_person: bool
+
+
+def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: bool, alone: bool) -> _Renewal:
+    """Plan what is due.
+
+    Args:
+        run: the run.
+        session: the workspace and its profile.
+        due: what is due.
+        rekey: make new keys.
+        prove: require proofs.
+        alone: nobody named the packages, so the defects of some do not keep the others from being renewed.
+
+    Raises:
+        KeymintError: nothing that is due can be renewed, or not all that was named.
+    """
+    choice = chosen(session, [each.name for each in due.enclaves], rekey=rekey)
+    if choice.errors and not alone:
+        raise KeymintError.of(choice.errors)
+    names, errors = list(choice.names), list(choice.errors)
+    session = session.after(Plan((), choice.state))
+    plan = Plan((), session.state)
+    while names or due.lists:
+        try:
+            plan = _issued_again(run, session, due, names, rekey=rekey, prove=prove)
+            break
+        except KeymintError as error:
+            defective = packages_of(session, error.diagnostics, names)
+            errors += error.diagnostics
+            if not alone or not defective:
+                raise KeymintError.of(tuple(dict.fromkeys(errors))) from error
+            names = [name for name in names if name not in defective]
+    findings = [*choice.requests, *map(_authority_due, due.authorities)]
+    plan = Plan(plan.steps, plan.state, (*plan.diagnostics, *findings, *dict.fromkeys(errors)), plan.first)
+    after = session.after(plan)
+    taken = [each for each in due.enclaves if each.name in names]
+    rows = tuple(
+        _Renewed(each, _end(after, each.name), bool(issuance_of(session, each.name).public_key)) for each in taken
+    )
+    return _Renewal(due, plan, rows, needs_person=bool(findings))
+
+
+def _issued_again(run: Run, session: Session, due: Schedule, names: Sequence[str], *, rekey: bool, prove: bool) -> Plan:
+    """Plan new certificates and permissions of some packages, and the revocation lists that are due."""
+    first = plan_issuance(session, run.verb, {name: renewed(session, name) for name in names})
+    ends = [list_end(session, each) for each in due.lists]
+    plan = reissued(
+        run, session, first, names, rekey=names if rekey else (), prove=prove,
+        refresh=[each.name for each in due.lists],
+        list_end=None if None in ends else max(filter(None, ends), default=None),
+    )  # fmt: skip
+    refuse_new_authorities(session, plan)
+    return plan
+
+
+def _end(session: Session, name: str) -> datetime | None:
+    terms = enclave_terms(session, name)
+    return terms.end() if terms else None
+
+
+def _authority_due(due: AuthorityDue) -> Diagnostic:
+    """Return the finding on an authority that is due."""
+    first = (*due.issuers[::-1], due.name)[0]
+    message = f"the authority {due.name!r} is due: it ends on {shown(due.end)}"
+    if due.packages:
+        message += f", and what it signs for {counted(len(due.packages), 'enclave')} ends with it"
+    if due.issuers:
+        message += f"; so does its issuer {due.issuers[0]!r}"
+    return Diagnostic("authority-due", Severity.WARNING, message, None, f"run 'keymint authority renew {first}'")
+
+
+def _exit_code(run: Run, renewal: _Renewal, plan: Plan) -> ExitCode:
+    failed = exit_code_of(plan)
+    if failed is not ExitCode.DONE:
+        return failed
+    is_due = run.dry_run and bool(renewal.schedule.enclaves or renewal.schedule.lists)
+    return ExitCode.FINDINGS if renewal.needs_person or is_due else ExitCode.DONE
+
+
+def _lines(run: Run, renewal: _Renewal) -> Sequence[str]:
+    """Return what was done and why, what to restart, and what is next."""
+    would = "would renew" if run.dry_run else "renewed"
+    lines = [
+        f"{would} /{each.due.name}: {_why(each.due)}; now in force until {_date(each.now)}" for each in renewal.renewed
+    ]
+    lines += [f"{would} the revocation list of {each.name}: {_why(each)}" for each in renewal.schedule.lists]
+    own = {each.due.name for each in renewal.renewed}
+    updated = [
+        step.package for step in renewal.plan.steps
+        if step.stage == INSTALLED and step.package and step.action in {Action.UPDATED, Action.CREATED}
+    ]  # fmt: skip
+    if ready := [name for name in updated if name in own]:
+        lines.append(f"deploy and restart before the old documents end: {_listed(ready)}")
+    if others := [name for name in updated if name not in own]:
+        lines.append(f"deploy the new revocation list and restart before the old one ends: {_listed(others)}")
+    if elsewhere := [each.due.name for each in renewal.renewed if each.elsewhere]:
+        lines.append(f"the key is not here: 'keymint bundle' carries the new documents to {_listed(elsewhere)}")
+    following = renewal.schedule.following
+    if following is not None and following.after is not None:
+        none = "" if renewal.renewed or renewal.schedule.enclaves else "nothing is due; "
+        lines.append(f"{none}next is /{following.name}, from {shown(following.after)} on")
+    elif not lines:
+        lines.append("nothing is due")
+    return lines
+
+
+def _why(due: Due) -> str:
+    if due.why is None or due.after is None:
+        return "as you asked"
+    verb = "end" if due.why.what == PERMISSIONS else "ends"
+    return f"its {due.why.what} {verb} on {_date(due.why.last)}, so it was due from {_date(due.after)} on"
+
+
+def _date(moment: datetime | None) -> str:
+    return shown(moment) if moment else "-"
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = len(names) - _SHOWN
+    return ", ".join(f"/{name}" for name in names[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
+
+
+def _result(renewal: _Renewal) -> dict[str, Any]:
+    def due_document(due: Due | None) -> dict[str, Any]:
+        why = due.why if due else None
+        return {
+            "why": why.what if why else None,
+            "ends": why.last.isoformat() if why else None,
+            "due": due.after.isoformat() if due and due.after else None,
+        }
+
+    following = renewal.schedule.following
+    return {
+        "renewed": [
+            {
+                "subject": f"/{each.due.name}",
+                **due_document(each.due),
+                "until": each.now.isoformat() if each.now else None,
+                "key_elsewhere": each.elsewhere,
+            }
+            for each in renewal.renewed
+        ],
+        "lists": [{"authority": each.name, **due_document(each)} for each in renewal.schedule.lists],
+        "authorities_due": [
+            {"authority": each.name, "ends": each.end.isoformat(), "subjects": [f"/{name}" for name in each.packages]}
+            for each in renewal.schedule.authorities
+        ],
+        "next": {"subject": f"/{following.name}", **due_document(following)} if following else None,
+    }

@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is to be renewed, and when: the certificates, permissions and revocation lists of the installed enclaves.
+
+An enclave works until the first of its documents ends. What ends with its authority cannot be renewed before the
+authority is, so it is the authority that is due then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from datetime import datetime
+
+from comarmor.errors import Origin
+from comarmor.values import dataclass
+from keymint.api import Issuance
+from keymint.errors import KeymintError
+from keymint.pki import certificates, periods, revocation_lists
+from keymint.plan import lifetimes
+from keymint.plan.authority_files import in_order
+from keymint.plan.enclaves import INSTALLED, installed, installed_certificate
+from keymint.plan.issuance import issuance_of
+from keymint.plan.revocation import lists
+from keymint.plan.threshold import DEFAULT, Threshold
+from keymint.session import Session
+
+CERTIFICATE, PERMISSIONS, LIST = "certificate", "permissions", "revocation list"
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """The validity of one document.
+
+    Attributes:
+        what: :data:`CERTIFICATE`, :data:`PERMISSIONS` or :data:`LIST`.
+        first: its first moment, UTC.
+        last: the last moment in which it is in force, UTC; never later than its authority's.
+        authority: name of the authority that signed it.
+        is_cut: it ends with its authority, so that nothing is gained before that is renewed.
+    """
+
+    what: str
+    first: datetime
+    last: datetime
+    authority: str
+    is_cut: bool
+
+
+@dataclass(frozen=True, slots=True)
+class EnclaveTerms:
+    """The documents of an enclave that end, the first to be due first."""
+
+    name: str
+    terms: tuple[Term, ...]
+
+    def end(self) -> datetime:
+        """Return the last moment in which all of them are in force."""
+        return min(each.last for each in self.terms)
+
+    def renew_after(self, threshold: Threshold = DEFAULT) -> datetime | None:
+        """Return from when on the enclave is due; None if all that it has ends with its authorities."""
+        first = self.first(threshold)
+        return threshold.moment(first.first, first.last) if first else None
+
+    def first(self, threshold: Threshold = DEFAULT) -> Term | None:
+        """Return the term that is due first, without what ends with its authority."""
+        own = [each for each in self.terms if not each.is_cut]
+        return min(own, key=lambda each: threshold.moment(each.first, each.last), default=None)
+
+
+def authority_ends(session: Session) -> Mapping[str, datetime]:
+    """Return the end of the certificate of each authority whose certificate is here, UTC, issuers first."""
+    return session.once("authority ends", lambda: dict(_authority_ends(session)))
+
+
+def _authority_ends(session: Session) -> Iterator[tuple[str, datetime]]:
+    for authority in in_order(session.profile.authorities):
+        content = session.tree.read(session.workspace.authority_certificate(authority.name))
+        if content:
+            yield authority.name, certificates.load_first(content).not_valid_after_utc
+
+
+def enclave_terms(session: Session, name: str) -> EnclaveTerms | None:
+    """Return what of an installed enclave ends; None if it is not installed, or its certificate cannot be read.
+
+    The dates are those of the certificate in the enclave, and of the permissions as they were when they were signed.
+
+    Raises:
+        KeymintError: there is no record of the installation, and the package has defects.
+    """
+    certificate = installed_certificate(session, name)
+    if certificate is None:
+        return None
+    ends = authority_ends(session)
+    terms: list[Term] = []
+    for each in lifetimes.recalled(session, name, session.state.stamp(INSTALLED, name)):
+        end = ends.get(each.issuer)
+        if each.what == "certificate":
+            period = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+            terms.append(_term(CERTIFICATE, *period, each.issuer, end))
+            terms += _lists(session, each.issuer, end)
+        else:
+            terms.append(_term(PERMISSIONS, each.first, each.last, each.issuer, end))
+    return EnclaveTerms(name, tuple(sorted(terms, key=lambda each: each.what)))
+
+
+def _lists(session: Session, authority: str, end: datetime | None) -> Iterator[Term]:
+    content = lists(session).get(authority)
+    if content is not None:
+        where = Origin(session.workspace.shown(session.workspace.revocation_list(authority)))
+        yield session.once(("list term", authority), lambda: _list(content, where, authority, end))
+
+
+def _list(content: bytes, where: Origin, authority: str, end: datetime | None) -> Term:
+    found = revocation_lists.load(content, where)
+    return _term(LIST, found.this_update, found.next_update, authority, end)
+
+
+def _term(what: str, first: datetime, last: datetime, authority: str, end: datetime | None) -> Term:
+    if end is None:
+        return Term(what, first, last, authority, is_cut=False)
+    return Term(what, first, min(last, end), authority, is_cut=last >= end)
+
+
+@dataclass(frozen=True, slots=True)
+class Due:
+    """An enclave to renew, or the list of an authority to issue again, and why.
+
+    Attributes:
+        name: name of the package or of the authority.
+        why: the document that is due first; None if a user asked for it.
+        after: from when on it is due; None in the same case.
+    """
+
+    name: str
+    why: Term | None = None
+    after: datetime | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class AuthorityDue:
+    """An authority that a person must renew: what it signs ends with it, or it ends soon itself.
+
+    Attributes:
+        name: its name.
+        end: end of its certificate, UTC.
+        packages: packages whose documents it cuts now, or would cut if they were renewed.
+        issuers: the authorities above it that end no later, so that they must be renewed before.
+    """
+
+    name: str
+    end: datetime
+    packages: tuple[str, ...]
+    issuers: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """What is due now, and what is next.
+
+    Attributes:
+        enclaves: the enclaves to renew.
+        lists: the revocation lists to issue again, by authority.
+        authorities: the authorities that a person must renew.
+        following: the enclave that is due next, after these; None if there is none.
+    """
+
+    enclaves: tuple[Due, ...]
+    lists: tuple[Due, ...]
+    authorities: tuple[AuthorityDue, ...]
+    following: Due | None
+
+
+def schedule(session: Session, terms: Iterable[EnclaveTerms], threshold: Threshold) -> Schedule:
+    """Return what is due.
+
+    Args:
+        session: the workspace and its profile.
+        terms: the enclaves to look at.
+        threshold: when something is due.
+    """
+    of_enclaves = tuple(terms)
+    enclaves: list[Due] = []
+    due_lists: dict[str, Due] = {}
+    later: list[Due] = []
+    for each in of_enclaves:
+        for term in each.terms:
+            after = threshold.moment(term.first, term.last)
+            if term.what == LIST and not term.is_cut and after <= session.now:
+                due_lists.setdefault(term.authority, Due(term.authority, term, after))
+        own = EnclaveTerms(each.name, tuple(term for term in each.terms if term.what != LIST))
+        first, moment = own.first(threshold), own.renew_after(threshold)
+        if first is not None and moment is not None:
+            (enclaves if moment <= session.now else later).append(Due(each.name, first, moment))
+    following = min(later, key=lambda each: (each.after or session.now, each.name), default=None)
+    authorities = tuple(_authorities(session, of_enclaves, threshold))
+    return Schedule(tuple(enclaves), tuple(due_lists.values()), authorities, following)
+
+
+def _authorities(session: Session, terms: Sequence[EnclaveTerms], threshold: Threshold) -> Iterator[AuthorityDue]:
+    """Yield the authorities that cut what they sign.
+
+    That is where the threshold for an authority comes from: with ten years of validity, and a year for what it signs,
+    it is due a year before its end.
+    """
+    ends, issuers = (
+        authority_ends(session),
+        {each.name: each.certificate.issuer for each in session.profile.authorities},
+    )
+    cut: dict[str, dict[str, None]] = {}
+    for each in terms:
+        for term in each.terms:
+            length = term.last - term.first
+            end = ends.get(term.authority)
+            if term.what != LIST and end and (term.is_cut or periods.begin(session.now, length) + length > end):
+                cut.setdefault(term.authority, {})[each.name] = None
+    used = {term.authority for each in terms for term in each.terms}
+    for name, end in ends.items():
+        soon = name in used and threshold.left is not None and end - session.now <= threshold.left
+        if name in cut or soon:
+            above = [issuer for issuer in _above(name, issuers) if issuer in ends and ends[issuer] <= end]
+            yield AuthorityDue(name, end, tuple(cut.get(name, ())), tuple(above))
+
+
+def _above(name: str, issuers: Mapping[str, str]) -> Iterator[str]:
+    while name := issuers.get(name, ""):
+        yield name
+
+
+def installed_terms(session: Session, names: Iterable[str]) -> tuple[EnclaveTerms, ...]:
+    """Return what ends of those of some packages that are installed.
+
+    Raises:
+        KeymintError: packages have defects, and there is no record of their installation; with all defects.
+    """
+    there = frozenset(installed(session))
+    found: list[EnclaveTerms] = []
+    errors: list[KeymintError] = []
+    for name in names:
+        try:
+            terms = enclave_terms(session, name) if name in there else None
+        except KeymintError as error:
+            errors.append(error)
+            continue
+        if terms is not None:
+            found.append(terms)
+    if errors:
+        raise KeymintError.of([each for error in errors for each in error.diagnostics])
+    return tuple(found)
+
+
+def renewed(session: Session, name: str) -> Issuance:
+    """Return what an authority decides about a package that it renews now: its period begins now, the rest stays.
+
+    Raises:
+        KeymintError: the package has defects.
+    """
+    package, before = session.package(name), issuance_of(session, name)
+    validities = [each for each in (package.identity.validity, package.grant.validity) if each]
+    begin = periods.begin(session.now, min(each.not_after - each.not_before for each in validities))
+    # What began today already begins then; what has yet to begin was written while a clock was wrong.
+    kept = all(begin <= each.not_before <= session.now for each in validities)
+    return before if kept else replace(before, renewed=begin)
+
+
+def list_end(session: Session, due: Due) -> datetime | None:
+    """Return nextUpdate of a list that is issued again: it is as long as before; None for the end of the authority."""
+    if due.why is None:
+        return None
+    end = session.now - periods.BACK + (due.why.last - due.why.first)
+    last = authority_ends(session).get(due.name)
+    return None if last is None or end >= last else end

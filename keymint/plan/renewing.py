@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which packages a renewal takes up, and which it leaves to a person."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+
+from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.values import dataclass
+from keymint.api import BuildOptions
+from keymint.changes import Plan
+from keymint.errors import KeymintError
+from keymint.plan import authorities, build
+from keymint.plan.enclaves import installed
+from keymint.plan.issuance import issuance_of, place_of
+from keymint.plan.register import register_of
+from keymint.session import Session
+from keymint.state import Stamp, State
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """What a renewal takes up.
+
+    Attributes:
+        names: the packages to renew.
+        state: the record, with the builds of these packages that it did not have.
+        requests: a finding for each package whose new key must be made elsewhere.
+        errors: why other packages cannot be renewed.
+    """
+
+    names: tuple[str, ...]
+    state: State
+    requests: tuple[Diagnostic, ...]
+    errors: tuple[Diagnostic, ...]
+
+
+def chosen(session: Session, names: Iterable[str], *, rekey: bool) -> Chosen:
+    """Return which of some packages can be renewed.
+
+    Args:
+        session: the workspace and its profile.
+        names: packages.
+        rekey: they are to get new keys.
+    """
+    taken: list[str] = []
+    requests: list[Diagnostic] = []
+    errors: list[Diagnostic] = []
+    stamps: dict[str, Stamp] = {}
+    there = frozenset(installed(session))
+    for name in names:
+        try:
+            if rekey and issuance_of(session, name).public_key:
+                requests.append(_request(session, name))
+                continue
+            _require_certified(session, name, there, rekey=rekey)
+            stamps |= _require_same(session, name)
+        except KeymintError as error:
+            errors += error.diagnostics
+        else:
+            taken.append(name)
+    state = session.state.updated(build.STAGE, stamps) if stamps else session.state
+    return Chosen(tuple(taken), state, tuple(requests), tuple(errors))
+
+
+def _request(session: Session, name: str) -> Diagnostic:
+    return Diagnostic(
+        "request-needed", Severity.WARNING,
+        f"the private key of /{name} is not here, so a new one must be made where it is",
+        place_of(session, name), "run 'keymint request' there, then 'keymint sign' here", f"/{name}",
+    )  # fmt: skip
+
+
+def _require_certified(session: Session, name: str, there: Collection[str], *, rekey: bool) -> None:
+    """Require that a package has a certificate that may be followed by another one.
+
+    Raises:
+        KeymintError: it is not installed, or its key is barred and no new one was asked for.
+    """
+    if reason := register_of(session).withdrawn(name):
+        if not rekey:
+            raise KeymintError(
+                f"the certificate of /{name} was revoked ({reason}), and nothing is issued for its key again",
+                where=place_of(session, name),
+                help=f"'keymint renew --rekey {name}' makes a new key",
+                code="key-barred",
+            )
+    elif name not in there:
+        raise KeymintError(
+            f"the enclave /{name} is not installed, so there is nothing to renew",
+            where=Origin(session.workspace.shown(session.enclaves / name)),
+            help=f"run 'keymint build {name}' and 'keymint install {name}'",
+            code="enclave-missing",
+        )
+
+
+def _require_same(session: Session, name: str) -> Mapping[str, Stamp]:
+    """Require that a renewal changes dates and keys only; returns the record of a build that had none.
+
+    Raises:
+        KeymintError: the sources changed since the documents were built, so that others would be built now.
+    """
+    if build.is_current(session, name) or not build.is_built(session, name):
+        return {}
+    planned = build.BuildStage(session, BuildOptions(), force=False, renew=False).package(name)
+    if planned.errors:
+        raise KeymintError.of(planned.errors)
+    folder = session.workspace.build / name
+    if planned.step and any(change.folder == folder for change in planned.step.changes):
+        raise KeymintError(
+            f"the sources of /{name} changed since its documents were built, and a renewal changes nothing but dates",
+            where=Origin(session.workspace.shown(session.workspace.src / name)),
+            help=f"run 'keymint build {name}' and 'keymint install {name}' first",
+            code="sources-changed",
+        )
+    return {name: planned.stamp} if planned.stamp else {}
+
+
+def refuse_new_authorities(session: Session, plan: Plan) -> None:
+    """Refuse a plan that changes an authority: none is renewed on the way.
+
+    Raises:
+        KeymintError: it does, since the profile asks for another certificate than the authority has.
+    """
+    for step in plan.steps:
+        if step.stage == authorities.STAGE and step.writes():
+            raise KeymintError(
+                f"the profile asks for another certificate than the authority {step.package!r} has, and a renewal of "
+                "enclaves changes no authority",
+                where=Origin(session.workspace.shown(session.workspace.authority_certificate(step.package))),
+                help=f"run 'keymint authority renew {step.package}' first",
+                code="authority-changed",
+            )
+
+
+def packages_of(session: Session, diagnostics: Sequence[Diagnostic], names: Collection[str]) -> frozenset[str]:
+    """Return those of some packages that diagnostics are about: by their subject, or by the place in a space."""
+    workspace = session.workspace
+    spaces = [f"{workspace.shown(space)}/" for space in (workspace.src, workspace.build, session.enclaves)]
+    found = {each.subject.removeprefix("/") for each in diagnostics if each.subject}
+    for each in diagnostics:
+        for space in spaces:
+            if each.where is not None and each.where.file.startswith(space):
+                inside = each.where.file.removeprefix(space)
+                found |= {name for name in names if inside == name or inside.startswith(f"{name}/")}
+    return frozenset(found & {*names})
