@@ -12,7 +12,7 @@ from keymint.changes import Plan
 from keymint.commands.proof_gate import proof_stage, proven
 from keymint.commands.run import Run
 from keymint.plan.authorities import plan_authorities
-from keymint.plan.build import BuildStage, is_built
+from keymint.plan.build import BuildStage, is_current
 from keymint.plan.distribution import plan_distribution
 from keymint.plan.install import RIGHTS_OUTLIVE, InstallStage
 from keymint.plan.policy import lazy_policy
@@ -56,8 +56,10 @@ def reissued(
         KeymintError: a package cannot be built, signed or proven, or an authority cannot sign; with all defects.
     """
     before, session = session, session.after(first)
-    if any(session.role(name) is Role.INFRASTRUCTURE for name in names):  # all others are built from its sources, too
-        names = tuple(dict.fromkeys((*names, *(name for name in session.packages() if is_built(session, name)))))
+    if any(session.role(name) is Role.INFRASTRUCTURE for name in names):
+        # All others name it, so they follow its generation; those whose own sources changed wait for their build.
+        built_of = [name for name in session.packages() if is_current(before, name) and not is_current(session, name)]
+        names = tuple(dict.fromkeys((*names, *built_of)))
     minted, authorities = plan_authorities(session, new_authority)
     session = session.after(minted)
     revoked = plan_lists(session, authorities, register=complete_register(session), refresh=refresh, end=list_end)
