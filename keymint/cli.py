@@ -13,7 +13,7 @@ import signal
 import sys
 import time
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -27,6 +27,8 @@ from keymint.errors import ExitCode
 from keymint.process import Output, OutputError, StoppedError, held_signals, received, settle
 
 if TYPE_CHECKING:
+    from keymint.commands.run import Setting
+    from keymint.output.console import Streams
     from keymint.unchanged import Call
 
 VERBS: Mapping[str, str] = {
@@ -161,8 +163,8 @@ def _carried_out(given: Sequence[str]) -> int:
     if not sys.warnoptions:  # warnings of libraries are for programmers, not for users
         warnings.simplefilter("ignore")
     try:
-        setting = functools.partial(_setting, given)
-        result: Any = cli.main(list(given), prog_name="keymint", standalone_mode=False, obj=setting)
+        of_run = functools.partial(_setting, given)
+        result: Any = cli.main(list(given), prog_name="keymint", standalone_mode=False, obj=of_run)
     except click.exceptions.Exit as end:
         return end.exit_code
     except click.ClickException as error:
@@ -231,7 +233,7 @@ def _fail(arguments: Sequence[str], code: str, message: str, exit_code: ExitCode
     return int(exit_code)
 
 
-def _call(given: Sequence[str]) -> Call:
+def call_of(given: Sequence[str]) -> Call:
     """Return the command with all that its answer may depend on."""
     from keymint.unchanged import Call, Consulted  # noqa: PLC0415 - not needed for --help
 
@@ -247,7 +249,7 @@ def _recalled(given: Sequence[str]) -> int | None:
     from keymint import unchanged  # noqa: PLC0415 - not needed for --help
 
     try:
-        answer = unchanged.recall(_call(given)) if given[0] in unchanged.VERBS else None
+        answer = unchanged.recall(call_of(given)) if given[0] in unchanged.VERBS else None
     except click.UsageError:
         return None  # there is no usable clock or current directory, which the command reports if it needs one
     if answer is None:
@@ -259,11 +261,24 @@ def _recalled(given: Sequence[str]) -> int | None:
 
 def _setting(given: Sequence[str]) -> Any:
     """Return the environment of the run; called when a verb runs, so that ``--help`` needs none of it."""
-    call = _call(given)
-    from keymint.commands.run import Setting  # noqa: PLC0415 - not needed for --help
-    from keymint.output.console import Streams  # noqa: PLC0415
+    from keymint.output.console import Streams  # noqa: PLC0415 - not needed for --help
 
+    call = call_of(given)
     progress = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+    ask = _ask if sys.stdin is not None and sys.stdin.isatty() else None
+    return setting(call, Streams(sys.stdout, sys.stderr, *call.colours, progress=progress), ask)
+
+
+def setting(call: Call, streams: Streams, ask: Callable[[str], str] | None = None) -> Setting:
+    """Return the environment of a run: the clock, the folders and the processors of this machine.
+
+    Args:
+        call: the command; see :func:`call_of`.
+        streams: where output goes.
+        ask: shows a text and returns what the user types, unseen; None if there is no terminal.
+    """
+    from keymint.commands.run import Setting  # noqa: PLC0415 - not needed for --help
+
     return Setting(
         now=datetime.fromtimestamp(call.now, UTC),
         monotonic=time.monotonic,
@@ -271,9 +286,9 @@ def _setting(given: Sequence[str]) -> Any:
         cwd=Path(call.cwd),
         cache=_cache(),
         cores=os.cpu_count() or 1,
-        streams=Streams(sys.stdout, sys.stderr, *call.colours, progress=progress),
+        streams=streams,
         call=call,
-        ask=_ask if sys.stdin is not None and sys.stdin.isatty() else None,
+        ask=ask,
     )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 from datetime import datetime
 from functools import partial
 
-from keymint.api import BuildOptions, Role
+from keymint.api import BuildOptions, LoadedPolicy, Role
 from keymint.changes import Plan
 from keymint.commands.proof_gate import proof_stage, proven
 from keymint.commands.run import Run
@@ -35,6 +35,7 @@ def reissued(
     list_end: datetime | None = None,
     new_authority: Sequence[str] = (),
     options: BuildOptions = _PLAIN,
+    policy: LoadedPolicy | None = None,
 ) -> Plan:
     """Return a plan followed by what builds, signs and installs some packages, and the revocation lists for all others.
 
@@ -51,6 +52,7 @@ def reissued(
         list_end: nextUpdate of new revocation lists, UTC; the end of the authority's certificate by default.
         new_authority: authorities that get a new key and certificate.
         options: options of the build.
+        policy: what the documents are proven against; the policy of the workspace by default.
 
     Raises:
         KeymintError: a package cannot be built, signed or proven, or an authority cannot sign; with all defects.
@@ -75,7 +77,7 @@ def reissued(
     issued = [each.name for each in planned if not each.withdrawn]
     if not prove or not issued:
         return plan
-    proof = proof_stage(run, lazy_policy(session), standard_only=False)
+    proof = proof_stage(run, policy or lazy_policy(session), standard_only=options.allow_vendor_specific)
     return proven(run, session, installed.then(others), issued, partial(proof), plan)
 
 

@@ -7,13 +7,16 @@ from collections.abc import Iterator
 from dataclasses import replace
 from datetime import datetime
 
+from comarmor.errors import Origin
 from keymint.changes import Action, File, Plan, Step
 from keymint.folder_status import Sight
 from keymint.output.console import Console
 from keymint.output.report import Report
+from keymint.pki import revocation_lists
 from keymint.plan.authorities import STAGE as AUTHORITIES
 from keymint.plan.build_types import BUILD
 from keymint.plan.policy import recorded_files
+from keymint.plan.revocation import lists
 from keymint.session import Inputs
 from keymint.store import Store
 from keymint.unchanged import Answer, Call, name_of, record
@@ -43,11 +46,15 @@ def remember(
 
 
 def _dates(inputs: Inputs, plan: Plan) -> Iterator[datetime]:
-    """Yield the dates of the authorities after a plan; the profile is loaded only if they are asked for."""
-    tree = inputs.tree.overlaid(plan.overlay(f"{inputs.workspace.profile}/"))
-    for authority in replace(inputs, tree=tree).session().profile.authorities:
+    """Yield the dates of authorities and revocation lists after a plan; all is read only if they are asked for."""
+    workspace = inputs.workspace
+    changed = [item for space in (workspace.profile, workspace.public) for item in plan.overlay(f"{space}/")]
+    session = replace(inputs, tree=inputs.tree.overlaid(changed)).session()
+    for authority in session.profile.authorities:
         yield authority.certificate.validity.not_before
         yield authority.certificate.validity.not_after
+    for name, content in lists(session).items():
+        yield revocation_lists.load(content, Origin(workspace.shown(workspace.revocation_list(name)))).next_update
 
 
 def next_report(plan: Plan, report: Report) -> Report | None:

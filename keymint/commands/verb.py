@@ -15,6 +15,7 @@ from keymint.errors import ExitCode, KeymintError
 from keymint.output.report import Report
 
 Verb = Callable[..., Report]
+"""The function of a verb; ``inspect.unwrap`` finds it below the callback of its click command."""
 _COMMON = {"workspace", "as_json", "verbose", "quiet", "jobs", "dry_run", "executor", "trust_executor"}
 
 

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Provision enclaves from a program, e.g. from a launch file that names its nodes when it runs.
+
+::
+
+    from keymint.client import Client
+
+    client = Client("fleet_ws")
+    camera = client.provision("/robot7/camera")
+    environment = {"ROS_SECURITY_KEYSTORE": str(camera.keystore), "ROS_SECURITY_ENABLE": "true"}
+
+Every call takes the lock of the workspace, and does what the verb of its name does: nothing is written unless all of it
+is right, issued certificates are registered, and a killed call leaves nothing half done. Any number of processes may
+work at the same time. There is no daemon.
+"""
+
+from __future__ import annotations
+
+import inspect
+import io
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from comarmor.errors import Diagnostic, Severity
+from comarmor.values import dataclass
+from keymint import cli
+from keymint.api import LoadedPolicy
+from keymint.changes import Plan
+from keymint.commands.reissue import reissued
+from keymint.commands.run import Run
+from keymint.errors import KeymintError
+from keymint.names import package_name
+from keymint.output.console import Streams
+from keymint.output.report import Report
+from keymint.plan.create import CreateStage
+from keymint.plan.policy import load_policy
+from keymint.session import Inputs, Session
+
+__all__ = ["Client", "Enclave", "KeymintError"]
+
+
+@dataclass(frozen=True, slots=True)
+class Enclave:
+    """An installed enclave.
+
+    Attributes:
+        subject: its subject, e.g. ``/robot7/camera``.
+        folder: its folder.
+        keystore: the install space, for ``ROS_SECURITY_KEYSTORE``.
+        changed: the call wrote something into it.
+        diagnostics: warnings about it.
+    """
+
+    subject: str
+    folder: Path
+    keystore: Path
+    changed: bool
+    diagnostics: tuple[Diagnostic, ...] = ()
+
+
+class Client:
+    """A workspace to provision from.
+
+    Args:
+        workspace: its folder.
+
+    Raises:
+        KeymintError: there is no workspace.
+    """
+
+    def __init__(self, workspace: Path | str) -> None:
+        self._folder = Path(workspace)
+        self._policy: tuple[str, LoadedPolicy | None] = ("", None)
+        run = self._run("client")
+        self._workspace = run.workspace()
+        self._enclaves = run.inputs(self._workspace).session().enclaves
+
+    def provision(self, subject: str, *, prove: bool = True) -> Enclave:
+        """Create, build, sign, prove and install the enclave of a subject that a profile of the policy applies to.
+
+        What is there and right stays as it is.
+
+        Args:
+            subject: its name, which the policy may name by a wildcard only.
+            prove: refuse to sign what is not proven to permit exactly what the policy allows.
+
+        Raises:
+            KeymintError: the name is illegal, no profile applies to it, its certificate was revoked, or a stage fails.
+        """
+        name = package_name(subject)
+
+        def make_plan(inputs: Inputs) -> Plan:
+            session = inputs.session()
+            policy = self._loaded(session)
+            create = CreateStage(session, policy, force=False)
+            names = create.subjects((name,))
+            created = create.plan([create.package(each) for each in names])
+            needed = tuple(dict.fromkeys((*names, *session.after(created).infrastructure())))
+            return reissued(run, session, created, needed, prove=prove, policy=policy)
+
+        run = self._run("provision")
+        enclave = self._enclave(run.carry_out(self._workspace, make_plan), name)
+        if not enclave.folder.is_dir():
+            raise KeymintError(
+                f"the certificate of /{name} was revoked, so nothing is issued for its key",
+                help=f"'keymint renew --rekey {name}' makes a new key",
+                code="identity-revoked",
+            )
+        return enclave
+
+    def renew(self, *subjects: str, threshold: str = "66%", rekey: bool = False) -> tuple[Enclave, ...]:
+        """Issue again what is due; see ``keymint renew``.
+
+        Args:
+            subjects: the subjects, which are renewed in any case; all that are due if there are none.
+            threshold: when something is due: a part of its lifetime (``66%``) or a time before its end (``30d``).
+            rekey: make new keys.
+
+        Returns:
+            The enclaves that were renewed.
+
+        Raises:
+            KeymintError: a subject is not known, or something cannot be issued.
+        """
+        from keymint.commands.renew import renew  # noqa: PLC0415 - of no use to other calls
+
+        return self._verb(renew, subjects, threshold=threshold, rekey=rekey)
+
+    def revoke(self, *subjects: str, reason: str) -> tuple[Enclave, ...]:
+        """Revoke the certificates of subjects; see ``keymint revoke``.
+
+        Args:
+            subjects: the subjects.
+            reason: one of :data:`keymint.register.register.REASONS`.
+
+        Returns:
+            The enclaves to deploy and restart: those with a new revocation list or a new certificate.
+
+        Raises:
+            KeymintError: a subject never had a certificate, or something cannot be issued.
+        """
+        from keymint.commands.revoke import revoke  # noqa: PLC0415 - of no use to other calls
+
+        return self._verb(revoke, subjects, reason=reason, prove=True)
+
+    # -- how -----------------------------------------------------------------------------------------------------
+
+    def _verb(self, command: Any, subjects: Iterable[str], **options: Any) -> tuple[Enclave, ...]:
+        """Carry out a verb, and return the enclaves that it changed."""
+        run = self._run(command.name)
+        report: Report = inspect.unwrap(command.callback)(run, names=tuple(subjects), **options)
+        if failures := [each for each in report.diagnostics if each.severity is Severity.ERROR]:
+            raise KeymintError.of(failures)
+        names = dict.fromkeys(step.package for step in report.steps if step.stage == "install" and step.writes())
+        enclaves = (self._enclave(report, name) for name in names if name)
+        return tuple(each for each in enclaves if each.folder.is_dir())
+
+    def _run(self, verb: str) -> Run:
+        setting = cli.setting(cli.call_of(("client",)), Streams(io.StringIO(), io.StringIO()))
+        options = {"quiet": True, "verbose": 0, "as_json": False, "workspace": self._folder, "jobs": 1}
+        return Run(setting, verb, options)
+
+    def _enclave(self, report: Report, name: str) -> Enclave:
+        steps = [step for step in report.steps if step.package == name and step.stage == "install"]
+        own = tuple(each for each in report.diagnostics if each.subject in {f"/{name}", ""})
+        if failures := [each for each in own if each.severity is Severity.ERROR]:
+            raise KeymintError.of(failures)
+        changed = any(step.writes() for step in steps)
+        return Enclave(f"/{name}", self._enclaves / name, self._workspace.install, changed, own)
+
+    def _loaded(self, session: Session) -> LoadedPolicy:
+        """Return the policy, which is loaded again if one of its files changed."""
+        known, policy = self._policy
+        fingerprint = session.plugins.policy_type(session.profile.policy_type, session.profile_marker()).fingerprint
+        changed = policy is None or any(fingerprint(path) != value for path, value in policy.seen.items())
+        if policy is None or changed or known != session.profile_digest:
+            policy = load_policy(session)
+            self._policy = session.profile_digest, policy
+        return policy
