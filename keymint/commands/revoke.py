@@ -16,7 +16,7 @@ from keymint.commands.verb import verb
 from keymint.names import package_name
 from keymint.output.report import Report
 from keymint.plan.enclaves import INSTALLED
-from keymint.plan.revoking import Revoking, plan_revocation
+from keymint.plan.revoking import Revoking, plan_revocation, require_revoked
 from keymint.register.register import REASONS, SUPERSEDED, IssuedCertificate
 from keymint.session import Inputs
 
@@ -51,6 +51,8 @@ def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report
         session = inputs.session()
         revoking = plan_revocation(session, chosen, reason)
         plan = reissued(run, session, revoking.plan, revoking.packages, prove=prove)
+        if not revoking.certificates and not plan.writes():
+            require_revoked(session, chosen, reason)
         done[:] = [(revoking, plan)]
         return Plan(plan.steps, plan.state, (*plan.diagnostics, *revoking.diagnostics), plan.first)
 

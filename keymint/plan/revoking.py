@@ -50,8 +50,7 @@ def plan_revocation(session: Session, names: Sequence[str], reason: str) -> Revo
         reason: one of :data:`keymint.register.register.REASONS`.
 
     Raises:
-        KeymintError: a package never had a certificate, or a certificate of it was revoked before and none since; or
-            the register is missing and cannot be restored.
+        KeymintError: a package never had a certificate, or the register is missing and cannot be restored.
     """
     register = complete_register(session)
     with_sources = frozenset(session.packages())
@@ -67,8 +66,6 @@ def plan_revocation(session: Session, names: Sequence[str], reason: str) -> Revo
             if own.generation < lowest:
                 issuances[name] = replace(own, generation=lowest)
             packages.append(name)
-        if not register.in_force(name, session.now) and name not in issuances:
-            raise _nothing_to_revoke(register, name)
     plan = Plan((), session.state, first=register_change(session, after))
     plan = plan.then(plan_issuance(session, STAGE, issuances, f"{reason}, new generation"))
     orphans = [name for name in names if name not in with_sources]
@@ -90,13 +87,27 @@ def _require_known(session: Session, register: Register, name: str) -> None:
     )
 
 
-def _nothing_to_revoke(register: Register, name: str) -> KeymintError:
-    last = register.of(name)[-1]
-    if last.revoked:
-        message = f"the last certificate of /{name} was revoked on {last.revoked:%Y-%m-%d} already ({last.reason})"
-    else:
-        message = f"the last certificate of /{name} expired on {last.not_after:%Y-%m-%d}"
-    return KeymintError(message, help="'keymint issued' lists the certificates", code="nothing-to-revoke")
+def require_revoked(session: Session, names: Sequence[str], reason: str) -> None:
+    """Require that packages without a certificate in force were revoked for a reason: then there is nothing to do.
+
+    Args:
+        session: the workspace and its profile.
+        names: packages that had certificates.
+        reason: the reason.
+
+    Raises:
+        KeymintError: the last certificate of one expired, or was revoked for another reason.
+    """
+    register = complete_register(session)
+    for name in names:
+        last = register.of(name)[-1]
+        if last.revoked and last.reason == reason:
+            continue
+        if last.revoked:
+            message = f"the last certificate of /{name} was revoked on {last.revoked:%Y-%m-%d} already ({last.reason})"
+        else:
+            message = f"the last certificate of /{name} expired on {last.not_after:%Y-%m-%d}"
+        raise KeymintError(message, help="'keymint issued' lists the certificates", code="nothing-to-revoke")
 
 
 def _limits(

@@ -14,7 +14,10 @@ from cryptography import x509
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from lxml import etree
 
+from comarmor.errors import Origin
 from keymint.pki import smime
+from keymint.register import database
+from keymint.register.register import Register
 
 _RULES = """<ros_topic qualifier="ALLOW">
   <attachment>/chatter{}</attachment><permissions><ros_publish/></permissions>
@@ -86,6 +89,8 @@ SCENARIOS: Mapping[str, Scenario] = {
     "update": Scenario((_nothing,), _change_policy, PROVISION),
     "renew": Scenario((_nothing,), _nothing, (*PROVISION, "--renew")),
     "everything": Scenario((_nothing, _change_policy), _change_everything, (*PROVISION, "--renew")),
+    "revoke": Scenario((_nothing,), _nothing, ("revoke", "listener", "--reason", "superseded", "-w", "{}/ws")),
+    "retire": Scenario((_nothing,), _nothing, ("revoke", "listener", "--reason", "retired", "-w", "{}/ws")),
     "prune": Scenario((_nothing, _change_policy), _remove_packages, PRUNE),
 }
 
@@ -140,7 +145,9 @@ def require_whole_files(workspace: Path) -> int:
             assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
             continue
         assert stat.S_IMODE(path.stat().st_mode) == 0o644, path
-        if path.suffix == ".pem":
+        if path.name == "crl.pem":
+            require_revocation_list(workspace, content)
+        elif path.suffix == ".pem":
             x509.load_pem_x509_certificates(content)
         elif path.suffix == ".p7s":
             authority = workspace / "public" / "permissions_ca.cert.pem"
@@ -152,6 +159,32 @@ def require_whole_files(workspace: Path) -> int:
         else:
             raise AssertionError(f"unknown file {path}")
     return count
+
+
+def require_revocation_list(workspace: Path, content: bytes) -> None:
+    """Check that a revocation list verifies, and that the register knows it and all its revocations."""
+    crl = x509.load_pem_x509_crl(content)
+    authority = x509.load_pem_x509_certificate((workspace / "public/identity_ca.cert.pem").read_bytes())
+    assert crl.is_signature_valid(authority.public_key())
+    register = registered(workspace)
+    assert {each.serial_number for each in crl} <= {
+        each.serial for each in register.certificates.values() if each.revoked
+    }
+    assert crl.extensions.get_extension_for_class(x509.CRLNumber).value.crl_number <= max(register.numbers.values())
+
+
+def registered(workspace: Path) -> Register:
+    """Return the register of issued certificates."""
+    path = workspace / "private/register.sqlite3"
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    return database.load(path.read_bytes(), Origin(str(path)))
+
+
+def require_registered(workspace: Path) -> None:
+    """Check that the register has every certificate that is visible: a kill loses no serial number."""
+    found = [files["cert.pem"] for files in enclaves(workspace).values() if "cert.pem" in files]
+    serials = {x509.load_pem_x509_certificate(pem).serial_number for pem in found}
+    assert not serials or serials <= {each.serial for each in registered(workspace).certificates.values()}
 
 
 def require_whole_enclaves(
@@ -173,6 +206,7 @@ def require_whole_enclaves(
         assert same == {file for file in new if new[file] == old.get(file)}, (name, same)
     for files in enclaves(workspace).values():
         require_fitting(files)
+    require_registered(workspace)
 
 
 def require_fitting(files: Mapping[str, bytes]) -> None:
