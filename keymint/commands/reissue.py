@@ -12,8 +12,10 @@ from keymint.changes import Plan
 from keymint.commands.proof_gate import proof_stage, proven
 from keymint.commands.run import Run
 from keymint.plan.authorities import plan_authorities
+from keymint.plan.authority_files import is_bundled
 from keymint.plan.build import BuildStage, is_current
 from keymint.plan.distribution import plan_distribution
+from keymint.plan.enclaves import installed as installed_enclaves
 from keymint.plan.install import RIGHTS_OUTLIVE, InstallStage
 from keymint.plan.policy import lazy_policy
 from keymint.plan.register import complete_register
@@ -66,6 +68,9 @@ def reissued(
     session = session.after(minted)
     revoked = plan_lists(session, authorities, register=complete_register(session), refresh=refresh, end=list_end)
     session = session.after(revoked)
+    if revoked.writes() and any(map(is_bundled, session.profile.authorities)):
+        known = set(session.packages())  # their authorities' file has the revocation lists
+        names = tuple(dict.fromkeys((*names, *(name for name in installed_enclaves(session) if name in known))))
     build = {again: BuildStage(session, options, force=False, renew=again) for again in (False, True)}
     built = build[False].plan([build[name in rekey].package(name) for name in names])
     session = session.after(built)

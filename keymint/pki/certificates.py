@@ -31,6 +31,8 @@ _UNREADABLE = (
 )
 """What the library raises on a damaged certificate."""
 _BEGIN, _END = b"-----BEGIN CERTIFICATE-----", b"-----END CERTIFICATE-----"
+_LIST = b"-----BEGIN X509 CRL-----", b"-----END X509 CRL-----"
+"""The marks of a revocation list, which may follow the certificates of authorities in their file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,9 +95,10 @@ def load_first(pem: bytes, where: Origin | None = None) -> x509.Certificate:
     """
     lines = pem.replace(b"\r\n", b"\n").split(b"\n")
     marks = [line for line in lines if b"-----" in line]
-    pairs = [_BEGIN, _END] * (len(marks) // 2)
+    pairs = list(zip(marks[::2], marks[1::2], strict=False))
+    in_pairs = len(marks) == 2 * len(pairs) and all(pair in {(_BEGIN, _END), _LIST} for pair in pairs)
     bundle = load_bundle(pem, where)
-    if marks != pairs or b"\r" in b"".join(lines) or b"\0" in pem:
+    if not in_pairs or b"\r" in b"".join(lines) or b"\0" in pem:
         problem = "has lines beside its certificates that other PEM readers may take for the beginning of one"
     elif b"\n".join(lines[lines.index(_BEGIN) : lines.index(_END) + 1]) + b"\n" != to_pem(bundle[0]):
         problem = "is not exactly the encoding of its certificate"

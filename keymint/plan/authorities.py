@@ -112,7 +112,7 @@ def _plan_authority(
         return _in_token(inputs, files, above, renew=renew)
     signing_error = _signing_error(inputs, files)
     if signing_error is not None and files.content is not None and not renew:
-        return _without_key(files, above, signing_error), _stored(inputs, name, files.content), ()
+        return _without_key(inputs, files, above, signing_error), _stored(inputs, name, files.content), ()
     secret = password(spec.key, inputs.environment, spec.origin)
     changes: tuple[FolderChange, ...] = ()
     if files.key is None or renew:
@@ -136,7 +136,7 @@ def _plan_authority(
         certificate, warnings = _certificate(files, key, above)
     changes += _stored(inputs, name, certificate)
     keyed = certificates.Issuer(certificates.load(certificate), key), SigningAuthority(name, certificate, pem, secret)
-    return _minted(files, certificate, above, keyed), changes, warnings
+    return _minted(inputs, files, certificate, above, keyed), changes, warnings
 
 
 def _in_token(
@@ -155,7 +155,7 @@ def _in_token(
     signer = SigningAuthority(name, certificate, b"", token_key=key)
     keyed = certificates.Issuer(certificates.load(certificate), key), signer
     changes = _stored(inputs, name, certificate)
-    return _minted(files, certificate, above, keyed), changes, (*warnings, *token_keys.left_over(files))
+    return _minted(inputs, files, certificate, above, keyed), changes, (*warnings, *token_keys.left_over(files))
 
 
 def _stored(inputs: Inputs, name: str, certificate: bytes) -> tuple[FolderChange, ...]:
@@ -164,12 +164,13 @@ def _stored(inputs: Inputs, name: str, certificate: bytes) -> tuple[FolderChange
 
 
 def _minted(
+    inputs: Inputs,
     files: AuthorityFiles,
     certificate: bytes,
     above: MintedAuthority | None,
     keyed: tuple[certificates.Issuer, SigningAuthority] | KeymintError,
 ) -> MintedAuthority:
-    trusted = authority_files.chain(files.authority, certificate, above.chain if above else b"")
+    trusted = authority_files.chain(inputs, files.authority, certificate, above.chain if above else b"")
     return MintedAuthority(certificates.load(certificate), trusted, keyed)
 
 
@@ -256,7 +257,9 @@ def _signing_error(inputs: Inputs, files: AuthorityFiles) -> KeymintError | None
     return None
 
 
-def _without_key(files: AuthorityFiles, above: MintedAuthority | None, signing_error: KeymintError) -> MintedAuthority:
+def _without_key(
+    inputs: Inputs, files: AuthorityFiles, above: MintedAuthority | None, signing_error: KeymintError
+) -> MintedAuthority:
     """Return an authority whose private key cannot be used here.
 
     Raises:
@@ -273,4 +276,4 @@ def _without_key(files: AuthorityFiles, above: MintedAuthority | None, signing_e
         content, spec, public_key, above.certificate if above else None
     ):
         raise signing_error
-    return _minted(files, content, above, signing_error)
+    return _minted(inputs, files, content, above, signing_error)

@@ -23,6 +23,8 @@ from keymint.session import Inputs, Session
 
 COST = "no deployed enclave trusts it until all are redeployed"
 """The consequence of a new authority, for messages."""
+NEXT, FORMER = "next", "former"
+"""Suffixes of the names of keys and lists that are not in force, while the key of an authority is replaced."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,21 +139,41 @@ def trusted_chains(session: Session) -> Mapping[str, bytes]:
     chains: dict[str, bytes] = {}
     for authority in in_order(session.profile.authorities):
         own = session.tree.read(session.workspace.authority_certificate(authority.name)) or b""
-        chains[authority.name] = chain(authority, own, chains.get(authority.certificate.issuer, b""))
+        chains[authority.name] = chain(session, authority, own, chains.get(authority.certificate.issuer, b""))
     return chains
 
 
-def chain(authority: Authority, certificate: bytes, above: bytes) -> bytes:
+def chain(inputs: Inputs, authority: Authority, certificate: bytes, above: bytes) -> bytes:
     """Return what enclaves trust for an authority: the authority in force comes first.
 
+    While they trust two authorities, the revocation lists of both follow, if there are any.
+
     Args:
+        inputs: the workspace.
         authority: the authority.
         certificate: PEM of its certificate; empty if there is none.
         above: PEM of the chain of its issuer.
     """
+    rollover, name = authority.issuance.rollover, authority.name
+    if rollover is None or not is_bundled(authority) or not certificate:
+        return certificate + above
+    paths = (inputs.workspace.revocation_list(each) for each in (name, f"{name}.{other(authority)}"))
+    lists = b"".join(inputs.tree.read(path) or b"" for path in paths)
+    return certificate + above + rollover.certificate + lists
+
+
+def is_bundled(authority: Authority) -> bool:
+    """Tell whether enclaves trust two certificates of an authority, because its key is being replaced."""
     rollover = authority.issuance.rollover
-    trusted = rollover is not None and rollover.phase is not Phase.STAGE
-    return certificate + above + (rollover.certificate if rollover and trusted and certificate else b"")
+    return rollover is not None and rollover.phase is not Phase.STAGE
+
+
+def other(authority: Authority) -> str:
+    """Return the suffix of the files of an authority's key and list that are not in force; empty if it has none."""
+    rollover = authority.issuance.rollover
+    if rollover is None:
+        return ""
+    return FORMER if rollover.phase is Phase.REISSUE else NEXT
 
 
 def satisfies(pem: bytes, spec: CertificateSpec, key: keys.PublicKey, issuer: x509.Certificate | None) -> bool:

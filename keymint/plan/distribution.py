@@ -20,7 +20,7 @@ from keymint.plan import install
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.build_types import BUILD
 from keymint.plan.enclaves import CERTIFICATE, INSTALLED, installed
-from keymint.plan.revocation import lists
+from keymint.plan.revocation import enclave_lists
 from keymint.session import Session
 from keymint.state import Stamp
 
@@ -33,7 +33,7 @@ def plan_distribution(before: Session, session: Session, omitted: Collection[str
         session: the workspace with the lists in force.
         omitted: enclaves that are left as they are.
     """
-    in_force = lists(session)
+    in_force = enclave_lists(session)
     if not in_force:
         return Plan((), session.state)
     chains = trusted_chains(session)

@@ -28,11 +28,12 @@ def missing_files(workspace: Workspace, plan: Plan) -> Sequence[FolderChange]:
     if written:
         written.add(str(workspace.state))  # has the record of what is written
     spaces = (workspace.private, workspace.build, workspace.install, workspace.next_install, workspace.state)
+    kept = [space for space in spaces if space != workspace.next_install and _can_be_written(space)]
     return [
         FolderChange(space, {NAME: File(_EVERYTHING)}, private=space == workspace.private)
         for space in spaces
         if not os.path.lexists(space / NAME)
-        and (any(f"{folder}/".startswith(f"{space}/") for folder in written) or _can_be_written(space))
+        and (space in kept or any(f"{folder}/".startswith(f"{space}/") for folder in written))
     ]
 
 

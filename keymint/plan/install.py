@@ -12,7 +12,7 @@ from keymint.api import Artifact, Package, Succession
 from keymint.changes import Action, File, FolderChange, Plan, Step, file_mode
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
-from keymint.plan import build, identity_keys, key_record, lifetimes, revocation
+from keymint.plan import authority_files, build, identity_keys, key_record, lifetimes, revocation
 from keymint.plan.authorities import MintedAuthority
 from keymint.plan.build_types import build_types_of, inputs_digest
 from keymint.plan.enclaves import (
@@ -52,6 +52,9 @@ class InstallStage:
 
     def __init__(self, session: Session, authorities: Mapping[str, MintedAuthority], *, prune: bool) -> None:
         self._session = session
+        if any(map(authority_files.is_bundled, session.profile.authorities)):  # the chains have revocation lists
+            chains = authority_files.trusted_chains(session)
+            authorities = {name: replace(minted, chain=chains[name]) for name, minted in authorities.items()}
         self._authorities = authorities
         self._prune = prune
         owners = {keys.fingerprint(certificates.public_key(each.certificate)): who for who, each in authorities.items()}

@@ -14,6 +14,7 @@ from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
 from keymint.pki import revocation_lists
 from keymint.pki.revocation_lists import Revocation, RevocationList
+from keymint.plan import authority_files, rollover_lists
 from keymint.plan.authorities import MintedAuthority
 from keymint.plan.register import issuer_of, register_change, register_of
 from keymint.register.register import Register
@@ -31,6 +32,15 @@ def _lists(session: Session) -> Mapping[str, bytes]:
     names = [authority.name for authority in session.profile.authorities]
     contents = {name: session.tree.read(session.workspace.revocation_list(name)) for name in names}
     return {name: content for name, content in contents.items() if content is not None}
+
+
+def enclave_lists(session: Session) -> Mapping[str, bytes]:
+    """Return the revocation lists that enclaves have as files of their own, PEM, by authority.
+
+    Where they trust two authorities, the file of these has the lists; see :func:`keymint.plan.authority_files.chain`.
+    """
+    bundled = {each.name for each in session.profile.authorities if authority_files.is_bundled(each)}
+    return {name: content for name, content in lists(session).items() if name not in bundled}
 
 
 def plan_lists(
@@ -55,8 +65,14 @@ def plan_lists(
             issued by an authority that cannot sign lists or whose key is not here.
     """
     register = register_of(session) if register is None else register
-    steps: list[Step] = []
-    for name, minted in authorities.items():
+    steps: list[Step] = [*rollover_lists.outdated(session, STAGE)]
+    others = rollover_lists.others(session)
+    all_authorities = {**authorities, **{name: minted for name, (_, minted) in others.items()}}
+    having = {name for name in all_authorities if _has_list(session, all_authorities, register, name)}
+    # Where enclaves trust two authorities and one of them has a list, vendors demand one of each.
+    pairs = ({in_force, name} for name, (in_force, _) in others.items())
+    paired = {name for pair in pairs if pair & having for name in pair}
+    for name, minted in all_authorities.items():
         path = session.workspace.revocation_list(name)
         issuer = issuer_of(minted.certificate)
         content = session.tree.read(path)
@@ -64,7 +80,7 @@ def plan_lists(
         present = None if content is None else _present(session, name, minted, content)
         if present is not None and session.tree.has_file(session.workspace.register):
             _require_known(session, name, present, revoked)
-        if present is None and not revoked and name not in refresh:
+        if present is None and not revoked and name not in refresh and name not in paired:
             if content is not None:  # the list of an earlier authority of this name, which nobody trusts any more
                 steps.append(Step(STAGE, name, Action.REMOVED, (FolderChange(path.parent, removed=(path.name,)),)))
             continue
@@ -81,6 +97,13 @@ def plan_lists(
         detail = f"number {number}, {len(revocations)} revoked"
         steps.append(Step(STAGE, name, action, (FolderChange(path.parent, {path.name: File(pem)}),), detail))
     return Plan(tuple(steps), session.state, first=register_change(session, register))
+
+
+def _has_list(session: Session, authorities: Mapping[str, MintedAuthority], register: Register, name: str) -> bool:
+    """Tell whether an authority ever revoked a certificate, or has a revocation list."""
+    minted, content = authorities[name], session.tree.read(session.workspace.revocation_list(name))
+    has = content is not None and not revocation_lists.problem(content, minted.certificate)
+    return has or bool(register.revoked(issuer_of(minted.certificate)))
 
 
 def _present(session: Session, name: str, minted: MintedAuthority, content: bytes) -> RevocationList | None:

@@ -26,14 +26,12 @@ from keymint.errors import KeymintError
 from keymint.pki import adoption, certificates, extensions, keys
 from keymint.plan import authority_files, key_record
 from keymint.plan.authorities import plan_authorities
+from keymint.plan.authority_files import FORMER, NEXT
 from keymint.plan.authority_issuance import STAGE, authority_named, plan_authority_issuance
 from keymint.plan.authority_renewal import begin_of
 from keymint.plan.enclaves import deployed_authorities
 from keymint.plan.private_keys import password
 from keymint.session import Session
-
-NEXT, FORMER = "next", "former"
-"""Suffixes of the names of private keys that are not in force."""
 
 
 @dataclass(frozen=True, slots=True)

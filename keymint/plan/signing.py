@@ -16,7 +16,7 @@ from keymint.plan.build_types import build_types_of, roles_of, two_writers
 from keymint.plan.enclaves import CERTIFICATE
 from keymint.plan.issuance import place_of
 from keymint.plan.register import issued_certificate, issuer_of, register_of
-from keymint.plan.revocation import lists
+from keymint.plan.revocation import enclave_lists
 from keymint.register.register import IssuedCertificate, Register
 from keymint.session import Session
 from keymint.state import digest_files
@@ -75,7 +75,7 @@ def sign(
             key=pem,
             chains={role.role: authority.chain for role, authority in roles[name]},
             signers={role.role: authority.signer for role, authority in roles[name] if role.signs},
-            revocations=lists(session).get(package.identity.issuer, b""),
+            revocations=enclave_lists(session).get(package.identity.issuer, b""),
         )
         try:
             own = build_type.install(package, documents, credentials, session.profile.layout, existing)
