@@ -14,6 +14,7 @@ from keymint.plan import build, create, install, lifetimes
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.enclaves import hidden, installed, installed_certificate, orphans
 from keymint.plan.register import withdrawn
+from keymint.plan.renewal import EnclaveTerms, enclave_terms
 from keymint.plan.shared_documents import built_shared, is_current, users
 from keymint.plan.shared_install import installed_shared, is_installed
 from keymint.session import Session
@@ -33,6 +34,7 @@ class PackageRow:
         certificate_expires: end of validity of the installed certificate, UTC.
         permissions_expire: end of validity of the grant, UTC.
         problem: one line when the package cannot be loaded.
+        terms: what of the installed enclave ends; None if it is not installed, or that is not known.
     """
 
     package: str
@@ -41,6 +43,17 @@ class PackageRow:
     certificate_expires: datetime | None
     permissions_expire: datetime | None
     problem: str = ""
+    terms: EnclaveTerms | None = None
+
+    @property
+    def renew_after(self) -> datetime | None:
+        """From when on 'keymint renew' takes it up, UTC; None if it does not, before an authority is renewed."""
+        return self.terms.renew_after() if self.terms else None
+
+    @property
+    def ends_with(self) -> str:
+        """The authority that all its documents end with, so that it is the authority that is due; or empty."""
+        return self.terms.ends_with() if self.terms else ""
 
 
 def package_rows(session: Session, policy: LoadedPolicy | None) -> tuple[PackageRow, ...]:
@@ -113,16 +126,24 @@ def _certificate_end(session: Session, name: str) -> datetime | None:
     return certificate.not_valid_after_utc if certificate else None
 
 
-def _recorded_end(session: Session, name: str, chains: Mapping[str, bytes]) -> datetime | None:
-    """Return the end of the certificate of an enclave that is as it was installed, without reading the certificate.
+def _recorded_period(session: Session, name: str, chains: Mapping[str, bytes]) -> tuple[datetime, datetime] | None:
+    """Return the validity of the certificate of an enclave that is as it was installed, without reading it.
 
-    It ends with its issuer's at the latest, and in whole seconds; see :mod:`keymint.pki.forms`.
+    It is cut to its issuer's, and in whole seconds; see :mod:`keymint.pki.forms`.
     """
     for each in lifetimes.recalled(session, name, session.state.stamp(install.STAGE, name)):
         if each.what == "certificate":
             issuer = certificates.load_bundle(chains[each.issuer])[0]
-            return min(each.last.astimezone(UTC).replace(microsecond=0), issuer.not_valid_after_utc)
-    return _certificate_end(session, name)
+            first, last = (moment.astimezone(UTC).replace(microsecond=0) for moment in (each.first, each.last))
+            return max(first, issuer.not_valid_before_utc), min(last, issuer.not_valid_after_utc)
+    return None
+
+
+def _terms(session: Session, name: str, period: tuple[datetime, datetime] | None) -> EnclaveTerms | None:
+    try:
+        return enclave_terms(session, name, period)
+    except KeymintError:
+        return None  # the package has defects, which are its problem
 
 
 def _row(
@@ -156,11 +177,14 @@ def _row(
         stale = "build"
     if not stale and stage == "revoked":
         return PackageRow(name, stage, "", None, permissions_end, problem)
+    period = None
     if not stale and installed and install.is_current(session, name, chains):
-        end = _recorded_end(session, name, chains)
+        period = _recorded_period(session, name, chains)
     else:
-        stale, end = stale or "install", _certificate_end(session, name)
-    return PackageRow(name, stage, stale, end, permissions_end, problem)
+        stale = stale or "install"
+    end = period[1] if period else _certificate_end(session, name)
+    terms = _terms(session, name, period) if installed else None
+    return PackageRow(name, stage, stale, end, permissions_end, problem, terms)
 
 
 def _differing(session: Session, policy: LoadedPolicy | None, names: Sequence[str]) -> Mapping[str, str]:

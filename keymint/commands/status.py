@@ -3,14 +3,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
 from typing import Any
+
+import click
 
 from comarmor.errors import Diagnostic, Severity
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
+from keymint.output.expiry_metrics import gauges
+from keymint.output.openmetrics import openmetrics
 from keymint.output.report import Report
 from keymint.plan.create import packages_to_create
 from keymint.plan.policy import lazy_policy
@@ -18,8 +23,20 @@ from keymint.status import PackageRow, SharedRow, package_rows, shared_rows
 
 
 @verb()
-def status(run: Run) -> Report:
-    """Show a table of all packages: the stage, whether it is stale, and when it expires."""
+@click.option(
+    "--format",
+    "kind",
+    type=click.Choice(("table", "openmetrics")),
+    default="table",
+    show_default=True,
+    help="openmetrics: dates in seconds since 1970, for a monitor such as Prometheus.",
+)
+def status(run: Run, kind: str) -> Report:
+    """Show a table of all packages: the stage, whether it is stale, when it expires, and when to renew it.
+
+    RENEW AFTER is from when on 'keymint renew' takes it up; 'with CA' means that it ends with this authority, which
+    must be renewed before.
+    """
     workspace = run.workspace()
     inputs = run.snapshot(workspace)
     session = inputs.session()
@@ -38,7 +55,23 @@ def status(run: Run) -> Report:
         except KeymintError as error:
             diagnostics += error.diagnostics
         missing = sorted(wanted - known)
-    now = inputs.now
+    shared = [replace(row, problem=_as_typed(run, row.problem)) for row in shared_rows(session)]
+    if kind == "openmetrics":
+        for line in openmetrics(gauges(session, rows)):
+            run.console.line(line)
+    else:
+        _show(run, rows, missing, shared)
+    result = {
+        "packages": [_document(row) for row in rows],
+        "not_created": missing,
+        "shared": [_shared_document(row) for row in shared],
+    }
+    return Report(run.verb, workspace, (), diagnostics, result)
+
+
+def _show(run: Run, rows: Sequence[PackageRow], missing: Sequence[str], shared: Sequence[SharedRow]) -> None:
+    """Show a table, and the problems."""
+    now = run.setting.now
     cells = [
         [
             row.package,
@@ -46,15 +79,15 @@ def status(run: Run) -> Report:
             row.stale or "-",
             _when(row.certificate_expires, now),
             _when(row.permissions_expire, now),
+            _renewal(row, now),
         ]
         for row in rows
-    ] + [[name, "-", "create", "-", "-"] for name in missing]
-    shared = [replace(row, problem=_as_typed(run, row.problem)) for row in shared_rows(session)]
+    ] + [[name, "-", "create", "-", "-", "-"] for name in missing]
     cells += [
-        [", ".join(row.documents) or row.build_type or "shared documents", row.stage, row.stale or "-", "-", "-"]
+        [", ".join(row.documents) or row.build_type or "shared documents", row.stage, row.stale or "-", "-", "-", "-"]
         for row in shared
     ]
-    run.console.table(["PACKAGE", "STAGE", "STALE", "CERTIFICATE", "PERMISSIONS"], cells)
+    run.console.table(["PACKAGE", "STAGE", "STALE", "CERTIFICATE", "PERMISSIONS", "RENEW AFTER"], cells)
     for row in rows:
         if row.problem:
             run.console.line(f"{row.package}: {row.problem}")
@@ -63,12 +96,6 @@ def status(run: Run) -> Report:
             run.console.line(f"{each.build_type or 'shared documents'}: {each.problem}")
     if not cells:
         run.console.line("no packages; run 'keymint create --all'")
-    result = {
-        "packages": [_document(row) for row in rows],
-        "not_created": missing,
-        "shared": [_shared_document(row) for row in shared],
-    }
-    return Report(run.verb, workspace, (), diagnostics, result)
 
 
 def _as_typed(run: Run, problem: str) -> str:
@@ -94,6 +121,14 @@ def _when(end: datetime | None, now: datetime) -> str:
     return f"{end:%Y-%m-%d} ({f'expired {-days} d ago' if end < now else f'{days} d'})"
 
 
+def _renewal(row: PackageRow, now: datetime) -> str:
+    """Return from when on a package is renewed, or the authority that must be renewed before."""
+    if row.renew_after is None:
+        return f"with {row.ends_with}" if row.ends_with else "-"
+    days = (row.renew_after - now).days
+    return f"{row.renew_after:%Y-%m-%d} ({'due' if row.renew_after <= now else f'{days} d'})"
+
+
 def _document(row: PackageRow) -> dict[str, Any]:
     return {
         "package": row.package,
@@ -102,5 +137,7 @@ def _document(row: PackageRow) -> dict[str, Any]:
         "stale": row.stale or None,
         "certificate_expires": row.certificate_expires.isoformat() if row.certificate_expires else None,
         "permissions_expire": row.permissions_expire.isoformat() if row.permissions_expire else None,
+        "renew_after": row.renew_after.isoformat() if row.renew_after else None,
+        "ends_with": row.ends_with or None,
         "problem": row.problem or None,
     }

@@ -62,6 +62,10 @@ class EnclaveTerms:
         first = self.first(threshold)
         return threshold.moment(first.first, first.last) if first else None
 
+    def ends_with(self) -> str:
+        """Return the name of the authority that all of them end with; empty if some can be renewed."""
+        return min(self.terms, key=lambda each: each.last).authority if all(each.is_cut for each in self.terms) else ""
+
     def first(self, threshold: Threshold = DEFAULT) -> Term | None:
         """Return the term that is due first, without what ends with its authority."""
         own = [each for each in self.terms if not each.is_cut]
@@ -80,23 +84,29 @@ def _authority_ends(session: Session) -> Iterator[tuple[str, datetime]]:
             yield authority.name, certificates.load_first(content).not_valid_after_utc
 
 
-def enclave_terms(session: Session, name: str) -> EnclaveTerms | None:
+def enclave_terms(session: Session, name: str, period: tuple[datetime, datetime] | None = None) -> EnclaveTerms | None:
     """Return what of an installed enclave ends; None if it is not installed, or its certificate cannot be read.
 
     The dates are those of the certificate in the enclave, and of the permissions as they were when they were signed.
 
+    Args:
+        session: the workspace and its profile.
+        name: the package.
+        period: the validity of the certificate, UTC, if it is known; else the certificate is read.
+
     Raises:
         KeymintError: there is no record of the installation, and the package has defects.
     """
-    certificate = installed_certificate(session, name)
-    if certificate is None:
-        return None
+    if period is None:
+        certificate = installed_certificate(session, name)
+        if certificate is None:
+            return None
+        period = certificate.not_valid_before_utc, certificate.not_valid_after_utc
     ends = authority_ends(session)
     terms: list[Term] = []
     for each in lifetimes.recalled(session, name, session.state.stamp(INSTALLED, name)):
         end = ends.get(each.issuer)
         if each.what == "certificate":
-            period = certificate.not_valid_before_utc, certificate.not_valid_after_utc
             terms.append(_term(CERTIFICATE, *period, each.issuer, end))
             terms += _lists(session, each.issuer, end)
         else:
@@ -120,6 +130,20 @@ def _term(what: str, first: datetime, last: datetime, authority: str, end: datet
     if end is None:
         return Term(what, first, last, authority, is_cut=False)
     return Term(what, first, min(last, end), authority, is_cut=last >= end)
+
+
+def authority_renewals(session: Session, terms: Iterable[EnclaveTerms]) -> Mapping[str, datetime]:
+    """Return from when on each authority cuts what it signs for some enclaves, so that it is due."""
+    ends = authority_ends(session)
+    due: dict[str, datetime] = {}
+    for each in terms:
+        for term in each.terms:
+            if term.what != LIST and term.authority in ends and not term.is_cut:
+                moment = ends[term.authority] - (term.last - term.first)
+                due[term.authority] = min(due.get(term.authority, moment), moment)
+            elif term.what != LIST and term.authority in ends:
+                due[term.authority] = min(due.get(term.authority, session.now), session.now)
+    return due
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,13 +5,15 @@ from __future__ import annotations
 
 import re
 import shutil
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
 import pytest
 from cryptography import x509
+from prometheus_client.openmetrics.parser import text_string_to_metric_families
 
-from tests.conftest import snapshot
+from tests.conftest import NOW, snapshot
 from tests.effort import calls_of
 from tests.families import flat
 
@@ -23,7 +25,7 @@ def rows(outcome) -> dict[str, list[str]]:
 def test_every_stage(keymint, policy: Path, tmp_path: Path) -> None:
     ws = tmp_path / "ws"
     keymint("init", "ws", "--policy", policy)
-    assert rows(keymint("status", cwd=ws))["talker"] == ["-", "create", "-", "-"]
+    assert rows(keymint("status", cwd=ws))["talker"] == ["-", "create", "-", "-", "-"]
     keymint("create", "--all", cwd=ws)
     assert rows(keymint("status", cwd=ws))["talker"][:2] == ["source", "build"]
     keymint("build", cwd=ws)
@@ -59,6 +61,50 @@ def test_a_damaged_enclave_is_stale(keymint, provisioned: Path) -> None:
 def test_a_package_that_is_gone_is_orphaned(keymint, provisioned: Path) -> None:
     shutil.rmtree(provisioned / "src/talker")
     assert rows(keymint("status", cwd=provisioned))["talker"][0] == "orphaned"
+
+
+def test_from_when_on_it_is_renewed(keymint, provisioned: Path) -> None:
+    def shown(days: int) -> tuple[str, str | None, str | None]:
+        env = {"SOURCE_DATE_EPOCH": str(NOW + days * 86_400)}
+        line = next(line for line in keymint("status", cwd=provisioned, env=env).out.splitlines() if "talker" in line)
+        result = keymint("status", "--json", cwd=provisioned, env=env).document["result"]
+        row = next(row for row in result["packages"] if row["package"] == "talker")
+        return line.split("  ")[-1].strip(), row["renew_after"], row["ends_with"]
+
+    after = "2027-09-11T21:36:00+00:00"
+    assert shown(0) == ("2027-09-11 (239 d)", after, None)
+    assert shown(250) == ("2027-09-11 (due)", after, None)
+    env = {"SOURCE_DATE_EPOCH": str(NOW + 3600 * 86_400)}
+    assert keymint("renew", cwd=provisioned, env=env).code == 3
+    assert shown(3600) == ("with identity_ca", None, "identity_ca")
+
+
+def test_metrics_for_a_monitor(keymint, provisioned: Path) -> None:
+    assert keymint("revoke", "talker", "--reason", "superseded", cwd=provisioned).code == 0
+    text = keymint("status", "--format", "openmetrics", cwd=provisioned).out
+    families = {family.name: family for family in text_string_to_metric_families(text)}
+    assert {family.type for family in families.values()} == {"gauge"}
+    assert {name: family.unit for name, family in families.items() if not family.unit} == {"keymint_enclave_stale": ""}
+
+    def values(name: str) -> dict[str, float]:
+        return {"".join(sample.labels.values()): sample.value for sample in families[name].samples}
+
+    enclaves = {"/talker", "/robot1/listener"}
+    end, last = _seconds(2028, 1, 14), _seconds(2037, 1, 11)
+    assert values("keymint_certificate_expiry_timestamp_seconds") == dict.fromkeys(enclaves, end)
+    assert values("keymint_permissions_expiry_timestamp_seconds") == dict.fromkeys(enclaves, end)
+    assert values("keymint_enclave_stale") == dict.fromkeys(enclaves, 0)
+    assert values("keymint_revocation_list_expiry_timestamp_seconds") == {"identity_ca": last}
+    authorities = ("identity_ca", "permissions_ca")
+    assert values("keymint_authority_expiry_timestamp_seconds") == dict.fromkeys(authorities, last)
+    assert values("keymint_authority_renew_after_timestamp_seconds") == dict.fromkeys(authorities, last - 365 * 86_400)
+    after = datetime(2027, 9, 11, 21, 36, tzinfo=UTC).timestamp()
+    assert values("keymint_renew_after_timestamp_seconds") == dict.fromkeys(enclaves, after)
+    assert text.endswith("# EOF\n")
+
+
+def _seconds(year: int, month: int, day: int) -> float:
+    return datetime(year, month, day, tzinfo=UTC).timestamp()
 
 
 def test_expiry(keymint, provisioned: Path) -> None:

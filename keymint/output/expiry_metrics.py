@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ends, and from when on it is due, as gauges for a monitor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+
+from keymint.output.openmetrics import Gauge, Sample, moments
+from keymint.plan.renewal import CERTIFICATE, LIST, PERMISSIONS, authority_ends, authority_renewals
+from keymint.session import Session
+from keymint.status import PackageRow
+
+
+def gauges(session: Session, rows: Sequence[PackageRow]) -> tuple[Gauge, ...]:
+    """Return the gauges of the installed enclaves and of the authorities.
+
+    Args:
+        session: the workspace and its profile.
+        rows: the status of its packages.
+    """
+    terms = [row.terms for row in rows if row.terms is not None]
+    lists: dict[str, datetime] = {
+        term.authority: term.last for each in terms for term in each.terms if term.what == LIST
+    }
+    due = authority_renewals(session, terms)
+
+    def of_enclaves(what: str) -> list[tuple[dict[str, str], datetime]]:
+        return [({"subject": f"/{each.name}"}, term.last) for each in terms for term in each.terms if term.what == what]
+
+    stale = tuple(
+        Sample(float(bool(row.stale)), {"subject": f"/{row.package}"}) for row in rows if row.terms is not None
+    )
+    return (
+        moments("keymint_certificate_expiry", "End of the certificate of an enclave.", of_enclaves(CERTIFICATE)),
+        moments("keymint_permissions_expiry", "End of the permissions of an enclave.", of_enclaves(PERMISSIONS)),
+        moments(
+            "keymint_renew_after",
+            "From when on 'keymint renew' renews an enclave; none while its authority must be renewed first.",
+            [({"subject": f"/{row.package}"}, row.renew_after) for row in rows],
+        ),
+        Gauge("keymint_enclave_stale", "1 if an enclave differs from its sources or the policy.", stale),
+        moments(
+            "keymint_revocation_list_expiry",
+            "End of a revocation list; no participant starts with an expired one.",
+            [({"authority": name}, end) for name, end in lists.items()],
+        ),
+        moments(
+            "keymint_authority_expiry",
+            "End of the certificate of an authority.",
+            [({"authority": name}, end) for name, end in authority_ends(session).items()],
+        ),
+        moments(
+            "keymint_authority_renew_after",
+            "From when on an authority cuts what it signs, so that a person must renew it.",
+            [({"authority": name}, moment) for name, moment in due.items()],
+        ),
+    )
