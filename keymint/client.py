@@ -35,9 +35,10 @@ from keymint.output.console import Streams
 from keymint.output.report import Report
 from keymint.plan.create import CreateStage
 from keymint.plan.policy import load_policy
+from keymint.plan.threshold import DEFAULT, Threshold
 from keymint.session import Inputs, Session
 
-__all__ = ["Client", "Enclave", "KeymintError"]
+__all__ = ["Client", "Enclave", "KeymintError", "Threshold"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,12 +110,12 @@ class Client:
             )
         return enclave
 
-    def renew(self, *subjects: str, threshold: str = "66%", rekey: bool = False) -> tuple[Enclave, ...]:
+    def renew(self, *subjects: str, threshold: Threshold = DEFAULT, rekey: bool = False) -> tuple[Enclave, ...]:
         """Issue again what is due; see ``keymint renew``.
 
         Args:
             subjects: the subjects, which are renewed in any case; all that are due if there are none.
-            threshold: when something is due: a part of its lifetime (``66%``) or a time before its end (``30d``).
+            threshold: when something is due: after a part of its validity, or a time before its end.
             rekey: make new keys.
 
         Returns:
@@ -125,7 +126,7 @@ class Client:
         """
         from keymint.commands.renew import renew  # noqa: PLC0415 - of no use to other calls
 
-        return self._verb(renew, subjects, threshold=threshold, rekey=rekey)
+        return self._enclaves_of(self._verb(renew, subjects, threshold=threshold, rekey=rekey, prove=True))
 
     def revoke(self, *subjects: str, reason: str) -> tuple[Enclave, ...]:
         """Revoke the certificates of subjects; see ``keymint revoke``.
@@ -142,16 +143,42 @@ class Client:
         """
         from keymint.commands.revoke import revoke  # noqa: PLC0415 - of no use to other calls
 
-        return self._verb(revoke, subjects, reason=reason, prove=True)
+        return self._enclaves_of(self._verb(revoke, subjects, reason=reason, prove=True))
+
+    def bundle(self, subject: str, output: Path | str) -> Path:
+        """Write the enclave of a subject into a bundle, for ``keymint accept`` on its robot; see ``keymint bundle``.
+
+        Args:
+            subject: the subject.
+            output: the file, or an existing folder to put it into; relative to the current directory.
+
+        Returns:
+            The file. It is 0600 if it has the private key.
+
+        Raises:
+            KeymintError: the enclave is not installed as its sources are now, or the authority's key is not here.
+        """
+        from keymint.commands.bundle import bundle  # noqa: PLC0415 - of no use to other calls
+
+        (made,) = self._verb(bundle, (subject,), output=Path(output)).result["bundles"]
+        return Path(made["file"])
 
     # -- how -----------------------------------------------------------------------------------------------------
 
-    def _verb(self, command: Any, subjects: Iterable[str], **options: Any) -> tuple[Enclave, ...]:
-        """Carry out a verb, and return the enclaves that it changed."""
+    def _verb(self, command: Any, subjects: Iterable[str], **options: Any) -> Report:
+        """Carry out a verb.
+
+        Raises:
+            KeymintError: what it reports as errors.
+        """
         run = self._run(command.name)
         report: Report = inspect.unwrap(command.callback)(run, names=tuple(subjects), **options)
         if failures := [each for each in report.diagnostics if each.severity is Severity.ERROR]:
             raise KeymintError.of(failures)
+        return report
+
+    def _enclaves_of(self, report: Report) -> tuple[Enclave, ...]:
+        """Return the enclaves that a run changed."""
         names = dict.fromkeys(step.package for step in report.steps if step.stage == "install" and step.writes())
         enclaves = (self._enclave(report, name) for name in names if name)
         return tuple(each for each in enclaves if each.folder.is_dir())

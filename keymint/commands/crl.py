@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+from datetime import timedelta
 from typing import Any
 
 import click
 
 from comarmor.errors import Origin
 from keymint.changes import Plan
+from keymint.commands import durations
 from keymint.commands.reissue import reissued
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
@@ -29,12 +31,20 @@ from keymint.session import Inputs, Session
     is_flag=True,
     help="Make the lost register of issued certificates again, although it cannot have all revocations.",
 )
-def crl(run: Run, refresh: bool, rebuild: bool) -> Report:
+@click.option(
+    "--valid-for",
+    callback=durations.optional_period,
+    metavar="PERIOD",
+    help="With --refresh, let the lists end after this time: 30d, 4w. Nodes with an expired list do not start.",
+)
+def crl(run: Run, refresh: bool, rebuild: bool, valid_for: timedelta | None) -> Report:
     """Show the revocation lists: number, dates, and revoked certificates.
 
     A list ends with its authority. An expired one would keep each node that has it from starting, so a shorter
     period must be asked for.
     """
+    if valid_for is not None and not refresh:
+        raise click.UsageError("--valid-for needs --refresh.")
     workspace = run.workspace()
     if not refresh and not rebuild:
         return _shown(run, run.snapshot(workspace).session())
@@ -53,7 +63,8 @@ def crl(run: Run, refresh: bool, rebuild: bool) -> Report:
                 )
             register = complete_register(session, lossy=True)
             first = Plan((), session.state, first=register_change(session, register))
-        return reissued(run, session, first, (), refresh=tuple(lists(session)) if refresh else ())
+        end = None if valid_for is None else inputs.now + valid_for
+        return reissued(run, session, first, (), refresh=tuple(lists(session)) if refresh else (), list_end=end)
 
     report = run.carry_out(workspace, make_plan)
     return report if run.dry_run else _shown(run, run.snapshot(workspace).session(), report)

@@ -30,6 +30,11 @@ def period(_context: click.Context, _parameter: click.Parameter, value: str) -> 
     return _length(value)
 
 
+def optional_period(_context: click.Context, _parameter: click.Parameter, value: str | None) -> timedelta | None:
+    """Return a length of time for an option as :func:`period` does, or None if it is not given."""
+    return None if value is None else _length(value)
+
+
 def validity(_context: click.Context, _parameter: click.Parameter, value: str | None) -> str | None:
     """Return a length of validity for an option as an ISO 8601 duration: ``P90D`` for ``90d``; None if there is none.
 

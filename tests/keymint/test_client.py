@@ -3,17 +3,20 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import subprocess
 import sys
 from collections.abc import Callable
+from datetime import timedelta
 from pathlib import Path
 
 import pytest
 from cryptography import x509
+from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
-from keymint.client import Client, KeymintError
-from tests.conftest import CHECKOUT, snapshot
+from keymint.client import Client, KeymintError, Threshold
+from tests.conftest import CHECKOUT, NOW, snapshot
 from tests.effort import FULL
 
 POLICY = """\
@@ -76,6 +79,41 @@ def test_revoked(fleet: Path) -> None:
     with pytest.raises(KeymintError, match="the certificate of /robot1/camera was revoked") as caught:
         client.provision("/robot1/camera")
     assert caught.value.diagnostics[0].code == "identity-revoked"
+
+
+def test_renewed(fleet: Path, keymint, monkeypatch: pytest.MonkeyPatch) -> None:
+    client = Client(fleet)
+    first, second = (client.provision(f"/robot{number}/camera") for number in (1, 2))
+    old = serial(first.folder), serial(second.folder)
+    assert client.renew() == ()
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", str(NOW + 2 * 86400))
+    (renewed,) = client.renew("/robot1/camera")
+    assert (renewed.subject, renewed.changed) == ("/robot1/camera", True)
+    assert serial(first.folder) != old[0]
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", str(NOW + 300 * 86400))
+    assert {each.subject for each in client.renew()} == {"/robot1/camera", "/robot2/camera"}
+    assert {each.subject for each in client.renew(threshold=Threshold(left=timedelta(days=30)))} == set()
+    key = (first.folder / "key.pem").read_bytes()
+    client.renew("/robot1/camera", rekey=True)
+    assert keymint("check", cwd=fleet).code == 0
+    assert (first.folder / "key.pem").read_bytes() != key
+
+
+def test_bundled(fleet: Path, keymint) -> None:
+    client = Client(fleet)
+    enclave = client.provision("/robot1/camera")
+    (fleet.parent / "out").mkdir()
+    path = client.bundle("/robot1/camera", fleet.parent / "out")
+    assert path.stat().st_mode & 0o777 == 0o600
+    authority = x509.load_pem_x509_certificate((fleet / "public/identity_ca.cert.pem").read_bytes())
+    key = authority.public_key().public_bytes(Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
+    fingerprint = hashlib.sha256(key).hexdigest()
+    robot = fleet.parent / "robot"
+    accepted = keymint("accept", path, "--folder", robot, "--authority-fingerprint", fingerprint, "--new")
+    assert accepted.code == 0, accepted.err
+    there = {file.name: file.read_bytes() for file in (robot / "enclaves/robot1/camera").iterdir() if file.is_file()}
+    own = {file.name: file.read_bytes() for file in enclave.folder.iterdir()}
+    assert own.items() <= there.items()
 
 
 @pytest.mark.parametrize(

@@ -304,3 +304,18 @@ def test_a_router_is_revoked_like_a_robot(keymint, policy: Path, tmp_path: Path)
     for verb in ("check", "prove"):
         done = keymint(verb, "-w", "ws")
         assert done.code == 0, (verb, done.out, done.err)
+
+
+def test_a_shorter_list_is_counted_by_check_and_renewed(provisioned: Path, keymint) -> None:
+    assert keymint("crl", "--valid-for", "30d", cwd=provisioned).code == 2
+    keymint("revoke", "talker", "--reason", "superseded", cwd=provisioned)
+    assert keymint("crl", "--refresh", "--valid-for", "30d", cwd=provisioned).code == 0
+    assert keymint("check", cwd=provisioned).code == 0
+    soon = keymint("check", "--within", "40d", cwd=provisioned)
+    assert soon.code == 3
+    assert "the revocation list expires on 2027-02-14" in soon.err
+    later = {"SOURCE_DATE_EPOCH": str(1_800_000_000 + 25 * 86400)}
+    assert keymint("renew", cwd=provisioned, env=later).code == 0
+    after = crl(provisioned / "install/enclaves/talker/crl.pem")
+    assert after.next_update_utc.isoformat() == "2027-03-11T08:00:00+00:00"
+    assert len(after) == 1
