@@ -59,4 +59,7 @@ def opened(run: Run, keystore: RobotKeystore) -> Iterator[Store]:
     store = Store({keystore.root: False}, records)
     with store.locked(run.console.waiting):
         store.sweep()
+        if store.is_marked():
+            with store.marked(b""):
+                pass  # what the killed run left behind is gone, and so is its mark
         yield store

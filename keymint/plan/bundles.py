@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import field, replace
 from datetime import datetime
 
 from cryptography import x509
@@ -31,7 +31,7 @@ class MadeBundle:
 
     name: str
     manifest: Manifest
-    content: bytes
+    content: bytes = field(repr=False)
     secret: bool
 
 
@@ -100,7 +100,17 @@ def _bundle(
         not_after=last,
         files={},
     )
-    return MadeBundle(name, manifest, bundles.write(manifest, files, issuer), KEY in files)
+    content = bundles.write(manifest, files, issuer)
+    try:
+        bundles.read(content, Origin(session.workspace.shown(folder)))
+    except KeymintError as error:  # e.g. the enclave was installed with an authority that was replaced since
+        raise KeymintError(
+            f"no robot would take a bundle of /{name}: {error.diagnostics[0].message}",
+            where=error.diagnostics[0].where,
+            help=f"run 'keymint install {name}', which issues its certificate by the authority in force",
+            code="bundle-unusable",
+        ) from None
+    return MadeBundle(name, manifest, content, KEY in files)
 
 
 def _in_force(package: Package, certificate: x509.Certificate, files: Mapping[str, bytes]) -> tuple[datetime, datetime]:

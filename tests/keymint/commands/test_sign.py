@@ -120,6 +120,19 @@ def test_again_is_the_same_with_a_higher_number(keymint, ws: Path) -> None:
     assert snapshot(ws / "install") == before
 
 
+def test_a_package_without_a_key_never_gets_one_here(keymint, policy: Path, tmp_path: Path) -> None:
+    (tmp_path / "ws").mkdir()
+    assert keymint("init", "ws", "--policy", policy).code == 0
+    assert keymint("create", "--all", "-w", "ws").code == 0
+    ran(keymint, "sign", "talker.request.pem", "-w", "ws", "--fingerprint", ask(keymint))
+    for verb in ("build", "install"):
+        assert keymint(verb, "-w", "ws").code == 0
+    assert {path.parent.name for path in (tmp_path / "ws/private").rglob("key.pem")} == {"listener"}
+    assert not (tmp_path / "ws/install/enclaves/talker/key.pem").exists()
+    checked = keymint("check", "-w", "ws")
+    assert (checked.code, checked.err) == (0, "")
+
+
 def test_a_dry_run_changes_nothing(keymint, ws: Path) -> None:
     confirmed = ask(keymint)
     before = snapshot(ws.parent)
