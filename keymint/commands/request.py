@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import secrets
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -23,6 +25,7 @@ from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.names import package_name
 from keymint.output.report import Report
+from keymint.pins import VARIABLE as PIN_VARIABLE
 from keymint.pki import certificates, keys
 from keymint.pki.distinguished_names import common_name
 
@@ -44,8 +47,23 @@ _KINDS: Mapping[str, KeySpec] = {
 @click.option(
     "--key-type", type=click.Choice(list(_KINDS)), default="P-256", show_default=True, help="Kind of a new key."
 )
+@click.option("--pkcs11", "uri", metavar="URI", default="", help="The key lies in a token: its URI (RFC 7512).")
+@click.option(
+    "--pin-env",
+    metavar="VARIABLE",
+    default="",
+    help=f"Environment variable of the token's PIN [{PIN_VARIABLE}].",
+)
 def request(
-    run: Run, name: str, output: Path | None, folder: Path | None, rekey: bool, discard: bool, key_type: str
+    run: Run,
+    name: str,
+    output: Path | None,
+    folder: Path | None,
+    rekey: bool,
+    discard: bool,
+    key_type: str,
+    uri: str,
+    pin_env: str,
 ) -> Report:
     """Ask for a certificate, on the robot: make a key that never leaves it, and a request to carry to the authority.
 
@@ -55,32 +73,35 @@ def request(
     An enclave that has a key keeps it, and the request is signed by it, as with --rekey by the old key. Then the
     authority needs no fingerprint.
 
+    With --pkcs11 no key is made: a token of this robot has it, and signs the request. Name the same URI in the sources
+    of the enclave's package, so that its node finds the key.
+
     A request that is not answered yet is written again.
     """
     name = package_name(name)
     keystore = keystore_of(run, folder)
-    with opened(run, keystore) as store:
+    kind = replace(_KINDS[key_type], uri=uri, pin_env=pin_env)
+    with opened(run, keystore) as store, contextlib.closing(run.tokens):
         there = keystore.read()
         content = None if discard else there.request(name)
         if content is None:
-            made = _made(there, keystore, name, rekey=rekey, kind=_KINDS[key_type])
+            made = _made(run, there, keystore, name, rekey=rekey, kind=kind)
             content = made.request
             with store.marked(b""):
                 store.change([there.wait(name, content, made.new_key)])
             there = keystore.read()
-        pending = there.pending(name)
+        elif rekey and not uri and (waiting := there.pending(name)) is not None and not waiting.key:
+            raise KeymintError(
+                f"a request of /{name} for the key that it has waits for its answer",
+                where=Origin(keystore.typed),
+                help="carry it to the authority, or say --discard as well",
+                code="request-waits",
+            )
     asked = requests.read(content, Origin(keystore.typed))
-    if pending is not None and rekey and not pending.key:
-        raise KeymintError(
-            f"a request of /{name} for the key that it has waits for its answer",
-            where=Origin(keystore.typed),
-            help="carry it to the authority, or say --discard as well",
-            code="request-waits",
-        )
     target = output or Path(f"{name.replace('/', '.')}.request.pem")
     written = write_outputs(run, target, content)
     show_written(run, target, written)
-    vouched = asked.signer or (pending is not None and not pending.key)
+    vouched = asked.signer or asked.fingerprint == _certified(there, keystore, name)
     run.console.line(f"fingerprint of the key: {asked.fingerprint}")
     told = "" if vouched else f" --fingerprint /{name}={asked.fingerprint}"
     run.console.line(f"at the authority:       keymint sign {target.name}{told}")
@@ -94,25 +115,54 @@ def request(
 
 @dataclass(frozen=True, slots=True)
 class _Made:
-    """A request, and its private key (PEM) unless the enclave has it."""
+    """A request, and its private key (PEM) unless the enclave or a token has it."""
 
     request: bytes
     new_key: bytes
 
 
-def _made(there: Keystore, keystore: RobotKeystore, name: str, *, rekey: bool, kind: KeySpec) -> _Made:
+def _certified(there: Keystore, keystore: RobotKeystore, name: str) -> str:
+    """Return the fingerprint of the key that an enclave's certificate is for; empty if it has none."""
+    content = there.installed(name).get(CERTIFICATE)
+    if content is None:
+        return ""
+    return keys.fingerprint(certificates.public_key(certificates.load(content, Origin(f"{keystore.typed}/…/{name}"))))
+
+
+def _made(run: Run, there: Keystore, keystore: RobotKeystore, name: str, *, rekey: bool, kind: KeySpec) -> _Made:
     """Return a new request of an enclave.
 
     Raises:
-        KeymintError: the key or the certificate that the enclave has cannot be used.
+        KeymintError: the key or the certificate that the enclave has cannot be used; it has another key than the one to
+            ask for, and nobody said that it gets a new one; or those of :class:`keymint.pki.tokens.Tokens`.
     """
     files, nonce, claimed = there.installed(name), secrets.token_hex(requests.NONCE_BYTES), common_name(f"/{name}")
     place = f"{keystore.typed}/…/{name}"
     present = keys.from_pem(files[KEY], None, Origin(f"{place}/{KEY}")) if KEY in files else None
-    if present is not None and not rekey:
+    token = _in_token(run, kind) if kind.uri else None
+    certified = _certified(there, keystore, name)
+    if certified and not rekey and (present is None if token is None else keys.fingerprint(token) != certified):
+        raise KeymintError(
+            f"the key of /{name} is in no file of the keystore"
+            if token is None
+            else f"the token has another key than /{name} has",
+            where=Origin(keystore.typed),
+            help="name it with --pkcs11 if it lies in a token, or get a new one with --rekey",
+            code="key-elsewhere",
+        )
+    if present is not None and token is None and not rekey:
         return _Made(requests.make(claimed, present, nonce), b"")
     current = None
     if present is not None and CERTIFICATE in files:
         current = certificates.Issuer(certificates.load(files[CERTIFICATE], Origin(f"{place}/{CERTIFICATE}")), present)
+    if token is not None:
+        own = current is not None and keys.matches(token, current.certificate)
+        return _Made(requests.make(claimed, token, nonce, None if own else current), b"")
     key = keys.generate(kind)
     return _Made(requests.make(claimed, key, nonce, current), keys.to_pem(key))
+
+
+def _in_token(run: Run, spec: KeySpec) -> keys.PrivateKey:
+    """Return the key that a token has; errors as :meth:`keymint.pki.tokens.Tokens.public_key`."""
+    where = Origin("--pkcs11")
+    return run.tokens.private_key(spec, run.tokens.public_key(spec, where), where)

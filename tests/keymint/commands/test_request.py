@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 import stat
 from pathlib import Path
 
@@ -10,7 +11,11 @@ import pytest
 
 from comarmor.errors import Origin
 from keymint.bundles import request
+from keymint.pins import VARIABLE
 from tests.conftest import snapshot
+from tests.softhsm import PIN, SoftHsm
+
+WITH_PIN = {VARIABLE: PIN}
 
 
 def asked(keymint, *arguments: object, **settings: object) -> dict:
@@ -131,3 +136,63 @@ def test_a_long_name_is_shortened_as_in_certificates(keymint, tmp_path: Path) ->
     asked(keymint, name, "--folder", "keystore", "-o", "long.pem")
     read = request.read((tmp_path / "long.pem").read_bytes(), Origin("request"))
     assert read.common_name == "/" + "/".join(["segment_of_a_name"] * 3)
+
+
+@pytest.mark.softhsm
+def test_a_key_in_a_token_signs_its_request(keymint, tmp_path: Path, softhsm: SoftHsm) -> None:
+    uri = softhsm.make_key("talker")
+    result = asked(keymint, "talker", "--folder", "keystore", "--pkcs11", uri, env=WITH_PIN)
+    assert not result["signed_by_current_key"]
+    read = request.read((tmp_path / "talker.request.pem").read_bytes(), Origin("request"))
+    assert (read.fingerprint, read.signer) == (result["fingerprint"], "")
+    assert [file.name for file in (tmp_path / "keystore/.keymint/requests/talker").iterdir()] == ["request.pem"]
+    assert asked(keymint, "talker", "--folder", "keystore", "--pkcs11", uri) == {**result, "written": []}
+
+
+@pytest.mark.softhsm
+@pytest.mark.parametrize(
+    ("uri", "environment", "code"),
+    [
+        ("pkcs11:token=ca;object=talker", {}, "token-pin-missing"),
+        ("pkcs11:token=ca;object=talker", {VARIABLE: "wrong-secret"}, "token-pin"),
+        ("pkcs11:token=ca;object=other", WITH_PIN, "token-key-missing"),
+        ("pkcs11:token=ca", WITH_PIN, "pkcs11-uri"),
+    ],
+)
+def test_a_token_that_cannot_be_used_leaves_nothing(
+    keymint, tmp_path: Path, softhsm: SoftHsm, uri: str, environment: dict[str, str], code: str
+) -> None:
+    softhsm.make_key("talker")
+    outcome = keymint("request", "talker", "--folder", "keystore", "--pkcs11", uri, "--json", env=environment)
+    assert (outcome.code, outcome.codes()) == (1, [code])
+    assert "wrong-secret" not in outcome.out
+    assert not (tmp_path / "talker.request.pem").exists()
+    assert not (tmp_path / "keystore/.keymint/requests").exists()
+
+
+@pytest.mark.softhsm
+def test_a_robot_whose_key_moves_into_a_token(keymint, ws: Path, tmp_path: Path, softhsm: SoftHsm) -> None:
+    shutil.copytree(ws / "install", tmp_path / "robot")
+    uri = softhsm.make_key("talker")
+    identities, manifest = ws / "src/talker/identities.xml", ws / "profile/keymint_profile.xml"
+    named = f"<identity><key><pkcs11>{uri}</pkcs11></key></identity>"
+    identities.write_text(identities.read_text().replace("<identity/>", named))
+    manifest.write_text(manifest.read_text().replace("</profile>", "<accept><token_keys/></accept></profile>"))
+
+    def ask(*more: str):
+        return keymint("request", "talker", "--folder", "robot", "--pkcs11", uri, "--json", *more, env=WITH_PIN)
+
+    assert ask().codes() == ["key-elsewhere"]  # the enclave has another key, in its file
+    result = ask("--rekey").document["result"]
+    assert result["signed_by_current_key"]  # by the old one
+    outcome = keymint("sign", "talker.request.pem", "-w", "ws")
+    assert outcome.code == 0, outcome.err
+    assert keymint("accept", "talker.bundle", "--folder", "robot").code == 0
+    enclave = tmp_path / "robot/enclaves/talker"
+    assert (enclave / "key.p11").read_text() == f"{uri}\n"
+    assert not (enclave / "key.pem").exists()
+    # Now it is the key of the enclave, and vouches for itself; without the URI nobody knows where it is.
+    assert keymint("request", "talker", "--folder", "robot", "--json").codes() == ["key-elsewhere"]
+    again = ask().document["result"]
+    assert (again["fingerprint"], again["signed_by_current_key"]) == (result["fingerprint"], True)
+    assert keymint("sign", "talker.request.pem", "-w", "ws").code == 0
