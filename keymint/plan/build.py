@@ -155,9 +155,8 @@ def _key(session: Session, package: Package, *, renew: bool) -> tuple[tuple[Fold
     path = session.workspace.identity_key(package.name)
     if renew:
         identity_keys.refuse_elsewhere(session, package.name)
-    if package.issuance.public_key:
+    if package.issuance.public_key or identity_keys.is_awaited(package):
         return (), ""  # the private key is on the subject's machine, and none is needed here
-    identity_keys.refuse_unknown(package)
     content = session.tree.read(path)
     if content is not None and not renew:
         identity_keys.load(session, package, path, content)

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Package
 from keymint.changes import File, FolderChange
 from keymint.errors import KeymintError
@@ -52,17 +52,23 @@ def key_digest(session: Session, name: str) -> str | None:
 
 
 def is_there(session: Session, name: str) -> bool:
-    """Tell whether the workspace has the key that a package's certificate is issued for; errors as above."""
-    return bool(issuance_of(session, name).public_key) or session.tree.has_file(session.workspace.identity_key(name))
+    """Tell whether the workspace has the key that a package's certificate is issued for, or never will.
+
+    Raises:
+        KeymintError: the package has defects.
+    """
+    if issuance_of(session, name).public_key or session.tree.has_file(session.workspace.identity_key(name)):
+        return True
+    return is_awaited(session.package(name))  # no key is ever made for it here
 
 
 def refuse_elsewhere(session: Session, name: str) -> None:
     """Refuse to make a new key for a package whose private key is not here.
 
     Raises:
-        KeymintError: it is not here; what the authority decided about the package says so.
+        KeymintError: it is not here; what the authority decided about the package, or its sources, say so.
     """
-    if issuance_of(session, name).public_key:
+    if issuance_of(session, name).public_key or session.package(name).identity.key.uri:
         raise KeymintError(
             f"the private key of /{name} is not here, so no other one is made for it",
             where=place_of(session, name),
@@ -71,20 +77,21 @@ def refuse_elsewhere(session: Session, name: str) -> None:
         )
 
 
-def refuse_unknown(package: Package) -> None:
-    """Refuse a package whose key lies in the token of its subject, and whose public key is not known here.
+def is_awaited(package: Package) -> bool:
+    """Tell whether the key of a package lies in the token of its subject, and no request has brought its public key."""
+    return bool(package.identity.key.uri) and not package.issuance.public_key
 
-    Raises:
-        KeymintError: that is so.
-    """
-    spec = package.identity
-    if spec.key.uri and not package.issuance.public_key:
-        raise KeymintError(
-            f"the key of {package.subject} lies in a token, and its public key is not known here",
-            where=spec.origin,
-            help="run 'keymint request' on the machine that has the token, then 'keymint sign' here",
-            code="key-unknown",
-        )
+
+def awaited(package: Package) -> Diagnostic:
+    """Return the finding on a package whose public key is not known here."""
+    return Diagnostic(
+        "key-unknown",
+        Severity.WARNING,
+        f"the key of {package.subject} lies in a token, and its public key is not known here: no certificate is issued",
+        package.identity.origin,
+        "run 'keymint request --pkcs11 …' on the machine that has the token, then 'keymint sign' here",
+        package.subject,
+    )
 
 
 def private_key(session: Session, package: Package) -> bytes:
@@ -102,7 +109,8 @@ def public_key(session: Session, package: Package) -> keys.PublicKey:
     """
     if package.issuance.public_key:
         return public_keys.from_pem(package.issuance.public_key, place_of(session, package.name))
-    refuse_unknown(package)
+    if is_awaited(package):
+        raise KeymintError.of([replace(awaited(package), severity=Severity.ERROR)])
     path = session.workspace.identity_key(package.name)
     return load(session, package, path, private_key(session, package))
 

@@ -117,6 +117,8 @@ def _plan_enclave(
 ) -> PackagePlan:
     workspace = session.workspace
     inputs = inputs_of(session, name, {authority: minted.chain for authority, minted in authorities.items()})
+    if inputs is None and build.is_built(session, name) and identity_keys.is_awaited(session.package(name)):
+        return _awaiting(session.package(name))
     if inputs is None:
         raise KeymintError(
             f"the package {name} is not built",
@@ -138,6 +140,8 @@ def _plan_enclave(
         return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED), lifetimes=own)
     package, folder = session.package(name), session.enclaves / name
     own = lifetimes.lifetimes(package)
+    if identity_keys.is_awaited(package):
+        return _awaiting(package)
     documents = build.built_documents(session, name)
     existing, unreadable = enclave_files(session, name)
     key_pem, public = identity_keys.private_key(session, package), identity_keys.public_key(session, package)
@@ -211,6 +215,13 @@ def _outliving(
                 f"'keymint revoke {package.name} --reason superseded' ends them; so does --revoke-superseded",
                 package.subject,
             )
+
+
+def _awaiting(package: Package) -> PackagePlan:
+    """Return the plan for a package whose robot has not yet told its public key: its enclave stays as it is."""
+    kept = Step(STAGE, package.name, Action.KEPT, detail="waits for a request of its robot")
+    diagnostics = (identity_keys.awaited(package),)
+    return PackagePlan(package.name, kept, diagnostics=diagnostics, lifetimes=lifetimes.lifetimes(package))
 
 
 def _is_blocking(unreadable: Diagnostic, paths: set[str]) -> bool:

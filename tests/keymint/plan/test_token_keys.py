@@ -266,3 +266,23 @@ def test_many_packages_are_signed_in_one_process(
     assert keymint("build", "-j2", cwd=in_token).code == 0
     assert keymint("install", "-j2", cwd=in_token, env=RIGHT).code == 0
     assert signatures == {"identity_ca": 2}, "what another process signs is not counted"
+
+
+def test_a_robot_that_made_no_request_yet_keeps_nobody_waiting(keymint, policy: Path, tmp_path: Path) -> None:
+    ws = tmp_path / "ws"
+    assert keymint("init", "ws", "--policy", policy).code == 0
+    assert keymint("create", "--all", cwd=ws).code == 0
+    manifest, identities = ws / "profile/keymint_profile.xml", ws / "src/talker/identities.xml"
+    manifest.write_text(manifest.read_text().replace("</profile>", "<accept><token_keys/></accept></profile>"))
+    named = f"<identity><key>{uri('pkcs11:token=robot;object=talker')}</key></identity>"
+    identities.write_text(identities.read_text().replace("<identity/>", named))
+    for _ in range(2):
+        assert keymint("build", cwd=ws).code == 0
+        assert not (ws / "private/identities/talker").exists()
+        outcome = keymint("install", "--json", cwd=ws)
+        assert (outcome.code, outcome.codes()) == (0, ["key-unknown"])
+    assert not (ws / "install/enclaves/talker").exists()
+    assert (ws / "install/enclaves/robot1/listener/cert.pem").exists()
+    assert "enclave-missing" in keymint("check", "--json", cwd=ws).codes()
+    assert keymint("build", "--renew", "talker", "--json", cwd=ws).codes() == ["key-elsewhere"]
+    assert keymint("build", "-f", cwd=ws).code == 0
