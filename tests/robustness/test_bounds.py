@@ -9,11 +9,11 @@ import pytest
 
 from keymint.analysis import redundant_rules
 from tests.bounds import COMPILE, Sweep
-from tests.effort import calls_of
+from tests.effort import calls_of, tries
 from tests.families import FAMILIES
 from tests.generated import minified, tokens
 
-SAMPLE = 30
+SAMPLE = tries(12, 30)
 
 
 def test_random_policies(tmp_path: Path) -> None:

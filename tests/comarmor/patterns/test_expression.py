@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from comarmor.errors import ComArmorError
 from comarmor.patterns import expression
 from comarmor.patterns.printing import canonical, escape
+from tests.effort import tries
 
 LIBC = ctypes.CDLL(None)
 
@@ -38,7 +39,7 @@ def fnmatch(pattern: str, name: str) -> bool:
     return LIBC.fnmatch(pattern.encode("latin-1"), name.encode("latin-1"), 0) == 0
 
 
-@settings(max_examples=1500, deadline=None)
+@settings(max_examples=tries(500, 1500), deadline=None)
 @given(PATTERNS, NAMES)
 @example("[a", "[a")
 @example("[!]", "[!]")

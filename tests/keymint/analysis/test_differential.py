@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import pytest
 
+from tests.effort import tries
 from tests.keymint.analysis.differential import asked, compared, pair
 from tests.keymint.analysis.policies import profile, rule
 
-SAMPLE = 60
+SAMPLE = tries(30, 60)
 CHUNK = 10
 PUB = ("ros_topic", "ros_publish")
 

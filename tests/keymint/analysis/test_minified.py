@@ -14,10 +14,11 @@ from keymint.analysis.lint import lint
 from keymint.analysis.policy_tests import ExpectationChecker
 from keymint.api import Expectation
 from tests.conftest import Outcome
+from tests.effort import tries
 from tests.generated import Tokens, line_in_pretty, minified, pretty, tokens
 from tests.keymint.analysis.policies import loaded_text, rule
 
-SEEDS = range(40)
+SEEDS = range(tries(20, 40))
 _PLACE = re.compile(r"policy\.xml:\d+")
 
 

@@ -21,6 +21,7 @@ from comarmor.errors import Severity
 from comarmor.rules import Effect
 from keymint.api import BuildOptions, Hint
 from keymint.graph import Edge, Object
+from tests.effort import tries
 from tests.plugins.keymint_ros2_dds.compiling.test_compile import (
     ASKED,
     FEW,
@@ -61,7 +62,7 @@ def test_gathering_keeps_partitions(drawn):
         held_against_the_policy(drawn, BuildOptions(), FEW, ASKED)
 
 
-@settings(max_examples=200)
+@settings(max_examples=tries(100, 200))
 @given(
     st.lists(st.lists(st.text("ab", min_size=3, max_size=5), max_size=60), min_size=1, max_size=3), st.integers(0, 900)
 )

@@ -14,6 +14,7 @@ from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.cyclone_access_control import ac_fnmatch
 
 from comarmor.patterns.tokens import Dialect
+from tests.effort import tries
 
 from .cyclone_reference import cyclone_regex
 
@@ -23,7 +24,7 @@ NAMES = st.text(alphabet="abrt/-]![^\\c", max_size=6)
 NOESCAPE = 2
 
 libc = ctypes.CDLL(None)
-thorough = settings(max_examples=600, deadline=None)
+thorough = settings(max_examples=tries(200, 600), deadline=None)
 
 
 def matches(dialect: Dialect, pattern: str, name: str) -> bool:

@@ -19,6 +19,7 @@ from keymint_ros2_dds.lowering.portable import (
 from comarmor.patterns import glob
 from comarmor.patterns.matching import matches
 from comarmor.patterns.printing import exact
+from tests.effort import tries
 from tests.plugins.keymint_ros2_dds.oracles import matches_any
 
 PIECES = st.sampled_from([*"ab]-^\\!.", "*", "?", "[ab]", "[!a]", "[!ab]", "[]a]", "[!]]", "[!-]", "[!\\\\]", "[a-c]"])
@@ -32,7 +33,7 @@ def fnmatch():
     return ctypes.CDLL(ctypes.util.find_library("c")).fnmatch
 
 
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=tries(100, 300))
 @given(expression=EXPRESSIONS, text=TEXTS)
 def test_all_spellings_together_match_what_the_expression_matches(fnmatch, expression, text):
     assume(not re.search(r"(?<!\\)(\\\\)*\\$", expression))

@@ -11,11 +11,12 @@ from keymint_ros2_dds.proving import octets
 from comarmor.patterns import glob
 from keymint.api import BuildOptions, Proof
 from keymint.errors import KeymintError
+from tests.effort import tries
 from tests.plugins.keymint_ros2_dds.packages import package, rule
 from tests.plugins.keymint_ros2_dds.proving.byte_names import Case, has_cyclone, run
 
 VENDORS = ("cyclonedds-0.10", "fastdds-2.9")
-SAMPLE = 250
+SAMPLE = tries(100, 250)
 
 
 def stands(case: Case) -> dict[str, tuple[Proof, str]]:

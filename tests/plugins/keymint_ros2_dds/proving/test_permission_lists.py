@@ -20,6 +20,7 @@ from comarmor.patterns.evaluate import permits
 from comarmor.patterns.matching import matches
 from comarmor.patterns.tokens import PatternError
 from keymint.ir import SubjectRules
+from tests.effort import tries
 from tests.plugins.keymint_ros2_dds.compiling.test_compile import DENIED, PARTITIONS, rules
 from tests.plugins.keymint_ros2_dds.decision import documents as xml
 from tests.plugins.keymint_ros2_dds.decision.cyclone_reference import cyclone_regex
@@ -90,7 +91,7 @@ def almost_plain_grants(draw):
     return xml.document(xml.grant(*drawn, default="ALLOW" if "ALLOW" in traits else "DENY"))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=tries(100, 200), deadline=None)
 @given(st.one_of(almost_plain_grants(), grants()), st.booleans())
 def test_lists_that_models_share_are_those_of_each_model(content, pairs):
     document = decision.read(content)
@@ -139,7 +140,7 @@ def _cyclone(expression, name):
         pytest.param(fnmatch.CYCLONE_DDS, _cyclone, id="Cyclone DDS"),
     ],
 )
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=tries(100, 300), deadline=None)
 @given(st.text(alphabet="ab*?[]!-\\", max_size=7))
 @example("[a]-b")
 @example("[!]a]")
@@ -159,7 +160,7 @@ TOPICS = [f"rt/{name}" for name in ("", "a", "b", "ab", "a/b", "/", "aab")] + [
 ]  # fmt: skip
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=tries(100, 200), deadline=None)
 @given(st.lists(st.one_of(rules(), rules(PARTITIONS), rules(DENIED)), max_size=4))
 def test_lists_of_a_policy_say_what_its_rules_say(drawn):
     told = SubjectRules("/talker", tuple(drawn))

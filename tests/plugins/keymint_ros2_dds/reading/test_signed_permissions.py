@@ -20,6 +20,7 @@ from keymint_ros2_dds.reading import signed_permissions
 from comarmor.rules import Effect
 from keymint.api import DomainRange
 from keymint.errors import KeymintError
+from tests.effort import tries
 from tests.plugins.keymint_ros2_dds.decision.documents import PLAIN, criteria, document, grant, rule
 from tests.plugins.keymint_ros2_dds.packages import package
 
@@ -152,7 +153,7 @@ def written_documents(draw):
     return "\n".join(lines).encode()
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=tries(133, 400), deadline=None)
 @given(written_documents())
 def test_a_document_in_the_written_form_is_read_as_any_other(content: bytes) -> None:
     fast = signed_permissions._plain(content)
