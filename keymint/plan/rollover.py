@@ -138,11 +138,16 @@ def plan_cancel(session: Session, name: str) -> Plan:
     if rollover and (rollover.phase is Phase.REISSUE or switched):
         raise KeymintError(
             f"the next key of {name!r} is in force already: its replacement cannot be cancelled",
-            help=f"end it with 'keymint authority replace {name} --next'; then replace the key once more",
+            help=f"end it with 'keymint authority replace {name} --phase end'; then replace the key once more",
             code="rollover-too-late",
         )
     decided = plan_authority_issuance(session, {name: replace(authority.issuance, rollover=None)}, f"{name}: cancelled")
     return replace(decided, steps=(*decided.steps, *_without_key(session, name, NEXT)))
+
+
+def left_over(session: Session, name: str) -> tuple[Step, ...]:
+    """Return what removes the private keys that a killed run left beside the one in force, which nobody trusts."""
+    return (*_without_key(session, name, NEXT), *_without_key(session, name, FORMER))
 
 
 def is_interrupted(session: Session, name: str) -> bool:
