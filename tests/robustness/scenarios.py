@@ -95,12 +95,19 @@ SCENARIOS: Mapping[str, Scenario] = {
 }
 
 
-def tree(workspace: Path) -> dict[str, str]:
-    """Return every path of a workspace with its type and mode."""
+def tree(workspace: Path, *, answers: bool = False) -> dict[str, str]:
+    """Return every path of a workspace with its type and mode.
+
+    Args:
+        workspace: the workspace.
+        answers: also recorded answers; whether a run may record its own depends on how old the policy is.
+    """
     found = {}
     for folder, folders, files in os.walk(workspace):
         for name in (*folders, *files):
             path = Path(folder) / name
+            if not answers and path.match(".keymint/last-*.json"):
+                continue
             mode = path.lstat().st_mode
             found[str(path.relative_to(workspace))] = f"{'d' if stat.S_ISDIR(mode) else '-'}{stat.S_IMODE(mode):04o}"
     return found

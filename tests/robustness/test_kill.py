@@ -151,8 +151,8 @@ def disturb(
 
 
 def one_line(ended: Ended) -> str:
-    """Return the only line that a failed run printed."""
-    [line] = ended.output.strip().splitlines()
+    """Return the only line that a failed run printed, beside warnings of its plan."""
+    [line] = (line for line in ended.output.splitlines() if line and ": warning: " not in line)
     return line
 
 
