@@ -139,7 +139,7 @@ def _validity(
     inputs: Inputs, files: AuthorityFiles, certificate: x509.Certificate, within: timedelta
 ) -> Iterator[Diagnostic]:
     name, where, end = files.authority.name, Origin(files.certificate_file), certificate.not_valid_after_utc
-    help_ = f"extend its validity at {files.authority.certificate.origin}, and run 'keymint install'"
+    help_ = f"'keymint authority renew {name}' issues it again for the same key, as long as before"
     if end < inputs.now:
         message = f"the certificate of {name!r} expired on {end:%Y-%m-%d %H:%M} UTC"
         yield Diagnostic("authority-expired", Severity.ERROR, message, where, help_)

@@ -106,7 +106,7 @@ def _time(certificate: x509.Certificate, at: datetime) -> Iterator[_Problem]:
                 f"the certificate of {_shown(certificate.subject)} expired on "
                 f"{certificate.not_valid_after_utc:%Y-%m-%dT%H:%M:%SZ}"
             ),
-            "extend its validity in the sources, then build and install",
+            "'keymint renew' issues it again with later dates; that of an authority: 'keymint authority renew'",
         )
     elif at < certificate.not_valid_before_utc:
         yield (

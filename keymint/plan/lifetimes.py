@@ -22,7 +22,9 @@ from keymint.session import Session
 from keymint.state import Stamp
 from keymint.workspace import Workspace
 
-_EXTEND = "extend its validity, then run 'keymint build' and 'keymint install'"
+_RENEW = "'keymint renew' issues it again with later dates"
+_RENEW_AUTHORITY = "'keymint authority renew' issues it again for the same key"
+_LATER = "compare the clock of this machine, or let it begin earlier"
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,13 +101,15 @@ def _above(name: str, authorities: Mapping[str, Authority]) -> Iterator[str]:
 def _of(each: Lifetime, authorities: Mapping[str, Authority], now: datetime, what: str = "") -> Iterator[Diagnostic]:
     what = what or each.what
 
-    def warning(code: str, message: str, help_: str = _EXTEND) -> Diagnostic:
+    def warning(code: str, message: str, help_: str) -> Diagnostic:
         return Diagnostic(f"{each.what}-{code}", Severity.WARNING, message, each.where, help_)
 
     if now > each.last:
-        yield warning("expired", f"the {what} expired on {shown(each.last)}: nothing is permitted now")
+        renew = _RENEW_AUTHORITY if each.what == "authority" else _RENEW
+        yield warning("expired", f"the {what} expired on {shown(each.last)}: nothing is permitted now", renew)
     elif now < each.first:
-        yield warning("not-yet-valid", f"the {what} is not valid before {shown(each.first)}: nothing is permitted now")
+        message = f"the {what} is not valid before {shown(each.first)}: nothing is permitted now"
+        yield warning("not-yet-valid", message, _LATER)
     authority = authorities.get(each.issuer)
     if authority is not None and each.last > authority.certificate.validity.not_after:
         end = authority.certificate.validity

@@ -10,8 +10,12 @@ from datetime import UTC, datetime
 from comarmor.errors import Diagnostic, Severity
 from keymint.api import ValidityTerm
 
-_HELP = "extend its validity in the sources, then run 'keymint build' and 'keymint install'"
-_HELP_BY_CODE = {"revocation-list": "write a current one, or remove it"}
+_HELP = "'keymint renew' issues it again with later dates"
+_HELP_BY_CODE = {
+    "authority": "'keymint authority renew' issues it again for the same key",
+    "revocation-list": "'keymint crl --refresh' issues it again",
+}
+_LATER = "compare the clock of this machine, or let it begin earlier"
 
 
 def shown(moment: datetime) -> str:
@@ -50,9 +54,8 @@ def findings(terms: Sequence[ValidityTerm], now: datetime, subject: str) -> Iter
         else:
             code, message = "never-valid", "is never valid"
         text = f"{term.what} {message}{reading}; now is {shown(now)}, and nothing is permitted"
-        yield Diagnostic(
-            f"{term.code}-{code}", Severity.ERROR, text, term.where, _HELP_BY_CODE.get(term.code, _HELP), subject
-        )
+        help_ = _LATER if later is not None else _HELP_BY_CODE.get(term.code, _HELP)
+        yield Diagnostic(f"{term.code}-{code}", Severity.ERROR, text, term.where, help_, subject)
 
 
 def merged(diagnostics: Iterable[Diagnostic]) -> Iterator[Diagnostic]:

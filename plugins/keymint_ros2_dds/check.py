@@ -241,12 +241,14 @@ class _EnclaveCheck(CredentialCheck):
     ) -> Iterator[Diagnostic]:
         now = self._inspection.now
         code = what.replace(" ", "-")
-        renew = "install a newer list" if name == CRL else "extend its validity in the sources, then build and install"
+        of_package = f"'keymint renew {self._inspection.package.name}' issues it again, with later dates"
+        renew = "'keymint crl --refresh' issues it again" if name == CRL else of_package
         if now >= end:
             yield self._error(f"{code}-expired", name, f"the {what} expired on {_shown(end)}", renew)
         elif now <= begin:
             message = f"the {what} is not valid before {_shown(begin)}"
-            yield self._error(f"{code}-not-yet-valid", name, message, renew)
+            later = "compare the clock of this machine, or let it begin earlier"
+            yield self._error(f"{code}-not-yet-valid", name, message, later)
         elif now + timedelta(days=self._inspection.within_days) >= end:
             yield self._warning(
                 f"{code}-expires", name, f"the {what} expires on {_shown(end)}; {_AT_THE_END[what]}", renew

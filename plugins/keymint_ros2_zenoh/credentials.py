@@ -74,8 +74,8 @@ def _expires(certificate: x509.Certificate, inspection: Inspection) -> Iterator[
         yield Diagnostic(
             "certificate-expires", Severity.WARNING,
             f"the certificate expires on {end.astimezone(UTC):%Y-%m-%d %H:%M} UTC",
-            _where(inspection, CERTIFICATE), "extend its validity in the sources, then build and install",
-            inspection.package.subject,
+            _where(inspection, CERTIFICATE),
+            f"'keymint renew {inspection.package.name}' issues it again, with later dates", inspection.package.subject,
         )  # fmt: skip
 
 

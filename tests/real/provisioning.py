@@ -30,7 +30,7 @@ def provision(policy: str | Path, folder: Path, *arguments: str) -> Path:
 
 
 def keymint(*arguments: object, code: int = 0, environment: Mapping[str, str] | None = None) -> str:
-    """Run the command with the clock of the machine, which vendors use; return its output.
+    """Run the command with the clock of the machine, which vendors use, unless a variable sets it; return its output.
 
     Args:
         arguments: its arguments.
@@ -39,8 +39,9 @@ def keymint(*arguments: object, code: int = 0, environment: Mapping[str, str] | 
     """
     command = [sys.executable, "-m", "keymint", *map(str, arguments)]
     searched = os.pathsep.join(str(Path(entry).resolve()) for entry in sys.path if entry)
-    variables = {**os.environ, **(environment or {}), "PYTHONPATH": searched}
+    variables = {**os.environ, "PYTHONPATH": searched}
     variables.pop("SOURCE_DATE_EPOCH", None)
+    variables.update(environment or {})
     done = subprocess.run(command, env=variables, capture_output=True, text=True, check=False)
     assert done.returncode == code, f"{command} ended with {done.returncode}:\n{done.stdout}{done.stderr}"
     return done.stdout

@@ -6,12 +6,14 @@ Every refusal has a control with the same files but for the defence.
 
 from __future__ import annotations
 
+import json
 import shutil
+import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import pytest
-from keymint_ros2_dds.vendors.participants import RefusedError, System, Vendor
+from keymint_ros2_dds.vendors.participants import MatchedError, RefusedError, System, Vendor
 
 from tests.softhsm import PIN, opened
 
@@ -117,13 +119,19 @@ def test_a_mixture_of_generations_is_no_participant(stages: Stages, system: Syst
         system.open(mixed)
 
 
+def moved(stages: Stages, folder: Path) -> Path:
+    """Return a copy of the workspace in a folder of its own."""
+    workspace = shutil.copytree(stages.workspace, folder / "ws")
+    shutil.copy(stages.workspace.parent / "policy.xml", folder)
+    return workspace
+
+
 @pytest.fixture(scope="module")
 def in_token(stages: Stages, tmp_path_factory: pytest.TempPathFactory) -> Stages:
     """Move the keys of both authorities into a token, and supersede /talker once more."""
     folder = tmp_path_factory.mktemp("token")
     softhsm = opened(folder / "softhsm")
-    workspace = shutil.copytree(stages.workspace, folder / "ws")
-    shutil.copy(stages.workspace.parent / "policy.xml", folder)
+    workspace = moved(stages, folder)
     profile = workspace / "profile/authorities.xml"
     text = profile.read_text()
     for number, name in enumerate(("identity_ca", "permissions_ca"), start=1):
@@ -153,3 +161,146 @@ def test_what_a_token_signs(stages: Stages, in_token: Stages, system: System) ->
     assert reader.await_rejection(WAIT)
     system.open(in_token("token", "/talker")).edge("publish", "rt/x").write("hello")
     assert reader.read(WAIT) == "hello"
+
+
+def hears(system: System, listener: Path, talker: Path) -> bool:
+    """Tell whether a sample arrives; else one end refuses the other, or its own files."""
+    try:
+        reader = system.open(listener).edge("subscribe", "rt/x")
+        system.open(talker).edge("publish", "rt/x").write("hello")
+        if reader.await_rejection(WAIT):
+            return False
+    except RefusedError:
+        return False
+    except MatchedError:
+        pass
+    return reader.read(WAIT) == "hello"
+
+
+@pytest.fixture(scope="module")
+def bundles(stages: Stages, tmp_path_factory: pytest.TempPathFactory) -> Stages:
+    """Replace the key of the identity authority where vendors trust two at once, phase by phase."""
+    folder = tmp_path_factory.mktemp("bundles")
+    workspace = moved(stages, folder)
+    replacing = ("authority", "replace", "identity_ca", "-w", workspace)
+    for phase, options in (("both", ("--vendor", "fastdds")), ("issued", ("--next",)), ("alone", ("--next",))):
+        keymint(*replacing, *options)
+        shutil.copytree(workspace / "install", folder / "stages" / phase)
+    shutil.copytree(stages.folder / "narrow", folder / "stages/before")
+    shutil.copytree(stages.folder / "first", folder / "stages/first")
+    return Stages(folder / "stages", workspace)
+
+
+@pytest.mark.fastdds
+def test_each_phase_of_a_rollover_works_with_the_ones_beside_it(bundles: Stages, fastdds: Vendor) -> None:
+    """Robots follow one by one; the control are robots that are two phases apart."""
+    beside = [
+        ("before", "both"),
+        ("both", "before"),
+        ("both", "issued"),
+        ("issued", "both"),
+        ("issued", "alone"),
+        ("alone", "issued"),
+    ]
+    apart = [("before", "issued"), ("alone", "both")]
+    for pairs, expected in ((beside, True), (apart, False)):
+        for listener, talker in pairs:
+            with System(fastdds) as system:
+                heard = hears(system, bundles(listener, "/listener"), bundles(talker, "/talker"))
+                assert heard == expected, (listener, talker)
+
+
+@pytest.mark.fastdds
+@pytest.mark.parametrize("phase", ["both", "issued", "alone"])
+def test_in_each_phase_the_revoked_ones_stay_refused(bundles: Stages, fastdds: Vendor, phase: str) -> None:
+    with System(fastdds) as system:
+        reader = system.open(bundles(phase, "/listener")).edge("subscribe", "rt/x")
+        system.open(bundles("first", "/stolen")).edge("publish", "rt/x").write("from the thief")
+        assert reader.await_rejection(WAIT)
+        system.open(bundles(phase, "/talker")).edge("publish", "rt/x").write("from the talker")
+        assert reader.read(WAIT) == "from the talker"
+
+
+@pytest.fixture(scope="module")
+def second_keystore(stages: Stages, tmp_path_factory: pytest.TempPathFactory) -> Stages:
+    """Replace the key of the identity authority where all robots switch at once."""
+    folder = tmp_path_factory.mktemp("second")
+    workspace = moved(stages, folder)
+    keymint("authority", "replace", "identity_ca", "-w", workspace)
+    for name, source in (("present", "install"), ("next", "install.next")):
+        shutil.copytree(workspace / source, folder / "stages" / name)
+    keymint("authority", "replace", "identity_ca", "--next", "-w", workspace)
+    shutil.copytree(workspace / "install", folder / "stages/done")
+    return Stages(folder / "stages", workspace)
+
+
+def test_a_second_keystore_is_complete_and_the_two_do_not_mix(second_keystore: Stages, vendor: Vendor) -> None:
+    pairs = {
+        ("present", "present"): True, ("next", "next"): True, ("done", "next"): True, ("next", "done"): True,
+        ("present", "next"): False, ("next", "present"): False,
+    }  # fmt: skip
+    for (listener, talker), expected in pairs.items():
+        with System(vendor) as system:
+            heard = hears(system, second_keystore(listener, "/listener"), second_keystore(talker, "/talker"))
+            assert heard == expected, (listener, talker)
+
+
+@pytest.fixture(scope="module")
+def by_request(stages: Stages, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Let a robot make the key of /talker, and take what the authority answers; return the robot's keystore."""
+    folder = tmp_path_factory.mktemp("request")
+    workspace, robot, usb = moved(stages, folder), folder / "robot", folder / "usb"
+    usb.mkdir()
+    asked = json.loads(keymint("request", "/talker", "--folder", robot, "-o", usb / "request.pem", "--json"))
+    fingerprint = asked["result"]["fingerprint"]
+    keymint(
+        "sign", usb / "request.pem", "--fingerprint", f"/talker={fingerprint}", "-o", usb / "bundle", "-w", workspace
+    )
+    shown = json.loads(keymint("authority", "show", "identity_ca", "--json", "-w", workspace))
+    (authority,) = shown["result"]["authorities"]
+    keymint(
+        "accept", usb / "bundle", "--folder", robot, "--authority-fingerprint", authority["certificate"]["fingerprint"]
+    )
+    assert not enclave(workspace / "install", "/talker").joinpath("key.pem").exists()
+    return robot
+
+
+def test_an_enclave_made_by_request(stages: Stages, by_request: Path, system: System) -> None:
+    reader = system.open(stages("narrow", "/listener")).edge("subscribe", "rt/x")
+    system.open(enclave(by_request, "/talker")).edge("publish", "rt/x").write("from its own key")
+    assert reader.read(WAIT) == "from its own key"
+
+
+@pytest.fixture(scope="module")
+def renewed(tmp_path_factory: pytest.TempPathFactory) -> Stages:
+    """Provision 250 days ago, for a year; renew /talker now."""
+    folder = tmp_path_factory.mktemp("renewed")
+    policy, workspace = folder / "policy.xml", folder / "ws"
+    policy.write_text(POLICY)
+    then = {"SOURCE_DATE_EPOCH": str(int(time.time()) - 250 * 86_400)}
+    keymint("provision", policy, "-w", workspace, environment=then)
+    shutil.copytree(workspace / "install", folder / "stages/old")
+    keymint("renew", "talker", "-w", workspace)
+    shutil.copytree(workspace / "install", folder / "stages/new")
+    return Stages(folder / "stages", workspace)
+
+
+def test_a_renewed_enclave_restarts_alone(renewed: Stages, system: System) -> None:
+    """The listener runs on; nothing but certificate and permissions of the talker differs."""
+    listener = system.open(renewed("old", "/listener")).edge("subscribe", "rt/x")
+    before = system.open(renewed("old", "/talker"))
+    before.edge("publish", "rt/x").write("before")
+    assert listener.read(WAIT) == "before"
+    before.close()
+    system.open(renewed("new", "/talker")).edge("publish", "rt/x").write("renewed")
+    assert listener.read(WAIT) == "renewed"
+
+
+def test_renewal_changes_certificate_and_permissions_of_its_enclave_alone(renewed: Stages) -> None:
+    old, new = (
+        {str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.is_file()}
+        for root in (renewed.folder / "old", renewed.folder / "new")
+    )
+    assert old.keys() == new.keys()
+    changed = {"cert.pem", "permissions.p7s", "permissions.xml"}
+    assert {name for name in old if old[name] != new[name]} == {f"enclaves/talker/{name}" for name in changed}
