@@ -10,26 +10,21 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Origin
 from comarmor.patterns.expression import matches
 from comarmor.rules import parts
 from keymint.api import (
     API_VERSION,
     Artifact,
-    AuthorityRole,
     Availability,
     BuildOptions,
     BuildResult,
     Enclave,
-    EnclaveCredentials,
     Endpoint,
     Environment,
     InfrastructurePackage,
-    Inspection,
     Layout,
     Package,
-    PackageSettings,
-    PackageSources,
     Tier,
     Transport,
     Verdict,
@@ -37,71 +32,34 @@ from keymint.api import (
 )
 from keymint.graph import Edge
 from keymint.plugins import PluginInfo
+from tests.keymint.plain_build_type import PlainBuildType
 
 NAME = "board"
 BOARD = "board/rights.txt"
 OFFICE = "office"
 
 
-class BoardBuildType:
-    """Implements :class:`keymint.api.BuildType`, :class:`keymint.api.ActionMapping` and
-    :class:`keymint.api.Infrastructure`."""
+class BoardBuildType(PlainBuildType):
+    """Implements :class:`keymint.api.ActionMapping` and :class:`keymint.api.Infrastructure`."""
 
-    API = API_VERSION
     TRANSPORT = "board"
-    PARTS: tuple[str, ...] = ()
-    COPIED: tuple[str, ...] = ("rights.txt",)
+    DOCUMENT = "rights.txt"
+    COPIED = (DOCUMENT,)
     LAYOUTS: Mapping[str, Layout] = {"sros2": Layout("enclaves"), "flat": Layout("")}
-    READS = (".pem",)
-    KINDS = ("ros_topic", "ros_service", "ros_action", "ros_parameter")
     NOUN = "line of the board"
 
     def packages(self, profile: WorkspaceProfile) -> Sequence[InfrastructurePackage]:
         del profile
         return (InfrastructurePackage(OFFICE, "the office"),)
 
-    def settings(self, sources: PackageSources) -> PackageSettings:
-        del sources
-        return PackageSettings(None)
-
-    def files(self, layout: str) -> frozenset[str]:
-        del layout
-        return frozenset(("rights.txt", "cert.pem", "key.pem"))
-
-    def authorities(self, package: Package) -> Sequence[AuthorityRole]:
-        return (AuthorityRole("identity", package.identity.issuer, package.identity.origin),)
-
     def build(self, package: Package, options: BuildOptions) -> BuildResult:
         del options
         return BuildResult({"rights.txt": "".join(_lines(package)).encode()})
-
-    def install(
-        self,
-        package: Package,
-        documents: Mapping[str, bytes],
-        credentials: EnclaveCredentials,
-        layout: str,
-        installed: Mapping[str, bytes],
-    ) -> Mapping[str, Artifact]:
-        del package, layout, installed
-        return {
-            "rights.txt": Artifact(documents["rights.txt"]),
-            "cert.pem": Artifact(credentials.certificate),
-            "key.pem": Artifact(credentials.key, secret=True),
-        }
 
     def shared(self, artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapping[str, Artifact]:
         del layout
         texts = [files["rights.txt"].content for _, files in sorted(artifacts.items()) if "rights.txt" in files]
         return {BOARD: Artifact(b"".join(texts))} if texts else {}
-
-    def check(self, inspection: Inspection) -> Sequence[Diagnostic]:
-        del inspection
-        return ()
-
-    def check_all(self, inspections: Sequence[Inspection]) -> Sequence[Diagnostic]:
-        del inspections
-        return ()
 
     def actions(self, distro: str, edge: Edge) -> Sequence[Endpoint]:
         del distro

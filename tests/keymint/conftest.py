@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from keymint import cli
+from keymint.store import Store
 from tests.conftest import NOW
 
 POLICY = """<profiles xmlns:xi="http://www.w3.org/2001/XInclude">
@@ -30,6 +31,18 @@ POLICY = """<profiles xmlns:xi="http://www.w3.org/2001/XInclude">
   </profile>
 </profiles>
 """
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """Where the root of a workspace is to be."""
+    return tmp_path / "ws"
+
+
+@pytest.fixture
+def store(root: Path) -> Store:
+    """A store of that workspace."""
+    return Store({root: False, root / "install": False, root / "private": True}, root / ".keymint")
 
 
 @pytest.fixture

@@ -3,20 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from comarmor.errors import Diagnostic, Severity
 from keymint.api import (
-    API_VERSION,
-    Artifact,
-    AuthorityRole,
     BuildOptions,
     BuildResult,
-    EnclaveCredentials,
     Extension,
     InfrastructurePackage,
-    Inspection,
-    Layout,
     Package,
     PackageSettings,
     PackageSources,
@@ -26,21 +20,19 @@ from keymint.api import (
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.plugins import PluginInfo
+from tests.keymint.plain_build_type import PlainBuildType
 
 NAME = "lighthouse"
 TOWER = "tower"
 """Name of the package of infrastructure; ``package.defaults/lighthouse.xml`` of the profile may have another."""
 
 
-class LighthouseBuildType:
-    """Implements :class:`keymint.api.BuildType`, with :class:`Infrastructure` and :class:`RuleCheck`."""
+class LighthouseBuildType(PlainBuildType):
+    """Implements :class:`keymint.api.Infrastructure` and :class:`keymint.api.RuleCheck`."""
 
-    API = API_VERSION
     TRANSPORT = "light"
     PARTS = ("lighthouse",)
-    COPIED = ()
-    LAYOUTS: Mapping[str, Layout] = {"sros2": Layout("enclaves")}
-    READS = (".pem",)
+    DOCUMENT = "light.txt"
     KINDS = ("ros_topic",)
 
     def packages(self, profile: WorkspaceProfile) -> Sequence[InfrastructurePackage]:
@@ -60,46 +52,12 @@ class LighthouseBuildType:
         message = f"light carries no {{}} in {distro}"
         return [Diagnostic("light-kind", Severity.ERROR, message.format(each.kind), each.origin) for each in dark]
 
-    def files(self, layout: str) -> frozenset[str]:
-        del layout
-        return frozenset(("light.txt", "cert.pem", "key.pem"))
-
-    def authorities(self, package: Package) -> Sequence[AuthorityRole]:
-        return (AuthorityRole("identity", package.identity.issuer, package.identity.origin),)
-
     def build(self, package: Package, options: BuildOptions) -> BuildResult:
         del options
         towers = [str(package.settings[NAME]), *(each.identity.subject_name for each in package.infrastructure)]
         return BuildResult(
             {"light.txt": "\n".join([*towers, *(str(each) for each in package.grant.rules.rules)]).encode()}
         )
-
-    def install(
-        self,
-        package: Package,
-        documents: Mapping[str, bytes],
-        credentials: EnclaveCredentials,
-        layout: str,
-        installed: Mapping[str, bytes],
-    ) -> Mapping[str, Artifact]:
-        del package, layout, installed
-        return {
-            "light.txt": Artifact(documents["light.txt"]),
-            "cert.pem": Artifact(credentials.certificate),
-            "key.pem": Artifact(credentials.key, secret=True),
-        }
-
-    def shared(self, artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapping[str, Artifact]:
-        del artifacts, layout
-        return {}
-
-    def check(self, inspection: Inspection) -> Sequence[Diagnostic]:
-        del inspection
-        return ()
-
-    def check_all(self, inspections: Sequence[Inspection]) -> Sequence[Diagnostic]:
-        del inspections
-        return ()
 
 
 build_type = LighthouseBuildType()

@@ -16,6 +16,7 @@ from keymint import api
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.pki import smime
+from tests.keymint.plain_build_type import PlainBuildType
 
 BOARD, SIGNATURE, NOTE = "board/rights.json", "board/rights.json.p7s", "note.txt"
 NAME = "notice_board"
@@ -35,24 +36,17 @@ def lines(rules: SubjectRules) -> list[str]:
     ]
 
 
-class NoticeBoard:
-    API = api.API_VERSION
+class NoticeBoard(PlainBuildType):
     TRANSPORT = "board"
-    PARTS = ()
-    COPIED = ()
-    KINDS = ("ros_topic", "ros_service", "ros_action", "ros_parameter")
+    DOCUMENT = NOTE
     LAYOUTS: Mapping[str, api.Layout] = {"sros2": api.Layout("enclaves", reserved=("board",))}
-    READS = (".pem",)
 
     def files(self, layout: str) -> frozenset[str]:
-        return frozenset((NOTE, "cert.pem", "key.pem", "identity_ca.cert.pem"))
-
-    def settings(self, sources: api.PackageSources) -> api.PackageSettings:
-        return api.PackageSettings(None)
+        return super().files(layout) | {"identity_ca.cert.pem"}
 
     def authorities(self, package: api.Package) -> Sequence[api.AuthorityRole]:
         return (
-            api.AuthorityRole("identity", package.identity.issuer, package.identity.origin),
+            *super().authorities(package),
             api.AuthorityRole("board", package.grant.issuer, package.grant.origin, signs=True),
         )
 
@@ -60,15 +54,8 @@ class NoticeBoard:
         return api.BuildResult({NOTE: f"{package.subject} at {len(package.grant.rules.rules)} rules\n".encode()})
 
     def install(self, package, documents, credentials, layout, installed) -> Mapping[str, api.Artifact]:
-        return {
-            NOTE: api.Artifact(documents[NOTE]),
-            "cert.pem": api.Artifact(credentials.certificate),
-            "key.pem": api.Artifact(credentials.key, secret=True),
-            "identity_ca.cert.pem": api.Artifact(credentials.chains["identity"]),
-        }
-
-    def shared(self, artifacts: Mapping[str, Mapping[str, api.Artifact]], layout: str) -> Mapping[str, api.Artifact]:
-        return {}
+        plain = super().install(package, documents, credentials, layout, installed)
+        return {**plain, "identity_ca.cert.pem": api.Artifact(credentials.chains["identity"])}
 
     def check(self, inspection: api.Inspection) -> Sequence[Diagnostic]:
         assert inspection.files.keys() <= self.files("")
@@ -77,9 +64,6 @@ class NoticeBoard:
             for name, content in inspection.documents.items()
             if inspection.files.get(name) != content
         ]
-
-    def check_all(self, inspections: Sequence[api.Inspection]) -> Sequence[Diagnostic]:
-        return ()
 
     def build_shared(self, packages: Sequence[api.Package], options: api.BuildOptions) -> api.BuildResult:
         rights = {package.subject: lines(package.grant.rules) for package in packages}

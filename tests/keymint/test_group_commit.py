@@ -25,16 +25,6 @@ PUBLIC, SECRET = File(b"public"), File(b"secret", secret=True)
 ENCLAVE = {"key.pem": SECRET, "cert.pem": PUBLIC}
 
 
-@pytest.fixture
-def root(tmp_path: Path) -> Path:
-    return tmp_path / "ws"
-
-
-@pytest.fixture
-def store(root: Path) -> Store:
-    return Store({root: False, root / "install": False, root / "private": True}, root / ".keymint")
-
-
 def files(root: Path, *, temporary: bool = False) -> set[str]:
     """Return the paths of all files, without those that are staged."""
     found = {str(path.relative_to(root)) for path in root.rglob("*") if path.is_file()}

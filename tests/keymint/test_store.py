@@ -27,16 +27,6 @@ PUBLIC = File(b"public")
 SECRET = File(b"secret", secret=True)
 
 
-@pytest.fixture
-def root(tmp_path: Path) -> Path:
-    return tmp_path / "ws"
-
-
-@pytest.fixture
-def store(root: Path) -> Store:
-    return Store({root: False, root / "install": False, root / "private": True}, root / ".keymint")
-
-
 def listing(folder: Path) -> dict[str, str]:
     """Return every path below a folder with what it is: its mode, and a file's bytes."""
     found = {}

@@ -11,6 +11,7 @@ import pytest
 from keymint import plugins
 from tests.conftest import CHECKOUT
 from tests.keymint import lighthouse
+from tests.keymint.plain_build_type import PlainBuildType
 
 BAD = """<profiles><profile name="a"><attachment>/a</attachment>
 <ros_topic qualifier="ALLOW"><attachment>/x</attachment><permissions><ros_publish/></permissions></ros_topic>
@@ -98,7 +99,7 @@ def test_a_build_type_that_checks_no_rules(keymint, tmp_path: Path, monkeypatch:
     (tmp_path / "p.xml").write_text(BAD)
     assert keymint("init", "ws", "--policy", "p.xml", "--transport", "light").code == 0
     kept = {name: value for name, value in vars(lighthouse.LighthouseBuildType).items() if name != "check_rules"}
-    monkeypatch.setattr(lighthouse, "build_type", type("Dark", (), kept)())
+    monkeypatch.setattr(lighthouse, "build_type", type("Dark", (PlainBuildType,), kept)())
     assert keymint("lint", "ws", "--json").codes() == ["deny-nothing"]
     outcome = keymint("lint", "p.xml", "--build-type", lighthouse.NAME)
     assert outcome.code == 2
