@@ -136,7 +136,7 @@ def test_validity(keymint, provisioned: Path, later: int, within: str, code: int
     assert outcome.code == code, outcome.err
 
 
-@pytest.mark.parametrize("text", ["soon", "30", "-1d", "1y", "999999w"])
+@pytest.mark.parametrize("text", ["soon", "30", "-1d", "1m", "999999w"])
 def test_a_period_that_is_none(keymint, provisioned: Path, text: str) -> None:
     outcome = keymint("check", "--within", text, cwd=provisioned)
     assert outcome.code == 2
