@@ -100,6 +100,8 @@ class Phase(StrEnum):
     """The next authority issues, and all enclaves still trust the former one beside it."""
     STAGE = "stage"
     """A second keystore, by the next authority, lies beside the one in force."""
+    END = "end"
+    """There is one authority again, the next one; nothing records this phase."""
 
 
 @dataclass(frozen=True, slots=True)

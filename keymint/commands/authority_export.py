@@ -14,7 +14,7 @@ from keymint.commands.user_files import show_written, write_outputs
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.output.report import Report
-from keymint.plan import authority_files
+from keymint.plan import authority_files, token_keys
 from keymint.plan.authority_issuance import authority_named
 
 
@@ -65,8 +65,10 @@ def _export_key(run: Run, files: authority_files.AuthorityFiles, key_file: Path)
     """Write the private key of an authority as it is stored: encrypted if it has a password.
 
     Raises:
-        KeymintError: it is not here, or the file cannot be written.
+        KeymintError: it is not here, or lies in a token, or the file cannot be written.
     """
+    if files.authority.certificate.key.uri:
+        raise token_keys.only_in_token(files.authority, "it returns none")
     if files.key is None:
         raise KeymintError(
             f"the private key of the authority {files.authority.name!r} is not here",

@@ -26,7 +26,9 @@ from keymint.session import Inputs, Session
 @verb(dry_run=True, of="authority")
 @authority_argument
 @click.option(
-    "--next", "go_on", is_flag=True, help="Go on to the next phase: all robots have the keystore of this one."
+    "--phase",
+    type=click.Choice([phase.value for phase in Phase]),
+    help="Go on to this phase: all robots have the keystore of the one before it.",
 )
 @click.option("--cancel", is_flag=True, help="Give up: the present authority stays. Only before the next one issues.")
 @click.option(
@@ -42,28 +44,29 @@ from keymint.session import Inputs, Session
 def command(
     run: Run,
     name: str,
-    go_on: bool,
+    phase: str | None,
     cancel: bool,
     vendors: tuple[str, ...],
     certificate: Path | None,
     key_file: Path | None,
 ) -> Report:
-    """Replace the key of an authority, phase by phase; run it again to complete a phase, and with --next for the next.
+    """Replace the key of an authority, phase by phase.
 
-    Where subjects may trust two authorities: all enclaves get both certificates, then certificates by the next one,
-    then it alone. Elsewhere a second keystore by the next authority is staged in install.next/, all robots switch to it
-    (ROS_SECURITY_KEYSTORE) at a common restart, and it becomes install/. How far it has come stands in profile/.
-    --dry-run says what each phase does.
+    Where subjects may trust two authorities: all enclaves get both certificates (distribute), then certificates by the
+    next one (reissue), then it alone (end). Elsewhere a second keystore by the next authority is made in install.next/
+    (stage), all robots switch to it (ROS_SECURITY_KEYSTORE) at a common restart, and it becomes install/ (end). How far
+    it has come stands in profile/; the same command again completes its phase. --dry-run says what each phase does.
     """
-    if (go_on and cancel) or ((go_on or cancel) and (vendors or certificate)) or (key_file and not certificate):
+    begins = bool(vendors or certificate)
+    if (cancel and (phase or begins)) or (key_file and not certificate):
         raise usage_error(
             "these options do not go together",
-            "give --next, --cancel, or what begins it (--vendor, --certificate, --key)",
+            "give --phase, --cancel, or what begins it (--vendor, --certificate, --key)",
         )
     given = None
     if certificate:
         given = NextAuthority(read_input(run, certificate), read_input(run, key_file) if key_file else b"")
-    request = Request(go_on, cancel, vendors, given)
+    request = Request(Phase(phase) if phase else None, cancel, vendors, given)
     phases: list[str] = []
 
     def make_plan(inputs: Inputs) -> Plan:
@@ -71,7 +74,7 @@ def command(
         before = rollover.phase_of(session, name)
         plan = planned(run, session, name, request)
         reached = rollover.phase_of(session.after(plan).session(), name)
-        phases[:] = [reached.value if reached else "done"]
+        phases[:] = [(reached or Phase.END).value]
         if run.dry_run and not cancel:
             for line in _outline(session, name, before, reached):
                 run.console.line(line)
@@ -93,7 +96,7 @@ def _outline(session: Session, name: str, before: Phase | None, reached: Phase |
                 Phase.STAGE,
                 f"a second keystore by the next authority in {shown}/; copy it to all robots, beside the present",
             ),
-            (None, "all robots restart together with it (ROS_SECURITY_KEYSTORE); then --next makes it install/"),
+            (None, "all robots restart together with it (ROS_SECURITY_KEYSTORE); then --phase end makes it install/"),
         ]
     else:
         steps = [
@@ -101,8 +104,8 @@ def _outline(session: Session, name: str, before: Phase | None, reached: Phase |
                 Phase.DISTRIBUTE,
                 "all enclaves trust both authorities; copy them to all robots and restart these, in any order",
             ),
-            (Phase.REISSUE, "--next: certificates by the next authority; copy them to all robots and restart these"),
-            (None, "--next: enclaves trust the next authority alone; copy them to all robots and restart these"),
+            (Phase.REISSUE, "certificates by the next authority; copy them to all robots and restart these"),
+            (None, "enclaves trust the next authority alone; copy them to all robots and restart these"),
         ]
     yield f"replacing the key of {name}:"
     for number, (each, text) in enumerate(steps, 1):
@@ -113,7 +116,8 @@ def _told(
     session: Session, name: str, before: Phase | None, reached: Phase | None, *, cancelled: bool
 ) -> Iterator[Diagnostic]:
     """Yield what is to be done on the robots before the next phase."""
-    go_on = f"'keymint authority replace {name} --next'"
+    following = Phase.REISSUE if reached is Phase.DISTRIBUTE else Phase.END
+    go_on = f"'keymint authority replace {name} --phase {following}'"
     install_space, second = (
         session.workspace.shown(each) for each in (session.workspace.install, session.workspace.next_install)
     )
@@ -128,6 +132,8 @@ def _told(
         help_ = f"set ROS_SECURITY_KEYSTORE to it, and restart all of them together; then {go_on}"
     elif cancelled:
         text, help_ = f"{name!r}: its key stays", f"copy {install_space}/ to the robots that got another one"
+    elif before is None:
+        text, help_ = f"the key of the authority {name!r} is not being replaced", f"copy {install_space}/ to all robots"
     elif before is Phase.STAGE:
         text = f"{name!r} is replaced: {install_space}/ is the keystore that all robots have"
         help_ = "the former one works with none of them any more"

@@ -24,26 +24,29 @@ from keymint.plan.enclaves import installed
 from keymint.plan.rollover import NextAuthority
 from keymint.session import Session
 
+_NEXT = {Phase.DISTRIBUTE: Phase.REISSUE, Phase.REISSUE: Phase.END, Phase.STAGE: Phase.END}
+"""The phase that follows each."""
+
 
 @dataclass(frozen=True, slots=True)
 class Request:
     """What the user asks for.
 
     Attributes:
-        go_on: the next phase: all robots have the keystore of the present one.
+        phase: the phase to reach; None to begin, or to complete the one that was reached.
         cancel: give up.
         vendors: names of the implementations that the fleet has; empty for all.
         given: the next authority, if it was made elsewhere.
     """
 
-    go_on: bool = False
+    phase: Phase | None = None
     cancel: bool = False
     vendors: tuple[str, ...] = ()
     given: NextAuthority | None = None
 
 
 def planned(run: Run, session: Session, name: str, request: Request) -> Plan:
-    """Return the plan of a phase.
+    """Return the plan of a phase; of one that was reached already, what is missing.
 
     Raises:
         KeymintError: the request does not fit to the phase that was reached, the phase before is not complete, or an
@@ -52,22 +55,30 @@ def planned(run: Run, session: Session, name: str, request: Request) -> Plan:
     phase, names = rollover.phase_of(session, name), _names(session, name)
     if request.cancel:
         return _cancelled(run, session, name, names)
-    if phase is None and request.go_on:
-        raise KeymintError(
-            f"the key of the authority {name!r} is not being replaced",
-            help=f"'keymint authority replace {name}' begins",
-            code="rollover-none",
-        )
-    if request.go_on or rollover.is_interrupted(session, name):
-        return _went_on(run, session, name, names)
     if phase is None:
+        if request.phase is Phase.END:
+            return _ended(run, session, name, names)
         return _begun(run, session, name, names, request)
     if request.vendors or request.given:
         raise usage_error(
             f"the key of the authority {name!r} is being replaced already (phase {phase})",
             "leave --vendor, --certificate and --key out; or --cancel it first",
         )
-    return _completed(run, session, name, names, phase)
+    following = _NEXT[phase]
+    if rollover.is_interrupted(session, name) and request.phase in {None, following}:
+        return _went_on(run, session, name, names)
+    if request.phase in {None, phase}:
+        return _completed(run, session, name, names, phase)
+    if request.phase is not following:
+        raise usage_error(
+            f"the key of the authority {name!r} is in the phase {phase}: {request.phase} does not follow it",
+            f"'keymint authority replace {name} --phase {following}' does",
+        )
+    if phase is Phase.STAGE:
+        _require_staged(run, session, name, names)
+    else:
+        _require_current(session, name, names, f"the keystore of the phase {phase}")
+    return _went_on(run, session, name, names)
 
 
 def _names(session: Session, name: str) -> list[str]:
@@ -89,7 +100,20 @@ def _names(session: Session, name: str) -> list[str]:
 
 
 def _begun(run: Run, session: Session, name: str, names: Sequence[str], request: Request) -> Plan:
-    phase = Phase.STAGE if refusing(session, name, request.vendors, "bundles") else Phase.DISTRIBUTE
+    refused = refusing(session, name, request.vendors, "bundles")
+    phase = request.phase or (Phase.STAGE if refused else Phase.DISTRIBUTE)
+    if phase is Phase.REISSUE:
+        raise KeymintError(
+            f"the key of the authority {name!r} is not being replaced",
+            help=f"'keymint authority replace {name}' begins",
+            code="rollover-none",
+        )
+    if phase is Phase.DISTRIBUTE and refused:
+        raise KeymintError(
+            f"{' and '.join(refused)} cannot trust two authorities {name!r} at once",
+            help="stage a second keystore: leave --phase out; or name what the fleet has with --vendor",
+            code="rollover-no-bundle",
+        )
     _require_current(session, name, names, "the present keystore")
     first = rollover.plan_begin(session, name, phase, request.given)
     after = session.after(first).session()
@@ -107,11 +131,6 @@ def _completed(run: Run, session: Session, name: str, names: Sequence[str], phas
 def _went_on(run: Run, session: Session, name: str, names: Sequence[str]) -> Plan:
     """Return the plan of the next phase; of one that a killed run began, what is missing."""
     phase = rollover.phase_of(session, name)
-    if not rollover.is_interrupted(session, name):
-        if phase is Phase.STAGE:
-            _require_staged(run, session, name, names)
-        else:
-            _require_current(session, name, names, f"the keystore of the phase {phase}")
     if phase is Phase.STAGE:
         return exchanged_keystore(run, session, name, names)
     first = rollover.plan_switch(session, name) if phase is Phase.DISTRIBUTE else rollover.plan_end(session, name)
@@ -119,7 +138,16 @@ def _went_on(run: Run, session: Session, name: str, names: Sequence[str]) -> Pla
     return first.then(reissued(run, after, Plan((), after.state), names))
 
 
+def _ended(run: Run, session: Session, name: str, names: Sequence[str]) -> Plan:
+    """Return what is missing of an end that a killed run began; nothing is if there was none."""
+    first = Plan((*rollover.left_over(session, name), *dropped_keystore(session)), session.state)
+    after = session.after(first)
+    return first.then(reissued(run, after, Plan((), after.state), names))
+
+
 def _cancelled(run: Run, session: Session, name: str, names: Sequence[str]) -> Plan:
+    if rollover.phase_of(session, name) is None:
+        return _ended(run, session, name, names)
     first = rollover.plan_cancel(session, name)
     first = replace(first, steps=(*first.steps, *dropped_keystore(session)))
     after = session.after(first).session()
@@ -138,8 +166,8 @@ def _require_current(session: Session, name: str, names: Sequence[str], what: st
         raise KeymintError(
             f"{what} is not complete: {counted(len(stale), 'enclave')} not up to date, e.g. /{stale[0]}",
             where=Origin(session.workspace.shown(session.enclaves / stale[0])),
-            help=f"'keymint status' says what is missing; run 'keymint build' and 'keymint install', copy the keystore "
-            f"to all robots, then 'keymint authority replace {name} --next'",
+            help=f"'keymint build' and 'keymint install' complete it, or 'keymint authority replace {name}'; then copy "
+            "the keystore to all robots",
             code="rollover-incomplete",
         )
 

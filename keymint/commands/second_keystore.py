@@ -71,12 +71,14 @@ def exchanged_keystore(run: Run, session: Session, name: str, names: Sequence[st
         KeymintError: an enclave cannot be built, signed or proven; with all defects.
     """
     switch = plan_switch(session, name)
-    copies = tuple(_copied(session))
-    step = Step("install", "", Action.UPDATED, copies, "the second keystore")
-    first = replace(switch, steps=(*switch.steps, step))
+    key, *profile = switch.steps
+    copies = Step("install", "", Action.UPDATED, tuple(_copied(session)), "the second keystore")
+    first = replace(switch, steps=(key, copies, *profile))
     after = session.after(first).session()
     done = first.then(reissued(run, after, Plan((), after.state), names))
-    return replace(done, steps=(*done.steps, *dropped_keystore(session)))
+    # The profile comes late: until then a run that was killed is recognised by the key, and copies the rest.
+    others = done.steps[len(first.steps) :]
+    return replace(done, steps=(key, copies, *others, *profile, *dropped_keystore(session)))
 
 
 def dropped_keystore(session: Session) -> tuple[Step, ...]:

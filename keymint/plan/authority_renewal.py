@@ -13,7 +13,7 @@ from keymint.api import AuthorityIssuance, Validity
 from keymint.changes import Action, File, FolderChange, Plan, Step, changed
 from keymint.errors import KeymintError
 from keymint.pki import adoption, certificates, distinguished_names, keys
-from keymint.plan import authority_files, key_record
+from keymint.plan import authority_files, key_record, token_keys
 from keymint.plan.authorities import MintedAuthority, plan_authorities
 from keymint.plan.authority_files import AuthorityFiles
 from keymint.plan.authority_issuance import STAGE, authority_named, plan_authority_issuance
@@ -127,6 +127,8 @@ def plan_import(session: Session, name: str, pem: bytes, key: bytes | None, show
     key_path = session.workspace.authority_key(name)
     spec = adoption.adopted(authority.certificate, certificates.to_pem(certificate))
     secret = password(spec.key, session.environment, spec.origin)
+    if key is not None and spec.key.uri:
+        raise token_keys.only_in_token(authority, "import it with the token's own tool")
     if key is not None:
         private = keys.from_pem(key, secret, Origin(shown[1]))
         if not keys.matches(private, certificate):

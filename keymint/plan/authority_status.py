@@ -17,7 +17,7 @@ from keymint.plan.authority_files import AuthorityFiles
 from keymint.plan.authority_uses import Use, uses
 from keymint.session import Session
 
-HERE, ELSEWHERE = "here", "elsewhere"
+HERE, ELSEWHERE, TOKEN = "here", "elsewhere", "token"
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,7 @@ class AuthorityStatus:
         name: its name in the profile.
         issuer: name of its issuer in the profile; empty for a self-signed certificate.
         certificate: its certificate as data, or None if it is missing or damaged.
-        key_place: where its private key is: ``here`` or ``elsewhere``.
+        key_place: where its private key is: ``here``, ``elsewhere`` or ``token``.
         uses: what it does.
         adopted: its certificate was imported.
         phase: how far the replacement of its key has come, or None.
@@ -118,4 +118,6 @@ def status_of(certificate: x509.Certificate) -> CertificateStatus:
 
 
 def _place(files: AuthorityFiles) -> str:
+    if files.authority.certificate.key.uri:
+        return TOKEN
     return HERE if files.key is not None else ELSEWHERE

@@ -24,7 +24,7 @@ from keymint.api import Authority, AuthorityIssuance, Phase, Rollover
 from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
 from keymint.pki import adoption, certificates, extensions, keys
-from keymint.plan import authority_files, key_record
+from keymint.plan import authority_files, key_record, token_keys
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.authority_files import FORMER, NEXT
 from keymint.plan.authority_issuance import STAGE, authority_named, plan_authority_issuance
@@ -62,6 +62,12 @@ def plan_begin(session: Session, name: str, phase: Phase, given: NextAuthority |
     """
     authority = authority_named(session, name)
     _require_free_names(session, name)
+    if authority.certificate.key.uri:
+        raise token_keys.only_in_token(
+            authority,
+            "phases exchange keys in files. Make a new key in the token, name it in <pkcs11>, and run 'keymint install "
+            f"--new-authority {name}': then all enclaves change at one restart",
+        )
     present = _certificate_in_force(session, authority)
     key_path = _key_path(session, name, NEXT)
     pem, key = _given(session, authority, given) if given else _made(session, authority)
@@ -138,11 +144,16 @@ def plan_cancel(session: Session, name: str) -> Plan:
     if rollover and (rollover.phase is Phase.REISSUE or switched):
         raise KeymintError(
             f"the next key of {name!r} is in force already: its replacement cannot be cancelled",
-            help=f"end it with 'keymint authority replace {name} --next'; then replace the key once more",
+            help=f"end it with 'keymint authority replace {name} --phase end'; then replace the key once more",
             code="rollover-too-late",
         )
     decided = plan_authority_issuance(session, {name: replace(authority.issuance, rollover=None)}, f"{name}: cancelled")
     return replace(decided, steps=(*decided.steps, *_without_key(session, name, NEXT)))
+
+
+def left_over(session: Session, name: str) -> tuple[Step, ...]:
+    """Return what removes the private keys that a killed run left beside the one in force, which nobody trusts."""
+    return (*_without_key(session, name, NEXT), *_without_key(session, name, FORMER))
 
 
 def is_interrupted(session: Session, name: str) -> bool:

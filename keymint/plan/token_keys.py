@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from keymint.api import Authority
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import authority_files
@@ -59,6 +60,21 @@ def left_over(files: AuthorityFiles) -> Iterator[Diagnostic]:
             Origin(files.key_file),
             "move it to a safe place that is no computer's disk, or destroy it",
         )
+
+
+def only_in_token(authority: Authority, help_: str) -> KeymintError:
+    """Return the error on a request for the file of a private key that lies in a token.
+
+    Args:
+        authority: the authority.
+        help_: what to do.
+    """
+    return KeymintError(
+        f"the private key of the authority {authority.name!r} lies in a token, not in a file",
+        where=authority.certificate.origin,
+        help=help_,
+        code="authority-in-token",
+    )
 
 
 def _require_kind(files: AuthorityFiles, public: keys.PublicKey, where: Origin) -> None:

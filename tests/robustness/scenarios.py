@@ -15,6 +15,7 @@ from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from lxml import etree
 
 from comarmor.errors import Origin
+from keymint import cli
 from keymint.pki import smime
 from keymint.register import database
 from keymint.register.register import Register
@@ -84,6 +85,26 @@ class Scenario:
 PROVISION = ("provision", "{}/policy.xml", "-w", "{}/ws", "-j", "1")
 PRUNE = ("install", "--prune", "--no-prove", "-w", "{}/ws", "-j", "1")
 """The packages were created from another policy."""
+
+
+def _replace(*phase: str) -> tuple[str, ...]:
+    return ("authority", "replace", "identity_ca", *phase, "-w", "{}/ws")
+
+
+BUNDLE, REISSUE, END = ("--vendor", "fastdds"), ("--phase", "reissue"), ("--phase", "end")
+
+
+def _reached(*phases: tuple[str, ...]) -> Callable[[Path], None]:
+    """Return what carries out phases in which the key of an authority is replaced."""
+
+    def reach(folder: Path) -> None:
+        for phase in phases:
+            words = [each.format(folder) for each in _replace(*phase)]
+            assert cli.main([*words, "-q"]) == 0, words
+
+    return reach
+
+
 SCENARIOS: Mapping[str, Scenario] = {
     "fresh": Scenario((), _nothing, PROVISION),
     "update": Scenario((_nothing,), _change_policy, PROVISION),
@@ -91,16 +112,32 @@ SCENARIOS: Mapping[str, Scenario] = {
     "everything": Scenario((_nothing, _change_policy), _change_everything, (*PROVISION, "--renew")),
     "revoke": Scenario((_nothing,), _nothing, ("revoke", "listener", "--reason", "superseded", "-w", "{}/ws")),
     "retire": Scenario((_nothing,), _nothing, ("revoke", "listener", "--reason", "retired", "-w", "{}/ws")),
+    "distribute": Scenario((_nothing,), _nothing, _replace(*BUNDLE)),
+    "reissue": Scenario((_nothing,), _reached(BUNDLE), _replace(*REISSUE)),
+    "end": Scenario((_nothing,), _reached(BUNDLE, REISSUE), _replace(*END)),
+    "stage": Scenario((_nothing,), _nothing, _replace()),
+    "exchange": Scenario((_nothing,), _reached(()), _replace(*END)),
     "prune": Scenario((_nothing, _change_policy), _remove_packages, PRUNE),
 }
+RARE = frozenset({"distribute", "end", "stage"})
+"""Scenarios that only the tests of all calls have: they write what others write, too."""
+KEYS_MOVE = frozenset({REISSUE[-1], END[-1]})
+"""Words of runs in which a private key takes the place of another one."""
 
 
-def tree(workspace: Path) -> dict[str, str]:
-    """Return every path of a workspace with its type and mode."""
+def tree(workspace: Path, *, answers: bool = False) -> dict[str, str]:
+    """Return every path of a workspace with its type and mode.
+
+    Args:
+        workspace: the workspace.
+        answers: also recorded answers; whether a run may record its own depends on how old the policy is.
+    """
     found = {}
     for folder, folders, files in os.walk(workspace):
         for name in (*folders, *files):
             path = Path(folder) / name
+            if not answers and path.match(".keymint/last-*.json"):
+                continue
             mode = path.lstat().st_mode
             found[str(path.relative_to(workspace))] = f"{'d' if stat.S_ISDIR(mode) else '-'}{stat.S_IMODE(mode):04o}"
     return found

@@ -108,7 +108,8 @@ def trace(arguments: list[str], workspace: Path, folder: Path) -> Trace:
         counter = counted.setdefault(int(match["process"]), Counter())
         counter[call] += 1
         reads = call == "openat" and "O_CREAT" not in rest
-        if int(match["process"]) == process and str(workspace) in rest and not reads:
+        says = f"{folder}/results.output>" in rest  # a message that names the workspace changes nothing in it
+        if int(match["process"]) == process and str(workspace) in rest and not reads and not says:
             found.append(Point(call, counter[call], rest.replace(str(workspace), "…")))
     strikes = {call: max(counter[call] for counter in counted.values()) + _MARGIN for call in HARMLESS}
     return Trace(found, strikes, ended)

@@ -16,6 +16,7 @@ from tests.keymint.commands.test_authority import IDENTITY, PERMISSIONS, certifi
 from tests.keymint.plan.keystores import AUTHORITY_KEYS, CERTIFICATES, ENCLAVES, content, public_key, trusted
 
 BUNDLES = ("--vendor", "fastdds")
+REISSUE, END = ("--phase", "reissue"), ("--phase", "end")
 AUTHORITY_NAMES = (IDENTITY, PERMISSIONS)
 
 
@@ -64,15 +65,17 @@ def test_by_bundles(keymint, ws: Path, replace: Callable, name: str) -> None:
     assert trusted(ws) == leaves
     assert stat.S_IMODE((ws / f"private/{name}.next.key.pem").stat().st_mode) == 0o600
     clean(keymint, ws)
-    assert "nothing to do" in replace(name)
+    for words in ((), ("--phase", "distribute")):
+        assert "nothing to do" in replace(name, *words)
+    assert keymint("authority", "replace", name, *END, cwd=ws).code == 2
 
-    replace(name, "--next")
+    replace(name, *REISSUE)
     assert authorities(ws, name) == [both[1], both[0]]
     assert public_key(ws / f"private/{name}.former.key.pem") == key
     assert public_key(ws / f"private/{name}.key.pem") == public_key(path) != key
     clean(keymint, ws)
 
-    replace(name, "--next")
+    replace(name, *END)
     assert authorities(ws, name) == both[1:]
     assert not list((ws / "private").glob("*former*")) + list((ws / "private").glob("*next*"))
     clean(keymint, ws)
@@ -81,7 +84,8 @@ def test_by_bundles(keymint, ws: Path, replace: Callable, name: str) -> None:
     for kind in (x509.SubjectKeyIdentifier, x509.KeyUsage):
         identifiers.add(new.extensions.get_extension_for_class(kind).value)
     assert any(isinstance(each, x509.KeyUsage) and each.crl_sign for each in identifiers)
-    assert keymint("authority", "replace", name, "--next", cwd=ws).code == 1
+    assert "nothing to do" in replace(name, *END)
+    assert keymint("authority", "replace", name, *REISSUE, cwd=ws).code == 1
 
 
 def test_in_each_phase_of_bundles_robots_of_the_phase_before_are_accepted(
@@ -99,7 +103,7 @@ def test_in_each_phase_of_bundles_robots_of_the_phase_before_are_accepted(
         folders[number:] = [folder]
 
     keep(0)
-    for number, words in enumerate(((IDENTITY, *BUNDLES), (IDENTITY, "--next"), (IDENTITY, "--next")), 1):
+    for number, words in enumerate(((IDENTITY, *BUNDLES), (IDENTITY, *REISSUE), (IDENTITY, *END)), 1):
         replace(*words)
         keep(number)
         for one, two in ((number, number - 1), (number - 1, number)):
@@ -128,7 +132,7 @@ def test_revoked_certificates_stay_revoked_in_each_phase(keymint, ws: Path, repl
 
     before = (ws / "install/enclaves/talker/cert.pem").read_bytes()
     (tmp_path / "before.pem").write_bytes(before)
-    for words in ((IDENTITY, *BUNDLES), (IDENTITY, "--next")):
+    for words in ((IDENTITY, *BUNDLES), (IDENTITY, *REISSUE)):
         replace(*words)
         clean(keymint, ws)
         assert not (listener / "crl.pem").exists()  # which vendors read one list from
@@ -141,7 +145,7 @@ def test_revoked_certificates_stay_revoked_in_each_phase(keymint, ws: Path, repl
     assert "revoked" in judged(tmp_path / "before.pem")
     assert judged(ws / "install/enclaves/talker/cert.pem") == "OK"
     clean(keymint, ws)
-    replace(IDENTITY, "--next")
+    replace(IDENTITY, *END)
     assert listener.joinpath("identity_ca.cert.pem").read_bytes().count(b"BEGIN") == 1
     assert (listener / "crl.pem").exists()
     assert judged(listener / "cert.pem") == "OK"
@@ -167,7 +171,7 @@ def test_by_a_second_keystore(keymint, ws: Path, replace: Callable, name: str) -
     assert "nothing to do" in replace(name)
     staged = {path: data for path, data in content(ws).items() if path.startswith("install.next/enclaves/")}
 
-    replace(name, "--next")
+    replace(name, *END)
     now = content(ws)
     assert {path.replace("install.next/", "install/", 1): data for path, data in staged.items()} == {
         path: data for path, data in now.items() if path.startswith("install/enclaves/")
@@ -183,11 +187,11 @@ def test_a_second_keystore_follows_the_sources(keymint, ws: Path, replace: Calla
     policy.write_text(policy.read_text().replace("/chatter", "/chat"))
     assert keymint("provision", policy, "-w", "ws").code == 0
     before = content(ws)
-    refused = keymint("authority", "replace", IDENTITY, "--next", "--json", cwd=ws)
+    refused = keymint("authority", "replace", IDENTITY, *END, "--json", cwd=ws)
     assert (refused.code, refused.codes()[-1]) == (1, "rollover-incomplete")
     assert content(ws) == before
     replace(IDENTITY)
-    replace(IDENTITY, "--next")
+    replace(IDENTITY, *END)
     clean(keymint, ws)
 
 
@@ -197,7 +201,7 @@ def test_a_second_keystore_has_no_list_of_the_former_authority(keymint, ws: Path
     assert (ws / "install/enclaves/talker/crl.pem").exists()
     assert not (ws / "install.next/enclaves/talker/crl.pem").exists()
     clean(keymint, ws)
-    replace(IDENTITY, "--next")
+    replace(IDENTITY, *END)
     assert not list(ws.glob("install*/**/crl.pem"))
     clean(keymint, ws)
 
@@ -210,7 +214,7 @@ def test_with_two_transports(keymint, policy: Path, tmp_path: Path) -> None:
     router = (ws / "install.next/zenoh/router.json5").read_text()
     assert f"{ws}/install.next/" in router
     assert f"{ws}/install/" not in router
-    for words in (("check",), ("authority", "replace", IDENTITY, "--next"), ("check",), ("prove",)):
+    for words in (("check",), ("authority", "replace", IDENTITY, *END), ("check",), ("prove",)):
         outcome = keymint(*words, cwd=ws)
         assert outcome.code == 0, (words, outcome.err)
     assert f"{ws}/install/" in (ws / "install/zenoh/router.json5").read_text()
@@ -233,7 +237,7 @@ def test_it_can_be_cancelled(keymint, ws: Path, replace: Callable, words: tuple[
 
 def test_it_cannot_be_cancelled_once_the_next_authority_issues(keymint, ws: Path, replace: Callable) -> None:
     replace(IDENTITY, *BUNDLES)
-    replace(IDENTITY, "--next")
+    replace(IDENTITY, *REISSUE)
     before = content(ws)
     outcome = keymint("authority", "replace", IDENTITY, "--cancel", "--json", cwd=ws)
     assert (outcome.code, outcome.codes()) == (1, ["rollover-too-late"])
@@ -245,12 +249,12 @@ def test_a_phase_begins_only_after_the_one_before_it(keymint, ws: Path, replace:
     bundle = ws / "install/enclaves/talker/identity_ca.cert.pem"
     bundle.write_bytes((ws / CERTIFICATES[0]).read_bytes())
     before = content(ws)
-    outcome = keymint("authority", "replace", IDENTITY, "--next", "--json", cwd=ws)
+    outcome = keymint("authority", "replace", IDENTITY, *REISSUE, "--json", cwd=ws)
     assert (outcome.code, outcome.codes()) == (1, ["rollover-incomplete"])
     assert content(ws) == before
     replace(IDENTITY)
     assert len(authorities(ws, IDENTITY)) == 2
-    replace(IDENTITY, "--next")
+    replace(IDENTITY, *REISSUE)
 
 
 def test_while_it_is_under_way_the_key_is_not_changed_otherwise(keymint, ws: Path, replace: Callable) -> None:
@@ -283,9 +287,10 @@ def test_a_dry_run_says_the_phases_and_writes_nothing(keymint, ws: Path) -> None
     ("words", "code"),
     [
         (("--vendor", "fastds"), 2),
-        (("--next", "--cancel"), 2),
+        ((*END, "--cancel"), 2),
         (("--key", "x"), 2),
-        (("--next",), 1),
+        (REISSUE, 1),
+        (("--phase", "distribute"), 1),
         (("--certificate", "../same.pem"), 1),
     ],
 )
@@ -309,7 +314,7 @@ def test_an_authority_that_cannot_be_told_apart_is_not_bundled(keymint, policy: 
     outcome = keymint("authority", "replace", IDENTITY, *BUNDLES, "--json", cwd=ws)
     assert (outcome.code, outcome.codes()[-1]) == (1, "authority-without-identifier")
     assert keymint("authority", "renew", IDENTITY, cwd=ws).code == 0
-    for words in (BUNDLES, ("--next",), ("--next",)):
+    for words in (BUNDLES, REISSUE, END):
         outcome = keymint("authority", "replace", IDENTITY, *words, cwd=ws)
         assert outcome.code == 0, outcome.err
         clean(keymint, ws)
@@ -321,7 +326,7 @@ def test_the_next_authority_may_come_from_outside(keymint, ws: Path, replace: Ca
     (ws.parent / "next.pem").write_bytes(pem)
     (ws.parent / "next.key").write_bytes(key)
     replace(IDENTITY, "--certificate", "../next.pem", "--key", "../next.key")
-    replace(IDENTITY, "--next")
+    replace(IDENTITY, *END)
     assert (ws / CERTIFICATES[0]).read_bytes() == pem
     assert public_key(ws / AUTHORITY_KEYS[0]) == public_key(ws / CERTIFICATES[0])
     clean(keymint, ws)

@@ -286,3 +286,49 @@ def test_a_robot_that_made_no_request_yet_keeps_nobody_waiting(keymint, policy: 
     assert "enclave-missing" in keymint("check", "--json", cwd=ws).codes()
     assert keymint("build", "--renew", "talker", "--json", cwd=ws).codes() == ["key-elsewhere"]
     assert keymint("build", "-f", cwd=ws).code == 0
+
+
+def test_the_verbs_of_authorities(keymint, in_token: Path, tmp_path: Path, signatures: Counter[str]) -> None:
+    shown = keymint("authority", "show", "--json", cwd=in_token).document["result"]["authorities"]
+    assert [each["private_key"] for each in shown] == ["token", "token"]
+    assert (keymint("build", cwd=in_token).code, keymint("install", cwd=in_token).code) == (0, 0)
+    before = snapshot(in_token)
+    pem = in_token / CERTIFICATES[0]
+    for words in (
+        ("replace", "identity_ca", "--vendor", "fastdds"),
+        ("export", "identity_ca", "--with-key", tmp_path / "out.pem"),
+        ("import", "identity_ca", pem, "--key", pem),
+    ):
+        outcome = keymint("authority", *words, "--json", cwd=in_token, env=RIGHT)
+        assert (outcome.code, outcome.codes()) == (1, ["authority-in-token"]), words
+    assert not (tmp_path / "out.pem").exists()
+    assert content_of(snapshot(in_token)) == content_of(before)
+    assert not signatures
+    certificate = pem.read_bytes()
+    later = {**RIGHT, "SOURCE_DATE_EPOCH": str(NOW + 6 * 365 * 24 * 3600)}
+    outcome = keymint("authority", "renew", "identity_ca", cwd=in_token, env=later)
+    assert outcome.code == 0, outcome.err
+    assert signatures["identity_ca"] >= 1
+    assert pem.read_bytes() != certificate
+
+
+def content_of(files: dict[str, tuple[int, int, bytes]]) -> dict[str, bytes]:
+    return {name: data for name, (_, _, data) in files.items()}
+
+
+def test_a_token_signs_revocation_lists(keymint, in_token: Path, signatures: Counter[str]) -> None:
+    stolen = (in_token / "install/enclaves/talker/cert.pem").read_bytes()
+    (in_token.parent / "stolen.pem").write_bytes(stolen)
+    outcome = keymint("revoke", "talker", "--reason", "key-compromise", cwd=in_token)
+    assert outcome.code == 1
+    assert VARIABLE in outcome.err
+    signatures.clear()  # it was asked for one
+    assert keymint("revoke", "talker", "--reason", "key-compromise", cwd=in_token, env=RIGHT).code == 0
+    assert signatures["identity_ca"] == 1
+    crl, authority = in_token / "public/identity_ca.crl.pem", in_token / CERTIFICATES[0]
+    trusted = ("-crl_check", "-CRLfile", crl, "-CAfile", authority)
+    accepts("verify", *trusted, in_token / "install/enclaves/robot1/listener/cert.pem")
+    command = ["openssl", "verify", "-attime", str(NOW), *trusted, in_token.parent / "stolen.pem"]
+    done = subprocess.run(command, capture_output=True, check=False)
+    assert b"certificate revoked" in done.stderr
+    assert keymint("install", cwd=in_token).code == 0  # nothing is to be signed
