@@ -14,6 +14,7 @@ from datetime import timedelta
 
 from comarmor.errors import Diagnostic, Severity
 from keymint.api import Inspection
+from keymint.check import revocations
 from keymint.check.authorities import authorities, authority_keys, in_defect
 from keymint.check.enclaves import identity_key, inspections, on_disk, unexpected
 from keymint.check.file_status import file_status
@@ -63,6 +64,7 @@ def check(session: Session, names: Sequence[str], within: timedelta) -> tuple[Di
             continue
         findings += on_disk(session, name, files)
         findings += unexpected(session, package, files)
+        findings += revocations.of_enclave(session, package, files)
         unread_places = {each.where for each in unread}
         defects = dict.fromkeys(each for build_type, own in seen.values() for each in build_type.check(own))
         findings += (each for each in defects if each.code != "file-missing" or each.where not in unread_places)
@@ -71,6 +73,7 @@ def check(session: Session, names: Sequence[str], within: timedelta) -> tuple[Di
     for build_type, of_type in sorted(by_type.items()):
         findings += session.plugins.build_type(build_type).check_all(of_type)
     findings += unaccounted(session)
+    findings += revocations.lists_in_force(session)
     findings += identity_keys.shared_keys(session, fingerprints)
     shared = check_shared(session, within)
     findings += shared.diagnostics

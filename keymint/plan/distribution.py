@@ -12,6 +12,7 @@ from pathlib import Path
 
 from cryptography import x509
 
+from comarmor.errors import Origin
 from keymint.api import RevocationReader
 from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
@@ -20,7 +21,7 @@ from keymint.plan import install
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.build_types import BUILD
 from keymint.plan.enclaves import CERTIFICATE, INSTALLED, installed
-from keymint.plan.revocation import enclave_lists
+from keymint.plan.revocation import enclave_lists, require_nothing_lost
 from keymint.session import Session
 from keymint.state import Stamp
 
@@ -57,6 +58,9 @@ def plan_distribution(before: Session, session: Session, omitted: Collection[str
         different = _different(session, folder, files)
         if not different:
             continue
+        for file, item in different.items():
+            where = Origin(session.workspace.shown(folder / file))
+            require_nothing_lost(session.tree.try_read(f"{folder}/{file}"), item.content, where)
         steps.append(Step(INSTALLED, name, Action.UPDATED, (FolderChange(folder, different),), "revocation list"))
         stamp = session.state.stamp(INSTALLED, name)
         if stamp is not None:

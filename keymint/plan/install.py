@@ -150,6 +150,11 @@ def _plan_enclave(
         return PackagePlan(name, withdrawn=reason)
     artifacts, issued, warnings = sign(session, package, documents, authorities, (key_pem, public), existing)
     outliving = _outliving(session, package, existing, artifacts)
+    in_force = revocation.enclave_lists(session).get(package.identity.issuer)
+    for file, artifact in artifacts.items():
+        if in_force and artifact.content == in_force:
+            where = Origin(workspace.shown(folder / file))
+            revocation.require_nothing_lost(existing.get(file), in_force, where)
     paths = {workspace.shown(folder / file) for file in artifacts} if unreadable else set()
     if blocking := [each for each in unreadable if _is_blocking(each, paths)]:
         kept = Step(STAGE, name, Action.KEPT, detail="not updated")

@@ -133,3 +133,30 @@ def _require_known(session: Session, name: str, present: RevocationList, revoked
             help="restore the latest register from a backup; or remove it, and 'keymint crl --rebuild' makes it again",
             code="register-outdated",
         )
+
+
+def require_nothing_lost(before: bytes | None, after: bytes, where: Origin) -> None:
+    """Require that a list which replaces another one in an enclave has all its revocations.
+
+    Args:
+        before: the list that is there, or None.
+        after: the list that replaces it.
+        where: its file, for messages.
+
+    Raises:
+        KeymintError: it lacks one, e.g. because somebody made the other list by hand.
+    """
+    try:
+        found = revocation_lists.load(before or b"", where)
+    except KeymintError:
+        return  # no node starts with what cannot be read
+    new = revocation_lists.load(after, where)
+    serials = {each.serial for each in new.revocations}
+    lost = [each for each in found.revocations if each.serial not in serials]
+    if lost and found.issuer == new.issuer:
+        raise KeymintError(
+            f"revokes certificates that the new list does not, e.g. the one with the serial number {lost[0].serial:x}",
+            where=where,
+            help="move it away if they may be accepted again",
+            code="revocation-list-foreign",
+        )
