@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import click
@@ -12,24 +13,33 @@ from comarmor.patterns.glob import parse
 from comarmor.patterns.matching import matches
 from comarmor.patterns.tokens import SPECIAL
 from comarmor.text import did_you_mean
+from keymint.api import Phase
 from keymint.changes import Plan
 from keymint.commands.bundle_files import bundle_output_option, require_output, write_bundles
 from keymint.commands.options import complete_package
+from keymint.commands.rollover_phases import require_staged
 from keymint.commands.run import Run
+from keymint.commands.second_keystore import session_ahead
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.names import package_name
 from keymint.output.report import Report
-from keymint.plan.authorities import plan_authorities
+from keymint.plan.authorities import MintedAuthority, plan_authorities
 from keymint.plan.bundles import MadeBundle, plan_bundles
 from keymint.plan.install import is_current
+from keymint.plan.rollover import phase_of
 from keymint.session import Inputs, Session
 
 
 @verb(dry_run=True)
 @click.argument("names", nargs=-1, required=True, metavar="NAME|PATTERN...", shell_complete=complete_package)
 @bundle_output_option
-def bundle(run: Run, names: tuple[str, ...], output: Path | None) -> Report:
+@click.option(
+    "--staged",
+    is_flag=True,
+    help="Of the second keystore, which 'keymint authority replace' staged; accept it into a copy of the keystore.",
+)
+def bundle(run: Run, names: tuple[str, ...], output: Path | None, staged: bool = False) -> Report:
     """Write installed enclaves into bundles, one for each, which robots take with 'keymint accept'.
 
     A bundle is signed by the authority of the enclave's certificate, and numbered, so that a robot never goes back. It
@@ -41,26 +51,58 @@ def bundle(run: Run, names: tuple[str, ...], output: Path | None) -> Report:
 
     def make_plan(inputs: Inputs) -> Plan:
         session = inputs.session()
-        chosen = _chosen(session, names)
+        chosen = dict.fromkeys(_chosen(session, names))
         require_output(run, output, len(chosen))
-        plan, authorities = plan_authorities(session)
-        after = session.after(plan)
-        chains = {name: each.chain for name, each in authorities.items()}
-        for name in chosen:
-            if plan.writes() or not is_current(after, name, chains):
-                raise KeymintError(
-                    f"the enclave /{name} is not installed as its sources and authorities are now",
-                    where=Origin(workspace.shown(session.enclaves / name)),
-                    help=f"run 'keymint build {name}' and 'keymint install {name}' first",
-                    code="not-installed",
-                )
-        planned, bundles = plan_bundles(after, dict.fromkeys(chosen), authorities)
+        if staged:
+            ahead, authorities = _second_keystore(run, session)
+            plan, bundles = plan_bundles(session, chosen, authorities, ahead)
+        else:
+            authorities = _in_force(session, chosen)
+            plan, bundles = plan_bundles(session, chosen, authorities)
         made[:] = bundles
-        return plan.then(planned)
+        return plan
 
     report = run.carry_out(workspace, make_plan)
     result = {"bundles": write_bundles(run, output, made)}
     return Report(run.verb, workspace, (), report.diagnostics, result, report.exit_code, dry_run=run.dry_run)
+
+
+def _in_force(session: Session, names: Iterable[str]) -> Mapping[str, MintedAuthority]:
+    """Return the authorities, by which some enclaves are installed as the sources say.
+
+    Raises:
+        KeymintError: an enclave is not.
+    """
+    plan, authorities = plan_authorities(session)
+    after = session.after(plan)
+    chains = {name: each.chain for name, each in authorities.items()}
+    for name in names:
+        if plan.writes() or not is_current(after, name, chains):
+            raise KeymintError(
+                f"the enclave /{name} is not installed as its sources and authorities are now",
+                where=Origin(session.workspace.shown(session.enclaves / name)),
+                help=f"run 'keymint build {name}' and 'keymint install {name}' first",
+                code="not-installed",
+            )
+    return authorities
+
+
+def _second_keystore(run: Run, session: Session) -> tuple[Session, Mapping[str, MintedAuthority]]:
+    """Return the session and the authorities of the second keystore.
+
+    Raises:
+        KeymintError: there is none, or it is not complete.
+    """
+    replaced = [each.name for each in session.profile.authorities if phase_of(session, each.name) is Phase.STAGE]
+    if not replaced:
+        raise KeymintError(
+            "there is no second keystore: no authority is replaced that way",
+            where=session.profile_marker(),
+            help="leave --staged out",
+            code="rollover-none",
+        )
+    require_staged(run, session, replaced[0])
+    return session_ahead(session, replaced[0])
 
 
 def _chosen(session: Session, given: tuple[str, ...]) -> tuple[str, ...]:

@@ -75,7 +75,7 @@ def planned(run: Run, session: Session, name: str, request: Request) -> Plan:
             f"'keymint authority replace {name} --phase {following}' does",
         )
     if phase is Phase.STAGE:
-        _require_staged(run, session, name, names)
+        require_staged(run, session, name)
     else:
         _require_current(session, name, names, f"the keystore of the phase {phase}")
     return _went_on(run, session, name, names)
@@ -172,13 +172,13 @@ def _require_current(session: Session, name: str, names: Sequence[str], what: st
         )
 
 
-def _require_staged(run: Run, session: Session, name: str, names: Sequence[str]) -> None:
-    """Require that the second keystore is complete and as the sources say.
+def require_staged(run: Run, session: Session, name: str) -> None:
+    """Require that the second keystore of an authority's replacement is complete and as the sources say.
 
     Raises:
         KeymintError: it is not.
     """
-    if staged_keystore(run, session, name, names).writes():
+    if staged_keystore(run, session, name, _names(session, name)).writes():
         shown = session.workspace.shown(session.workspace.next_install)
         raise KeymintError(
             "the second keystore is not as the sources and the authorities say now",

@@ -8,7 +8,7 @@ that time. Only its files are written, and nothing that the workspace records.
 from __future__ import annotations
 
 import stat
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.commands.proof_gate import proof_stage, proven
 from keymint.commands.reissue import reissued
 from keymint.commands.run import Run
-from keymint.plan.authorities import plan_authorities
+from keymint.plan.authorities import MintedAuthority, plan_authorities
 from keymint.plan.build import BuildStage
 from keymint.plan.gitignore import NAME as GITIGNORE
 from keymint.plan.install import InstallStage
@@ -41,12 +41,7 @@ def staged_keystore(run: Run, session: Session, name: str, names: Sequence[str])
     Raises:
         KeymintError: an enclave cannot be built, signed or proven; with all defects.
     """
-    workspace = session.workspace
-    ahead = session.after(plan_switch(session, name)).session()
-    ahead = replace(ahead, workspace=replace(workspace, install=workspace.next_install))
-    minted, authorities = plan_authorities(ahead)
-    ahead = ahead.after(minted)
-    ahead = ahead.after(plan_lists(ahead, authorities))
+    ahead, authorities = session_ahead(session, name)
     build = BuildStage(ahead, BuildOptions(), force=False, renew=False)
     built = build.plan([build.package(each) for each in names])
     ahead = ahead.after(built)
@@ -56,6 +51,24 @@ def staged_keystore(run: Run, session: Session, name: str, names: Sequence[str])
     done = proven(run, ahead, planned, names, proof, planned)
     steps = tuple(replace(step, stage=STAGE) for step in planned.steps)
     return replace(done, steps=steps, state=session.state)
+
+
+def session_ahead(session: Session, name: str) -> tuple[Session, Mapping[str, MintedAuthority]]:
+    """Return the session and the authorities as they will be, with the second keystore as the one in force.
+
+    Args:
+        session: the workspace in the phase ``stage`` of an authority's replacement, and its profile.
+        name: the authority.
+
+    Raises:
+        KeymintError: an authority cannot be used; as :func:`keymint.plan.authorities.plan_authorities`.
+    """
+    workspace = session.workspace
+    ahead = session.after(plan_switch(session, name)).session()
+    ahead = replace(ahead, workspace=replace(workspace, install=workspace.next_install))
+    minted, authorities = plan_authorities(ahead)
+    ahead = ahead.after(minted)
+    return ahead.after(plan_lists(ahead, authorities)), authorities
 
 
 def exchanged_keystore(run: Run, session: Session, name: str, names: Sequence[str]) -> Plan:

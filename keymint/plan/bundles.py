@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import field, replace
 from datetime import datetime
 
@@ -20,6 +20,7 @@ from keymint.changes import Plan
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan.authorities import MintedAuthority
+from keymint.plan.build_types import build_types_of
 from keymint.plan.enclaves import INSTALLED
 from keymint.plan.register import complete_register, register_change
 from keymint.session import Session
@@ -36,7 +37,10 @@ class MadeBundle:
 
 
 def plan_bundles(
-    session: Session, names: Mapping[str, Request | None], authorities: Mapping[str, MintedAuthority]
+    session: Session,
+    names: Mapping[str, Request | None],
+    authorities: Mapping[str, MintedAuthority],
+    source: Session | None = None,
 ) -> tuple[Plan, tuple[MadeBundle, ...]]:
     """Plan bundles of enclaves, as they are installed.
 
@@ -46,6 +50,7 @@ def plan_bundles(
         session: the workspace and its profile, with what is planned.
         names: the packages, each with the request that its bundle answers; None if it answers none.
         authorities: the authorities by name.
+        source: the session whose keystore has the enclaves, if it is another one than the keystore in force.
 
     Returns:
         The plan for the register, and the bundles.
@@ -60,7 +65,8 @@ def plan_bundles(
     for name, request in names.items():
         register = register.with_bundle(name, session.now)
         try:
-            made.append(_bundle(session, name, request, register.bundles[name], authorities))
+            files = _staged_files(source, name) if source else _installed_files(session, name)
+            made.append(_bundle(source or session, name, request, files, register.bundles[name], authorities))
         except KeymintError as error:
             errors += [replace(each, subject=each.subject or f"/{name}") for each in error.diagnostics]
     if errors:
@@ -68,13 +74,28 @@ def plan_bundles(
     return Plan((), session.state, first=register_change(session, register)), tuple(made)
 
 
-def _bundle(
-    session: Session, name: str, request: Request | None, number: int, authorities: Mapping[str, MintedAuthority]
-) -> MadeBundle:
-    package = session.package(name)
+def _installed_files(session: Session, name: str) -> Iterable[str]:
+    """Return the names of the files that were installed into an enclave."""
     stamp = session.state.stamp(INSTALLED, name)
-    folder = session.enclaves / name
-    contents = {file: session.tree.read(folder / file) for file in (stamp.outputs if stamp else ())}
+    return stamp.outputs if stamp else ()
+
+
+def _staged_files(session: Session, name: str) -> Iterable[str]:
+    """Return the names of the files that an enclave may have, of a keystore that the workspace has no record of."""
+    build_types = build_types_of(session, session.package(name)).values()
+    return {file for each in build_types for file in each.files(session.profile.layout)}
+
+
+def _bundle(
+    session: Session,
+    name: str,
+    request: Request | None,
+    names: Iterable[str],
+    number: int,
+    authorities: Mapping[str, MintedAuthority],
+) -> MadeBundle:
+    package, folder = session.package(name), session.enclaves / name
+    contents = {file: session.tree.read(folder / file) for file in names}
     # The robot has the key that it asks a certificate for.
     files = {file: data for file, data in contents.items() if data is not None and not (request and file == KEY)}
     if CERTIFICATE not in files:
