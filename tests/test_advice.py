@@ -6,7 +6,7 @@ from __future__ import annotations
 import ast
 import re
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import click
@@ -21,18 +21,20 @@ CONSEQUENTIAL = ("--renew", "--prune", "--new-authority")
 """Options that replace or remove something for good: advice names them with their verb only."""
 
 COMMAND = re.compile(r"(?<![\w/.-])keymint +(?P<verb>[a-z]+)(?P<rest>[^'`\n;&|)#]*)")
-OPTION = re.compile(r"(?<![\w/-])--[a-z][a-z-]+\b(?!=)")
+OPTION = re.compile(r"(?<![\w/-])--[a-z][a-z0-9-]+\b(?!=)")
 
 
-def options_of() -> Mapping[str, frozenset[str]]:
-    """Return the options of each verb."""
-    context = click.Context(cli)
-    found = {}
-    for verb in VERBS:
-        command = cli.get_command(context, verb)
+def options_of(group: click.Group = cli, verbs: Iterable[str] = VERBS, above: str = "") -> Mapping[str, frozenset[str]]:
+    """Return the options of each verb, of ``authority show`` as well."""
+    context = click.Context(group)
+    found: dict[str, frozenset[str]] = {}
+    for verb in verbs:
+        command = group.get_command(context, verb)
         assert command is not None
         named = {name for each in command.params for name in (*each.opts, *each.secondary_opts)}
-        found[verb] = frozenset({*named, "--help", "-h"})
+        found[above + verb] = frozenset({*named, "--help", "-h"})
+        if isinstance(command, click.Group):
+            found |= options_of(command, command.list_commands(context), f"{verb} ")
     return found
 
 
@@ -66,8 +68,13 @@ def wrong(text: str) -> Iterator[str]:
             words = shlex.split(command["rest"].split("  ")[0])
         except ValueError:
             words = command["rest"].split()
+        if words and any(each.startswith(f"{verb} ") for each in OPTIONS):
+            verb = f"{verb} {words.pop(0)}"
+            if verb not in OPTIONS:
+                yield f"no verb {verb!r}"
+                continue
         for word in words:
-            option = re.match(r"--?[a-z][a-z-]*", word)
+            option = re.match(r"--?[a-z][a-z0-9-]*", word)
             if option and option[0] not in OPTIONS[verb]:
                 yield f"no {option[0]} of {verb!r}"
     yield from (f"no {option}" for option in OPTION.findall(text) if option not in EVERY_OPTION)
@@ -82,6 +89,9 @@ def wrong(text: str) -> Iterator[str]:
         ("'keymint build --renew X', or restore it", []),
         ("'keymint build -f X' discards it", []),
         ("'keymint build -x X' discards it", ["no -x of 'build'"]),
+        ("'keymint authority renew X --flag-day' does it", []),
+        ("'keymint authority renew X --vendor' does it", ["no --vendor of 'authority renew'"]),
+        ("'keymint authority shaw X' shows it", ["no verb 'authority shaw'"]),
         ("Waiting for the workspace lock held by another keymint process", []),
     ],
 )
@@ -114,7 +124,7 @@ def test_no_advice_leaves_open_which_verb_replaces_or_removes_something() -> Non
 
 def _is_foreign(text: str) -> bool:
     """Tell whether a text is about another program."""
-    return bool(re.search(r"ros2 run|openssl |git |uv |pip |pipx |rosdep ", text))
+    return bool(re.search(r"ros2 run|openssl |git |uv |pip |pipx |rosdep |pkcs11-tool ", text))
 
 
 def test_every_command_in_the_documents_exists() -> None:

@@ -183,7 +183,8 @@ def bundles(stages: Stages, tmp_path_factory: pytest.TempPathFactory) -> Stages:
     folder = tmp_path_factory.mktemp("bundles")
     workspace = moved(stages, folder)
     replacing = ("authority", "replace", "identity_ca", "-w", workspace)
-    for phase, options in (("both", ("--vendor", "fastdds")), ("issued", ("--next",)), ("alone", ("--next",))):
+    steps = ("both", ("--vendor", "fastdds")), ("issued", ("--phase", "reissue")), ("alone", ("--phase", "end"))
+    for phase, options in steps:
         keymint(*replacing, *options)
         shutil.copytree(workspace / "install", folder / "stages" / phase)
     shutil.copytree(stages.folder / "narrow", folder / "stages/before")
@@ -229,7 +230,7 @@ def second_keystore(stages: Stages, tmp_path_factory: pytest.TempPathFactory) ->
     keymint("authority", "replace", "identity_ca", "-w", workspace)
     for name, source in (("present", "install"), ("next", "install.next")):
         shutil.copytree(workspace / source, folder / "stages" / name)
-    keymint("authority", "replace", "identity_ca", "--next", "-w", workspace)
+    keymint("authority", "replace", "identity_ca", "--phase", "end", "-w", workspace)
     shutil.copytree(workspace / "install", folder / "stages/done")
     return Stages(folder / "stages", workspace)
 
