@@ -44,6 +44,7 @@ _COMMON: Mapping[str, Any] = {
 
 A configuration replaces these defaults, so it must repeat them. ``transient_local`` needs time stamps.
 """
+_CLOSED: Mapping[str, Any] = {"gossip": False, "multicast": False, "protocols": PROTOCOLS}
 ROUTER_SETTINGS: Mapping[str, Any] = _COMMON
 SESSION_SETTINGS: Mapping[str, Any] = {
     **_COMMON,
@@ -78,29 +79,15 @@ def session(package: Package) -> Configuration:
     """
     settings = settings_of(package)
     name = common_name(router_of(package))
+    every_message = AclRule(_ROUTER_RULE, tuple(Message), tuple(Flow), Permission.ALLOW, EVERY_KEY)
+    policy = AclPolicy((_ROUTER_RULE,), (_ROUTER_RULE,))
     return Configuration(
         mode="client",
         connect=(settings.router.endpoint,),
-        listen=(),
-        gossip=False,
-        multicast=False,
-        protocols=PROTOCOLS,
-        tls=Tls(
-            root_ca=_path(package, IDENTITY_CA),
-            connect_certificate=_path(package, CERTIFICATE),
-            connect_key=_path(package, KEY),
-            mutual=True,
-            verify_name=True,
-            close_expired=True,
-        ),
-        access_control=AccessControl(
-            enabled=True,
-            default_permission=Permission.DENY,
-            rules=(AclRule(_ROUTER_RULE, tuple(Message), tuple(Flow), Permission.ALLOW, EVERY_KEY),),
-            subjects=(AclSubject(_ROUTER_RULE, (name,)),),
-            policies=(AclPolicy((_ROUTER_RULE,), (_ROUTER_RULE,)),),
-        ),
+        tls=_tls(package, connect_certificate=_path(package, CERTIFICATE), connect_key=_path(package, KEY)),
+        access_control=_denying([every_message], [AclSubject(_ROUTER_RULE, (name,))], [policy]),
         other=SESSION_SETTINGS,
+        **_CLOSED,
     )
 
 
@@ -126,28 +113,21 @@ def router(package: Package, enclaves: Sequence[tuple[Package, Sequence[KeyRule]
             policies.append(AclPolicy(tuple(rule.id for rule in own), (enclave.subject,)))
     return Configuration(
         mode="router",
-        connect=(),
         listen=(listen_endpoint(settings_of(package).router),),
-        gossip=False,
-        multicast=False,
-        protocols=PROTOCOLS,
-        tls=Tls(
-            root_ca=_path(package, IDENTITY_CA),
-            listen_certificate=_path(package, CERTIFICATE),
-            listen_key=_path(package, KEY),
-            mutual=True,
-            verify_name=True,
-            close_expired=True,
-        ),
-        access_control=AccessControl(
-            enabled=True,
-            default_permission=Permission.DENY,
-            rules=tuple(rules),
-            subjects=tuple(subjects),
-            policies=tuple(policies),
-        ),
+        tls=_tls(package, listen_certificate=_path(package, CERTIFICATE), listen_key=_path(package, KEY)),
+        access_control=_denying(rules, subjects, policies),
         other=ROUTER_SETTINGS,
+        **_CLOSED,
     )
+
+
+def _tls(package: Package, **own: str) -> Tls:
+    """Return the settings of TLS: both ends show certificates, whose names and dates count."""
+    return Tls(root_ca=_path(package, IDENTITY_CA), mutual=True, verify_name=True, close_expired=True, **own)
+
+
+def _denying(rules: Iterable[AclRule], subjects: Iterable[AclSubject], policies: Iterable[AclPolicy]) -> AccessControl:
+    return AccessControl(True, Permission.DENY, tuple(rules), tuple(subjects), tuple(policies))
 
 
 def router_of(package: Package) -> Package:
