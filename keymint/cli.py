@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import functools
 import gc
-import importlib
 import io
 import os
 import re
@@ -21,10 +20,11 @@ from typing import TYPE_CHECKING, Any, TextIO, cast
 
 import click
 
-from comarmor.text import did_you_mean, printable, printable_lines
+from comarmor.text import printable, printable_lines
 from keymint import SPACES, __version__
+from keymint.commands.verb_group import VerbGroup
 from keymint.errors import ExitCode
-from keymint.process import Output, OutputError, StoppedError, held_signals, received, settle
+from keymint.process import Output, OutputError, StoppedError, received, settle
 
 if TYPE_CHECKING:
     from keymint.commands.run import Setting
@@ -69,33 +69,13 @@ _LAST = datetime(9900, 1, 1, tzinfo=UTC)
 """A later clock is an error: authorities are valid for ten years, and certificates end in the year 9999 (RFC 5280)."""
 
 
-class _Verbs(click.Group):
-    """A group that imports a verb on first use, so that ``--help`` is fast."""
+class _Verbs(VerbGroup):
+    """The verbs."""
 
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        del ctx
-        return list(VERBS)
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        del ctx
-        if cmd_name not in VERBS:
-            return None
-        with held_signals():
-            command: click.Command = getattr(importlib.import_module(f"keymint.commands.{cmd_name}"), cmd_name)
-        return command
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        if args and args[0] not in VERBS and not args[0].startswith("-"):
-            hint = did_you_mean(args[0], VERBS, "'keymint --help' lists the verbs")
-            ctx.fail(f"no verb {args[0]!r} ({hint})")
-        return super().resolve_command(ctx, args)
+    VERBS = VERBS
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        del ctx
-        with formatter.section("Verbs"):
-            formatter.write_dl(list(VERBS.items()))
+        super().format_commands(ctx, formatter)
         with formatter.section("Workspace layout (options of every verb that takes --workspace)"):
             formatter.write_dl(
                 [(f"--{space}-space DIR", f"Directory of the {space} space [{space}/].") for space in SPACES]

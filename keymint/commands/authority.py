@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping
 from types import MappingProxyType
 
 import click
 
-from keymint.process import held_signals
+from keymint.commands.verb_group import VerbGroup
 
 VERBS: Mapping[str, str] = MappingProxyType(
     {
@@ -22,26 +21,12 @@ VERBS: Mapping[str, str] = MappingProxyType(
 )
 
 
-class _Verbs(click.Group):
-    """A group that imports a verb on first use, so that ``--help`` is fast."""
+class _Verbs(VerbGroup):
+    """The verbs about authorities; one is named like a keyword of Python."""
 
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        del ctx
-        return list(VERBS)
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        del ctx
-        if cmd_name not in VERBS:
-            return None
-        with held_signals():
-            module = importlib.import_module(f"keymint.commands.authority_{cmd_name}")
-        command: click.Command = module.command
-        return command
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        del ctx
-        with formatter.section("Verbs"):
-            formatter.write_dl(list(VERBS.items()))
+    VERBS = VERBS
+    MODULE = "keymint.commands.authority_{}"
+    NAME = "command"
 
 
 @click.group(cls=_Verbs)
