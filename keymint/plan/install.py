@@ -93,9 +93,26 @@ class InstallStage:
             steps.append(withdraw(session, name, reason))
         if prune:
             require_sources(session)
+            diagnostics += _still_good(session, removed)
             steps += [_prune(session, name) for name in removed]
             state = key_record.forget(state, key_record.IDENTITIES, removed)
         return Plan(tuple(steps), state, tuple(diagnostics), _register(session, planned))
+
+
+def _still_good(session: Session, removed: Sequence[str]) -> Iterator[Diagnostic]:
+    """Yield a warning if certificates of enclaves that are removed stay good."""
+    ends = {name: each.not_after for name in removed for each in register_of(session).in_force(name, session.now)}
+    if ends:
+        name, end = max(ends.items(), key=lambda item: item[1])
+        others = f" [{len(ends)} enclaves]" if len(ends) > 1 else ""
+        yield Diagnostic(
+            "certificate-in-force",
+            Severity.WARNING,
+            f"the certificate of the removed enclave /{name} stays good until {shown(end)}{others}",
+            None,
+            f"'keymint revoke {name} --reason retired' ends it",
+            f"/{name}" if len(ends) == 1 else "",
+        )
 
 
 def _register(session: Session, planned: Sequence[PackagePlan]) -> tuple[FolderChange, ...]:

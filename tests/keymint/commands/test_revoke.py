@@ -319,3 +319,14 @@ def test_a_shorter_list_is_counted_by_check_and_renewed(provisioned: Path, keymi
     after = crl(provisioned / "install/enclaves/talker/crl.pem")
     assert after.next_update_utc.isoformat() == "2027-03-11T08:00:00+00:00"
     assert len(after) == 1
+
+
+def test_a_pruned_enclave_is_not_revoked_and_that_is_said(provisioned: Path, keymint) -> None:
+    for path in sorted((provisioned / "src/talker").rglob("*"), reverse=True):
+        path.unlink()
+    (provisioned / "src/talker").rmdir()
+    outcome = keymint("install", "--prune", "--no-prove", cwd=provisioned)
+    assert outcome.code == 0
+    assert "the certificate of the removed enclave /talker stays good until 2028-01-14" in outcome.err
+    assert keymint("revoke", "talker", "--reason", "retired", cwd=provisioned).code == 0
+    assert len(crl(provisioned / "install/enclaves/robot1/listener/crl.pem")) == 1
