@@ -11,7 +11,7 @@ packages=(
     libfastrtps-dev libfastcdr-dev               # Fast DDS, with security compiled in
     gcc g++                                      # the probes of the real transports
     softhsm2 opensc libengine-pkcs11-openssl     # a token in software, its tools, and what Fast DDS asks tokens with
-    openssl strace                               # for other tests
+    openssl strace libfaketime                   # for other tests; the last one moves the clock
     chromium chromium-driver fonts-dejavu-core   # for the tests of pictures and reports
 )
 if .ci/apt-install "${packages[@]}"; then exit 0; fi
