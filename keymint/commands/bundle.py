@@ -26,6 +26,7 @@ from keymint.names import package_name
 from keymint.output.report import Report
 from keymint.plan.authorities import MintedAuthority, plan_authorities
 from keymint.plan.bundles import MadeBundle, plan_bundles
+from keymint.plan.enclaves import installed
 from keymint.plan.install import is_current
 from keymint.plan.rollover import phase_of
 from keymint.session import Inputs, Session
@@ -106,21 +107,25 @@ def _second_keystore(run: Run, session: Session) -> tuple[Session, Mapping[str, 
 
 
 def _chosen(session: Session, given: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the packages that the user named, or whose names match a pattern.
+    """Return the packages that the user named, and those with an enclave whose names match a pattern.
+
+    What is not installed has no bundle, e.g. after a revocation; a pattern passes over it.
 
     Raises:
         KeymintError: there is none.
     """
     known, chosen = session.packages(), dict[str, None]()
+    there = frozenset(installed(session))
     for each in given:
         if SPECIAL.search(each):
-            found = [name for name in known if matches(parse(each), f"/{name}")]
+            found = [name for name in known if name in there and matches(parse(each), f"/{name}")]
         else:
             name = package_name(each)
             found = [name] if name in known else []
         if not found:
+            which = "no installed package" if SPECIAL.search(each) else "no package"
             raise KeymintError(
-                f"no package is called {each!r} in {session.workspace.shown(session.workspace.src)}",
+                f"{which} is called {each!r} in {session.workspace.shown(session.workspace.src)}",
                 help=did_you_mean(each, [f"/{name}" for name in known], "'keymint status' lists them"),
                 code="package-unknown",
             )
