@@ -3,8 +3,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import pty
 import shutil
 import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 
@@ -332,3 +336,44 @@ def test_a_token_signs_revocation_lists(keymint, in_token: Path, signatures: Cou
     done = subprocess.run(command, capture_output=True, check=False)
     assert b"certificate revoked" in done.stderr
     assert keymint("install", cwd=in_token).code == 0  # nothing is to be signed
+
+
+def at_terminal(ws: Path, typed: bytes, *words: str) -> tuple[int, str]:
+    """Run the command at a terminal, and type something when it asks; returns its exit code and what it showed."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    child, terminal = pty.fork()
+    if not child:
+        os.chdir(ws)
+        os.execve(sys.executable, [sys.executable, "-m", "keymint", *words], environment)
+    shown = b""
+    with contextlib.suppress(OSError):  # the terminal of a process that ended
+        while part := os.read(terminal, 4096):
+            shown += part
+            if shown.endswith(b"PIN of the token ca: "):
+                os.write(terminal, typed)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    os.close(terminal)
+    return code, shown.decode()
+
+
+@pytest.mark.parametrize(
+    ("typed", "code", "said"),
+    [
+        (f"{PIN}\n".encode(), 0, "1 updated"),
+        (b"wrong-secret\n", 1, "the PIN of the token ca is wrong"),
+        (b"\n", 1, f"the environment variable {VARIABLE}"),
+        (b"\x04", 1, f"the environment variable {VARIABLE}"),
+        (b"\x03", 130, "interrupted"),
+    ],
+    ids=["right", "wrong", "empty", "end of input", "Ctrl+C"],
+)
+def test_the_user_is_asked_at_a_terminal(keymint, in_token: Path, typed: bytes, code: int, said: str) -> None:
+    expire_soon(in_token)
+    assert keymint("build", cwd=in_token).code == 0
+    before = content(in_token)
+    found, shown = at_terminal(in_token, typed, "install")
+    assert (found, said in shown) == (code, True), shown
+    assert shown.count("PIN of the token ca: ") == 1
+    assert PIN not in shown
+    assert "wrong-secret" not in shown
+    assert (content(in_token) == before) == (code != 0)
