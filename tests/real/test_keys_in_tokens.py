@@ -8,14 +8,17 @@ import re
 import subprocess
 import sys
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from keymint_ros import package_type
+from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9
+from keymint_ros2_dds.transports.enclave_model import EnclaveModel
 from keymint_ros2_dds.vendors.participants import FastDDS, RefusedError, System, Vendor
 
-from keymint.api import Issuance, KeySpec
+from keymint.api import Enclave, Environment, Issuance, KeySpec
 from keymint.pins import VARIABLE, Pins
 from keymint.pki.tokens import Tokens
 from tests.conftest import CHECKOUT
@@ -139,5 +142,11 @@ def test_the_pin_of_a_participant_in_a_file(fastdds: Vendor, robot: Path, tmp_pa
 
 @pytest.mark.cyclonedds
 def test_cyclone_dds_starts_without_such_a_key_not_at_all(cyclonedds: Vendor, robot: Path) -> None:
+    enclave = robot / "install/enclaves/talker"
     with System(cyclonedds) as system, pytest.raises(RefusedError):
-        system.open(robot / "install/enclaves/talker")
+        system.open(enclave)
+    model = EnclaveModel(
+        Enclave("/talker", enclave, "jazzy", robot / "install"), Environment(datetime.now(UTC), robot), 0
+    )
+    assert "key.p11 is not read" in model.unauthenticated(CYCLONEDDS_0_10)
+    assert not model.unauthenticated(FASTDDS_2_9)

@@ -74,6 +74,7 @@ class Semantics:
         topic_rules_both_ways: a topic rule also matches if the topic's name, as a pattern, matches its expression.
         one_authority: only the first certificate of the identity authority's file is trusted.
         lists_among_authorities: revocation lists in the identity authority's file are read.
+        keys_in_tokens: a private key may be the URI of one in a token (DDS Security 1.1, 9.3.1).
     """
 
     parser: Parser = Parser.STANDARD
@@ -96,6 +97,7 @@ class Semantics:
     topic_rules_both_ways: bool = False
     one_authority: bool = False
     lists_among_authorities: bool = False
+    keys_in_tokens: bool = True
 
     def refusal(self, document: PermissionsDocument | GovernanceDocument) -> str:
         """Return why the parser refuses a document, in one line with its place; or an empty text."""
@@ -219,6 +221,7 @@ CYCLONE_DEVIATIONS = (
     _on("17", "fnmatch", "no escapes; only '!' negates a set; the ']' that ends a set is a member of it",
         fnmatch=fnmatch.CYCLONE_DDS),
     _on("21", "one-authority", "only the first certificate of identity_ca.cert.pem is trusted", one_authority=True),
+    _on("23", "no-keys-in-tokens", "key.p11 is not read, and key.pem is missing", keys_in_tokens=False),
     _on("data tags", "tags-ignored", "data tags are ignored", tags_count=False),
 )  # fmt: skip
 

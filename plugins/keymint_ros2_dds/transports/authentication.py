@@ -22,7 +22,7 @@ from keymint.api import Enclave
 from keymint.errors import KeymintError
 from keymint.pki import certificates
 from keymint_ros2_dds.decision import Semantics
-from keymint_ros2_dds.enclave_layout import CA, CERTIFICATE, CRL, IDENTITY_CA, reads_revocations
+from keymint_ros2_dds.enclave_layout import CA, CERTIFICATE, CRL, IDENTITY_CA, KEY, KEY_URI, reads_revocations
 from keymint_ros2_dds.transports import enclave_files
 
 _LIST = re.compile(rb"-----BEGIN X509 CRL-----.*?-----END X509 CRL-----", re.DOTALL)
@@ -39,6 +39,7 @@ class Authentication:
         listed: its revocation list, or None.
         unread: it has a file for that, which is no revocation list.
         among: the revocation lists in the file of the identity authority.
+        in_token: its private key lies in a token, and in no file.
         now: the clock, UTC.
     """
 
@@ -47,10 +48,13 @@ class Authentication:
     listed: x509.CertificateRevocationList | None
     unread: bool
     among: tuple[x509.CertificateRevocationList, ...]
+    in_token: bool
     now: datetime
 
     def refusal(self, semantics: Semantics) -> str:
         """Return why the participant is not created, or an empty text."""
+        if self.in_token and not semantics.keys_in_tokens:
+            return f"{KEY} is missing, and {KEY_URI} is not read"
         return self.refuses(self.certificate, semantics)
 
     def refuses(self, certificate: x509.Certificate, semantics: Semantics) -> str:
@@ -136,5 +140,6 @@ def load(enclave: Enclave, now: datetime) -> Authentication:
         listed,
         reads and listed is None,
         tuple(each for each in map(_list, _LIST.findall(bundle)) if each is not None),
+        (folder / KEY_URI).exists() and not (folder / KEY).exists(),
         now,
     )

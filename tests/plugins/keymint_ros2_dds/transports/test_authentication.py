@@ -103,6 +103,17 @@ def test_row_22_fast_dds_reads_lists_among_the_authorities(tmp_path: Path) -> No
     assert "row 22, lists-among-authorities" in model.deviation(FASTDDS_2_9, PUBLISH, allowed=False)
 
 
+def test_row_23_cyclone_dds_reads_no_key_in_a_token(tmp_path: Path) -> None:
+    enclave = write(tmp_path / "talker")
+    put(enclave, "key.p11", b"pkcs11:token=robot;object=talker\n")
+    assert {refusal(enclave, each) for each in ALL} == {""}  # Cyclone DDS finds its key beside it
+    (enclave.folder / "key.pem").unlink()
+    assert refusal(enclave, CYCLONEDDS_0_10) == "key.pem is missing, and key.p11 is not read"
+    assert (refusal(enclave, FASTDDS_2_9), refusal(enclave, OMG)) == ("", "")
+    model = EnclaveModel(enclave, Environment(NOW, tmp_path), 0)
+    assert "row 23, no-keys-in-tokens" in model.deviation(CYCLONEDDS_0_10, PUBLISH, allowed=False)
+
+
 def test_a_peer_is_refused_by_whoever_has_the_list(tmp_path: Path) -> None:
     revoked, environment = write(tmp_path / "revoked"), Environment(NOW, tmp_path)
     informed = write(tmp_path / "informed", crl=revoking("identity_ca", serial(revoked)))
