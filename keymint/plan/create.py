@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import did_you_mean
-from keymint.api import DigestedPolicy, InfrastructurePackage, LoadedPolicy, OwnValidity, Role
+from keymint.api import DigestedPolicy, InfrastructurePackage, Issuance, IssuanceFiles, LoadedPolicy, OwnValidity, Role
 from keymint.changes import Action, File, Plan, Step, changed
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
@@ -150,7 +150,7 @@ class CreateStage:
         errors = () if known else unnamed
         try:
             new = self._package_type.create(session.profile, rules, files, force=force)
-            new = {**new, **self._with_validity(rules, {**files, **new})}
+            new = {**new, **self._with_validity(rules, {**files, **new}), **self._with_generation(name)}
         except KeymintError as error:
             in_the_way = (placed(diagnostic, session.workspace.src) for diagnostic in error.diagnostics)
             return PackagePlan(name, None, None, unnamed if known else (), (*errors, *in_the_way))
@@ -174,6 +174,19 @@ class CreateStage:
                 code="validity-unsupported",
             )
         return package_type.with_validity(session.profile, rules, files, self._valid_for, session.now)
+
+    def _with_generation(self, name: str) -> Mapping[str, bytes]:
+        """Return the file that makes a new package go on where certificates of its name ended."""
+        session, package_type = self._session, self._package_type
+        if name in self.existing or not session.tree.has_file(session.workspace.register):
+            return {}
+        from keymint.plan.register import register_of  # noqa: PLC0415 - imports cryptography, which takes 0.1 s
+
+        generation = register_of(session).generation(name)
+        if not generation or not isinstance(package_type, IssuanceFiles):
+            return {}
+        decided = package_type.with_issuance(Issuance(generation))
+        return {file: content for file, content in decided.items() if file not in session.file_digests(name)}
 
     def _rules_digest(self, subject: str) -> str:
         """Return the digest of everything that the sources of a subject are made of; empty if it is not known."""

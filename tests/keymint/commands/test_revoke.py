@@ -330,3 +330,21 @@ def test_a_pruned_enclave_is_not_revoked_and_that_is_said(provisioned: Path, key
     assert "the certificate of the removed enclave /talker stays good until 2028-01-14" in outcome.err
     assert keymint("revoke", "talker", "--reason", "retired", cwd=provisioned).code == 0
     assert len(crl(provisioned / "install/enclaves/robot1/listener/crl.pem")) == 1
+
+
+@pytest.mark.parametrize("reason", ["superseded", "retired"])
+def test_sources_that_are_made_again_go_on_with_the_generation(
+    provisioned: Path, keymint, policy: Path, reason: str
+) -> None:
+    keymint("revoke", "talker", "--reason", reason, cwd=provisioned)
+    for path in sorted((provisioned / "src/talker").rglob("*"), reverse=True):
+        path.unlink()
+    (provisioned / "src/talker").rmdir()
+    again = keymint("provision", policy, "-w", provisioned)
+    assert again.code == 0, again.err
+    assert "<generation>1</generation>" in (provisioned / "src/talker/issuance.xml").read_text()
+    if reason == "retired":
+        assert not (provisioned / "install/enclaves/talker").exists()
+        assert keymint("renew", "--rekey", "talker", cwd=provisioned).code == 0
+    assert (provisioned / "install/enclaves/talker/cert.pem").exists()
+    assert keymint("check", cwd=provisioned).code == 0
