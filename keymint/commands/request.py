@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import secrets
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import field, replace
 from pathlib import Path
 
 import click
@@ -118,7 +118,7 @@ class _Made:
     """A request, and its private key (PEM) unless the enclave or a token has it."""
 
     request: bytes
-    new_key: bytes
+    new_key: bytes = field(repr=False)
 
 
 def _certified(there: Keystore, keystore: RobotKeystore, name: str) -> str:

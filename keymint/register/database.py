@@ -7,7 +7,6 @@ It is made in memory, so that it is written like every other file: complete, ato
 from __future__ import annotations
 
 import contextlib
-import sqlite3  # noqa: TID251 - in memory only
 from datetime import UTC, datetime
 
 from comarmor.errors import Origin
@@ -53,6 +52,8 @@ def load(content: bytes, where: Origin) -> Register:
     """
     if not content:
         raise _damaged(where)
+    import sqlite3  # noqa: PLC0415, TID251 - in memory only, and of no use to runs that issue nothing
+
     try:
         with contextlib.closing(sqlite3.connect(":memory:")) as database:
             database.deserialize(content)
@@ -79,6 +80,8 @@ _NUMBERED = ("lists", "bundles")
 
 def dump(register: Register) -> bytes:
     """Return the file of a register."""
+    import sqlite3  # noqa: PLC0415, TID251 - in memory only, and of no use to runs that issue nothing
+
     with contextlib.closing(sqlite3.connect(":memory:")) as database:
         database.executescript(_SCHEMA)
         database.executemany(
