@@ -14,9 +14,12 @@ from pathlib import Path
 
 import pytest
 
-from keymint.pins import VARIABLE
+from keymint.api import KeySpec
+from keymint.pins import VARIABLE, Pins
+from keymint.pki import certificates
 from keymint.pki.tokens import Tokens
 from tests.conftest import NOW, snapshot
+from tests.keymint.pki.conftest import make_spec
 from tests.keymint.plan.keystores import AUTHORITY_KEYS, CERTIFICATES, ENCLAVES, content, public_key
 from tests.softhsm import PIN, SoftHsm
 
@@ -377,3 +380,30 @@ def test_the_user_is_asked_at_a_terminal(keymint, in_token: Path, typed: bytes, 
     assert PIN not in shown
     assert "wrong-secret" not in shown
     assert (content(in_token) == before) == (code != 0)
+
+
+def test_an_authority_of_the_company_signs_with_its_token(
+    keymint, policy: Path, tmp_path: Path, softhsm: SoftHsm, signatures: Counter[str]
+) -> None:
+    """Its certificate was made elsewhere, with a name and extensions of its own; its key never was in a file."""
+    ws, name = tmp_path / "ws", "identity_ca"
+    spec = KeySpec("ec", "SECP256R1", uri=softhsm.make_key("company"))
+    assert keymint("init", "ws", "--policy", policy).code == 0
+    (ws / AUTHORITY_KEYS[0]).unlink()
+    (ws / CERTIFICATES[0]).unlink()
+    name_keys(ws, **{name: uri(spec.uri)})
+    tokens = Tokens({}, Pins(RIGHT).pin)
+    key = tokens.private_key(spec, tokens.public_key(spec))
+    (tmp_path / "company.pem").write_bytes(
+        certificates.issue_authority(make_spec("O=Company,CN=Robots"), key, None).pem
+    )
+    tokens.close()
+    signatures.clear()
+    outcome = keymint("authority", "import", name, tmp_path / "company.pem", cwd=ws)
+    assert outcome.code == 0, outcome.err
+    outcome = keymint("provision", policy, "-w", "ws", env=RIGHT)
+    assert outcome.code == 0, outcome.err
+    assert signatures == {"company": 2}
+    assert keymint("check", cwd=ws).out == "checked 2 enclaves: no findings\n"
+    certificate = certificates.load((ws / "install/enclaves/talker/cert.pem").read_bytes())
+    assert certificate.issuer == certificates.load((tmp_path / "company.pem").read_bytes()).subject
