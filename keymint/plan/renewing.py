@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.values import dataclass
 from keymint.api import BuildOptions
-from keymint.changes import Plan
+from keymint.changes import FolderChange, Plan
 from keymint.errors import KeymintError
 from keymint.plan import authorities, build
 from keymint.plan.enclaves import installed
@@ -105,15 +105,28 @@ def _require_same(session: Session, name: str) -> Mapping[str, Stamp]:
     planned = build.BuildStage(session, BuildOptions(), force=False, renew=False).package(name)
     if planned.errors:
         raise KeymintError.of(planned.errors)
-    folder = session.workspace.build / name
-    if planned.step and any(change.folder == folder for change in planned.step.changes):
+    if planned.step and any(_is_other(session, name, change) for change in planned.step.changes):
         raise KeymintError(
             f"the sources of /{name} changed since its documents were built, and a renewal changes nothing but dates",
             where=Origin(session.workspace.shown(session.workspace.src / name)),
             help=f"run 'keymint build {name}' and 'keymint install {name}' first",
             code="sources-changed",
         )
-    return {name: planned.stamp} if planned.stamp else {}
+    return {name: planned.stamp} if planned.stamp and planned.step and not planned.step.writes() else {}
+
+
+def _is_other(session: Session, name: str, change: FolderChange) -> bool:
+    """Tell whether a change gives a package other documents than it has.
+
+    Those that a killed run wrote, or was about to write, are what a renewal was to make.
+    """
+    if change.folder != session.workspace.build / name:
+        return False
+    under_way = session.state.interrupted
+    return bool(change.removed) or any(
+        new.digest not in under_way and session.tree.digest(change.folder / file) not in under_way
+        for file, new in change.files.items()
+    )
 
 
 def refuse_new_authorities(session: Session, plan: Plan) -> None:

@@ -63,6 +63,15 @@ def _remove_packages(folder: Path) -> None:
     shutil.rmtree(folder / "ws" / "src" / "listener")
 
 
+def _make_older(folder: Path) -> None:
+    # What begins today is not renewed today.
+    for name in ("identities", "permissions"):
+        defaults = folder / f"ws/profile/package.defaults/{name}.xml"
+        text = defaults.read_text()
+        assert "<not_before>2027-01-14T" in text
+        defaults.write_text(text.replace("<not_before>2027-01-14T", "<not_before>2026-10-14T"))
+
+
 @dataclass(frozen=True)
 class Scenario:
     """A run to disturb.
@@ -112,6 +121,8 @@ SCENARIOS: Mapping[str, Scenario] = {
     "everything": Scenario((_nothing, _change_policy), _change_everything, (*PROVISION, "--renew")),
     "revoke": Scenario((_nothing,), _nothing, ("revoke", "listener", "--reason", "superseded", "-w", "{}/ws")),
     "retire": Scenario((_nothing,), _nothing, ("revoke", "listener", "--reason", "retired", "-w", "{}/ws")),
+    "renewal": Scenario((_nothing, _make_older), _nothing, ("renew", "listener", "-w", "{}/ws")),
+    "rekey": Scenario((_nothing, _make_older), _nothing, ("renew", "--rekey", "listener", "-w", "{}/ws")),
     "distribute": Scenario((_nothing,), _nothing, _replace(*BUNDLE)),
     "reissue": Scenario((_nothing,), _reached(BUNDLE), _replace(*REISSUE)),
     "end": Scenario((_nothing,), _reached(BUNDLE, REISSUE), _replace(*END)),
@@ -119,7 +130,7 @@ SCENARIOS: Mapping[str, Scenario] = {
     "exchange": Scenario((_nothing,), _reached(()), _replace(*END)),
     "prune": Scenario((_nothing, _change_policy), _remove_packages, PRUNE),
 }
-RARE = frozenset({"distribute", "end", "stage"})
+RARE = frozenset({"rekey", "distribute", "end", "stage"})
 """Scenarios that only the tests of all calls have: they write what others write, too."""
 KEYS_MOVE = frozenset({REISSUE[-1], END[-1]})
 """Words of runs in which a private key takes the place of another one."""
