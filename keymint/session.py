@@ -259,8 +259,18 @@ class Session(Inputs):
             generation = self.issuance(name).generation
         except KeymintError:  # reported when the package is loaded
             return whole
-        own = (item for item in sorted(found.items()) if item[0] != getattr(self.package_type, "ISSUANCE", None))
+        file = self.issuance_files.ISSUANCE if self.issuance_files else ""
+        own = (item for item in sorted(found.items()) if item[0] != file)
         return digest(*(part for item in own for part in item), *((str(generation),) if generation else ()))
+
+    @property
+    def issuance_files(self) -> IssuanceFiles | None:
+        """The type of the packages, if it keeps what an authority decided about them."""
+
+        def find() -> IssuanceFiles | None:
+            return self.package_type if isinstance(self.package_type, IssuanceFiles) else None
+
+        return self.once("issuance files", find)
 
     def issuance(self, name: str) -> Issuance:
         """Return what the authority decided about a package; the defaults if it has nothing about it.
@@ -268,8 +278,8 @@ class Session(Inputs):
         Raises:
             KeymintError: the file has defects, with ``file:line`` of each.
         """
-        files = self.package_type
-        if not isinstance(files, IssuanceFiles) or files.ISSUANCE not in self.file_digests(name):
+        files = self.issuance_files
+        if files is None or files.ISSUANCE not in self.file_digests(name):
             return Issuance()
 
         def read() -> Issuance:

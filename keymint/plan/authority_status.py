@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from datetime import datetime, timedelta
+from datetime import datetime
 
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
@@ -15,6 +15,8 @@ from keymint.pki import certificates, distinguished_names, extensions, keys
 from keymint.plan import authority_files
 from keymint.plan.authority_files import AuthorityFiles
 from keymint.plan.authority_uses import Use, uses
+from keymint.plan.renewal import authority_renewals, installed_terms
+from keymint.plan.threshold import DEFAULT
 from keymint.session import Session
 
 HERE, ELSEWHERE, TOKEN = "here", "elsewhere", "token"
@@ -56,7 +58,8 @@ class CertificateStatus:
         fingerprint: SHA-256 of the public key, hexadecimal.
         first: begin of its validity, UTC.
         last: end of its validity, UTC.
-        renew_after: when two thirds of its validity are over, UTC.
+        renew_after: when it begins to shorten what it signs, as 'keymint renew' reports it; when two thirds of its
+            validity are over if it signed nothing that is installed; UTC.
         key_usage: its key usages (RFC 5280, 4.2.1.3), or None if it has no such extension and may do everything.
         key_identifier: its subjectKeyIdentifier, hexadecimal; empty if it has none.
     """
@@ -79,13 +82,14 @@ def statuses(session: Session) -> Iterator[AuthorityStatus]:
         KeymintError: a package has defects.
     """
     used = uses(session)
+    due = authority_renewals(session, installed_terms(session, session.packages()))
     for authority in session.profile.authorities:
         files = authority_files.read_files(session, authority, tuple)
         rollover = authority.issuance.rollover
         yield AuthorityStatus(
             name=authority.name,
             issuer=authority.certificate.issuer,
-            certificate=status_of(files.certificate) if files.certificate else None,
+            certificate=status_of(files.certificate, due.get(authority.name)) if files.certificate else None,
             key_place=_place(files),
             uses=used[authority.name],
             adopted=bool(authority.certificate.adopted),
@@ -94,8 +98,13 @@ def statuses(session: Session) -> Iterator[AuthorityStatus]:
         )
 
 
-def status_of(certificate: x509.Certificate) -> CertificateStatus:
-    """Return a certificate of an authority as data."""
+def status_of(certificate: x509.Certificate, due: datetime | None = None) -> CertificateStatus:
+    """Return a certificate of an authority as data.
+
+    Args:
+        certificate: the certificate.
+        due: when it begins to shorten what it signs, UTC; None if that is not known.
+    """
     public = certificates.public_key(certificate)
     if isinstance(public, ec.EllipticCurvePublicKey):
         kind = f"EC {public.curve.name.upper()}"
@@ -111,7 +120,7 @@ def status_of(certificate: x509.Certificate) -> CertificateStatus:
         fingerprint=keys.fingerprint(public),
         first=first,
         last=last,
-        renew_after=first + timedelta(seconds=int((last - first).total_seconds()) * 2 // 3),
+        renew_after=due or DEFAULT.moment(first, last),
         key_usage=None if usage is None else extensions.usages(usage),
         key_identifier=identifier.digest.hex() if identifier else "",
     )

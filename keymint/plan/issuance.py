@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.api import Issuance, IssuanceFiles
+from keymint.api import Issuance
 from keymint.changes import Action, File, Plan, Step, changed
 from keymint.errors import KeymintError
 from keymint.session import Session
@@ -28,8 +28,8 @@ def issuance_of(session: Session, name: str) -> Issuance:
 
 def place_of(session: Session, name: str) -> Origin:
     """Return the place of what the authority decided about a package, or of the package's manifest if it has none."""
-    files = session.package_type
-    if not isinstance(files, IssuanceFiles):
+    files = session.issuance_files
+    if files is None:
         return session.package_marker(name)
     return Origin(session.workspace.shown(session.workspace.src / name / files.ISSUANCE))
 
@@ -47,8 +47,8 @@ def plan_issuance(session: Session, stage: str, new: Mapping[str, Issuance], det
         KeymintError: the type of the packages keeps no such decisions, a generation falls, or the certificate of a
             package would get a serial number twice.
     """
-    files = session.package_type
-    if not isinstance(files, IssuanceFiles):
+    files = session.issuance_files
+    if files is None:
         raise KeymintError(
             f"packages of the type {session.profile.package_type!r} do not keep what an authority decides, so they can "
             "neither be renewed nor revoked",

@@ -72,7 +72,7 @@ def openssl_accepts(ws: Path) -> None:
 def test_show(keymint, ws: Path) -> None:
     outcome = keymint("authority", "show", cwd=ws)
     assert outcome.code == 0
-    for said in ("CN=identity_ca", "digitalSignature, keyCertSign, cRLSign", "renew after 2033-09-12", "here"):
+    for said in ("CN=identity_ca", "digitalSignature, keyCertSign, cRLSign", "renew after 2036-01-12", "here"):
         assert said in outcome.out
     assert "2 packages (permissions, signs; keymint_ros2_dds)" in outcome.out
     (ws / AUTHORITY_KEYS[0]).unlink()

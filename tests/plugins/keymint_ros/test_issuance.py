@@ -11,6 +11,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from hypothesis import given
 from hypothesis import strategies as st
 from keymint_ros import package_type
+from keymint_ros2_dds import subject_name_text
+from keymint_ros2_dds.decision import subject_names
 from keymint_ros2_zenoh import emission
 
 from keymint.api import Issuance, IssuanceFiles, Package
@@ -87,6 +89,20 @@ def test_the_common_name_has_the_generation_for_zenoh(build_types: tuple[str, ..
     assert len({*names.values()}) == len(GENERATIONS)
     tenth = loaded(workspace, 10)
     assert tenth.grant.subject_name == (tenth.identity.subject_name if "keymint_ros2_dds" in build_types else "")
+
+
+@pytest.mark.parametrize("subject_format", ["OU={unique},CN={common_name}", "CN={common_name}"])
+def test_no_vendor_takes_the_grant_of_another_generation(subject_format: str) -> None:
+    """Cyclone DDS accepts a grant that has every part of the identity's name; Fast DDS compares the text."""
+    both = ("keymint_ros2_dds", "keymint_ros2_zenoh")
+    workspace = Workspace.new(replace(REQUEST, build_types=both))
+    for path in ("identities", "permissions"):
+        file = f"profile/package.defaults/{path}.xml"
+        workspace = workspace.edit(file, "OU={unique},CN={common_name}", subject_format)
+    names = {generation: subject_name_text.of(loaded(workspace, generation).grant) for generation in GENERATIONS}
+    for comparison in (subject_names.parts_occur, subject_names.same_text, subject_names.same_name):
+        accepted = {(old, new) for old in names for new in names if comparison(names[old], names[new])}
+        assert accepted == {(generation, generation) for generation in GENERATIONS}
 
 
 @pytest.mark.parametrize("subject", ["/a/" + "b" * 58, "/" + "b" * 63, "/" + "b" * 200, "/x" * 40])
