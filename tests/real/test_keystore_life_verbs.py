@@ -274,7 +274,7 @@ def test_an_enclave_made_by_request(stages: Stages, by_request: Path, system: Sy
 
 @pytest.fixture(scope="module")
 def renewed(tmp_path_factory: pytest.TempPathFactory) -> Stages:
-    """Provision 250 days ago, for a year; renew /talker now."""
+    """Provision 250 days ago, for a year; renew /talker now, then the identity authority, then the other one."""
     folder = tmp_path_factory.mktemp("renewed")
     policy, workspace = folder / "policy.xml", folder / "ws"
     policy.write_text(POLICY)
@@ -283,6 +283,9 @@ def renewed(tmp_path_factory: pytest.TempPathFactory) -> Stages:
     shutil.copytree(workspace / "install", folder / "stages/old")
     keymint("renew", "talker", "-w", workspace)
     shutil.copytree(workspace / "install", folder / "stages/new")
+    for name, options in (("identity_ca", ()), ("permissions_ca", ("--flag-day",))):
+        keymint("authority", "renew", name, *options, "-w", workspace)
+        shutil.copytree(workspace / "install", folder / "stages" / name)
     return Stages(folder / "stages", workspace)
 
 
@@ -305,3 +308,23 @@ def test_renewal_changes_certificate_and_permissions_of_its_enclave_alone(renewe
     assert old.keys() == new.keys()
     changed = {"cert.pem", "permissions.p7s", "permissions.xml"}
     assert {name for name in old if old[name] != new[name]} == {f"enclaves/talker/{name}" for name in changed}
+
+
+@pytest.mark.parametrize(("listener", "talker"), [("new", "identity_ca"), ("identity_ca", "new")])
+def test_a_renewed_identity_authority_needs_no_coordination(
+    renewed: Stages, system: System, listener: str, talker: str
+) -> None:
+    assert authority(renewed, "new", "identity_ca") != authority(renewed, "identity_ca", "identity_ca")
+    assert hears(system, renewed(listener, "/listener"), renewed(talker, "/talker"))
+
+
+@pytest.mark.parametrize(("talker", "expected"), [("permissions_ca", True), ("identity_ca", False)])
+def test_a_renewed_permissions_authority_is_a_flag_day(
+    renewed: Stages, system: System, talker: str, *, expected: bool
+) -> None:
+    assert authority(renewed, "identity_ca", "permissions_ca") != authority(renewed, "permissions_ca", "permissions_ca")
+    assert hears(system, renewed("permissions_ca", "/listener"), renewed(talker, "/talker")) == expected
+
+
+def authority(stages: Stages, stage: str, name: str) -> bytes:
+    return (stages(stage, "/talker") / f"{name}.cert.pem").read_bytes()

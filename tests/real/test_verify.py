@@ -67,6 +67,23 @@ def test_an_expired_grant_makes_vendors_refuse_the_enclave(keymint, tmp_path: Pa
     assert all("expired" in each["transport"]["reason"] for each in found["findings"])
 
 
+def test_revocation_lists_are_read_as_nodes_read_them(keymint, tmp_path: Path, transport: str) -> None:
+    assert keymint("provision", CHECKOUT / "examples/talker_listener", "-w", "ws").code == 0
+    assert keymint("revoke", "talker", "--reason", "superseded", "-w", "ws").code == 0
+    assert keymint("verify", "-w", "ws", "-t", transport).code == 0
+    (tmp_path / "ws/install/enclaves/talker/crl.pem").write_bytes(b"")
+    model = {"cyclonedds": "cyclonedds-0.10", "fastdds": "fastdds-2.9"}[transport]
+    answers = []
+    for asked in (("-t", transport, "--tier", "admission"), ("-t", transport), ("-t", model)):
+        outcome = keymint("verify", "-w", "ws", *asked, "--json")
+        assert outcome.code == 3
+        (found,) = outcome.document["result"]["transports"]
+        assert {each["edge"]["subject"] for each in found["findings"]} == {"/talker"}
+        answers.append((found["confusion"], [each["edge"] for each in found["findings"]]))
+    assert answers[0] == answers[1] == answers[2]
+    assert "crl.pem is not a revocation list" in outcome.out
+
+
 def test_participants_without_the_password_are_not_verified(keymint, tmp_path: Path, fastdds: object) -> None:
     """Fast DDS refuses the participant, which is not a decision about the enclave."""
     keymint("init", "ws", "--policy", CHECKOUT / "examples/talker_listener")
