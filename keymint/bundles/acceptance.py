@@ -14,13 +14,18 @@ from datetime import datetime
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.values import dataclass
 from keymint.bundles.bundle import CERTIFICATE, KEY, Bundle, fingerprint, number_of, revocation_lists
+from keymint.bundles.in_force import require_in_force
 from keymint.bundles.manifest import Manifest, load
 from keymint.bundles.request import Request
 from keymint.errors import KeymintError
-from keymint.pki import certificates, certification_path, keys
+from keymint.pki import certificates, keys
 
 RECORD = "bundle.json"
 """The file of an enclave that has the manifest of the bundle it came from."""
+
+
+_AUTHORITY = ".cert"
+"""What the names of files with certificates have in common, beside that of the enclave's own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +111,7 @@ def accept(bundle: Bundle, present: Present, owner: Owner, now: datetime, where:
     _require_later(bundle, present, before, where)
     _require_expected(bundle, present, before, owner, where)
     key = _private_key(bundle, present, where)
-    _require_in_force(bundle, now, where)
+    require_in_force(bundle, now, where)
     wanted = {**bundle.files, **({KEY: key} if key else {}), RECORD: bundle.encoded}
     files = {name: content for name, content in wanted.items() if present.files.get(name) != content}
     mine = {*before.files, KEY} if before else frozenset({KEY} if key else ())
@@ -131,6 +136,14 @@ def _require_known_authorities(bundle: Bundle, present: Present, owner: Owner, w
     What the keystore knows by the name of a file stays: also the signer of the manifest may not exchange the authority
     for rights. A file that no enclave has yet is vouched for by the signer.
     """
+    for name in bundle.files.keys() - bundle.authorities.keys() - {CERTIFICATE}:
+        if _AUTHORITY in name:  # e.g. a reference to a token, which nodes would prefer
+            raise KeymintError(
+                f"its file {name} names an authority in a form that cannot be compared",
+                where=where,
+                help="ask the authority for a bundle with certificates in PEM",
+                code="bundle-authority",
+            )
     trusted = bundle.manifest.authority in owner.authorities
     for name, chain in bundle.authorities.items():
         known = present.known.get(name)
@@ -161,7 +174,18 @@ def _require_known_authorities(bundle: Bundle, present: Present, owner: Owner, w
 def _manifest(present: Present) -> Manifest | None:
     """Return the manifest of the bundle that the enclave came from, or None."""
     encoded = present.files.get(RECORD)
-    return None if encoded is None else load(encoded, Origin(f"{present.folder}/{RECORD}"))
+    if encoded is None:
+        return None
+    where = Origin(f"{present.folder}/{RECORD}")
+    try:
+        return load(encoded, where)
+    except KeymintError:
+        raise KeymintError(
+            "is not the manifest of the bundle that was accepted last, so its numbers are not known",
+            where=where,
+            help="restore it; or remove it, and take only a bundle that you know to be the latest",
+            code="bundle-record",
+        ) from None
 
 
 def _require_expected(bundle: Bundle, present: Present, before: Manifest | None, owner: Owner, where: Origin) -> None:
@@ -269,47 +293,6 @@ def _older_than_installed(bundle: Bundle, present: Present) -> str:
 def _outdated(message: str, where: Origin) -> KeymintError:
     help_ = "ask the authority for a new one; 'keymint bundle' writes it"
     return KeymintError(message, where=where, help=help_, code="bundle-outdated")
-
-
-def _require_in_force(bundle: Bundle, now: datetime, where: Origin) -> None:
-    """Require that nodes start with it now: dates, chain and revocation lists."""
-    manifest = bundle.manifest
-    if not manifest.not_before <= now <= manifest.not_after:
-        raise KeymintError(
-            f"it is in force from {manifest.not_before:%Y-%m-%dT%H:%M:%SZ} to {manifest.not_after:%Y-%m-%dT%H:%M:%SZ}, "
-            f"and the clock of this machine is at {now:%Y-%m-%dT%H:%M:%SZ}",
-            where=where,
-            help="set the clock, or ask the authority for a new bundle",
-            code="bundle-dates",
-        )
-    chain = next(bundle.files[name] for name, each in bundle.authorities.items() if bundle.signer in each)
-    problems = certification_path.verify_chain(bundle.files[CERTIFICATE], chain, now, where)
-    if problems:
-        raise KeymintError(
-            f"its certificate is not valid: {problems[0].message}",
-            where=where,
-            help="ask the authority for a new bundle",
-            code="bundle-chain",
-        )
-    authorities = [each for of_file in bundle.authorities.values() for each in of_file]
-    for listed in (each for of_file in bundle.lists.values() for each in of_file):
-        issuers = [each for each in authorities if each.subject == listed.issuer]
-        by = [each for each in issuers if listed.is_signature_valid(certificates.public_key(each))]
-        end = listed.next_update_utc
-        if not by or listed.last_update_utc > now or (end is not None and end < now):
-            raise KeymintError(
-                "it has a revocation list that is not in force, or by another authority: nodes would not start",
-                where=where,
-                help="ask the authority for a new bundle; 'keymint crl --refresh' issues the list again",
-                code="bundle-revoked",
-            )
-        if by == [bundle.signer] and listed.get_revoked_certificate_by_serial_number(bundle.certificate.serial_number):
-            raise KeymintError(
-                "its revocation list revokes its own certificate: nodes would not start",
-                where=where,
-                help="ask the authority for a new bundle",
-                code="bundle-revoked",
-            )
 
 
 def _left(present: Present, accounted: Collection[str]) -> Iterator[Diagnostic]:

@@ -161,10 +161,18 @@ def _require_certifiable(session: Session, package: Package, given: Given, keyri
     if reason := _barred(session, request.fingerprint):
         raise _refused(f"is for a key that was revoked ({reason})", given, _AGAIN, "key-barred")
     keyring.require_free(package.name, key)
+    _require_unknown(session, package.name, given)
+
+
+def _require_unknown(session: Session, name: str, given: Given) -> None:
+    """Require that no other package has the key, or ever had it."""
     for other in session.packages():
-        public = issuance_of(session, other).public_key if other != package.name else b""
-        if public == request.public_key:
+        public = issuance_of(session, other).public_key if other != name else b""
+        if public == given.request.public_key:
             raise _refused(f"has the key of /{other}, so that each could act as the other", given, _AGAIN, "key-shared")
+    for issued in register_of(session).certificates.values():
+        if issued.key == given.request.fingerprint and issued.name not in {"", name}:
+            raise _refused(f"has a key that was certified for /{issued.name} before", given, _AGAIN, "key-shared")
 
 
 def _barred(session: Session, fingerprint: str) -> str:

@@ -238,6 +238,14 @@ def test_the_key_that_another_package_has_elsewhere(keymint, ws: Path) -> None:
     assert refused(keymint, ws, *confirmed_key(ws, key, "robot1/listener")) == "key-shared"
 
 
+def test_a_key_that_another_enclave_had_once(keymint, ws: Path) -> None:
+    key = ec.generate_private_key(ec.SECP256R1())
+    for each in (key, ec.generate_private_key(ec.SECP256R1())):
+        ran(keymint, "sign", *confirmed_key(ws, each), "-w", "ws")
+        (ws.parent / "talker.bundle").unlink()
+    assert refused(keymint, ws, *confirmed_key(ws, key, "robot1/listener")) == "key-shared"
+
+
 def test_one_key_for_two_requests(keymint, ws: Path) -> None:
     key = ec.generate_private_key(ec.SECP256R1())
     given = []
