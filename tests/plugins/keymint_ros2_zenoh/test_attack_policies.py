@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import ctypes
 import json
-import os
 import re
 from functools import cache
 from itertools import product
@@ -23,10 +22,11 @@ from keymint_ros2_zenoh.enclave_layout import ROUTER
 from comarmor.rules import parts
 from keymint.api import BuildOptions, DomainRange
 from keymint.ir import Rule
+from tests.effort import tries
 from tests.plugins.keymint_ros2_zenoh.install_spaces import NEEDED
 from tests.plugins.keymint_ros2_zenoh.workspaces import package, rule, workspace
 
-POLICIES = 300 if os.environ.get("KEYMINT_FULL") else 25
+POLICIES = tries(12, 300)
 SUBJECTS = {"/a": (0,), "/a/b": (0, 1), "/ab": (1,)}
 SEGMENTS = ("a", "b", "ab", "_a", "A", "a1")
 NAMES = tuple("/" + "/".join(each) for count in (1, 2) for each in product(SEGMENTS, repeat=count))
