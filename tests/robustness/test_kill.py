@@ -30,7 +30,7 @@ pytestmark = pytest.mark.strace
 Keymint = Callable[..., Any]
 CRITICAL = frozenset({"renameat", "renameat2", "rmdir", "unlink"})
 """The calls that change the visible files."""
-IN_ORDER = 8
+IN_ORDER = 5
 """Number of calls of one kind to disturb, evenly spread over the run."""
 
 
