@@ -3,20 +3,16 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from .memory import in_memory
+
 
 @pytest.fixture
-def memory(tmp_path: Path) -> Iterator[Path]:
-    """Return a folder in memory if the machine has one, since hundreds of runs synchronise their files."""
-    shared = Path("/dev/shm")
-    if not os.access(shared, os.W_OK):
-        yield tmp_path
-        return
-    with tempfile.TemporaryDirectory(dir=shared) as folder:
-        yield Path(folder)
+def memory() -> Iterator[Path]:
+    """Return a temporary folder, in memory if possible."""
+    with in_memory() as folder:
+        yield folder

@@ -8,7 +8,6 @@ import os
 import random
 import shutil
 import signal
-import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -39,6 +38,7 @@ from keymint.tree import Tree
 from keymint.workspace import Workspace
 
 from . import mutation
+from .memory import in_memory
 
 POLICIES = 4000
 """Number of mutated policies to load and evaluate."""
@@ -118,9 +118,8 @@ def require_one_line(diagnostics: Sequence[Diagnostic | comarmor.Diagnostic]) ->
 
 @pytest.fixture(scope="module")
 def memory() -> Iterator[Path]:
-    shared = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
-    with tempfile.TemporaryDirectory(dir=shared) as folder:
-        yield Path(folder)
+    with in_memory() as folder:
+        yield folder
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ import pytest
 from tests.effort import FULL
 
 from . import scenarios, tracing
+from .memory import in_memory
 from .scenarios import PROVISION, SCENARIOS, Scenario
 from .tracing import Ended, Point, Trace
 
@@ -56,8 +57,37 @@ class Prepared:
         return to
 
 
-def prepare(name: str, folder: Path, keymint: Keymint) -> Prepared:
+Prepare = Callable[[str], Prepared]
+
+
+@pytest.fixture(scope="module")
+def made() -> Iterator[tuple[Path, dict[str, Prepared]]]:
+    """Return a folder for the scenarios that several tests disturb, and those that are there."""
+    with in_memory() as folder:
+        yield folder, {}
+
+
+@pytest.fixture
+def prepare(made: tuple[Path, dict[str, Prepared]], keymint: Keymint) -> Prepare:
+    """Return a function that prepares a scenario once."""
+    folder, known = made
+
+    def prepared(name: str) -> Prepared:
+        if name not in known:
+            known[name] = _prepared(name, folder / name, keymint)
+        return known[name]
+
+    return prepared
+
+
+def of_scenario(name: str) -> Any:
+    """Return the parameter of a scenario: one process makes all tests of it, and prepares it once."""
+    return pytest.param(name, marks=pytest.mark.xdist_group(f"kill {name}"), id=name)
+
+
+def _prepared(name: str, folder: Path, keymint: Keymint) -> Prepared:
     scenario = SCENARIOS[name]
+    folder.mkdir()
     start = folder / "start"
     start.mkdir()
     (start / "policy.xml").write_text(scenarios.policy("/robot/talker", "/listener"))
@@ -158,9 +188,9 @@ def one_line(ended: Ended) -> str:
     return line
 
 
-@pytest.mark.parametrize("name", [name for name in SCENARIOS if FULL or name not in scenarios.RARE])
-def test_a_run_killed_at_any_call_converges(name: str, memory: Path, keymint: Keymint) -> None:
-    prepared = prepare(name, memory, keymint)
+@pytest.mark.parametrize("name", [of_scenario(name) for name in SCENARIOS if FULL or name not in scenarios.RARE])
+def test_a_run_killed_at_any_call_converges(name: str, prepare: Prepare, memory: Path, keymint: Keymint) -> None:
+    prepared = prepare(name)
 
     def killed(ended: Ended, _point: Point) -> None:
         assert ended.code == -9
@@ -168,9 +198,11 @@ def test_a_run_killed_at_any_call_converges(name: str, memory: Path, keymint: Ke
     disturb(prepared, "signal=SIGKILL", chosen(prepared.traced.points), memory, keymint, killed)
 
 
-@pytest.mark.parametrize("name", ["fresh", "update"])
-def test_a_run_interrupted_at_any_call_reports_it_and_converges(name: str, memory: Path, keymint: Keymint) -> None:
-    prepared = prepare(name, memory, keymint)
+@pytest.mark.parametrize("name", [of_scenario("fresh"), of_scenario("update")])
+def test_a_run_interrupted_at_any_call_reports_it_and_converges(
+    name: str, prepare: Prepare, memory: Path, keymint: Keymint
+) -> None:
+    prepared = prepare(name)
 
     def interrupted(ended: Ended, point: Point) -> None:
         last = point == prepared.traced.points[-1]
@@ -182,11 +214,12 @@ def test_a_run_interrupted_at_any_call_reports_it_and_converges(name: str, memor
     disturb(prepared, "signal=SIGINT", chosen(prepared.traced.points, IN_ORDER // 3), memory, keymint, interrupted)
 
 
+@pytest.mark.xdist_group("kill update")
 @pytest.mark.parametrize(("error", "message"), [("ENOSPC", "No space left on device"), ("EACCES", "Permission denied")])
 def test_a_failing_call_is_reported_in_one_line_and_a_later_run_converges(
-    error: str, message: str, memory: Path, keymint: Keymint
+    error: str, message: str, prepare: Prepare, memory: Path, keymint: Keymint
 ) -> None:
-    prepared = prepare("update", memory, keymint)
+    prepared = prepare("update")
 
     def refused(ended: Ended, _point: Point) -> None:
         assert ended.code == 1
@@ -199,8 +232,11 @@ def test_a_failing_call_is_reported_in_one_line_and_a_later_run_converges(
     disturb(prepared, f"error={error}", chosen(points, IN_ORDER // 2), memory, keymint, refused)
 
 
-def test_a_failing_prune_is_reported_in_one_line_and_a_later_one_converges(memory: Path, keymint: Keymint) -> None:
-    prepared = prepare("prune", memory, keymint)
+@pytest.mark.xdist_group("kill prune")
+def test_a_failing_prune_is_reported_in_one_line_and_a_later_one_converges(
+    prepare: Prepare, memory: Path, keymint: Keymint
+) -> None:
+    prepared = prepare("prune")
 
     def refused(ended: Ended, _point: Point) -> None:
         assert ended.code == 1
