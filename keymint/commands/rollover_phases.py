@@ -16,6 +16,7 @@ from keymint.commands.reissue import reissued
 from keymint.commands.run import Run
 from keymint.commands.second_keystore import dropped_keystore, exchanged_keystore, staged_keystore
 from keymint.errors import KeymintError
+from keymint.pki import certificates
 from keymint.plan import install, rollover
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.authority_issuance import authority_named
@@ -59,11 +60,7 @@ def planned(run: Run, session: Session, name: str, request: Request) -> Plan:
         if request.phase is Phase.END:
             return _ended(run, session, name, names)
         return _begun(run, session, name, names, request)
-    if request.vendors or request.given:
-        raise usage_error(
-            f"the key of the authority {name!r} is being replaced already (phase {phase})",
-            "leave --vendor, --certificate and --key out; or --cancel it first",
-        )
+    _require_same_begin(session, name, phase, request)
     following = _NEXT[phase]
     if rollover.is_interrupted(session, name) and request.phase in {None, following}:
         return _went_on(run, session, name, names)
@@ -97,6 +94,24 @@ def _names(session: Session, name: str) -> list[str]:
             code="enclave-missing",
         )
     return names
+
+
+def _require_same_begin(session: Session, name: str, phase: Phase, request: Request) -> None:
+    """Require that a request which begins is the one that began: it may be given again after it was killed.
+
+    Raises:
+        KeymintError: it names another way or another authority.
+    """
+    issuance = authority_named(session, name).issuance
+    way = Phase.STAGE if refusing(session, name, request.vendors, "bundles") else Phase.DISTRIBUTE
+    same = phase is way if request.vendors else True
+    if request.given and issuance.rollover:
+        same = same and certificates.load(request.given.certificate) == certificates.load(issuance.rollover.certificate)
+    if not same:
+        raise usage_error(
+            f"the key of the authority {name!r} is being replaced already (phase {phase})",
+            "leave --vendor, --certificate and --key out; or --cancel it first",
+        )
 
 
 def _begun(run: Run, session: Session, name: str, names: Sequence[str], request: Request) -> Plan:

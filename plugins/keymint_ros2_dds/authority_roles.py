@@ -12,13 +12,11 @@ from keymint_ros2_dds.settings import settings_of
 IDENTITY, PERMISSIONS = "identity", "permissions"
 IMPLEMENTATIONS = (
     Implementation("cyclonedds", "Cyclone DDS 0.10", reissues=frozenset({IDENTITY})),
-    Implementation(
-        "fastdds", "Fast DDS 2.9", bundles=frozenset({IDENTITY, PERMISSIONS}), reissues=frozenset({IDENTITY})
-    ),
+    Implementation("fastdds", "Fast DDS 2.9", bundles=frozenset({IDENTITY}), reissues=frozenset({IDENTITY})),
 )
-"""What vendors accept while an authority changes, measured: Cyclone DDS reads the first authority of a file only, and
-Fast DDS tells two authorities of one name apart by their key identifiers. Both compare the certificates of the
-permissions authority, and verify a signed document with exactly the certificate that signed it."""
+"""What vendors accept while an authority changes, measured. Cyclone DDS reads the first authority of a file only. Fast
+DDS tells two authorities of one name that issued identities apart by their key identifiers, but verifies a
+document with the first permissions authority of its name. Both verify documents with exactly the certificate that signed them."""
 
 
 def implementations() -> Sequence[Implementation]:

@@ -53,8 +53,8 @@ def authorities(ws: Path, name: str, space: str = "install") -> list[bytes]:
 # -- where subjects may trust two authorities ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", AUTHORITY_NAMES)
-def test_by_bundles(keymint, ws: Path, replace: Callable, name: str) -> None:
+def test_by_bundles(keymint, ws: Path, replace: Callable) -> None:
+    name = IDENTITY
     old, leaves = authorities(ws, name), trusted(ws)
     key, path = public_key(ws / f"private/{name}.key.pem"), ws / f"public/{name}.cert.pem"
     said = replace(name, *BUNDLES)
@@ -65,7 +65,7 @@ def test_by_bundles(keymint, ws: Path, replace: Callable, name: str) -> None:
     assert trusted(ws) == leaves
     assert stat.S_IMODE((ws / f"private/{name}.next.key.pem").stat().st_mode) == 0o600
     clean(keymint, ws)
-    for words in ((), ("--phase", "distribute")):
+    for words in ((), ("--phase", "distribute"), BUNDLES):
         assert "nothing to do" in replace(name, *words)
     assert keymint("authority", "replace", name, *END, cwd=ws).code == 2
 
@@ -264,13 +264,20 @@ def test_while_it_is_under_way_the_key_is_not_changed_otherwise(keymint, ws: Pat
         ("install", "--new-authority", IDENTITY),
         ("authority", "renew", IDENTITY),
         ("authority", "import", IDENTITY, "../ca.pem"),
-        ("authority", "replace", IDENTITY, *BUNDLES),
+        ("authority", "replace", IDENTITY, "--vendor", "cyclonedds"),
+        ("authority", "replace", IDENTITY, "--certificate", "../ca.pem"),
     ):
         before = content(ws)
         outcome = keymint(*words, cwd=ws)
         assert outcome.code in {1, 2}
         assert "authority replace" in outcome.err or "already" in outcome.err
         assert content(ws) == before
+
+
+def test_signers_of_documents_are_not_bundled(keymint, ws: Path, replace: Callable) -> None:
+    outcome = keymint("authority", "replace", PERMISSIONS, *BUNDLES, "--phase", "distribute", "--json", cwd=ws)
+    assert (outcome.code, outcome.codes()) == (1, ["rollover-no-bundle"])
+    assert "a second keystore by the next authority is ready" in replace(PERMISSIONS, *BUNDLES)
 
 
 def test_a_dry_run_says_the_phases_and_writes_nothing(keymint, ws: Path) -> None:
@@ -291,6 +298,7 @@ def test_a_dry_run_says_the_phases_and_writes_nothing(keymint, ws: Path) -> None
         (("--key", "x"), 2),
         (REISSUE, 1),
         (("--phase", "distribute"), 1),
+        (("--phase", "distribute", "--vendor", "fastdds", "--vendor", "cyclonedds"), 1),
         (("--certificate", "../same.pem"), 1),
     ],
 )
