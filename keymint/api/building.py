@@ -116,7 +116,8 @@ class EnclaveCredentials:
         certificate: the identity certificate.
         key: its private key; empty if it is elsewhere, and the enclave has no ``key.pem``.
         chains: by role, the certificate of the authority, followed by those of the authorities above it.
-        signers: by role, the authorities that sign, with their private keys.
+        signers: by role, the authorities that sign, with their private keys; access raises a KeymintError if a key is
+            elsewhere, so ask only when something must be signed.
         revocations: the revocation list of the certificate's issuer; empty if it never revoked anything.
     """
 

@@ -32,6 +32,7 @@ from keymint.plan.shared_documents import (
     sources_digest,
     users,
 )
+from keymint.plan.signers import Signers
 from keymint.plan.signing import authority_of
 from keymint.session import Session
 from keymint.state import Stamp, digest, digest_files
@@ -197,7 +198,7 @@ def _plan_documents(
     }
     credentials = SharedCredentials(
         {role: b"".join(dict.fromkeys(minted.chain for _, minted in each)) for role, each in roles.items()},
-        {role: minted.signer for role, each in roles.items() for wanted, minted in each if wanted.signs},
+        Signers({role: minted for role, each in roles.items() for wanted, minted in each if wanted.signs}),
     )
     existing = installed_shared(session, documents)
     try:

@@ -17,6 +17,7 @@ from keymint.plan.enclaves import CERTIFICATE
 from keymint.plan.issuance import place_of
 from keymint.plan.register import issued_certificate, issuer_of, register_of
 from keymint.plan.revocation import enclave_lists
+from keymint.plan.signers import Signers
 from keymint.register.register import IssuedCertificate, Register
 from keymint.session import Session
 from keymint.state import digest_files
@@ -74,7 +75,7 @@ def sign(
             certificate=certificate,
             key=pem,
             chains={role.role: authority.chain for role, authority in roles[name]},
-            signers={role.role: authority.signer for role, authority in roles[name] if role.signs},
+            signers=Signers({role.role: authority for role, authority in roles[name] if role.signs}),
             revocations=enclave_lists(session).get(package.identity.issuer, b""),
         )
         try:

@@ -15,8 +15,8 @@ IMPLEMENTATIONS = (
     Implementation("fastdds", "Fast DDS 2.9", bundles=frozenset({IDENTITY}), reissues=frozenset({IDENTITY})),
 )
 """What vendors accept while an authority changes, measured. Cyclone DDS reads the first authority of a file only. Fast
-DDS tells two authorities of one name that issued identities apart by their key identifiers, but verifies a
-document with the first permissions authority of its name. Both verify documents with exactly the certificate that signed them."""
+DDS tells two authorities of one name that issued identities apart by their key identifiers, but verifies a document
+with the first permissions authority of its name. A document is verified with exactly the certificate that signed it."""
 
 
 def implementations() -> Sequence[Implementation]:

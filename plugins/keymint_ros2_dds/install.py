@@ -10,7 +10,7 @@ from comarmor.errors import Origin
 from keymint import api
 from keymint.api import Artifact, EnclaveCredentials, Package
 from keymint.errors import KeymintError
-from keymint.pki import smime
+from keymint.pki import certificates, smime
 from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.enclave_layout import (
@@ -93,11 +93,12 @@ def _document(package: Package, documents: Mapping[str, bytes], kind: str) -> by
 
 def _signed(content: bytes, kind: str, credentials: EnclaveCredentials, installed: Mapping[str, bytes]) -> bytes:
     """Return a signed document: the installed one if it is still current, else a new one."""
-    authority = credentials.signers[roles.PERMISSIONS]
-    signer = smime.load_signer(authority)
     present = installed.get(f"{kind}.p7s")
-    if present is not None and smime.is_current(present, content, signer.certificate):
+    in_force = certificates.load_bundle(credentials.chains[roles.PERMISSIONS])[0]
+    if present is not None and smime.is_current(present, content, in_force):
         return present
+    authority = credentials.signers[roles.PERMISSIONS]  # whose key may be elsewhere
+    signer = smime.load_signer(authority)
     if kind == GOVERNANCE:
         return _sign_once(content, authority)
     return smime.sign(content, signer.certificate, signer.key, Origin(f"{kind}.xml"))

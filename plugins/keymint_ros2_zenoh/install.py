@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from comarmor.errors import Origin
 from keymint.api import Artifact, EnclaveCredentials, Package, SharedCredentials
 from keymint.errors import KeymintError
-from keymint.pki import smime
+from keymint.pki import certificates, smime
 from keymint_ros2_zenoh import signature as signatures
 from keymint_ros2_zenoh.authority_roles import ACCESS, IDENTITY
 from keymint_ros2_zenoh.documents.read import read
@@ -59,10 +59,9 @@ def install_shared(
     """
     _require_layout(layout)
     content = _document(documents, ROUTER, ROUTER, "")
-    signer = smime.load_signer(credentials.signers[ACCESS])
-    present = installed.get(SIGNATURE)
-    if present is None or signatures.problem(content, present, signer.certificate):
-        present = signatures.sign(content, signer)
+    present, in_force = installed.get(SIGNATURE), certificates.load_bundle(credentials.chains[ACCESS])[0]
+    if present is None or signatures.problem(content, present, in_force):
+        present = signatures.sign(content, smime.load_signer(credentials.signers[ACCESS]))
     return {ROUTER: Artifact(content), SIGNATURE: Artifact(present)}
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 import stat
 import subprocess
 from datetime import UTC, datetime
@@ -168,6 +169,28 @@ def test_a_certificate_that_was_renewed_elsewhere_is_imported(keymint, ws: Path,
     openssl_accepts(ws)
     for verb in ("check", "prove", "build", "install", "status"):
         assert keymint(verb, cwd=ws, env=LATER).code == 0, verb
+
+
+def test_without_any_key_everything_works_that_needs_no_signature(keymint, ws: Path, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    shutil.copytree(ws, elsewhere)
+    for path in AUTHORITY_KEYS:
+        (ws / path).unlink()
+    assert keymint("authority", "renew", IDENTITY, cwd=elsewhere, env=LATER).code == 0
+    assert keymint("authority", "export", IDENTITY, "-o", "../new.pem", cwd=elsewhere).code == 0
+    outcome = keymint("authority", "import", IDENTITY, "../new.pem", cwd=ws, env=LATER)
+    assert outcome.code == 0, outcome.err
+    openssl_accepts(ws)
+    for verb in ("check", "prove", "build", "install", "status", "authority show"):
+        outcome = keymint(*verb.split(), cwd=ws, env=LATER)
+        assert outcome.code == 0, (verb, outcome.err)
+    (ws / "install/enclaves/talker/permissions.p7s").unlink()
+    before = content(ws)
+    waiting = keymint("install", "--json", cwd=ws, env=LATER)
+    assert (waiting.code, waiting.codes()[0]) == (1, "authority-key-missing")
+    assert "permissions_ca" in waiting.document["diagnostics"][0]["message"]
+    assert keymint("install", "robot1/listener", cwd=ws, env=LATER).code == 0
+    assert content(ws) == before
 
 
 # -- import ----------------------------------------------------------------------------------------------------------

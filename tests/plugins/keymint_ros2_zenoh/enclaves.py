@@ -75,7 +75,7 @@ def inspection(package: Package, files: Mapping[str, bytes], **fields: Any) -> I
 def shared(packages: Sequence[Package], by: str = "permissions_ca") -> dict[str, bytes]:
     """Return the router's file with its signature."""
     documents = build_type.build_shared(packages, OPTIONS).documents
-    secrets = SharedCredentials({}, {"access": signer(by)})
+    secrets = SharedCredentials({"access": signer(by).certificate}, {"access": signer(by)})
     artifacts = build_type.install_shared(packages, documents, secrets, "sros2", {})
     return {name: artifact.content for name, artifact in artifacts.items()}
 

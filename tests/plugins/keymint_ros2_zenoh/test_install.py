@@ -21,7 +21,7 @@ ROUTER, SIGNATURE = "zenoh/router.json5", "zenoh/router.json5.p7s"
 
 
 def install_shared(documents, installed, by: str = "permissions_ca"):
-    secrets = SharedCredentials({}, {"access": signer(by)})
+    secrets = SharedCredentials({"access": signer(by).certificate}, {"access": signer(by)})
     artifacts = build_type.install_shared(PACKAGES, documents, secrets, "sros2", installed)
     return {name: artifact.content for name, artifact in artifacts.items()}
 
