@@ -14,7 +14,7 @@ from comarmor.patterns.matching import matches
 from comarmor.patterns.tokens import SPECIAL
 from comarmor.text import did_you_mean
 from keymint.api import Phase
-from keymint.changes import Plan
+from keymint.changes import Action, Plan
 from keymint.commands.bundle_files import bundle_output_option, require_output, write_bundles
 from keymint.commands.options import complete_package
 from keymint.commands.rollover_phases import require_staged
@@ -27,8 +27,9 @@ from keymint.output.report import Report
 from keymint.plan.authorities import MintedAuthority, plan_authorities
 from keymint.plan.bundles import MadeBundle, plan_bundles
 from keymint.plan.enclaves import installed
-from keymint.plan.install import is_current
+from keymint.plan.install import InstallStage, is_current
 from keymint.plan.rollover import phase_of
+from keymint.plan.stage import PackagePlan
 from keymint.session import Inputs, Session
 
 
@@ -77,8 +78,9 @@ def _in_force(session: Session, names: Iterable[str]) -> Mapping[str, MintedAuth
     plan, authorities = plan_authorities(session)
     after = session.after(plan)
     chains = {name: each.chain for name, each in authorities.items()}
+    install = InstallStage(after, authorities, prune=False)
     for name in names:
-        if plan.writes() or not is_current(after, name, chains):
+        if plan.writes() or not (is_current(after, name, chains) or _would_stay(install.package(name))):
             raise KeymintError(
                 f"the enclave /{name} is not installed as its sources and authorities are now",
                 where=Origin(session.workspace.shown(session.enclaves / name)),
@@ -86,6 +88,17 @@ def _in_force(session: Session, names: Iterable[str]) -> Mapping[str, MintedAuth
                 code="not-installed",
             )
     return authorities
+
+
+def _would_stay(planned: PackagePlan) -> bool:
+    """Tell whether installing an enclave again would change nothing, e.g. as a list changed that it does not have.
+
+    Raises:
+        KeymintError: it cannot be installed.
+    """
+    if planned.errors:
+        raise KeymintError.of(planned.errors)
+    return planned.step is not None and planned.step.action is Action.UNCHANGED and not planned.outdated
 
 
 def _second_keystore(run: Run, session: Session) -> tuple[Session, Mapping[str, MintedAuthority]]:

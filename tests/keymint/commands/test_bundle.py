@@ -111,6 +111,15 @@ def test_what_is_not_installed_as_it_should_be_does_not_leave(keymint, ws: Path,
     assert not (tmp_path / "talker.bundle").exists()
 
 
+def test_an_enclave_without_the_list_that_changed(keymint, policy: Path, tmp_path: Path) -> None:
+    """The router of Zenoh reads no revocation list: a new one changes what it is made from, and none of its files."""
+    assert keymint("provision", policy, "-w", "ws", "--transport", "dds", "--transport", "zenoh").code == 0
+    assert keymint("revoke", "talker", "--reason", "superseded", "-w", "ws").code == 0
+    found = {each["enclave"]: each["revocations"] for each in ran(keymint, "bundle", "*", "-w", "ws")["bundles"]}
+    assert found == {"/talker": 1, "/robot1/listener": 1, "/zenoh_router": 0}
+    assert "session.json5" in read(tmp_path / "talker.bundle").files
+
+
 def test_a_revoked_enclave_has_no_bundle(keymint, ws: Path) -> None:
     assert keymint("revoke", "talker", "--reason", "key-compromise", "-w", "ws").code == 0
     assert keymint("bundle", "talker", "-w", "ws", "--json").codes() == ["not-installed"]
