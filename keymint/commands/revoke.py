@@ -62,7 +62,8 @@ def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report
     names_again = [name for name in _updated(plan.steps, ()) if name in chosen]
     say = run.console.line
     for each in revoking.certificates:
-        say(f"revoked   /{each.name} serial {each.serial:x}, generation {each.generation}, {reason}")
+        word = "would revoke" if run.dry_run else "revoked  "
+        say(f"{word} /{each.name} serial {each.serial:x}, generation {each.generation}, {reason}")
     if peers:
         say(
             f"deploy and restart {counted(len(peers), 'enclave')}: {_listed(peers)}; a node that runs keeps its "

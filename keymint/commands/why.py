@@ -164,7 +164,7 @@ def _profile(profile: AppliedProfile, typed: Callable[[str], str]) -> str:
 def _labels(explanation: Explanation, typed: Callable[[str], str]) -> Iterator[str]:
     """Yield the decisions of transports, one line for all with the same reason."""
     if not explanation.installed:
-        yield "not installed (run 'keymint build' and 'keymint install')"
+        yield "not installed ('keymint status' shows whether it waits for 'keymint install', or was revoked)"
     together: dict[tuple[str, str], list[str]] = {}
     for name, label in explanation.labels.items():
         deviation = f"; deviates from the standard: {label.verdict.deviation}" if label.verdict.deviation else ""

@@ -139,6 +139,11 @@ def test_bad_input_changes_nothing(
     assert snapshot(provisioned) == before
 
 
+def test_a_dry_run_does_not_say_that_it_revoked(provisioned: Path, keymint) -> None:
+    outcome = keymint("revoke", "talker", "--reason", "retired", "--dry-run", cwd=provisioned)
+    assert outcome.out.startswith("would revoke /talker serial ")
+
+
 def test_dry_run_changes_nothing(provisioned: Path, keymint) -> None:
     before = snapshot(provisioned)
     outcome = keymint("revoke", "talker", "--reason", "retired", "--dry-run", "--json", cwd=provisioned)
