@@ -68,6 +68,7 @@ from keymint.api.policies import PolicyDecision as PolicyDecision
 from keymint.api.policies import PolicyStructure as PolicyStructure
 from keymint.api.policies import PolicyType as PolicyType
 from keymint.api.policies import PolicyTypeWithTests as PolicyTypeWithTests
+from keymint.api.policies import RecognisedPolicy as RecognisedPolicy
 from keymint.api.policies import RowPolicy as RowPolicy
 from keymint.api.policies import StructuredPolicy as StructuredPolicy
 from keymint.api.policies import WrittenProfile as WrittenProfile

@@ -174,6 +174,17 @@ class PolicyTypeWithTests(Protocol):
         """
 
 
+@runtime_checkable
+class RecognisedPolicy(Protocol):
+    """Optional capability of a policy type whose files verbs meet where policies of another type are expected."""
+
+    NOUN: str
+    """What its files are called, with its article."""
+
+    def recognises(self, path: Path) -> bool:
+        """Tell whether a file is a policy of this type, valid or not; False if it cannot be read."""
+
+
 class PolicyType(Protocol):
     """Loads policies of one format."""
 

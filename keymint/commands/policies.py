@@ -11,6 +11,8 @@ from comarmor.errors import Origin, library_name
 from keymint.api import LoadedPolicy, PolicySource
 from keymint.commands.options import PolicyOptions
 from keymint.commands.run import Run
+from keymint.errors import KeymintError
+from keymint.plan.foreign_policies import foreign_policy
 from keymint.plan.policy import load_policy
 from keymint.session import Session
 from keymint.workspace import Workspace
@@ -57,7 +59,7 @@ class Policies:
         return self._run.plugins.profile_type(self._options.profile_type).library(self.distro)
 
     def at(self, path: Path, typed: str) -> LoadedPolicy:
-        """Load the policy at a path.
+        """Load the policy at a path; a file that only another policy type recognises is read by that.
 
         Args:
             path: file or folder.
@@ -66,8 +68,16 @@ class Policies:
         Raises:
             KeymintError: the policy is missing, or has defects.
         """
-        source = PolicySource(typed, path, Origin(typed))
-        return self._run.plugins.policy_type(self._options.policy_type).load([source], self.shipped())
+        source, plugins, name = PolicySource(typed, path, Origin(typed)), self._run.plugins, self._options.policy_type
+        try:
+            return plugins.policy_type(name).load([source], self.shipped())
+        except KeymintError as error:
+            foreign = foreign_policy(plugins, [path], name)
+            if foreign is None:
+                raise
+            if foreign.path != path:
+                raise foreign.refusal(self._run.typed(str(foreign.path))) from error
+        return plugins.policy_type(foreign.policy_type).load([source], self.shipped())
 
     def _of_workspace(self, workspace: Workspace) -> LoadedPolicy:
         session = self._run.inputs(workspace).session()

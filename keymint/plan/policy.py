@@ -13,6 +13,7 @@ from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint.ir import SubjectRules
 from keymint.names import package_name
+from keymint.plan.foreign_policies import foreign_policy
 from keymint.session import Session
 from keymint.state import Stamp, State, digest
 
@@ -27,10 +28,17 @@ def load_policy(session: Session) -> LoadedPolicy:
     """
     profile = session.profile
     policy_type = session.plugins.policy_type(profile.policy_type, session.profile_marker())
-    if profile.library is None or profile.library.is_dir():
-        return policy_type.load(profile.policies, profile.library)
-    shipped = session.plugins.profile_type(profile.profile_type).library(profile.distro)
-    return policy_type.load(profile.policies, shipped, profile.library)
+    library, shown = profile.library, None
+    if library is not None and not library.is_dir():
+        library, shown = session.plugins.profile_type(profile.profile_type).library(profile.distro), library
+    try:
+        return policy_type.load(profile.policies, library, shown)
+    except KeymintError as error:
+        paths = [source.path for source in profile.policies]
+        foreign = foreign_policy(session.plugins, paths, profile.policy_type)
+        if foreign is None:
+            raise
+        raise foreign.refusal(session.workspace.shown(foreign.path)) from error
 
 
 def lazy_policy(session: Session) -> LoadedPolicy:

@@ -18,7 +18,10 @@ from .conftest import Environment, run
 
 pytestmark = pytest.mark.xdist_group("packaging")
 
-PACKAGES = {"comarmor", "keymint", "keymint_ros", "keymint_ros2_comarmor", "keymint_ros2_dds", "keymint_ros2_zenoh"}
+PACKAGES = {
+    "comarmor", "keymint", "keymint_ros", "keymint_ros2_comarmor", "keymint_ros2_dds", "keymint_ros2_sros2",
+    "keymint_ros2_zenoh",
+}  # fmt: skip
 DIST_INFO = f"keymint_tools-{keymint.__version__}.dist-info"
 POLICY = """<?xml version="1.0"?>
 <profiles xmlns:xi="http://www.w3.org/2001/XInclude">

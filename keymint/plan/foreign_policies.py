@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recognise policies of other types, where a policy of one type cannot be loaded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from comarmor.errors import Origin
+from comarmor.values import dataclass
+from keymint.api import PolicyType, RecognisedPolicy
+from keymint.errors import KeymintError
+from keymint.plugins import Plugins
+
+
+@dataclass(frozen=True, slots=True)
+class ForeignPolicy:
+    """A file that a policy type recognises.
+
+    Attributes:
+        path: the file.
+        policy_type: name of the policy type.
+        noun: what its files are called, with its article.
+    """
+
+    path: Path
+    policy_type: str
+    noun: str
+
+    def refusal(self, shown: str) -> KeymintError:
+        """Return the error that the file must be imported first.
+
+        Args:
+            shown: its path as the user would type it.
+        """
+        return KeymintError(
+            f"this is {self.noun}", where=Origin(shown), help=f"keymint import {shown} -o comarmor.d",
+            code="policy-foreign",
+        )  # fmt: skip
+
+
+def foreign_policy(plugins: Plugins, paths: Iterable[Path], expected: str) -> ForeignPolicy | None:
+    """Return the first file of some policies that another policy type recognises, or None.
+
+    Args:
+        plugins: the plugins.
+        paths: files, and folders with policies directly in them.
+        expected: name of the policy type that could not load them.
+    """
+    known: dict[str, RecognisedPolicy] = {}
+    for name in plugins.names("keymint.policy_types"):
+        policy_type: PolicyType | RecognisedPolicy = plugins.policy_type(name)
+        if name != expected and isinstance(policy_type, RecognisedPolicy):
+            known[name] = policy_type
+    for path in (file for each in paths for file in _files(each)):
+        for name, policy_type in known.items():
+            if policy_type.recognises(path):
+                return ForeignPolicy(path, name, policy_type.NOUN)
+    return None
+
+
+def _files(path: Path) -> Iterator[Path]:
+    """Yield a file, or the files of a folder that may be roots of a policy."""
+    try:
+        yield from sorted(path.glob("*.xml")) if path.is_dir() else (path,)
+    except OSError:
+        return

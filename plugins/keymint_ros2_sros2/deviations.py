@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What SROS2 enforces otherwise than a policy reads, and what no keystore can hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from comarmor.errors import Diagnostic, Severity
+from comarmor.ros_names import is_fully_qualified
+from comarmor.text import quoted
+from comarmor.values import dataclass
+from keymint_ros2_sros2.names import as_read, enforced
+from keymint_ros2_sros2.syntax import Enclave, Entry, Node, SourcePolicy
+
+
+@dataclass(frozen=True, slots=True)
+class Deviation:
+    """Something in a policy that needs a decision of its owner.
+
+    Attributes:
+        diagnostic: what it is, as an error.
+        paths: the enclaves that it concerns.
+        acceptable: it has a meaning as it reads, which ``--accept`` takes.
+    """
+
+    diagnostic: Diagnostic
+    paths: tuple[str, ...]
+    acceptable: bool = True
+
+
+def deviations(policy: SourcePolicy) -> tuple[Deviation, ...]:
+    """Return what SROS2 enforces otherwise than the policy reads, and what cannot be taken over."""
+    found = [*_doubled(policy)]
+    for enclave in policy.enclaves:
+        found += _of_path(enclave)
+        found += _of_groups(enclave)
+        for node in enclave.nodes():
+            found += _of_node(enclave, node)
+            found += (
+                each for rules in node.lists for entry in rules.entries for each in _of_entry(enclave, node, entry)
+            )
+    return tuple(found)
+
+
+def _error(code: str, message: str, enclave: Enclave, entry: Enclave | Entry | Node, help_: str) -> Diagnostic:
+    return Diagnostic(code, Severity.ERROR, message, entry.where, help_, enclave.path)
+
+
+def _doubled(policy: SourcePolicy) -> Iterator[Deviation]:
+    first: dict[str, Enclave] = {}
+    for enclave in policy.enclaves:
+        before = first.setdefault(enclave.path, enclave)
+        if before is not enclave:
+            message = (
+                f"the enclave {quoted(enclave.path)} stands here and at {before.where.alone()}: generate_artifacts uses"
+                " the last one only, create_permission the first"
+            )
+            help_ = "write one <enclave>; --accept takes all of them together"
+            yield Deviation(_error("sros2-path-twice", message, enclave, enclave, help_), (enclave.path,))
+
+
+def _of_path(enclave: Enclave) -> Iterator[Deviation]:
+    if is_fully_qualified(enclave.path):
+        return
+    what = "the root enclave '/' is not supported" if enclave.path == "/" else "not a path of an enclave"
+    message = f"{quoted(enclave.path)}: {what}"
+    help_ = "expected '/' and segments of letters, digits and '_' that do not begin with a digit, without wildcards"
+    yield Deviation(_error("sros2-path", message, enclave, enclave, help_), (enclave.path,), acceptable=False)
+
+
+def _of_groups(enclave: Enclave) -> Iterator[Deviation]:
+    if len(enclave.groups) > 1:
+        message = (
+            f"the enclave {quoted(enclave.path)} has {len(enclave.groups)} <profiles>: SROS2 writes a grant for each,"
+            " and participants use the first only"
+        )
+        help_ = "put all <profile> into one <profiles>; --accept takes all of them together"
+        where = enclave.groups[1].where
+        yield Deviation(
+            Diagnostic("sros2-two-profiles", Severity.ERROR, message, where, help_, enclave.path), (enclave.path,)
+        )
+
+
+def _of_node(enclave: Enclave, node: Node) -> Iterator[Deviation]:
+    if node.ns and not node.ns.startswith("/"):
+        message = f"the namespace {quoted(node.ns)} does not begin with '/': SROS2 writes topics that no node has"
+        help_ = f"write ns={quoted('/' + node.ns.strip())}; --accept reads it so"
+        yield Deviation(_error("sros2-namespace", message, enclave, node, help_), (enclave.path,))
+    for name, value in (("ns", node.ns), ("node", node.name)):
+        if value != value.strip():
+            message = f"{name}={quoted(value)} has white space around it, which SROS2 keeps"
+            yield Deviation(
+                _error("sros2-padded", message, enclave, node, "remove it; --accept reads it so"), (enclave.path,)
+            )
+
+
+def _of_entry(enclave: Enclave, node: Node, entry: Entry) -> Iterator[Deviation]:
+    text, paths = entry.text, (enclave.path,)
+    if not text.strip():
+        help_ = "write a name, or remove the element"
+        yield Deviation(_error("sros2-empty", "the name is empty", enclave, entry, help_), paths, acceptable=False)
+        return
+    names = f"SROS2 enforces {quoted(enforced(node, text))}, not {quoted(as_read(node, text))}"
+    if text != text.strip():
+        message = f"{quoted(text)} has white space around it, which SROS2 keeps: {names}"
+        yield Deviation(_error("sros2-padded", message, enclave, entry, "remove it; --accept reads it so"), paths)
+    if text.strip().startswith("~") and text.strip()[1:2] not in ("", "/"):
+        message = f"{quoted(text)} is not a private name, which begins with '~/': {names}"
+        help_ = f"write ~/{text.strip()[1:]}, or the full name; --accept reads it as ~/{text.strip()[1:]}"
+        yield Deviation(_error("sros2-tilde", message, enclave, entry, help_), paths)
+    if "\\" in text:
+        message = f"{quoted(text)} has a '\\', which escapes a character in the standard, and is one for Fast DDS"
+        help_ = "no ROS name has a '\\': remove it; --accept reads it as the standard does"
+        yield Deviation(_error("sros2-backslash", message, enclave, entry, help_), paths)

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parse SROS2 policies of the versions 0.2.0 (Foxy and later) and 0.1.0 (Crystal to Eloquent)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import field
+from pathlib import Path
+from types import MappingProxyType
+
+from comarmor.errors import ComArmorError
+from comarmor.rules import Effect
+from comarmor.text import quoted
+from comarmor.values import dataclass
+from keymint_ros2_sros2.policy_files import Placed, PolicyFiles, policy_files
+from keymint_ros2_sros2.syntax import PERMISSIONS, Enclave, Entry, Lost, Node, NodeGroup, RuleList, SourcePolicy
+
+OLD, NEW = "0.1.0", "0.2.0"
+
+
+def parse(path: Path) -> SourcePolicy:
+    """Read a policy.
+
+    Args:
+        path: its file.
+
+    Raises:
+        ComArmorError: a file is missing, outside of the policy's folder, or not valid, with ``file:line``.
+    """
+    files, name = policy_files(path)
+    return _Parser(files).policy(files.root(name))
+
+
+@dataclass(slots=True)
+class _Parser:
+    """Parses the elements of a policy in document order.
+
+    Attributes:
+        files: the reader, which resolves includes.
+        lost: what has no meaning for access control.
+    """
+
+    files: PolicyFiles
+    lost: list[Lost] = field(default_factory=list)
+
+    def policy(self, root: Placed) -> SourcePolicy:
+        """Return the policy of a root element."""
+        if root.element.tag != "policy":
+            raise _misplaced(root, "as the root", ("policy",))
+        version = root.element.get("version", "")
+        inner = "enclaves" if version == NEW else "profiles"
+        enclaves: list[Enclave] = []
+        comments: list[str] = [*root.before]
+        for child in self.children(root, (inner,), f"in a policy of version {version}"):
+            comments += child.before
+            found = self.enclaves(child) if version == NEW else self.nodes_of_old(child)
+            for enclave in found:
+                enclaves.append(_commented(enclave, comments))
+                comments.clear()
+            comments += child.closing
+        if not enclaves:
+            raise ComArmorError(
+                "the policy has no enclave", where=root.where, code="policy-empty",
+                help=f"expected <{inner}> with <{'enclave' if version == NEW else 'profile'}> in it",
+            )  # fmt: skip
+        closing = (*comments, *root.closing)
+        return SourcePolicy(
+            version, tuple(enclaves), root.where, MappingProxyType(self.files.seen), tuple(self.lost), closing
+        )
+
+    def enclaves(self, item: Placed) -> Iterator[Enclave]:
+        """Yield the enclaves of an ``<enclaves>`` element."""
+        for child in self.children(item, ("enclave",), "in <enclaves>"):
+            groups = tuple(self.group(each) for each in self.children(child, ("profiles",), "in <enclave>"))
+            if not groups:
+                raise ComArmorError(
+                    f"the enclave {quoted(child.element.get('path', ''))} has no <profiles>", where=child.where,
+                    help="add them, or remove the enclave", code="schema",
+                )  # fmt: skip
+            yield Enclave(child.element.get("path", ""), groups, child.where, child.before, child.closing)
+
+    def nodes_of_old(self, item: Placed) -> Iterator[Enclave]:
+        """Yield an enclave for each node: up to Eloquent a node had a key of its own, named like the node."""
+        group = self.group(item)
+        for node in group.nodes:
+            path = f"{'' if node.ns in ('', '/') else node.ns.removesuffix('/')}/{node.name}"
+            yield Enclave(path, (NodeGroup((node,), item.where),), node.where)
+
+    def group(self, item: Placed) -> NodeGroup:
+        """Return the nodes of a ``<profiles>`` element."""
+        if item.element.get("type"):
+            self.lost.append(Lost(f"the type {quoted(item.element.get('type', ''))} of <profiles>", item.where))
+        children = self.children(item, ("profile",), "in <profiles>")
+        nodes = tuple(self.node(child) for child in children)
+        return NodeGroup(nodes, item.where, item.before, item.closing)
+
+    def node(self, item: Placed) -> Node:
+        """Return the node of a ``<profile>`` element."""
+        names = [item.element.get(attribute) for attribute in ("ns", "node")]
+        if names[0] is None or not names[1]:
+            raise ComArmorError(
+                "<profile> names no node, expected the attributes 'ns' and 'node'", where=item.where, code="schema",
+                help='to include its rules alone: xpointer="xpointer(/profile/*)"' if item.chain else "",
+            )  # fmt: skip
+        lists = tuple(self.rules(child) for child in self.children(item, tuple(PERMISSIONS), "in <profile>"))
+        return Node(names[0], names[1], lists, item.where, item.before, item.closing)
+
+    def rules(self, item: Placed) -> RuleList:
+        """Return the list of a ``<topics>``, ``<services>`` or ``<actions>`` element."""
+        tag = str(item.element.tag)
+        entries = tuple(
+            Entry(child.element.text or "", child.where, child.before)
+            for child in self.children(item, (tag.removesuffix("s"),), f"in <{tag}>")
+        )
+        effects = {
+            permission: Effect(item.element.get(attribute, ""))
+            for attribute, permission in PERMISSIONS[tag].items()
+            if item.element.get(attribute) is not None
+        }
+        return RuleList(tag, MappingProxyType(effects), entries, item.where, item.before, item.closing)
+
+    def children(self, item: Placed, expected: tuple[str, ...], place: str) -> Iterator[Placed]:
+        """Yield the child elements, which includes may have put into the wrong place; ``<metadata>`` is left out."""
+        for child in self.files.children(item):
+            if child.element.tag == "metadata":
+                self.lost.append(Lost("<metadata>", child.where))
+            elif child.element.tag in expected:
+                yield child
+            else:
+                raise _misplaced(child, place, expected)
+
+
+def _misplaced(item: Placed, place: str, expected: tuple[str, ...]) -> ComArmorError:
+    one_of = " or ".join(f"<{name}>" for name in expected)
+    return ComArmorError(
+        f"<{item.element.tag}> is not expected {place}, expected {one_of}", where=item.where, code="schema"
+    )
+
+
+def _commented(enclave: Enclave, comments: list[str]) -> Enclave:
+    """Return an enclave with further comments before it."""
+    return Enclave(enclave.path, enclave.groups, enclave.where, (*comments, *enclave.comments), enclave.closing)

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Includes of SROS2 policies: both namespaces, the xpointers in use, and no file outside of the policy's folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from keymint_ros2_sros2.parse import _Parser, parse
+from keymint_ros2_sros2.policy_files import policy_files
+
+from comarmor.errors import ComArmorError
+from comarmor.xml.reader import Limits
+
+from .sros2_policies import DRAFT, LOGGING, XI, enclave, policy
+
+
+def include(href: str, more: str = 'xpointer="xpointer(/profile/*)"') -> str:
+    return f'<xi:include href="{href}" {more}/>'
+
+
+def names(path: Path) -> list[str]:
+    return [entry.text for each in parse(path).enclaves for node in each.nodes() for rules in node.lists
+            for entry in rules.entries]  # fmt: skip
+
+
+@pytest.mark.parametrize("namespace", [XI, DRAFT])
+def test_both_namespaces(write, namespace: str) -> None:
+    text = policy(enclave("/a", include("logging.xml"))).replace(XI, namespace)
+    assert names(write(text, {"logging.xml": LOGGING})) == ["rosout"]
+
+
+@pytest.mark.parametrize("xpointer", ["xpointer(/profile/*)", "xpointer(/profile/topics)", "xpointer(/*/*)"])
+def test_the_rules_of_a_profile(write, xpointer: str) -> None:
+    text = policy(enclave("/a", include("logging.xml", f'xpointer="{xpointer}"')))
+    assert names(write(text, {"logging.xml": LOGGING})) == ["rosout"]
+
+
+OTHER = policy(enclave("/b", '<topics publish="ALLOW"><topic>/x</topic></topics>', node="m"))
+
+
+def test_enclaves_of_another_policy(write) -> None:
+    pointer = "xpointer='xpointer(/policy/enclaves/*)'"
+    text = policy(include("o.xml", pointer))
+    assert [each.path for each in parse(write(text, {"o.xml": OTHER})).enclaves] == ["/b"]
+
+
+def test_profiles_of_another_policy(write) -> None:
+    pointer = "xpointer='xpointer(/policy/enclaves/enclave/profiles/*)'"
+    text = policy(f'<enclave path="/a"><profiles>{include("o.xml", pointer)}</profiles></enclave>')
+    (found,) = parse(write(text, {"o.xml": OTHER})).enclaves
+    assert [node.name for node in found.nodes()] == ["m"]
+
+
+def test_without_an_xpointer_the_root_is_included(write) -> None:
+    whole = '<profile ns="/" node="n"><topics publish="ALLOW"><topic>/y</topic></topics></profile>'
+    text = policy(f'<enclave path="/a"><profiles>{include("p.xml", "")}</profiles></enclave>')
+    assert names(write(text, {"p.xml": whole})) == ["/y"]
+
+
+def test_a_fragment_in_place_of_a_profile_says_which_xpointer_is_missing(write) -> None:
+    text = policy(f'<enclave path="/a"><profiles>{include("logging.xml", "")}</profiles></enclave>')
+    with pytest.raises(ComArmorError, match="names no node") as caught:
+        parse(write(text, {"logging.xml": LOGGING}))
+    assert "xpointer(/profile/*)" in caught.value.diagnostics[0].help
+
+
+def test_the_place_of_a_rule_has_the_chain_of_includes(robot: Path) -> None:
+    talker = parse(robot).enclaves[0]
+    rosout = next(talker.nodes()).lists[0]
+    assert [Path(each.file).name for each in (rosout.where, *rosout.where.chain)] == [
+        "logging.xml", "node.xml", "policy.xml",
+    ]  # fmt: skip
+    assert [each.line for each in rosout.where.chain] == [2, 1]
+
+
+@pytest.mark.parametrize(
+    ("href", "code"),
+    [
+        ("/etc/hostname", "include-outside"),
+        ("../other.xml", "include-outside"),
+        ("missing.xml", "include-missing"),
+        ("http://host/x.xml", "include-href"),
+        ("", "include-href"),
+        ("policy.xml", "include-loop"),
+        ("link.xml", "include-outside"),
+    ],
+)
+def test_refused(write, tmp_path: Path, href: str, code: str) -> None:
+    (tmp_path.parent / "other.xml").write_text(LOGGING)
+    (tmp_path / "link.xml").symlink_to(tmp_path.parent / "other.xml")
+    with pytest.raises(ComArmorError) as caught:
+        parse(write(policy(enclave("/a", include(href)))))
+    (found,) = caught.value.diagnostics
+    assert (found.code, found.where and found.where.line) == (code, 1)
+
+
+@pytest.mark.parametrize(
+    ("attributes", "code"),
+    [
+        ('xpointer="element(/1/2)"', "include-xpointer"),
+        ('xpointer="xpointer(/policy/*)"', "include-xpointer"),
+        ('xpointer="xpointer(//topics)"', "include-xpointer"),
+        ('parse="text"', "include-parse"),
+        ('accept="x"', "schema"),
+    ],
+)
+def test_refused_attributes(write, attributes: str, code: str) -> None:
+    with pytest.raises(ComArmorError) as caught:
+        parse(write(policy(enclave("/a", include("logging.xml", attributes))), {"logging.xml": LOGGING}))
+    assert caught.value.diagnostics[0].code == code
+
+
+def test_a_loop_over_two_files(write) -> None:
+    files = {
+        "a.xml": f"<profile {XI}>{include('b.xml')}</profile>",
+        "b.xml": f"<profile {XI}>{include('a.xml')}</profile>",
+    }
+    with pytest.raises(ComArmorError, match="includes itself"):
+        parse(write(policy(enclave("/a", include("a.xml"))), files))
+
+
+def test_includes_that_multiply_are_bounded(write) -> None:
+    files = {f"{level}.xml": f"<profile {XI}>{include(f'{level + 1}.xml') * 10}</profile>" for level in range(8)}
+    path = write(policy(enclave("/a", include("0.xml"))), {**files, "8.xml": LOGGING})
+    reader, name = policy_files(path)
+    for limits, message in ((Limits(inclusions=500), "more than 500 includes"), (Limits(nodes=200), "200 elements")):
+        reader.limits = limits
+        with pytest.raises(ComArmorError, match=message):
+            _Parser(reader).policy(reader.root(name))
+
+
+def test_the_depth_of_includes_is_bounded(write) -> None:
+    files = {f"{level}.xml": f"<profile {XI}>{include(f'{level + 1}.xml')}</profile>" for level in range(17)}
+    with pytest.raises(ComArmorError, match="nested more than 16 deep"):
+        parse(write(policy(enclave("/a", include("0.xml"))), {**files, "17.xml": LOGGING}))
+
+
+def test_the_limit_of_bytes(write) -> None:
+    files, name = policy_files(write(policy(enclave("/a", include("logging.xml"))), {"logging.xml": LOGGING}))
+    files.limits = Limits(total_bytes=100)
+    with pytest.raises(ComArmorError, match="bytes allowed"):
+        files.root(name)
+
+
+def test_a_missing_policy_and_a_folder(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.xml", tmp_path):
+        with pytest.raises(ComArmorError) as caught:
+            parse(path)
+        assert caught.value.diagnostics[0].code == "policy-missing"
+
+
+def test_every_file_is_seen_even_a_missing_one(robot: Path, tmp_path: Path) -> None:
+    seen = parse(robot).seen
+    assert {path.name for path in seen} == {"policy.xml", "node.xml", "logging.xml", "time.xml", "parameters.xml"}
+    assert all(seen.values())
+    files, name = policy_files(robot)
+    (tmp_path / "common/node.xml").unlink()
+    with pytest.raises(ComArmorError, match="does not exist"):
+        list(files.children(next(files.children(next(files.children(next(files.children(next(
+            files.children(files.root(name)))))))))))  # fmt: skip
+    assert files.seen[tmp_path / "common/node.xml"] == b""
