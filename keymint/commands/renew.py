@@ -145,7 +145,8 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
     findings = [*choice.requests, *map(_authority_due, due.authorities)]
     plan = Plan(plan.steps, plan.state, (*plan.diagnostics, *findings, *dict.fromkeys(errors)), plan.first)
     after = session.after(plan)
-    taken = [each for each in due.enclaves if each.name in names]
+    done = frozenset(names)
+    taken = [each for each in due.enclaves if each.name in done]
     rows = tuple(
         _Renewed(each, _end(after, each.name), bool(issuance_of(session, each.name).public_key)) for each in taken
     )
@@ -157,7 +158,7 @@ def _issued_again(run: Run, session: Session, due: Schedule, names: Sequence[str
     first = plan_issuance(session, run.verb, {name: renewed(session, name) for name in names})
     ends = [list_end(session, each) for each in due.lists]
     plan = reissued(
-        run, session, first, names, rekey=names if rekey else (), prove=prove,
+        run, session, first, names, rekey=frozenset(names if rekey else ()), prove=prove,
         refresh=[each.name for each in due.lists],
         list_end=None if None in ends else max(filter(None, ends), default=None),
     )  # fmt: skip

@@ -123,7 +123,7 @@ def common_name(subject: str, generation: int = 0) -> str:
         subject: a subject's name, e.g. ``/robot1/arm/driver``.
         generation: generation of the identity, from 0.
     """
-    mark = f".{generation}" if generation else ""
+    mark = generation_mark(generation)
     most = MAX_COMMON_NAME - len(mark)
     segments = subject.removeprefix("/").split("/")
     for first in range(max(0, len(segments) - MAX_SEGMENTS), len(segments)):
@@ -131,6 +131,11 @@ def common_name(subject: str, generation: int = 0) -> str:
         if len(candidate) <= most:
             return candidate + mark
     return f"/{segments[-1]}"[:most] + mark
+
+
+def generation_mark(generation: int) -> str:
+    """Return what follows a name in a common name of this generation; empty for generation 0."""
+    return f".{generation}" if generation else ""
 
 
 def unique_suffix(subject: str, generation: int = 0) -> str:

@@ -54,13 +54,15 @@ def of_subject(subject: str, generation: int = 0, *, in_common_name: bool = Fals
     Args:
         subject: the subject's name, e.g. ``/robot1/talker``.
         generation: generation of its identity; the unique suffix has it.
-        in_common_name: the common name has it as well, for a transport that knows a subject by this name alone.
+        in_common_name: its names have it as well, for a transport that knows a subject by its common name alone.
     """
     from keymint.pki import distinguished_names  # noqa: PLC0415 - imports cryptography, which takes 0.1 s
 
+    named = generation if in_common_name else 0
+    mark = distinguished_names.generation_mark(named)
     return {
-        "name": subject.removeprefix("/"),
-        "subject": subject,
-        "common_name": distinguished_names.common_name(subject, generation if in_common_name else 0),
+        "name": subject.removeprefix("/") + mark,
+        "subject": subject + mark,
+        "common_name": distinguished_names.common_name(subject, named),
         "unique": distinguished_names.unique_suffix(subject, generation),
     }

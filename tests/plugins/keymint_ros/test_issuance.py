@@ -80,6 +80,15 @@ def test_the_form_of_sros2_has_no_generation() -> None:
     assert loaded(workspace, 3).identity.subject_name == workspace.load().identity.subject_name == "CN=/robot1/talker"
 
 
+@pytest.mark.parametrize("form", ["CN={subject}", "CN={name}", "CN={common_name}"])
+def test_each_form_of_a_common_name_has_the_generation_for_zenoh(form: str) -> None:
+    workspace = Workspace.new(replace(REQUEST, build_types=("keymint_ros2_zenoh",)))
+    workspace = workspace.edit("profile/package.defaults/identities.xml", "OU={unique},CN={common_name}", form)
+    names = {generation: emission.common_name(loaded(workspace, generation)) for generation in GENERATIONS}
+    assert names[0] == ("robot1/talker" if form == "CN={name}" else "/robot1/talker")
+    assert names[2] == f"{names[0]}.2"
+
+
 @pytest.mark.parametrize("build_types", [("keymint_ros2_zenoh",), ("keymint_ros2_dds", "keymint_ros2_zenoh")])
 def test_the_common_name_has_the_generation_for_zenoh(build_types: tuple[str, ...]) -> None:
     workspace = Workspace.new(replace(REQUEST, build_types=build_types))
