@@ -9,8 +9,8 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import counted
 from keymint.api import Package, RevocationReader
 from keymint.errors import KeymintError
-from keymint.pki import certificates, revocation_lists
-from keymint.plan.authority_files import trusted_chains
+from keymint.pki import revocation_lists
+from keymint.plan.authority_files import issuers
 from keymint.plan.build_types import build_types_of
 from keymint.plan.register import issuer_of, register_of
 from keymint.plan.revocation import enclave_lists
@@ -22,12 +22,10 @@ _INSTALL = "'keymint install' writes it again; then deploy and restart the encla
 def lists_in_force(session: Session) -> Iterator[Diagnostic]:
     """Yield a finding for each authority whose list lacks a revocation of the register, or that has no list."""
     register = register_of(session)
-    for name, chain in trusted_chains(session).items():
-        if not chain:
-            continue  # reported with the authorities
+    for name, _, issuer in issuers(session):  # others are reported with the authorities
         path = session.workspace.revocation_list(name)
         where = Origin(session.workspace.shown(path))
-        revoked = {each.serial for each in register.revoked(issuer_of(certificates.load_bundle(chain)[0]))}
+        revoked = {each.serial for each in register.revoked(issuer_of(issuer))}
         content = session.tree.read(path)
         try:
             found = frozenset[int]() if content is None else _serials(content, where)

@@ -6,7 +6,7 @@ A replaced key or certificate is an error here: only a person can know which of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
 
 from cryptography import x509
@@ -141,6 +141,20 @@ def trusted_chains(session: Session) -> Mapping[str, bytes]:
         own = session.tree.read(session.workspace.authority_certificate(authority.name)) or b""
         chains[authority.name] = chain(session, authority, own, chains.get(authority.certificate.issuer, b""))
     return chains
+
+
+def issuers(session: Session) -> Iterator[tuple[str, str, x509.Certificate]]:
+    """Yield the authorities that enclaves trust: name of its files, name in the profile, and certificate.
+
+    While the key of an authority is replaced, these are two. A certificate that is missing or damaged is left out.
+    """
+    for authority in session.profile.authorities:
+        name, rollover = authority.name, authority.issuance.rollover
+        certificate = _readable(session.tree.try_read(session.workspace.authority_certificate(name)))
+        if certificate is not None:
+            yield name, name, certificate
+        if rollover is not None and is_bundled(authority):
+            yield f"{name}.{other(authority)}", name, certificates.load(rollover.certificate)
 
 
 def chain(inputs: Inputs, authority: Authority, certificate: bytes, above: bytes) -> bytes:

@@ -13,7 +13,7 @@ from keymint.api import Package
 from keymint.changes import File, FolderChange
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, revocation_lists
-from keymint.plan.authority_files import trusted_chains
+from keymint.plan import authority_files
 from keymint.plan.enclaves import installed, installed_certificate
 from keymint.plan.issuance import issuance_of
 from keymint.register import database
@@ -130,13 +130,13 @@ def _restored(session: Session, *, lossy: bool) -> Register:
     register = Register().with_issued(_found(session))
     generations = {name: issuance_of(session, name).generation for name in session.packages()}
     lost = [name for name, generation in generations.items() if generation]
-    for name, chain in trusted_chains(session).items():
-        path = session.workspace.revocation_list(name)
+    for file, name, authority in authority_files.issuers(session):
+        path = session.workspace.revocation_list(file)
         content = session.tree.read(path)
-        if content is None or not chain:
+        if content is None:
             continue
         found = revocation_lists.load(content, Origin(session.workspace.shown(path)))
-        issuer = issuer_of(certificates.load_bundle(chain)[0])
+        issuer = issuer_of(authority)
         register = register.with_number(issuer, found.number or 1)
         for each in found.revocations:
             known = register.certificates.get((issuer, each.serial))
@@ -159,11 +159,11 @@ def _restored(session: Session, *, lossy: bool) -> Register:
 
 def _found(session: Session) -> Iterator[IssuedCertificate]:
     """Yield an entry for each installed certificate that one of the workspace's authorities issued."""
-    issuers = {name: certificates.load_bundle(chain)[0] for name, chain in trusted_chains(session).items() if chain}
+    issuers = [(authority, issuer) for _, authority, issuer in authority_files.issuers(session)]
     known = frozenset(session.packages())
     for name in installed(session):
         certificate = installed_certificate(session, name)
-        for authority, issuer in issuers.items():
+        for authority, issuer in issuers:
             if certificate is not None and certificates.is_issued_by(certificate, issuer):
                 yield IssuedCertificate(
                     issuer=issuer_of(issuer),
