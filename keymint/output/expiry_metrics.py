@@ -42,7 +42,7 @@ def gauges(session: Session, rows: Sequence[PackageRow]) -> tuple[Gauge, ...]:
         Gauge("keymint_enclave_stale", "1 if an enclave differs from its sources or the policy.", stale),
         moments(
             "keymint_revocation_list_expiry",
-            "End of a revocation list; no participant starts with an expired one.",
+            "End of a revocation list; no process starts with an expired one.",
             [({"authority": name}, end) for name, end in lists.items()],
         ),
         moments(

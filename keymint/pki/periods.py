@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where periods of validity begin: somewhat in the past, because the clocks of robots may be slow.
 
-No vendor of DDS allows for clocks that differ, and one reads dates of permissions in local time.
+No middleware that was measured allows for clocks that differ, and one reads dates of permissions in local time.
 """
 
 from __future__ import annotations

@@ -178,8 +178,10 @@ class Tokens:
         try:
             import pkcs11  # noqa: PLC0415 - an extra
         except ImportError:
+            from keymint.plugins import how_to_add  # noqa: PLC0415 - for this error only
+
             raise self._error(
-                "pkcs11-module", "python-pkcs11 is not installed", where, "pip install 'keymint-tools[pkcs11]'"
+                "pkcs11-module", "python-pkcs11 is not installed", where, how_to_add("python-pkcs11")
             ) from None
         try:
             self._modules[path] = pkcs11.lib(path)

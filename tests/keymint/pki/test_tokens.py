@@ -19,6 +19,7 @@ from keymint.api import KeySpec
 from keymint.errors import KeymintError
 from keymint.pki import keys
 from keymint.pki.tokens import MODULE_VARIABLE, Tokens
+from keymint.plugins import how_to_add
 from tests.softhsm import MODULE, PIN, SoftHsm
 
 pytestmark = pytest.mark.softhsm
@@ -236,7 +237,7 @@ def test_without_the_extra_it_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(__import__("sys").modules, "pkcs11", None)
     found = error_of(lambda: tokens.public_key(spec("pkcs11:token=ca;object=ca"), HERE))
-    assert (found.code, found.help) == ("pkcs11-module", "pip install 'keymint-tools[pkcs11]'")
+    assert (found.code, found.help) == ("pkcs11-module", how_to_add("python-pkcs11"))
 
 
 def test_what_is_released_can_be_opened_again(softhsm: SoftHsm, tokens: Tokens) -> None:
