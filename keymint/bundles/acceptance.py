@@ -114,17 +114,15 @@ def accept(bundle: Bundle, present: Present, owner: Owner, now: datetime, where:
     require_in_force(bundle, now, where)
     wanted = {**bundle.files, **({KEY: key} if key else {}), RECORD: bundle.encoded}
     files = {name: content for name, content in wanted.items() if present.files.get(name) != content}
-    mine = {*before.files, KEY} if before else frozenset({KEY} if key else ())
-    # A key that an earlier bundle or request brought is of no use beside a certificate for another one.
-    removed = [name for name in sorted(mine & present.files.keys()) if name not in wanted and name != KEY]
-    if KEY in present.files and KEY not in wanted:
-        removed.append(KEY)
+    # A key of an earlier request is of no use beside a certificate for another one.
+    brought = {*(before.files if before else ()), KEY}
+    removed = tuple(sorted(name for name in present.files if name in brought and name not in wanted))
     # The certificate comes last: a node that starts in between fails, and admits nobody.
     ordered = dict(sorted(files.items(), key=lambda item: item[0] == CERTIFICATE))
     pending = present.pending
     answered = pending is not None and pending.request.fingerprint == bundle.manifest.key
-    notes = tuple(_left(present, {*wanted, *removed, *(() if before is None else before.files)}))
-    return Acceptance(ordered, frozenset({KEY}) & files.keys(), tuple(removed), answered, notes)
+    notes = tuple(_left(present, {*wanted, *removed}))
+    return Acceptance(ordered, frozenset({KEY}) & files.keys(), removed, answered, notes)
 
 
 # -- who it is by ----------------------------------------------------------------------------------------------------

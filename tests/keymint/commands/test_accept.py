@@ -126,6 +126,18 @@ def test_a_new_key_by_request(keymint, robot: Path) -> None:
     assert (robot / "enclaves/talker/key.pem").read_bytes() != old
 
 
+def test_a_renewed_enclave_gets_a_bundle_that_needs_no_request(keymint, robot: Path) -> None:
+    folder = robot / "enclaves/talker"
+    before = {name: (folder / name).read_bytes() for name in ("key.pem", "cert.pem", "permissions.p7s")}
+    later = {"SOURCE_DATE_EPOCH": str(NOW + 300 * DAY)}
+    assert keymint("renew", "-w", "ws", env=later).code == 0
+    ran(keymint, "bundle", "talker", "-w", "ws", env=later)
+    [taken] = ran(keymint, "accept", "talker.bundle", "--folder", "robot", env=later)["enclaves"]
+    assert taken["not_after"] > "2028-06"
+    after = {name: (folder / name).read_bytes() for name in before}
+    assert {name for name in before if before[name] == after[name]} == {"key.pem"}
+
+
 def test_a_revoked_enclave_gets_a_bundle_that_needs_no_request(keymint, robot: Path, ws: Path) -> None:
     assert keymint("revoke", "talker", "--reason", "superseded", "-w", "ws").code == 0
     ran(keymint, "bundle", "/**", "-w", "ws")
