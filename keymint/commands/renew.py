@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
@@ -39,6 +40,8 @@ from keymint.plan.terms import shown
 from keymint.plan.threshold import Threshold
 from keymint.session import Inputs, Session
 
+NOT_HERE = "authority-key-missing"
+"""Code of the error that an authority cannot sign, since its key is elsewhere."""
 _SHOWN = 8
 """Names of enclaves in one line; ``--json`` has all."""
 
@@ -104,11 +107,20 @@ class _Renewed:
 
 @dataclass(frozen=True, slots=True)
 class _Renewal:
-    """What is due and what is done about it."""
+    """What is due and what is done about it.
+
+    Attributes:
+        schedule: what is due.
+        plan: what is done.
+        renewed: what is renewed by it.
+        waiting: what is due and waits for the key of an authority, which is not here.
+        needs_person: there is something that only a person can do.
+    """
 
     schedule: Schedule
     plan: Plan
     renewed: tuple[_Renewed, ...]
+    waiting: tuple[Due, ...]
     needs_person: bool
 
 
@@ -132,11 +144,17 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
     names, errors = list(choice.names), list(choice.errors)
     session = session.after(Plan((), choice.state))
     plan = Plan((), session.state)
+    waiting: list[str] = []
     while names or due.lists:
         try:
             plan = _issued_again(run, session, due, names, rekey=rekey, prove=prove)
             break
         except KeymintError as error:
+            if {each.code for each in error.diagnostics} == {NOT_HERE}:
+                severity = Severity.WARNING if run.dry_run else Severity.ERROR
+                errors += (replace(each, severity=severity) for each in error.diagnostics)
+                waiting, names = [*names], []
+                break
             defective = packages_of(session, error.diagnostics, names)
             errors += error.diagnostics
             if not alone or not defective:
@@ -150,7 +168,10 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
     rows = tuple(
         _Renewed(each, _end(after, each.name), bool(issuance_of(session, each.name).public_key)) for each in taken
     )
-    return _Renewal(due, plan, rows, needs_person=bool(findings))
+    late = frozenset(waiting)
+    return _Renewal(
+        due, plan, rows, tuple(each for each in due.enclaves if each.name in late), needs_person=bool(findings)
+    )
 
 
 def _issued_again(run: Run, session: Session, due: Schedule, names: Sequence[str], *, rekey: bool, prove: bool) -> Plan:
@@ -196,7 +217,9 @@ def _lines(run: Run, renewal: _Renewal) -> Sequence[str]:
     lines = [
         f"{would} /{each.due.name}: {_why(each.due)}; now in force until {_date(each.now)}" for each in renewal.renewed
     ]
-    lines += [f"{would} the revocation list of {each.name}: {_why(each)}" for each in renewal.schedule.lists]
+    lines += [f"waits for a signature: /{each.name}: {_why(each)}" for each in renewal.waiting]
+    if not renewal.waiting:
+        lines += [f"{would} the revocation list of {each.name}: {_why(each)}" for each in renewal.schedule.lists]
     own = {each.due.name for each in renewal.renewed}
     updated = [
         step.package for step in renewal.plan.steps
@@ -253,6 +276,7 @@ def _result(renewal: _Renewal) -> dict[str, Any]:
             }
             for each in renewal.renewed
         ],
+        "waiting": [{"subject": f"/{each.name}", **due_document(each)} for each in renewal.waiting],
         "lists": [{"authority": each.name, **due_document(each)} for each in renewal.schedule.lists],
         "authorities_due": [
             {"authority": each.name, "ends": each.end.isoformat(), "subjects": [f"/{name}" for name in each.packages]}

@@ -17,7 +17,7 @@ from keymint_ros import package_type
 from keymint.api import Issuance
 from keymint.pki import certificates, public_keys, revocation_lists
 from tests.conftest import NOW, Outcome, snapshot
-from tests.keymint.plan.keystores import AUTHORITY_KEYS, IDENTITY_KEYS, public_key
+from tests.keymint.plan.keystores import AUTHORITY_KEYS, IDENTITY_KEYS, content, public_key
 
 DAY = 86_400
 DUE = 250
@@ -213,8 +213,8 @@ class TestKeys:
     def robot(self, keymint: Callable, ws: Path) -> Path:
         """A workspace where the key of /talker is on the robot."""
         key = ec.derive_private_key(11, ec.SECP256R1()).public_key()
-        for file, content in package_type.with_issuance(Issuance(public_key=public_keys.to_pem(key))).items():
-            (ws / "src/talker" / file).write_bytes(content)
+        for file, document in package_type.with_issuance(Issuance(public_key=public_keys.to_pem(key))).items():
+            (ws / "src/talker" / file).write_bytes(document)
         (ws / IDENTITY_KEYS[0]).unlink()
         install(keymint, ws)
         return ws
@@ -281,6 +281,30 @@ class TestAuthorities:
         outcome = keymint("renew", "--json", cwd=ws, env=at(DUE))
         assert (outcome.code, outcome.codes()) == (1, ["authority-changed"])
         assert snapshot(ws) == before
+
+
+class TestWithoutTheKeysOfAuthorities:
+    @pytest.mark.parametrize(("options", "code", "severity"), [((), 1, "error"), (("--dry-run",), 3, "warning")])
+    def test_what_is_due_is_told_and_waits(
+        self, keymint: Callable, ws: Path, options: tuple[str, ...], code: int, severity: str
+    ) -> None:
+        (ws / AUTHORITY_KEYS[0]).unlink()
+        before = content(ws)
+        outcome = keymint("renew", "--json", *options, cwd=ws, env=at(DUE))
+        assert (outcome.code, renewed(outcome)) == (code, [])
+        waiting = outcome.document["result"]["waiting"]
+        assert [each["subject"] for each in waiting] == ["/robot1/listener", "/talker"]
+        assert [each["severity"] for each in outcome.document["diagnostics"]] == [severity]
+        assert (
+            "waits for a signature: /talker: its certificate ends on"
+            in keymint("renew", *options, cwd=ws, env=at(DUE)).out
+        )
+        assert content(ws) == before
+
+    def test_nothing_is_needed_while_nothing_is_due(self, keymint: Callable, ws: Path) -> None:
+        for path in AUTHORITY_KEYS:
+            (ws / path).unlink()
+        assert keymint("renew", cwd=ws).code == 0
 
 
 class TestLists:
