@@ -42,6 +42,10 @@ WRITING_VERBS = (
     ("install", "-w", "ws", "--json"),
     ("install", "-w", "ws"),
     ("request", "talker", "--folder", "robot"),
+    ("authority", "renew", "identity_ca", "-w", "ws"),
+    ("authority", "replace", "identity_ca", "-w", "ws"),
+    ("authority", "replace", "identity_ca", "--phase", "end", "-w", "ws"),
+    ("authority", "export", "identity_ca", "-o", "ca.pem", "-w", "ws"),
     ("provision", POLICY, "-w", "ws2"),
     ("graph", POLICY, "-o", "policy.svg"),
     ("graph", POLICY, "-o", "policy.html"),
@@ -58,6 +62,7 @@ WRITING_VERBS = (
 READING_VERBS = (
     ("check", "-w", "ws"),
     ("status", "-w", "ws"),
+    ("authority", "show", "-w", "ws"),
     ("revoke", "talker", "--reason", "superseded", "-w", "ws"),
     ("revoke", "talker", "--reason", "key-compromise", "-w", "ws"),
     ("renew", "-w", "ws"),

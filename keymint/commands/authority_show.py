@@ -66,6 +66,10 @@ def _lines(each: AuthorityStatus, now: datetime) -> Iterator[str]:
         for use in each.uses
     ]
     yield f"  {'serves':13} {'; '.join(served) or 'nobody'}"
+    if each.revocations is not None:
+        of_list = each.revocations
+        text = f"number {of_list.number}, {len(of_list.revocations)} revoked, until {of_list.next_update:%Y-%m-%d}"
+        yield f"  {'revocations':13} {text}"
     if each.phase and each.other:
         yield f"  {'replacement':13} phase {each.phase}; the other key is {each.other.fingerprint}"
 
@@ -93,6 +97,13 @@ def _document(each: AuthorityStatus) -> dict[str, Any]:
             {"build_type": use.build_type, "role": use.role, "signs": use.signs, "packages": use.packages}
             for use in each.uses
         ],
+        "revocation_list": None
+        if each.revocations is None
+        else {
+            "number": each.revocations.number,
+            "next_update": each.revocations.next_update.isoformat(),
+            "revoked": len(each.revocations.revocations),
+        },
         "replacement": {"phase": each.phase.value, "certificate": _certificate(each.other)} if each.phase else None,
     }
 

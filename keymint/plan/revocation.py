@@ -24,12 +24,17 @@ STAGE = "crl"
 
 
 def lists(session: Session) -> Mapping[str, bytes]:
-    """Return the revocation lists in the public space, PEM, by authority."""
+    """Return the revocation lists in the public space, PEM, by authority.
+
+    While the key of an authority is replaced, there may be one more: ``NAME.next`` or ``NAME.former``.
+    """
     return session.once("revocation lists", lambda: _lists(session))
 
 
 def _lists(session: Session) -> Mapping[str, bytes]:
     names = [authority.name for authority in session.profile.authorities]
+    bundled = filter(authority_files.is_bundled, session.profile.authorities)
+    names += [f"{authority.name}.{authority_files.other(authority)}" for authority in bundled]
     contents = {name: session.tree.read(session.workspace.revocation_list(name)) for name in names}
     return {name: content for name, content in contents.items() if content is not None}
 
@@ -39,8 +44,8 @@ def enclave_lists(session: Session) -> Mapping[str, bytes]:
 
     Where they trust two authorities, the file of these has the lists; see :func:`keymint.plan.authority_files.chain`.
     """
-    bundled = {each.name for each in session.profile.authorities if authority_files.is_bundled(each)}
-    return {name: content for name, content in lists(session).items() if name not in bundled}
+    own = {each.name for each in session.profile.authorities if not authority_files.is_bundled(each)}
+    return {name: content for name, content in lists(session).items() if name in own}
 
 
 def plan_lists(

@@ -145,6 +145,10 @@ def test_revoked_certificates_stay_revoked_in_each_phase(keymint, ws: Path, repl
     assert "revoked" in judged(tmp_path / "before.pem")
     assert judged(ws / "install/enclaves/talker/cert.pem") == "OK"
     clean(keymint, ws)
+    lists = keymint("crl", "--json", cwd=ws).document["result"]["lists"]
+    listed = {each["authority"]: len(each["revoked"]) for each in lists}
+    assert listed == {"identity_ca": 1, "identity_ca.former": 2}
+    assert "revocations   number" in keymint("authority", "show", cwd=ws).out
     replace(IDENTITY, *END)
     assert listener.joinpath("identity_ca.cert.pem").read_bytes().count(b"BEGIN") == 1
     assert (listener / "crl.pem").exists()
