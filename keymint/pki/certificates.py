@@ -83,12 +83,17 @@ def load_bundle(pem: bytes, where: Origin | None = None) -> tuple[x509.Certifica
         ) from None
 
 
-def load_first(pem: bytes, where: Origin | None = None) -> x509.Certificate:
+def load_first(pem: bytes, where: Origin | None = None, *, with_lists: bool = False) -> x509.Certificate:
     """Return the first certificate of a PEM file: the one that software which expects one authority reads.
 
     PEM readers differ in what begins a block: some accept text before it in its line, or other labels such as
     ``TRUSTED CERTIFICATE``. So five hyphens may only occur in the first and last line of a certificate's block, and its
     base64 must have the form of RFC 7468. Other text may come before, between and after.
+
+    Args:
+        pem: the file.
+        where: the file, for messages.
+        with_lists: revocation lists may lie beside the certificates, as where two authorities are trusted.
 
     Raises:
         KeymintError: no certificate, or a file that readers of PEM may read differently.
@@ -96,7 +101,8 @@ def load_first(pem: bytes, where: Origin | None = None) -> x509.Certificate:
     lines = pem.replace(b"\r\n", b"\n").split(b"\n")
     marks = [line for line in lines if b"-----" in line]
     pairs = list(zip(marks[::2], marks[1::2], strict=False))
-    in_pairs = len(marks) == 2 * len(pairs) and all(pair in {(_BEGIN, _END), _LIST} for pair in pairs)
+    allowed = {(_BEGIN, _END), _LIST} if with_lists else {(_BEGIN, _END)}
+    in_pairs = len(marks) == 2 * len(pairs) and all(pair in allowed for pair in pairs)
     bundle = load_bundle(pem, where)
     if not in_pairs or b"\r" in b"".join(lines) or b"\0" in pem:
         problem = "has lines beside its certificates that other PEM readers may take for the beginning of one"

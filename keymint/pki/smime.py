@@ -131,7 +131,7 @@ def _read(signed: bytes, ca_pem: bytes, at: datetime | None) -> SignedDocument:
 
 @functools.lru_cache(maxsize=16)
 def _authority(ca_pem: bytes) -> x509.Certificate:
-    return certificates.load_first(ca_pem)
+    return certificates.load_first(ca_pem, with_lists=True)
 
 
 def verify(signed: bytes, ca_pem: bytes, *, at: datetime | None = None, where: Origin | None = None) -> bytes:

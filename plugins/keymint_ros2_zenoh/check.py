@@ -143,7 +143,7 @@ def _signature(inspection: SharedInspection, content: bytes) -> Iterator[Diagnos
         yield Diagnostic("file-missing", Severity.ERROR, "is missing", where, "'keymint install' writes it again")
         return
     try:
-        authority = certificates.load_first(inspection.chains[ACCESS], where)
+        authority = certificates.load_first(inspection.chains[ACCESS], where, with_lists=True)
     except KeymintError as error:
         yield from error.diagnostics
         return

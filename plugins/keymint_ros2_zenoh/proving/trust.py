@@ -54,7 +54,7 @@ def router_differences(shared: Mapping[str, bytes], shared_folder: str, access: 
 # All enclaves rest on the same file.
 @lru_cache(maxsize=16)
 def _signature_problem(content: bytes, signed: bytes, authority: bytes) -> str:
-    return signature.problem(content, signed, certificates.load_first(authority))
+    return signature.problem(content, signed, certificates.load_first(authority, with_lists=True))
 
 
 def missing(files: Mapping[str, bytes], folder: str, name: str) -> Diagnostic | None:

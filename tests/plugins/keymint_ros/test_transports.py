@@ -80,7 +80,7 @@ def test_settings_are_those_of_the_request(build_types: tuple[str, ...]) -> None
     request = replace(REQUEST, build_types=build_types, domain=7, subject_format="sros2")
     profile = profile_type.load(ROOT, bootstrap(request))
     assert profile_type.settings(profile) == {
-        "distro": "jazzy", "layout": "sros2", "domain": "7", "subject-format": "sros2",
+        "distro": "jazzy", "layout": "sros2", "domain": "7", "subject-format": "sros2", "valid-for": "P365D",
     }  # fmt: skip
 
 
