@@ -7,8 +7,10 @@ Keymint writes this file, and nobody else: its owner's decisions stand in the ot
 from __future__ import annotations
 
 from collections.abc import Mapping
+from datetime import UTC
 from typing import TYPE_CHECKING
 
+from comarmor.errors import Origin
 from keymint.api import Issuance
 from keymint.errors import KeymintError
 from keymint.source_documents import Reader, place, text
@@ -37,9 +39,13 @@ def _issuance(root: etree._Element) -> Issuance:
 def _public_key(element: etree._Element | None) -> bytes:
     if element is None:
         return b""
+    return _canonical((text(element) or "").encode() + b"\n", place(element))
+
+
+def _canonical(pem: bytes, where: Origin | None = None) -> bytes:
     from keymint.pki import public_keys  # noqa: PLC0415 - most packages have none, and it takes time to import
 
-    return public_keys.to_pem(public_keys.from_pem((text(element) or "").encode() + b"\n", place(element)))
+    return public_keys.to_pem(public_keys.from_pem(pem, where))
 
 
 _read = Reader("keymint_ros", "issuance", _issuance)
@@ -55,15 +61,15 @@ def with_issuance(issued: Issuance) -> Mapping[str, bytes]:
     """Return the document: see :meth:`keymint.api.IssuanceFiles.with_issuance`.
 
     Raises:
-        KeymintError: the generation is negative or has more than nine digits.
+        KeymintError: the generation is negative or has more than nine digits, or the public key is none.
     """
     if not 0 <= issued.generation < _MOST:
         raise KeymintError(f"{issued.generation} is not a generation from 0 to {_MOST - 1}", code="generation-range")
     lines = [f"  <generation>{issued.generation}</generation>"]
     if issued.renewed is not None:
-        lines.append(f"  <renewed>{issued.renewed:%Y-%m-%dT%H:%M:%SZ}</renewed>")
+        lines.append(f"  <renewed>{issued.renewed.astimezone(UTC):%Y-%m-%dT%H:%M:%SZ}</renewed>")
     if issued.public_key:
-        lines.append(f"  <public_key>\n{issued.public_key.decode('ascii').strip()}\n  </public_key>")
+        lines.append(f"  <public_key>\n{_canonical(issued.public_key).decode().strip()}\n  </public_key>")
     return {ISSUANCE: "\n".join((f'{_HEAD}<issuance format="2">', *lines, "</issuance>", "")).encode()}
 
 

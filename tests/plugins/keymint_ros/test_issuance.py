@@ -187,6 +187,16 @@ def test_a_private_key_in_the_place_of_the_public_one_is_refused_and_not_shown(w
     assert not any(line in str(found) + found.help for line in pem.splitlines()[1:-1])
 
 
+def test_nothing_but_a_public_key_is_written() -> None:
+    with pytest.raises(KeymintError, match="not an EC or RSA public key"):
+        package_type.with_issuance(Issuance(public_key=b"</public_key><generation>0</generation>"))
+
+
+def test_a_date_in_another_zone_is_written_in_utc() -> None:
+    moment = DATE.astimezone(timezone(timedelta(hours=-7)))
+    assert package_type.with_issuance(Issuance(renewed=moment)) == package_type.with_issuance(Issuance(renewed=DATE))
+
+
 @pytest.mark.parametrize("generation", [-1, 10**9])
 def test_a_generation_out_of_range_is_not_written(generation: int) -> None:
     with pytest.raises(KeymintError, match="is not a generation from 0 to"):
