@@ -39,6 +39,17 @@ def _build_types(session: Session, package: Package) -> Mapping[str, BuildType]:
     return found
 
 
+def recorded_build_types(session: Session, name: str) -> tuple[str, ...]:
+    """Return the build types of an enclave; those of the profile if its sources are gone or have defects."""
+    stamp = session.state.stamp(BUILD, name)
+    if stamp is not None and stamp.build_types:
+        return stamp.build_types
+    try:
+        return session.package(name).build_types
+    except KeymintError:
+        return session.profile.build_types
+
+
 def roles_of(session: Session, package: Package) -> Mapping[str, tuple[AuthorityRole, ...]]:
     """Return the authorities that the enclave of a package rests on, by build type.
 

@@ -19,7 +19,7 @@ from keymint.errors import KeymintError
 from keymint.pki import certificates
 from keymint.plan import install
 from keymint.plan.authority_files import trusted_chains
-from keymint.plan.build_types import BUILD
+from keymint.plan.build_types import recorded_build_types
 from keymint.plan.enclaves import CERTIFICATE, INSTALLED, installed
 from keymint.plan.revocation import enclave_lists, require_nothing_lost
 from keymint.session import Session
@@ -46,7 +46,7 @@ def plan_distribution(before: Session, session: Session, omitted: Collection[str
         if name in omitted:
             continue
         folder = session.enclaves / name
-        build_types = _build_types(session, name)
+        build_types = recorded_build_types(session, name)
         possible = {authority: _files(session, build_types, content) for authority, content in in_force.items()}
         if len(possible) == 1 and not any(_different(session, folder, files) for files in possible.values()):
             continue  # nobody else's list could be in force, so the certificate need not be read
@@ -82,17 +82,6 @@ def _is_by(pem: bytes, issuer: x509.Certificate) -> bool:
         return certificates.load(pem).issuer == issuer.subject
     except KeymintError:
         return False
-
-
-def _build_types(session: Session, name: str) -> tuple[str, ...]:
-    """Return the build types of an enclave; those of the profile if its sources are gone or have defects."""
-    stamp = session.state.stamp(BUILD, name)
-    if stamp is not None and stamp.build_types:
-        return stamp.build_types
-    try:
-        return session.package(name).build_types
-    except KeymintError:
-        return session.profile.build_types
 
 
 def _files(session: Session, build_types: tuple[str, ...], revocations: bytes) -> dict[str, File]:

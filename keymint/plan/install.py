@@ -80,13 +80,14 @@ class InstallStage:
         changed = {each.name: (each.build_types, each.artifacts) for each in planned if each.build_types}
         removed = orphans(session) if prune else ()
         shared = plan_shared_install(session, [each.name for each in planned], self._authorities, removed)
-        steps = [*shared.steps, *shared_steps(session, changed), *steps_of(planned)]
+        withdrawn = {each.name: each.withdrawn for each in planned if each.withdrawn}
+        copies = shared_steps(session, changed, {*removed, *withdrawn})
+        steps = [*shared.steps, *copies, *steps_of(planned)]
         diagnostics = [diagnostic for each in planned for diagnostic in each.diagnostics]
         diagnostics += _outdated(session, [each.name for each in planned if each.outdated])
         diagnostics += shared.diagnostics
         diagnostics += lifetimes.findings({each.name: each.lifetimes for each in planned}, session)
         diagnostics += [each for each in unaccounted(session) if not prune or each.code != "enclave-orphaned"]
-        withdrawn = {each.name: each.withdrawn for each in planned if each.withdrawn}
         state = recorded(session.state, STAGE, planned, (*removed, *shared.removed, *withdrawn))
         state = state.updated(STAGE, shared.stamps)
         for name, reason in withdrawn.items():

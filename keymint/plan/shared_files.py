@@ -9,26 +9,33 @@ from pathlib import Path
 from keymint.api import Artifact, BuildType
 from keymint.changes import Action, File, Step, changed
 from keymint.errors import KeymintError
+from keymint.plan.build_types import recorded_build_types
 from keymint.plan.enclaves import INSTALLED, installed
 from keymint.session import Session
 
 
 def shared_steps(
-    session: Session, changed_enclaves: Mapping[str, tuple[Collection[str], Mapping[str, Artifact]]]
+    session: Session,
+    changed_enclaves: Mapping[str, tuple[Collection[str], Mapping[str, Artifact]]],
+    removed: Collection[str] = (),
 ) -> list[Step]:
     """Return the steps that write the shared files.
 
     Args:
         session: the workspace and its profile.
         changed_enclaves: build types and files of each enclave that changes, by package.
+        removed: enclaves that are removed, and so are no example for the others.
     """
-    if not changed_enclaves:
-        return []
-    build_types = sorted({build_type for of_package, _ in changed_enclaves.values() for build_type in of_package})
+    kept = [name for name in installed(session) if name not in removed]
+    of_packages = [
+        *(of_package for of_package, _ in changed_enclaves.values()),
+        *(recorded_build_types(session, name) for name in kept if name not in changed_enclaves),
+    ]
+    build_types = sorted({build_type for of_package in of_packages for build_type in of_package})
     copied = {file for name in build_types for file in session.plugins.build_type(name).COPIED}
     enclaves: dict[str, Mapping[str, Artifact]] = {}
     contents: dict[str | None, Artifact | None] = {None: None}  # enclaves usually have the same files
-    for name in sorted({*changed_enclaves, *installed(session)}):
+    for name in sorted({*changed_enclaves, *kept}):
         if name in changed_enclaves:
             enclaves[f"/{name}"] = changed_enclaves[name][1]
             continue
