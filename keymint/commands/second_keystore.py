@@ -13,12 +13,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from keymint.api import BuildOptions
-from keymint.changes import Action, File, FolderChange, Plan, Step
+from keymint.changes import Action, File, FolderChange, Plan, Step, changed
 from keymint.commands.proof_gate import proof_stage, proven
 from keymint.commands.reissue import reissued
 from keymint.commands.run import Run
 from keymint.plan.authorities import MintedAuthority, plan_authorities
+from keymint.plan.authority_files import NEXT
 from keymint.plan.build import BuildStage
+from keymint.plan.enclaves import installed
 from keymint.plan.gitignore import NAME as GITIGNORE
 from keymint.plan.install import InstallStage
 from keymint.plan.policy import lazy_policy
@@ -41,7 +43,9 @@ def staged_keystore(run: Run, session: Session, name: str, names: Sequence[str])
     Raises:
         KeymintError: an enclave cannot be built, signed or proven; with all defects.
     """
-    ahead, authorities = session_ahead(session, name)
+    ahead, authorities, listed = _ahead(session, name)
+    known = set(session.packages())  # what was revoked since is withdrawn from it as well
+    names = tuple(dict.fromkeys((*names, *(each for each in installed(ahead) if each in known))))
     build = BuildStage(ahead, BuildOptions(), force=False, renew=False)
     built = build.plan([build.package(each) for each in names])
     ahead = ahead.after(built)
@@ -49,8 +53,13 @@ def staged_keystore(run: Run, session: Session, name: str, names: Sequence[str])
     planned = install.plan([install.package(each) for each in names])
     proof = proof_stage(run, lazy_policy(ahead), standard_only=False)
     done = proven(run, ahead, planned, names, proof, planned)
-    steps = tuple(replace(step, stage=STAGE) for step in planned.steps)
-    return replace(done, steps=steps, state=session.state)
+    steps = [replace(step, stage=STAGE) for step in planned.steps]
+    own, beside = _lists(session, name)
+    content = ahead.tree.read(own)
+    if content is not None and content != session.tree.read(beside):
+        change = FolderChange(beside.parent, {beside.name: File(content)})
+        steps.append(Step(STAGE, name, Action.UPDATED, (change,), "revocation list"))
+    return replace(done, steps=tuple(steps), state=session.state, first=(*listed.first, *done.first))
 
 
 def session_ahead(session: Session, name: str) -> tuple[Session, Mapping[str, MintedAuthority]]:
@@ -63,12 +72,27 @@ def session_ahead(session: Session, name: str) -> tuple[Session, Mapping[str, Mi
     Raises:
         KeymintError: an authority cannot be used; as :func:`keymint.plan.authorities.plan_authorities`.
     """
-    workspace = session.workspace
+    ahead, authorities, _ = _ahead(session, name)
+    return ahead, authorities
+
+
+def _ahead(session: Session, name: str) -> tuple[Session, Mapping[str, MintedAuthority], Plan]:
+    """Return what :func:`session_ahead` does, and the plan of the revocation lists in it."""
     ahead = session.after(plan_switch(session, name)).session()
-    ahead = replace(ahead, workspace=replace(workspace, install=workspace.next_install))
+    ahead = replace(ahead, workspace=replace(session.workspace, install=session.workspace.next_install))
+    own, beside = _lists(session, name)
+    present = session.tree.read(beside)
+    ahead = replace(ahead, tree=ahead.tree.overlaid([(own, None if present is None else File(present))]))
     minted, authorities = plan_authorities(ahead)
     ahead = ahead.after(minted)
-    return ahead.after(plan_lists(ahead, authorities)), authorities
+    listed = plan_lists(ahead, authorities)
+    return ahead.after(listed), authorities, listed
+
+
+def _lists(session: Session, name: str) -> tuple[Path, Path]:
+    """Return the paths of the revocation lists of an authority: the one in force, and that of the next authority."""
+    workspace = session.workspace
+    return workspace.revocation_list(name), workspace.revocation_list(f"{name}.{NEXT}")
 
 
 def exchanged_keystore(run: Run, session: Session, name: str, names: Sequence[str]) -> Plan:
@@ -85,7 +109,8 @@ def exchanged_keystore(run: Run, session: Session, name: str, names: Sequence[st
     """
     switch = plan_switch(session, name)
     key, *profile = switch.steps
-    copies = Step("install", "", Action.UPDATED, tuple(_copied(session)), "the second keystore")
+    copied = (*_copied(session), *_moved_list(session, name))
+    copies = Step("install", "", Action.UPDATED, copied, "the second keystore")
     first = replace(switch, steps=(key, copies, *profile))
     after = session.after(first).session()
     done = first.then(reissued(run, after, Plan((), after.state), names))
@@ -102,6 +127,13 @@ def dropped_keystore(session: Session) -> tuple[Step, ...]:
             folders.setdefault(Path(path).parent, []).append(Path(path).name)
     changes = tuple(FolderChange(folder, removed=tuple(sorted(names))) for folder, names in sorted(folders.items()))
     return (Step(STAGE, "", Action.REMOVED, changes, "the second keystore"),) if changes else ()
+
+
+def _moved_list(session: Session, name: str) -> tuple[FolderChange, ...]:
+    """Return what puts the revocation list of the next authority in force, if it has one."""
+    own, beside = _lists(session, name)
+    content = session.tree.read(beside)
+    return () if content is None else changed(session.tree, own.parent, {own.name: File(content)})
 
 
 def _copied(session: Session) -> list[FolderChange]:

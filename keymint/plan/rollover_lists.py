@@ -35,8 +35,7 @@ def outdated(session: Session, stage: str) -> Iterator[Step]:
     for each in session.profile.authorities:
         for suffix in (NEXT, FORMER):
             path = session.workspace.revocation_list(f"{each.name}.{suffix}")
-            is_used = authority_files.is_bundled(each) and suffix == authority_files.other(each)
-            if not is_used and session.tree.has_file(path):
+            if suffix != authority_files.other(each) and session.tree.has_file(path):
                 change = FolderChange(path.parent, removed=(path.name,))
                 yield Step(stage, f"{each.name}.{suffix}", Action.REMOVED, (change,))
 

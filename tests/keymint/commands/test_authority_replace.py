@@ -210,6 +210,33 @@ def test_a_second_keystore_has_no_list_of_the_former_authority(keymint, ws: Path
     clean(keymint, ws)
 
 
+@pytest.mark.parametrize("reason", ["superseded", "key-compromise"])
+def test_what_is_revoked_while_a_second_keystore_waits_is_revoked_in_it(
+    keymint, ws: Path, replace: Callable, tmp_path: Path, reason: str
+) -> None:
+    replace(IDENTITY)
+    (tmp_path / "old.pem").write_bytes((ws / "install.next/enclaves/talker/cert.pem").read_bytes())
+    assert keymint("revoke", "talker", "--reason", reason, cwd=ws).code == 0
+    refused = keymint("authority", "replace", IDENTITY, *END, "--json", cwd=ws)
+    assert refused.codes()[-1] == "rollover-incomplete"
+    replace(IDENTITY)
+    assert "nothing to do" in replace(IDENTITY)
+    listener = ws / "install.next/enclaves/robot1/listener"
+    command = ["openssl", "verify", "-attime", "1800000000", "-crl_check", "-CAfile", listener / "identity_ca.cert.pem"]
+    command += ["-CRLfile", listener / "crl.pem"]
+    done = subprocess.run([*command, tmp_path / "old.pem"], capture_output=True, text=True, check=False)
+    assert "revoked" in done.stderr
+    assert subprocess.run([*command, listener / "cert.pem"], capture_output=True, check=False).returncode == 0
+    assert (ws / "install.next/enclaves/talker").exists() == (reason == "superseded")
+    staged = (listener / "crl.pem").read_bytes()
+    replace(IDENTITY, *END)
+    assert (ws / "install/enclaves/robot1/listener/crl.pem").read_bytes() == staged
+    assert (ws / "public/identity_ca.crl.pem").read_bytes() == staged
+    assert not list((ws / "public").glob("*next*"))
+    for verb in ("check", "prove", "install"):
+        assert keymint(verb, cwd=ws).code == 0, verb
+
+
 def test_with_two_transports(keymint, policy: Path, tmp_path: Path) -> None:
     made = keymint("provision", policy, "-w", "ws", "--transport", "dds", "--transport", "zenoh")
     assert made.code == 0, made.err
