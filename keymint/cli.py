@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TextIO, cast
 
 import click
@@ -55,6 +56,7 @@ VERBS: Mapping[str, str] = {
     "bundle": "Write installed enclaves into signed files for robots.",
     "request": "Ask for a certificate, on the robot: its key never leaves it.",
     "accept": "Take what the authority made for the enclaves of this robot.",
+    "import": "Translate a policy of another tool, and prove that both mean the same.",
     "discover": "Record the graph of a running system, or read captures of one.",
     "learn": "Generate the smallest policy that allows a graph.",
     "graph": "Draw a policy, or the graph of a system.",
@@ -73,6 +75,7 @@ class _Verbs(VerbGroup):
     """The verbs."""
 
     VERBS = VERBS
+    MODULES: Mapping[str, str] = MappingProxyType({"import": "import_policy"})
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         super().format_commands(ctx, formatter)

@@ -104,3 +104,19 @@ def links(page: Path) -> Iterator[str]:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: os.path.relpath(page, CHECKOUT))
 def test_every_link_leads_to_a_file(page: Path) -> None:
     assert [link for link in links(page) if not (page.parent / link).exists()] == []
+
+
+def test_the_page_about_sros2_shows_what_happens(keymint, tmp_path: Path) -> None:
+    page = CHECKOUT / "docs/sros2.md"
+    for name, content in saved_files(page):
+        (tmp_path / name).write_text(content)
+    steps = console(page)
+    for command, output in steps:
+        outcome = keymint(*shlex.split(command)[1:], cwd=tmp_path)
+        assert (outcome.code, outcome.out) == (0, output), outcome.err
+    assert len(steps) == 3
+    (section,) = re.findall(r"## You have an SROS2 policy.*?```\n(.*?)```", README.read_text(), re.DOTALL)
+    lines = [line.partition("#")[0] for line in section.splitlines()]
+    assert len(lines) == 5
+    for line in lines:
+        assert keymint(*shlex.split(line)[1:], cwd=tmp_path).code == 0

@@ -53,12 +53,15 @@ WRITING_VERBS = (
     ("lint", POLICY, "--sarif", "lint.sarif"),
     ("test", str(CHECKOUT / "examples/fleet"), "--junit", "tests.xml"),
     ("learn", str(CHECKOUT / "examples/ppac_2018/graph.json"), "-o", "learned.xml"),
+    ("import", "policy.xml", "-o", "imported"),
     ("query", POLICY, "who", "can", "publish", "/chatter"),
     ("diff", POLICY, f"HEAD:{POLICY}"),
     ("plugins",),
     ("transports",),
     ("completion", "bash"),
 )
+FOREIGN = '<policy version="0.2.0"><enclaves><enclave path="/a"><profiles/></enclave></enclaves></policy>'
+"""A policy of another tool."""
 READING_VERBS = (
     ("check", "-w", "ws"),
     ("status", "-w", "ws"),
@@ -114,6 +117,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[int], list[Event
     """All verbs, in a folder under version control."""
     folder = tmp_path_factory.mktemp("audited")
     subprocess.run(["git", "init", "-q"], cwd=folder, check=True)
+    (folder / "policy.xml").write_text(FOREIGN)
     codes, before = audited(folder, *WRITING_VERBS[:4])
     identity = ("-c", "user.name=a", "-c", "user.email=a@b.c")
     subprocess.run(["git", "add", POLICY], cwd=folder, check=True)

@@ -114,6 +114,26 @@ def load_tree(
     return PolicyFiles(documents, MappingProxyType(reader.files), MappingProxyType(reader.seen))
 
 
+def read_document(content: bytes, name: str, library: Path, *, limits: Limits = LIMITS) -> PolicyFiles:
+    """Read a policy that is not a file yet, whose includes are files of the library.
+
+    Args:
+        content: the document.
+        name: path of the file that it will be, as the user would type it.
+        library: the folder of the included files.
+        limits: limits of files and includes.
+
+    Raises:
+        ComArmorError: as of :func:`load_tree`.
+    """
+    folder = SandboxedFolder(library.resolve(), str(library))
+    reader = _PolicyReader(folder, folder, limits)
+    # The document itself lies nowhere, but its includes are relative to the library's folder.
+    document = replace(reader.complete(parse(content, name, limits=limits), folder, "-", ()), name=name)
+    reader.bound(document.nodes, document.inclusions, Origin(name))
+    return PolicyFiles((document,), MappingProxyType(reader.files), MappingProxyType(reader.seen))
+
+
 def fingerprint(path: Path) -> bytes:
     """Return a digest that changes when a policy read from this path may have changed.
 
@@ -208,14 +228,22 @@ class _PolicyReader:
             )
         if real in self.done:
             return self.done[real]
-        name = folder.name(relative)
         content = self.read(folder, real, where)
         self.seen[Path(folder.shown, relative)] = self.files[real]
         try:
-            root = parse(content, name, limits=self.limits)
+            root = parse(content, folder.name(relative), limits=self.limits)
         except ComArmorError as error:
             raise _with_chain(error, chain) from None
         self.open.append(real)
+        document = self.done[real] = self.complete(root, folder, relative, chain)
+        self.open.pop()
+        return document
+
+    def complete(
+        self, root: etree._Element, folder: SandboxedFolder, relative: str, chain: tuple[Origin, ...]
+    ) -> PolicyFile:
+        """Read the includes of a document; the arguments are those of :meth:`document`, which read it."""
+        name = folder.name(relative)
         includes: dict[etree._Element, PolicyFile] = {}
         nodes, inclusions, uniform = 0, 0, _is_uniform(root)
         for element in root.iter():
@@ -233,11 +261,8 @@ class _PolicyReader:
                 nodes += included.nodes
                 inclusions += 1 + included.inclusions
             self.bound(nodes, inclusions, place)
-        self.open.pop()
         uniform = uniform and all(included.uniform for included in includes.values())
-        document = PolicyFile(name, root, MappingProxyType(includes), nodes, inclusions, uniform)
-        self.done[real] = document
-        return document
+        return PolicyFile(name, root, MappingProxyType(includes), nodes, inclusions, uniform)
 
     def include(self, element: etree._Element, folder: SandboxedFolder, relative: str, where: Origin) -> PolicyFile:
         """Read the file that an ``xi:include`` element refers to."""

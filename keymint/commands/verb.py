@@ -20,7 +20,13 @@ _COMMON = {"workspace", "as_json", "verbose", "quiet", "jobs", "dry_run", "execu
 
 
 def verb(
-    *, workspace: bool = True, jobs: bool = False, dry_run: bool = False, executor: bool = False, of: str = ""
+    *,
+    workspace: bool = True,
+    jobs: bool = False,
+    dry_run: bool = False,
+    executor: bool = False,
+    of: str = "",
+    name: str = "",
 ) -> Callable[[Verb], click.Command]:
     """Return a decorator that makes a click command of a function ``(run, **options) -> Report``.
 
@@ -33,13 +39,14 @@ def verb(
         jobs: the verb writes several packages at a time.
         dry_run: the verb writes files.
         executor: the verb can compute in other processes.
+        name: its name, if that is not the name of its module.
         of: the group of verbs that it belongs to, e.g. ``authority``; empty if it stands alone.
     """
 
     def decorate(function: Verb) -> click.Command:
         module = function.__module__.rsplit(".", 1)[-1]
-        name = module.removeprefix(f"{of}_")
-        said = f"{of} {name}".strip()
+        own_name = name or module.removeprefix(f"{of}_")
+        said = f"{of} {own_name}".strip()
 
         def command(context: click.Context, /, **options: Any) -> None:
             common = {key: options.pop(key) for key in list(options) if key in _COMMON or key.endswith("_space")}
@@ -60,7 +67,7 @@ def verb(
         for option in reversed(common_options(workspace=workspace, jobs=jobs, dry_run=dry_run, executor=executor)):
             wrapped = option(wrapped)
         wrapped.__click_params__ += own
-        return click.command(name)(wrapped)
+        return click.command(own_name)(wrapped)
 
     return decorate
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping
+from types import MappingProxyType
 
 import click
 
@@ -19,11 +20,13 @@ class VerbGroup(click.Group):
         VERBS: each verb with its help.
         MODULE: module of a verb, with a place for its name.
         NAME: name of the command in its module, with a place for the name of the verb.
+        MODULES: what stands for the name of a verb in both, where that is a keyword of Python.
     """
 
     VERBS: Mapping[str, str]
     MODULE = "keymint.commands.{}"
     NAME = "{}"
+    MODULES: Mapping[str, str] = MappingProxyType({})
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the verbs."""
@@ -35,9 +38,10 @@ class VerbGroup(click.Group):
         del ctx
         if cmd_name not in self.VERBS:
             return None
+        name = self.MODULES.get(cmd_name, cmd_name)
         with held_signals():
-            module = importlib.import_module(self.MODULE.format(cmd_name))
-        command: click.Command = getattr(module, self.NAME.format(cmd_name))
+            module = importlib.import_module(self.MODULE.format(name))
+        command: click.Command = getattr(module, self.NAME.format(name))
         return command
 
     def resolve_command(

@@ -18,7 +18,8 @@ class DdsSecurity:
     """The build type for DDS Security 1.1 as Cyclone DDS and Fast DDS implement it.
 
     Implements :class:`keymint.api.BuildType`, :class:`keymint.api.NameMapping`, :class:`keymint.api.ActionMapping`,
-    :class:`keymint.api.RuleCheck`, :class:`keymint.api.RevocationReader`, :class:`keymint.api.AuthorityChanges`,
+    :class:`keymint.api.RuleCheck`, :class:`keymint.api.ForeignDocuments`,
+    :class:`keymint.api.RevocationReader`, :class:`keymint.api.AuthorityChanges`,
     :class:`keymint.api.RemoteCompiler`,
     :class:`keymint.api.Prover` and :class:`keymint.api.RemoteProver`.
     """
@@ -45,6 +46,7 @@ class DdsSecurity:
     check_all = lazy("keymint_ros2_dds.check_keystore:check_all")
 
     check_rules = lazy("keymint_ros2_dds.rule_check:check_rules")
+    compare = lazy("keymint_ros2_dds.foreign_documents:compare")
 
     endpoints = lazy("keymint_ros2_dds.lowering.endpoints:endpoints")
     actions = lazy("keymint_ros2_dds.lowering.endpoints:actions")

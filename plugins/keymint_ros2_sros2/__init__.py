@@ -18,13 +18,17 @@ _MOST = 16 * 2**20
 class Sros2PolicyType:
     """Reads SROS2 policies of the versions 0.1.0 and 0.2.0.
 
-    Implements :class:`keymint.api.PolicyType` and :class:`keymint.api.RecognisedPolicy`.
+    Implements :class:`keymint.api.PolicyType`, :class:`keymint.api.RecognisedPolicy` and
+    :class:`keymint.api.PolicyImporter`.
     """
 
     API = API_VERSION
     NOUN = "an SROS2 policy"
+    TOOL = "SROS2"
+    BUILD_TYPE = "keymint_ros2_dds"
 
     load = lazy("keymint_ros2_sros2.loaded:load")
+    translated = lazy("keymint_ros2_sros2.translate:translated")
 
     def recognises(self, path: Path) -> bool:
         """Tell whether a file is an SROS2 policy, valid or not."""

@@ -219,3 +219,21 @@ def test_file_name_that_is_not_text(tmp_path) -> None:
     with pytest.raises(ComArmorError) as caught:
         comarmor.load(tmp_path)
     str(caught.value).encode()
+
+
+def test_a_document_that_is_not_a_file_includes_the_library_only(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "common").mkdir()
+    (tmp_path / "common/node.xml").write_text("<profiles/>")
+    profile = '<profile name="p"><attachment>/s</attachment><xi:include href="common/node.xml"/></profile>'
+    found = source.read_document(f"<profiles {XI}>{profile}</profiles>".encode(), "new.xml", LIBRARY)
+    (document,) = found.roots
+    (included,) = document.includes.values()
+    assert document.name == "new.xml"
+    assert included.name == str(LIBRARY / "common/node.xml")
+    for href, code in (("../x.xml", "include-outside"), ("none.xml", "include-missing")):
+        with pytest.raises(ComArmorError) as caught:
+            source.read_document(including(href).encode(), "new.xml", LIBRARY)
+        assert caught.value.diagnostics[0].code == code
+    with pytest.raises(ComArmorError, match="elements"):
+        source.read_document(including("common/node.xml").encode(), "new.xml", LIBRARY, limits=Limits(nodes=2))

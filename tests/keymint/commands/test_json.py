@@ -42,6 +42,7 @@ CALLS = {
     "provision": ["provision", "policy.xml", "-w", "third"],
     "discover": ["discover", "--from", "graph.json"],
     "learn": ["learn", "graph.json"],
+    "import": ["import", "foreign.xml", "-o", "imported"],
     "verify": ["verify", "-w", "ws", "-t", "omg"],
     "why": ["why", "/talker", "ros_publish", "/chatter", "-w", "ws", "-t", "omg"],
     "lint": ["lint", "policy.xml"],
@@ -57,6 +58,11 @@ CALLS = {
     "accept": ["accept", "talker.bundle", "--folder", "ws/install"],
     "bundle": ["bundle", "talker", "-w", "ws"],
 }
+FOREIGN = (
+    '<policy version="0.2.0"><enclaves><enclave path="/a"><profiles><profile ns="/" node="a">'
+    '<topics publish="ALLOW"><topic>b</topic></topics></profile></profiles></enclave></enclaves></policy>'
+)
+"""A policy of another tool."""
 BEFORE = {"sign": "request", "accept": "bundle"}
 """The verb that makes the file that another one takes."""
 
@@ -66,6 +72,7 @@ def graph(tmp_path: Path) -> None:
     """A graph for the verbs that take one."""
     edge = Edge("/talker", "ros_publish", Object("ros_topic", "/chatter"))
     (tmp_path / "graph.json").write_bytes(dump(Graph.of([edge])))
+    (tmp_path / "foreign.xml").write_text(FOREIGN)
     (tmp_path / "policy.test.xml").write_text(
         '<tests><test name="t"><allow subject="/talker" permission="publish" object="/chatter"/></test></tests>'
     )

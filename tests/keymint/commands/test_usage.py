@@ -20,6 +20,7 @@ ARGUMENTS = {
     "query": ("policy.xml", "what", "can", "/talker", "do"),
     "provision": ("policy.xml",),
     "learn": ("graph.json",),
+    "import": ("foreign.xml",),
     "graph": ("policy.xml",),
     "lint": ("policy.xml",),
     "test": ("policy.xml",),

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from keymint_ros2_dds import build_type, emission
 from keymint_ros2_dds.compiling import compile as compiling
-from keymint_ros2_dds.rule_check import package_of
+from keymint_ros2_dds.rule_packages import package_of
 
 from comarmor.patterns.steps import step_limit
 from keymint.analysis.subject_patterns import rules_of

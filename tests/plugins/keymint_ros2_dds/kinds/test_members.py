@@ -20,7 +20,7 @@ from keymint_ros2_dds.documents import permissions_document
 from keymint_ros2_dds.kinds import members
 from keymint_ros2_dds.kinds.structure import Structure
 from keymint_ros2_dds.kinds.template import Template
-from keymint_ros2_dds.rule_check import package_of
+from keymint_ros2_dds.rule_packages import package_of
 
 from comarmor.rules import parts
 from keymint.analysis.subject_patterns import rules_of

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Import policies of other tools: policy types translate them, and build types compare what both tools enforce."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import field
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+from comarmor.errors import Diagnostic
+from comarmor.values import dataclass
+from keymint.api.proving import Claim
+from keymint.ir import SubjectRules
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedSubject:
+    """A subject of an imported policy.
+
+    Attributes:
+        rules: its rules, as the new policy gives them.
+        document: what the other tool writes for it, unsigned.
+        subject_name: its distinguished name in that document.
+        deviates: the other tool enforces something else than its policy reads, as the diagnostics say.
+    """
+
+    rules: SubjectRules
+    document: bytes = field(repr=False)
+    subject_name: str
+    deviates: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedPolicy:
+    """A policy in the language of Keymint.
+
+    Attributes:
+        document: the new policy.
+        subjects: its subjects, in the order of the policy.
+        diagnostics: what changes, and what is lost, as warnings and notes with ``file:line``.
+    """
+
+    document: bytes = field(repr=False)
+    subjects: tuple[ImportedSubject, ...]
+    diagnostics: tuple[Diagnostic, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ImportRequest:
+    """A policy to import.
+
+    Attributes:
+        path: the file.
+        name: path of the new policy, as the user would type it, for the places of its rules.
+        library: folder of the policy library that the new policy may include.
+        accept: take the policy as it reads where the other tool enforces something else.
+        implicit: with the rules that the other tool adds by itself.
+    """
+
+    path: Path
+    name: str
+    library: Path
+    accept: bool = False
+    implicit: bool = True
+
+
+@runtime_checkable
+class PolicyImporter(Protocol):
+    """Optional capability of a policy type: translates its policies to the language of Keymint."""
+
+    NOUN: str
+    """What its files are called, with its article; see :class:`keymint.api.RecognisedPolicy`."""
+    TOOL: str
+    """The tool that the policies are written for."""
+    BUILD_TYPE: str
+    """The build type that reads what this tool writes."""
+
+    def translated(self, request: ImportRequest) -> ImportedPolicy:
+        """Translate a policy.
+
+        Raises:
+            KeymintError: the policy is not valid, cannot be expressed, or is not enforced as it reads and that is not
+                accepted; every defect with its ``file:line``.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What two documents mean, by the same rules.
+
+    Attributes:
+        theirs: the claims that the document of another tool permits what the rules allow; those of the standard first.
+        ours: the same claims by the standard about the document that the build type compiles from the rules.
+        diagnostics: warnings about rules, e.g. those that cannot be expressed for every vendor.
+    """
+
+    theirs: tuple[Claim, ...]
+    ours: tuple[Claim, ...]
+    diagnostics: tuple[Diagnostic, ...]
+
+
+@runtime_checkable
+class ForeignDocuments(Protocol):
+    """Optional capability of a build type: proofs about unsigned documents that other tools write."""
+
+    def compare(self, subject: ImportedSubject, distro: str, states: int, go_on: Callable[[], bool]) -> Comparison:
+        """Compare a document of another tool, and the one that is compiled here, with the rules of a subject.
+
+        Args:
+            subject: the subject.
+            distro: ROS 2 distribution.
+            states: the most states that the search for one claim may visit.
+            go_on: polled; a search ends when it returns False.
+
+        Raises:
+            KeymintError: the document cannot be read, or a rule cannot be mapped.
+        """
+
+
+def standard_claims(claims: Sequence[Claim]) -> tuple[Claim, ...]:
+    """Return the claims by the first model, which is the standard."""
+    return tuple(claim for claim in claims if claim.model == claims[0].model)

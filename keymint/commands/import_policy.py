@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint import``: policies of other tools in the language of Keymint, proven to mean the same."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from comarmor.errors import Diagnostic, Origin
+from comarmor.text import counted
+from keymint.api import ForeignDocuments, ImportedPolicy, ImportRequest, PolicyImporter
+from keymint.commands.import_proof import SubjectProof, diagnostics_of, unproven
+from keymint.commands.options import DEFAULT_PROFILE_TYPE, FILE, PATH, PluginOption, PolicyOptions
+from keymint.commands.policies import Policies
+from keymint.commands.proof_diagnostics import STATES, effort_of
+from keymint.commands.run import Run
+from keymint.commands.user_files import exists, read_input, show_written, write_outputs
+from keymint.commands.verb import verb
+from keymint.errors import KeymintError
+from keymint.output.report import Report
+from keymint.plan.foreign_policies import foreign_policy
+
+_SECONDS = 60.0
+
+
+@verb(workspace=False, dry_run=True, name="import")
+@click.argument("policy", type=FILE)
+@click.option(
+    "-o", "--output", type=PATH, metavar="DIR", default="comarmor.d", show_default=True,
+    help="Write the new policy into this folder, as NAME.xml.",
+)  # fmt: skip
+@click.option(
+    "--accept", is_flag=True, help="Take the policy as it reads where the other tool enforces something else."
+)
+@click.option(
+    "--implicit/--no-implicit", default=True, show_default=True,
+    help="With the rules that the other tool adds by itself.",
+)  # fmt: skip
+@click.option("-f", "--force", is_flag=True, help="Replace an existing file with different content.")
+@click.option("--distro", metavar="NAME", help="ROS 2 distribution [$ROS_DISTRO, else jazzy].")
+@click.option(
+    "--profile-type", cls=PluginOption, group="keymint.profile_types", default=DEFAULT_PROFILE_TYPE, show_default=True,
+    help="Plugin that ships the policy library.",
+)  # fmt: skip
+def import_policy(
+    run: Run,
+    policy: Path,
+    output: Path,
+    accept: bool,
+    implicit: bool,
+    force: bool,
+    distro: str | None,
+    profile_type: str,
+) -> Report:
+    """Translate POLICY of another tool into a ComArmor policy, and prove that both mean the same.
+
+    \b
+    keymint import policy.xml -o comarmor.d
+    keymint provision comarmor.d -w my_ws
+
+    There is one profile for each enclave of POLICY, with its comments. What cannot be expressed is an error with its
+    line, and so is what the other tool enforces otherwise than it reads: change POLICY, or take it as it reads with
+    --accept, which warns of each change.
+
+    Nothing is written unless, for every name, what is compiled from the new policy permits what the other tool's
+    documents permit, as the transport's standard reads them; what vendors read otherwise is noted.
+    """
+    importer = _importer(run, policy)
+    policies = Policies(run, PolicyOptions(distro, profile_type, ""))
+    file = output / f"{policy.name.removesuffix('.xml').removesuffix('.policy')}.xml"
+    request = ImportRequest(run.setting.cwd / policy, str(file), policies.shipped(), accept, implicit)
+    imported = importer.translated(request)
+    proofs = _proofs(run, importer, imported, policies.distro)
+    if refuted := unproven(proofs, importer.TOOL):
+        raise KeymintError.of([*imported.diagnostics, *refuted])
+    _refuse_other_library(run, output, request.library, imported.document)
+    if not force:
+        _refuse_replacing(run, file, imported.document)
+    written = write_outputs(run, file, imported.document)
+    same = sum(proof.is_same for proof in proofs)
+    show_written(run, file, written)
+    run.console.line(
+        f"{counted(len(proofs), 'subject')}: {same} proven to permit, for all names, what {importer.TOOL} lets it do"
+    )
+    result: dict[str, Any] = {
+        "file": str(file),
+        "written": written,
+        "subjects": [{"subject": proof.subject, "same": proof.is_same} for proof in proofs],
+    }
+    diagnostics: list[Diagnostic] = [*imported.diagnostics, *diagnostics_of(proofs, importer.TOOL)]
+    return Report(run.verb, None, (), diagnostics, result, dry_run=run.dry_run)
+
+
+def _importer(run: Run, policy: Path) -> PolicyImporter:
+    """Return the policy type that recognises and imports a file.
+
+    Raises:
+        KeymintError: there is no such file, or no plugin imports it.
+    """
+    read_input(run, policy)
+    foreign = foreign_policy(run.plugins, [run.setting.cwd / policy], "")
+    importer: object = None if foreign is None else run.plugins.policy_type(foreign.policy_type)
+    if not isinstance(importer, PolicyImporter):
+        raise KeymintError(
+            "no plugin recognises this as a policy of another tool", where=Origin(str(policy)),
+            help="'keymint lint' reads ComArmor policies as they are", code="import-unknown",
+        )  # fmt: skip
+    return importer
+
+
+def _proofs(run: Run, importer: PolicyImporter, imported: ImportedPolicy, distro: str) -> tuple[SubjectProof, ...]:
+    build_type: object = run.plugins.build_type(importer.BUILD_TYPE)
+    if not isinstance(build_type, ForeignDocuments):
+        raise KeymintError(f"the build type {importer.BUILD_TYPE} compares no documents", code="import-unproven")
+    effort = effort_of(run, STATES, _SECONDS)
+    return tuple(
+        SubjectProof(
+            each.rules.subject, each.deviates, build_type.compare(each, distro, effort.states, effort.deadline())
+        )
+        for each in imported.subjects
+    )
+
+
+def _refuse_other_library(run: Run, output: Path, library: Path, document: bytes) -> None:
+    """Refuse a folder in which the new policy would include other files than those that the proof is about."""
+    if b"<xi:include" not in document:
+        return
+    for path in sorted(library.rglob("*.xml")):
+        beside = output / path.relative_to(library)
+        if exists(run, beside) and read_input(run, beside) != path.read_bytes():
+            raise KeymintError(
+                "the new policy would include this file, which differs from that of the policy library",
+                where=Origin(str(beside)), help="name another folder with -o", code="import-library",
+            )  # fmt: skip
+
+
+def _refuse_replacing(run: Run, file: Path, document: bytes) -> None:
+    if exists(run, file) and read_input(run, file) != document:
+        raise KeymintError(
+            "exists and differs from the imported policy", where=Origin(str(file)),
+            help="name another folder with -o, or replace it with --force", code="import-exists",
+        )  # fmt: skip

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Translate an SROS2 policy to ComArmor, and give what SROS2 writes from it, so that both can be compared."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+from comarmor.errors import Diagnostic, Severity
+from comarmor.language.parse import parse as parse_comarmor
+from comarmor.language.source import read_document
+from keymint.api import ImportedPolicy, ImportedSubject, ImportRequest
+from keymint.errors import KeymintError
+from keymint.ir import SubjectRules
+from keymint_ros2_sros2 import comarmor_document, permissions
+from keymint_ros2_sros2.deviations import Deviation, deviations
+from keymint_ros2_sros2.names import as_read
+from keymint_ros2_sros2.parse import parse
+from keymint_ros2_sros2.syntax import Enclave, SourcePolicy
+
+
+def translated(request: ImportRequest) -> ImportedPolicy:
+    """Translate a policy; see :meth:`keymint.api.PolicyImporter.translated`.
+
+    Raises:
+        KeymintError: the policy is not valid, cannot be expressed, or SROS2 enforces something else than it reads and
+            that is not accepted; every defect with its ``file:line``.
+    """
+    policy = parse(request.path)
+    found = deviations(policy)
+    if refused := [each.diagnostic for each in found if not (request.accept and each.acceptable)]:
+        raise KeymintError.of(refused)
+    enclaves = _by_path(policy)
+    document = comarmor_document.document(policy, enclaves.values(), request.library, implicit=request.implicit)
+    loaded = parse_comarmor(read_document(document, request.name, request.library))
+    deviating = {path for each in found for path in each.paths}
+    subjects = tuple(
+        ImportedSubject(
+            SubjectRules(path, loaded.rules(path)),
+            # Of an enclave that stands twice, generate_artifacts uses the last.
+            permissions.document(policy, group[-1], implicit=request.implicit),
+            permissions.subject_name(group[-1]),
+            path in deviating,
+        )
+        for path, group in enclaves.items()
+    )
+    return ImportedPolicy(document, subjects, (*_accepted(found), *_notes(policy)))
+
+
+def _by_path(policy: SourcePolicy) -> Mapping[str, list[Enclave]]:
+    found: dict[str, list[Enclave]] = {}
+    for enclave in policy.enclaves:
+        found.setdefault(enclave.path, []).append(enclave)
+    return found
+
+
+def _accepted(found: tuple[Deviation, ...]) -> Iterator[Diagnostic]:
+    """Yield a warning for each deviation that is accepted."""
+    for each in found:
+        yield replace(each.diagnostic, severity=Severity.WARNING, help="the new policy has it as it reads (--accept)")
+
+
+def _notes(policy: SourcePolicy) -> Iterator[Diagnostic]:
+    """Yield a note for what is lost, for lists without meaning, and for logs that stay in a namespace."""
+    for lost in policy.lost:
+        yield Diagnostic("sros2-lost", Severity.NOTE, f"{lost.what} is not taken over", lost.where)
+    for enclave in policy.enclaves:
+        for node in enclave.nodes():
+            for rules in node.lists:
+                if not rules.effects:
+                    message = f"<{rules.tag}> has no qualifier, so that it allows and denies nothing"
+                    yield Diagnostic("sros2-no-qualifier", Severity.NOTE, message, rules.where, "", enclave.path)
+                for entry in rules.entries:
+                    name = as_read(node, entry.text)
+                    if rules.tag == "topics" and entry.text.strip() == "rosout" and name != "/rosout":
+                        message = f"'rosout' is {name} here, but nodes publish their log to /rosout"
+                        help_ = "allow /rosout as well"
+                        yield Diagnostic("sros2-rosout", Severity.WARNING, message, entry.where, help_, enclave.path)
