@@ -23,7 +23,7 @@ from tests.effort import FULL, tries
 from tests.robustness.simulated_fleet import DAY, START, Fleet
 
 YEARS = 10
-ROUND = tries(45, 15) * DAY
+ROUND = tries(55, 15) * DAY
 NAMES = tuple(f"robot{number}" for number in range(tries(3, 5)))
 REVOCATIONS = tries(8, 50)
 VALID_FOR = "100d" if FULL else "1y"
