@@ -51,10 +51,27 @@ def _against(inputs: Inputs, files: AuthorityFiles, content: bytes) -> Iterator[
         certificate = certificates.load_first(content, where)
         public = certificates.public_key(certificate, where)
         authority_files.require_name(files)
+        _require_adopted(files, content)
         _require_key(inputs, files, certificate)
         authority_files.require_known(files, public)
     except KeymintError as error:
         yield from error.diagnostics
+
+
+def _require_adopted(files: AuthorityFiles, content: bytes) -> None:
+    """Require that the certificate is the one that the profile adopts, if it adopts one.
+
+    Raises:
+        KeymintError: it is not.
+    """
+    adopted, name = files.authority.certificate.adopted, files.authority.name
+    if adopted and content != adopted:
+        raise KeymintError(
+            f"is not the certificate that was imported for the authority {name!r}",
+            where=Origin(files.certificate_file),
+            help="'keymint install' restores it; 'keymint authority import' takes another one",
+            code="authority-drift",
+        )
 
 
 def _require_key(inputs: Inputs, files: AuthorityFiles, certificate: x509.Certificate) -> None:

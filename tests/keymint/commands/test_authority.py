@@ -219,6 +219,11 @@ def test_an_authority_from_outside(keymint, policy: Path, tmp_path: Path, with_k
     openssl_accepts(ws)
     assert keymint("check", cwd=ws).code == 0
     assert "(imported)" in keymint("authority", "show", cwd=ws).out
+    (ws / AUTHORITY_KEYS[0]).rename(ws / "away")
+    (ws / CERTIFICATES[0]).write_bytes(outside()[0])
+    (ws / ".keymint/state.json").unlink()
+    assert "authority-drift" in keymint("prove", "--json", cwd=ws).codes()
+    (ws / "away").rename(ws / AUTHORITY_KEYS[0])
     (ws / CERTIFICATES[0]).unlink()
     assert keymint("install", cwd=ws).code == 0
     assert (ws / CERTIFICATES[0]).read_bytes() == pem

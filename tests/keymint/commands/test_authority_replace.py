@@ -16,6 +16,7 @@ from tests.keymint.commands.test_authority import IDENTITY, PERMISSIONS, certifi
 from tests.keymint.plan.keystores import AUTHORITY_KEYS, CERTIFICATES, ENCLAVES, content, public_key, trusted
 
 BUNDLES = ("--vendor", "fastdds")
+OTHERS = (("prove",), ("build",), ("status",), ("authority", "show"))
 REISSUE, END = ("--phase", "reissue"), ("--phase", "end")
 AUTHORITY_NAMES = (IDENTITY, PERMISSIONS)
 
@@ -32,10 +33,10 @@ def replace(keymint, ws: Path) -> Callable:
     return run
 
 
-def clean(keymint: Callable, ws: Path) -> None:
-    """Require that every other verb is content, and changes nothing."""
+def clean(keymint: Callable, ws: Path, *more: tuple[str, ...]) -> None:
+    """Require that other verbs are content, and change nothing."""
     before = content(ws)
-    for words in (("check",), ("prove",), ("build",), ("install",), ("status",), ("authority", "show")):
+    for words in (("check",), ("install",), *more):
         outcome = keymint(*words, cwd=ws)
         assert outcome.code == 0, (words, outcome.err)
     after = content(ws)
@@ -64,7 +65,7 @@ def test_by_bundles(keymint, ws: Path, replace: Callable) -> None:
     assert len(both) == 2
     assert trusted(ws) == leaves
     assert stat.S_IMODE((ws / f"private/{name}.next.key.pem").stat().st_mode) == 0o600
-    clean(keymint, ws)
+    clean(keymint, ws, *OTHERS)
     for words in ((), ("--phase", "distribute"), BUNDLES):
         assert "nothing to do" in replace(name, *words)
     assert keymint("authority", "replace", name, *END, cwd=ws).code == 2
@@ -171,7 +172,7 @@ def test_by_a_second_keystore(keymint, ws: Path, replace: Callable, name: str) -
     assert (ws / "install.next/.gitignore").read_text().endswith("\n*\n")
     for each in ENCLAVES:
         assert stat.S_IMODE((ws / "install.next/enclaves" / each / "key.pem").stat().st_mode) == 0o600
-    clean(keymint, ws)
+    clean(keymint, ws, *OTHERS)
     assert "nothing to do" in replace(name)
     staged = {path: data for path, data in content(ws).items() if path.startswith("install.next/enclaves/")}
 
@@ -358,6 +359,28 @@ def test_an_authority_that_cannot_be_told_apart_is_not_bundled(keymint, policy: 
         assert outcome.code == 0, outcome.err
         clean(keymint, ws)
     assert certificate(ws / CERTIFICATES[0]).subject == x509.load_pem_x509_certificate(pem).subject
+
+
+def test_keys_with_a_password_keep_it(keymint, policy: Path, tmp_path: Path) -> None:
+    assert keymint("init", "ws", "--policy", policy).code == 0
+    ws, known = tmp_path / "ws", {"CA_PASSWORD": "correct horse"}
+    for path in AUTHORITY_KEYS:
+        (ws / path).unlink()
+    defaults = ws / "profile/profile.defaults/authorities.xml"
+    text = defaults.read_text().replace("NoEncryption", "BestAvailableEncryption")
+    defaults.write_text(text.replace("<password_env>", "<password_env>CA_PASSWORD"))
+    for path in CERTIFICATES:
+        (ws / path).unlink()
+    assert keymint("provision", policy, "-w", "ws", env=known).code == 0
+    for words in (BUNDLES, REISSUE, END):
+        refused = keymint("authority", "replace", IDENTITY, *words, "--json", cwd=ws)
+        assert (refused.code, set(refused.codes())) == (1, {"password-missing"})
+        outcome = keymint("authority", "replace", IDENTITY, *words, cwd=ws, env=known)
+        assert outcome.code == 0, outcome.err
+        assert "correct horse" not in outcome.out + outcome.err
+        for path in (ws / "private").glob("identity_ca*.key.pem"):
+            assert path.read_bytes().startswith(b"-----BEGIN ENCRYPTED PRIVATE KEY-----")
+        assert keymint("check", cwd=ws, env=known).code == 0
 
 
 def test_the_next_authority_may_come_from_outside(keymint, ws: Path, replace: Callable) -> None:
