@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
@@ -16,6 +17,7 @@ from keymint.errors import KeymintError
 from keymint.output.report import Report
 from keymint.plan import authority_files, token_keys
 from keymint.plan.authority_issuance import authority_named
+from keymint.session import Session
 
 
 @verb(of="authority")
@@ -43,7 +45,7 @@ def command(run: Run, name: str, output: Path | None, chain: bool, key_file: Pat
         )
     if key_file and output and (run.setting.cwd / key_file).resolve() == (run.setting.cwd / output).resolve():
         raise usage_error("the certificate and the private key would be written into one file", "name two files")
-    content = authority_files.trusted_chains(session)[name] if chain else files.content
+    content = b"".join(_chain(session, name)) if chain else files.content
     findings: list[Diagnostic] = []
     written: list[str] = []
     if key_file:
@@ -59,6 +61,13 @@ def command(run: Run, name: str, output: Path | None, chain: bool, key_file: Pat
         run.console.document(content)
     result = {"certificate": content.decode("ascii"), "file": str(output) if output else None, "written": written}
     return Report(run.verb, workspace, (), findings, result)
+
+
+def _chain(session: Session, name: str) -> Iterator[bytes]:
+    """Yield the certificate of an authority, and of those above it."""
+    while name:
+        yield session.tree.read(session.workspace.authority_certificate(name)) or b""
+        name = authority_named(session, name).certificate.issuer
 
 
 def _export_key(run: Run, files: authority_files.AuthorityFiles, key_file: Path) -> list[str]:

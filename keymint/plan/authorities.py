@@ -39,6 +39,11 @@ class MintedAuthority:
     _keyed: tuple[certificates.Issuer, SigningAuthority] | KeymintError = field(repr=False)
 
     @property
+    def can_sign(self) -> bool:
+        """Whether its private key can be used here."""
+        return not isinstance(self._keyed, KeymintError)
+
+    @property
     def issuer(self) -> certificates.Issuer:
         """The issuer of certificates; a KeymintError if its private key is kept elsewhere, or its password not set."""
         return self._with_key()[0]

@@ -118,6 +118,22 @@ def test_renewing_keeps_key_name_and_the_certificates_of_subjects(keymint, ws: P
     assert keymint("install", cwd=ws, env=LATER).out.startswith("nothing to do")
 
 
+@pytest.mark.parametrize("shorter", [True, False])
+def test_a_revocation_list_that_ends_with_its_authority_is_issued_again(keymint, ws: Path, shorter: bool) -> None:
+    assert keymint("revoke", "talker", "--reason", "superseded", cwd=ws).code == 0
+    if shorter:
+        assert keymint("crl", "--refresh", "--valid-for", "400d", cwd=ws).code == 0
+    before = (ws / "public/identity_ca.crl.pem").read_bytes()
+    outcome = keymint("authority", "renew", IDENTITY, cwd=ws, env=LATER)
+    assert outcome.code == 0, outcome.err
+    found = x509.load_pem_x509_crl((ws / "public/identity_ca.crl.pem").read_bytes())
+    assert ((ws / "public/identity_ca.crl.pem").read_bytes() == before) is shorter
+    if not shorter:
+        assert found.next_update_utc == certificate(ws / CERTIFICATES[0]).not_valid_after_utc
+        assert (ws / "install/enclaves/robot1/listener/crl.pem").read_bytes() != before
+    assert keymint("check", cwd=ws, env=LATER).code == 0
+
+
 def test_a_dry_run_of_a_renewal_writes_nothing(keymint, ws: Path) -> None:
     before = snapshot(ws)
     outcome = keymint("authority", "renew", IDENTITY, "--dry-run", cwd=ws, env=LATER)
@@ -291,6 +307,7 @@ def test_export(keymint, ws: Path, tmp_path: Path) -> None:
     assert keymint("authority", "export", IDENTITY, cwd=ws).out == (ws / CERTIFICATES[0]).read_text()
     assert keymint("authority", "export", IDENTITY, "-o", "ca.pem", "-w", "ws").code == 0
     assert (tmp_path / "ca.pem").read_bytes() == (ws / CERTIFICATES[0]).read_bytes()
+    assert keymint("authority", "export", IDENTITY, "--chain", cwd=ws).out == (ws / CERTIFICATES[0]).read_text()
     document = keymint("authority", "export", IDENTITY, "--json", cwd=ws)
     assert "PRIVATE" not in document.out
     assert document.document["result"]["certificate"] == (ws / CERTIFICATES[0]).read_text()
