@@ -15,6 +15,7 @@ from keymint.commands.user_files import read_input
 from keymint.commands.verb import verb
 from keymint.output.report import Report
 from keymint.plan.authority_renewal import plan_import
+from keymint.plan.given_authority import GivenAuthority
 from keymint.session import Inputs
 
 
@@ -30,12 +31,12 @@ def command(run: Run, name: str, certificate: Path, key_file: Path | None, flag_
     it. Once enclaves are installed, the certificate must be for the key that they trust; another key is the matter of
     'keymint authority replace'.
     """
-    pem = read_input(run, certificate)
-    key = read_input(run, key_file) if key_file else None
+    key = read_input(run, key_file) if key_file else b""
+    given = GivenAuthority(read_input(run, certificate), str(certificate), key, str(key_file or ""))
 
     def make_plan(inputs: Inputs) -> Plan:
         session = inputs.session()
-        first = plan_import(session, name, pem, key, (run.typed(str(certificate)), run.typed(str(key_file))))
+        first = plan_import(session, name, given)
         if first.writes():
             require_flag_day(session, name, accepted=flag_day)
         return issued_again(run, session, first, name)

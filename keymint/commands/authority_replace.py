@@ -19,7 +19,7 @@ from keymint.commands.user_files import read_input
 from keymint.commands.verb import verb
 from keymint.output.report import Report
 from keymint.plan import rollover
-from keymint.plan.rollover import NextAuthority
+from keymint.plan.given_authority import GivenAuthority
 from keymint.session import Inputs, Session
 
 
@@ -65,7 +65,8 @@ def command(
         )
     given = None
     if certificate:
-        given = NextAuthority(read_input(run, certificate), read_input(run, key_file) if key_file else b"")
+        key = read_input(run, key_file) if key_file else b""
+        given = GivenAuthority(read_input(run, certificate), str(certificate), key, str(key_file or ""))
     request = Request(Phase(phase) if phase else None, cancel, vendors, given)
     phases: list[str] = []
 

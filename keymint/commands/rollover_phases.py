@@ -22,7 +22,7 @@ from keymint.plan.authority_files import trusted_chains
 from keymint.plan.authority_issuance import authority_named
 from keymint.plan.authority_uses import refusing
 from keymint.plan.enclaves import installed
-from keymint.plan.rollover import NextAuthority
+from keymint.plan.given_authority import GivenAuthority
 from keymint.session import Session
 
 _NEXT = {Phase.DISTRIBUTE: Phase.REISSUE, Phase.REISSUE: Phase.END, Phase.STAGE: Phase.END}
@@ -43,7 +43,7 @@ class Request:
     phase: Phase | None = None
     cancel: bool = False
     vendors: tuple[str, ...] = ()
-    given: NextAuthority | None = None
+    given: GivenAuthority | None = None
 
 
 def planned(run: Run, session: Session, name: str, request: Request) -> Plan:

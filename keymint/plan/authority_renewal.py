@@ -6,18 +6,17 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import datetime, timedelta
 
-from cryptography import x509
-
 from comarmor.errors import Origin
 from keymint.api import AuthorityIssuance, Validity
 from keymint.changes import Action, File, FolderChange, Plan, Step, changed
 from keymint.errors import KeymintError
-from keymint.pki import adoption, certificates, distinguished_names, keys
-from keymint.plan import authority_files, key_record, token_keys
+from keymint.pki import adoption, certificates, keys
+from keymint.plan import authority_files, key_record
 from keymint.plan.authorities import MintedAuthority, plan_authorities
 from keymint.plan.authority_files import AuthorityFiles
 from keymint.plan.authority_issuance import STAGE, authority_named, plan_authority_issuance
 from keymint.plan.enclaves import deployed_authorities
+from keymint.plan.given_authority import GivenAuthority, checked
 from keymint.plan.private_keys import password
 from keymint.session import Session
 
@@ -98,54 +97,35 @@ def require_no_rollover(session: Session, name: str) -> None:
         )
 
 
-def plan_import(session: Session, name: str, pem: bytes, key: bytes | None, shown: tuple[str, str]) -> Plan:
+def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
     """Plan to use a certificate that somebody else issued, and perhaps its private key.
 
-    Only profile, certificate and key change: what rests on them must be planned afterwards.
-
-    Args:
-        session: the workspace and its profile.
-        name: the authority.
-        pem: a file with its certificate.
-        key: a file with its private key, encrypted with the authority's password or not; None if the key stays
-            elsewhere, or is here already.
-        shown: the two files as the user typed them, for messages.
+    Only profile, certificate and key change: what rests on them must be planned afterwards. Without a key, it stays
+    elsewhere, or is here already.
 
     Raises:
-        KeymintError: the certificate is not that of an authority, or not issued by its issuer in the profile; the key
-            is another one; or installed enclaves trust another key of this authority.
+        KeymintError: as :func:`keymint.plan.given_authority.checked`; or installed enclaves trust another key of this
+            authority.
     """
     authority = authority_named(session, name)
     require_no_rollover(session, name)
-    where = Origin(shown[0])
-    certificate = adoption.require_authority(pem, where)
-    public = certificates.public_key(certificate, where)
-    _require_issuer(session, authority.certificate.issuer, certificate, where)
+    certificate, key = checked(session, authority, given)
+    public = certificates.public_key(certificate, given.where)
     files = authority_files.read_files(session, authority, lambda: deployed_authorities(session))
-    _require_same_key(files, public, where)
+    _require_same_key(files, public, given.where)
     changes: list[FolderChange] = []
-    key_path = session.workspace.authority_key(name)
-    spec = adoption.adopted(authority.certificate, certificates.to_pem(certificate))
-    secret = password(spec.key, session.environment, spec.origin)
-    if key is not None and spec.key.uri:
-        raise token_keys.only_in_token(authority, "import it with the token's own tool")
-    if key is not None:
-        private = keys.from_pem(key, secret, Origin(shown[1]))
-        if not keys.matches(private, certificate):
-            raise KeymintError(
-                f"is not the private key of {shown[0]}",
-                where=Origin(shown[1]),
-                help="name the files that belong together",
-                code="authority-key-mismatch",
-            )
-        content = keys.to_pem(private, secret)
-        if files.key is None or keys.from_pem(files.key, secret, Origin(files.key_file)).public_key() != public:
-            changes.append(FolderChange(key_path.parent, {key_path.name: File(content, secret=True)}, private=True))
-    elif files.key is not None and keys.from_pem(files.key, secret, Origin(files.key_file)).public_key() != public:
+    key_path, spec = session.workspace.authority_key(name), authority.certificate
+    present = None
+    if files.key is not None:
+        secret = password(spec.key, session.environment, spec.origin)
+        present = keys.from_pem(files.key, secret, Origin(files.key_file)).public_key()
+    if key and present != public:
+        changes.append(FolderChange(key_path.parent, {key_path.name: File(key, secret=True)}, private=True))
+    elif present is not None and present != public:
         # Nobody trusts the key that was minted: the enclaves, if there are any, trust the new one.
         changes.append(FolderChange(key_path.parent, removed=(key_path.name,), private=True))
     decided = AuthorityIssuance(adopted=certificates.to_pem(certificate))
-    plan = plan_authority_issuance(session, {name: decided}, f"{name} imported from {shown[0]}")
+    plan = plan_authority_issuance(session, {name: decided}, f"{name} imported from {given.certificate_file}")
     path = session.workspace.authority_certificate(name)
     changes += changed(session.tree, path.parent, {path.name: File(decided.adopted)})
     files_step = Step(STAGE, name, Action.UPDATED, tuple(changes), "certificate authority")
@@ -163,24 +143,4 @@ def _require_same_key(files: AuthorityFiles, public: keys.PublicKey, where: Orig
             where=where,
             help=f"'keymint authority replace {name} --certificate {where.file}' replaces it step by step",
             code="authority-replaced",
-        )
-
-
-def _require_issuer(session: Session, issuer: str, certificate: x509.Certificate, where: Origin) -> None:
-    """Require that a certificate was issued by the authority above it in the profile, or by itself.
-
-    Raises:
-        KeymintError: it was not: enclaves need all authorities up to a self-signed one.
-    """
-    above = certificate
-    if issuer:
-        path = session.workspace.authority_certificate(issuer)
-        above = certificates.load(session.tree.read(path) or b"", Origin(session.workspace.shown(path)))
-    if not certificates.is_issued_by(certificate, above):
-        expected = f"the authority {issuer!r}" if issuer else "itself"
-        raise KeymintError(
-            f"was issued by {distinguished_names.to_text(certificate.issuer)!r}, but the profile expects {expected}",
-            where=where,
-            help="add its issuer to authorities.xml and name it in <issuer_name>; then import the issuer first",
-            code="authority-issuer-elsewhere",
         )

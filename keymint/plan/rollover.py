@@ -19,7 +19,6 @@ from pathlib import Path
 from cryptography import x509
 
 from comarmor.errors import Origin
-from comarmor.values import dataclass
 from keymint.api import Authority, AuthorityIssuance, Phase, Rollover
 from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
@@ -30,16 +29,9 @@ from keymint.plan.authority_files import FORMER, NEXT
 from keymint.plan.authority_issuance import STAGE, authority_named, plan_authority_issuance
 from keymint.plan.authority_renewal import begin_of
 from keymint.plan.enclaves import deployed_authorities
+from keymint.plan.given_authority import GivenAuthority, checked
 from keymint.plan.private_keys import password
 from keymint.session import Session
-
-
-@dataclass(frozen=True, slots=True)
-class NextAuthority:
-    """The certificate and the private key, both PEM, of an authority that was made elsewhere; the key may be empty."""
-
-    certificate: bytes
-    key: bytes
 
 
 def phase_of(session: Session, name: str) -> Phase | None:
@@ -48,7 +40,7 @@ def phase_of(session: Session, name: str) -> Phase | None:
     return rollover.phase if rollover else None
 
 
-def plan_begin(session: Session, name: str, phase: Phase, given: NextAuthority | None = None) -> Plan:
+def plan_begin(session: Session, name: str, phase: Phase, given: GivenAuthority | None = None) -> Plan:
     """Plan the next authority: its private key, and its certificate in the profile.
 
     Args:
@@ -204,34 +196,20 @@ def _minted(key: keys.PrivateKey, secret: bytes | None) -> tuple[bytes, keys.Pri
     return keys.to_pem(key, secret), key
 
 
-def _given(session: Session, authority: Authority, given: NextAuthority) -> tuple[bytes, bytes]:
+def _given(session: Session, authority: Authority, given: GivenAuthority) -> tuple[bytes, bytes]:
     """Return a next authority that was made elsewhere: its certificate, and its private key or nothing.
 
     Raises:
-        KeymintError: it may not issue certificates, has the present key, or the private key is another one's.
+        KeymintError: as :func:`keymint.plan.given_authority.checked`; or it has the present key.
     """
-    spec, where = authority.certificate, Origin("the given certificate")
-    certificate = adoption.require_authority(given.certificate, where)
-    present = _certificate_in_force(session, authority)
-    above = certificate
-    if spec.issuer:
-        path = session.workspace.authority_certificate(spec.issuer)
-        above = certificates.load(session.tree.read(path) or b"", Origin(session.workspace.shown(path)))
-    problem, help_ = "", "name another one"
-    if certificate.public_key() == present.public_key():
-        problem = "has the present key of the authority"
-        help_ = f"'keymint authority import {authority.name}' takes a new certificate for it"
-    elif not certificates.is_issued_by(certificate, above):
-        problem = f"was not issued by {spec.issuer or 'itself'!r}, which the profile expects"
-    key = b""
-    if given.key:
-        secret = password(spec.key, session.environment, spec.origin)
-        private = keys.from_pem(given.key, secret, Origin("the given private key"))
-        if not keys.matches(private, certificate):
-            problem = "does not belong to the given private key"
-        key = keys.to_pem(private, secret)
-    if problem:
-        raise KeymintError(problem, where=where, help=help_, code="authority-unsuitable")
+    certificate, key = checked(session, authority, given)
+    if certificate.public_key() == _certificate_in_force(session, authority).public_key():
+        raise KeymintError(
+            f"has the present key of the authority {authority.name!r}",
+            where=given.where,
+            help=f"'keymint authority import {authority.name}' takes a new certificate for it",
+            code="authority-unsuitable",
+        )
     return certificates.to_pem(certificate), key
 
 

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The certificate of an authority that somebody else issued, and perhaps its private key: checked before use."""
+
+from __future__ import annotations
+
+from dataclasses import field
+
+from cryptography import x509
+
+from comarmor.errors import Origin
+from comarmor.values import dataclass
+from keymint.api import Authority
+from keymint.errors import KeymintError
+from keymint.pki import adoption, certificates, distinguished_names, keys
+from keymint.plan import token_keys
+from keymint.plan.private_keys import password
+from keymint.session import Session
+
+
+@dataclass(frozen=True, slots=True)
+class GivenAuthority:
+    """Files that the user names.
+
+    Attributes:
+        certificate: a file with a certificate.
+        certificate_file: its path as the user typed it.
+        key: a file with its private key, encrypted with the authority's password or not; empty if none is given.
+        key_file: its path as the user typed it.
+    """
+
+    certificate: bytes
+    certificate_file: str
+    key: bytes = field(default=b"", repr=False)
+    key_file: str = ""
+
+    @property
+    def where(self) -> Origin:
+        """The file of the certificate, for messages."""
+        return Origin(self.certificate_file)
+
+
+def checked(session: Session, authority: Authority, given: GivenAuthority) -> tuple[x509.Certificate, bytes]:
+    """Return the certificate, and the private key as it is to be stored: PEM, or empty if none is given.
+
+    Args:
+        session: the workspace and its profile.
+        authority: the authority whose certificate it is to be.
+        given: the files.
+
+    Raises:
+        KeymintError: the certificate is not that of an authority, or not issued by its issuer in the profile; the key
+            is another one, or is to lie in a token.
+    """
+    certificate = adoption.require_authority(given.certificate, given.where)
+    _require_issuer(session, authority.certificate.issuer, certificate, given.where)
+    if not given.key:
+        return certificate, b""
+    spec = authority.certificate
+    if spec.key.uri:
+        raise token_keys.only_in_token(authority, "import it with the token's own tool")
+    secret, shown = password(spec.key, session.environment, spec.origin), Origin(given.key_file)
+    private = keys.from_pem(given.key, secret, shown)
+    if not keys.matches(private, certificate):
+        raise KeymintError(
+            f"is not the private key of {given.certificate_file}",
+            where=shown,
+            help="name the files that belong together",
+            code="authority-key-mismatch",
+        )
+    return certificate, keys.to_pem(private, secret)
+
+
+def _require_issuer(session: Session, issuer: str, certificate: x509.Certificate, where: Origin) -> None:
+    """Require that a certificate was issued by the authority above it in the profile, or by itself.
+
+    Raises:
+        KeymintError: it was not: enclaves need all authorities up to a self-signed one.
+    """
+    above = certificate
+    if issuer:
+        path = session.workspace.authority_certificate(issuer)
+        above = certificates.load(session.tree.read(path) or b"", Origin(session.workspace.shown(path)))
+    if not certificates.is_issued_by(certificate, above):
+        expected = f"the authority {issuer!r}" if issuer else "itself"
+        raise KeymintError(
+            f"was issued by {distinguished_names.to_text(certificate.issuer)!r}, but the profile expects {expected}",
+            where=where,
+            help="add its issuer to authorities.xml and name it in <issuer_name>; then import the issuer first",
+            code="authority-issuer-elsewhere",
+        )
