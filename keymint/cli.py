@@ -57,6 +57,7 @@ VERBS: Mapping[str, str] = {
     "request": "Ask for a certificate, on the robot: its key never leaves it.",
     "accept": "Take what the authority made for the enclaves of this robot.",
     "import": "Translate a policy of another tool, and prove that both mean the same.",
+    "export": "Write a policy in the language of another tool, proven to mean the same.",
     "discover": "Record the graph of a running system, or read captures of one.",
     "learn": "Generate the smallest policy that allows a graph.",
     "graph": "Draw a policy, or the graph of a system.",

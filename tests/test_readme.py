@@ -114,7 +114,7 @@ def test_the_page_about_sros2_shows_what_happens(keymint, tmp_path: Path) -> Non
     for command, output in steps:
         outcome = keymint(*shlex.split(command)[1:], cwd=tmp_path)
         assert (outcome.code, outcome.out) == (0, output), outcome.err
-    assert len(steps) == 3
+    assert len(steps) == 4
     (section,) = re.findall(r"## You have an SROS2 policy.*?```\n(.*?)```", README.read_text(), re.DOTALL)
     lines = [line.partition("#")[0] for line in section.splitlines()]
     assert len(lines) == 5

@@ -54,6 +54,7 @@ WRITING_VERBS = (
     ("test", str(CHECKOUT / "examples/fleet"), "--junit", "tests.xml"),
     ("learn", str(CHECKOUT / "examples/ppac_2018/graph.json"), "-o", "learned.xml"),
     ("import", "policy.xml", "-o", "imported"),
+    ("export", POLICY, "--format", "sros2", "-o", "exported.xml"),
     ("query", POLICY, "who", "can", "publish", "/chatter"),
     ("diff", POLICY, f"HEAD:{POLICY}"),
     ("plugins",),

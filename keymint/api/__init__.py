@@ -53,10 +53,12 @@ from keymint.api.graphs import GraphSource as GraphSource
 from keymint.api.graphs import LearnedPolicy as LearnedPolicy
 from keymint.api.graphs import PolicyLearner as PolicyLearner
 from keymint.api.imports import Comparison as Comparison
+from keymint.api.imports import ExportedPolicy as ExportedPolicy
 from keymint.api.imports import ForeignDocuments as ForeignDocuments
 from keymint.api.imports import ImportedPolicy as ImportedPolicy
 from keymint.api.imports import ImportedSubject as ImportedSubject
 from keymint.api.imports import ImportRequest as ImportRequest
+from keymint.api.imports import PolicyExporter as PolicyExporter
 from keymint.api.imports import PolicyImporter as PolicyImporter
 from keymint.api.imports import standard_claims as standard_claims
 from keymint.api.packages import DomainRange as DomainRange

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Import policies of other tools: policy types translate them, and build types compare what both tools enforce."""
+"""Policies of other tools: policy types translate from and to them, and build types compare what is enforced."""
 
 from __future__ import annotations
 
@@ -82,6 +82,44 @@ class PolicyImporter(Protocol):
         Raises:
             KeymintError: the policy is not valid, cannot be expressed, or is not enforced as it reads and that is not
                 accepted; every defect with its ``file:line``.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class ExportedPolicy:
+    """A policy in the language of another tool.
+
+    Attributes:
+        document: the policy.
+        subjects: for each subject the rules that the document expresses, and what the other tool writes for it.
+        diagnostics: what is left out, and what the other tool adds, as warnings with ``file:line``.
+    """
+
+    document: bytes = field(repr=False)
+    subjects: tuple[ImportedSubject, ...]
+    diagnostics: tuple[Diagnostic, ...]
+
+
+@runtime_checkable
+class PolicyExporter(Protocol):
+    """Optional capability of a policy type: writes rules in its own format."""
+
+    FORMAT: str
+    """The name of the format."""
+    TOOL: str
+    """The tool that the policies are written for."""
+    BUILD_TYPE: str
+    """The build type that reads what this tool writes."""
+
+    def exported(self, subjects: Sequence[SubjectRules], *, lossy: bool = False) -> ExportedPolicy:
+        """Write rules in this format.
+
+        Args:
+            subjects: the rules of each subject.
+            lossy: leave out what the format cannot express, where it only allows something.
+
+        Raises:
+            KeymintError: a rule cannot be expressed; each with its ``file:line``.
         """
 
 

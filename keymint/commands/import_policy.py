@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import click
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import counted
-from keymint.api import ForeignDocuments, ImportedPolicy, ImportRequest, PolicyImporter
+from keymint.api import ForeignDocuments, ImportedSubject, ImportRequest, PolicyImporter
 from keymint.commands.import_proof import SubjectProof, diagnostics_of, unproven
 from keymint.commands.options import DEFAULT_PROFILE_TYPE, FILE, PATH, PluginOption, PolicyOptions
 from keymint.commands.policies import Policies
@@ -67,12 +68,13 @@ def import_policy(
     Nothing is written unless, for every name, what is compiled from the new policy permits what the other tool's
     documents permit, as the transport's standard reads them; what vendors read otherwise is noted.
     """
-    importer = _importer(run, policy)
     policies = Policies(run, PolicyOptions(distro, profile_type, ""))
+    library = policies.shipped()  # an unknown distribution is wrong usage, whatever the file is
+    importer = _importer(run, policy)
     file = output / f"{policy.name.removesuffix('.xml').removesuffix('.policy')}.xml"
-    request = ImportRequest(run.setting.cwd / policy, str(file), policies.shipped(), accept, implicit)
+    request = ImportRequest(run.setting.cwd / policy, str(file), library, accept, implicit)
     imported = importer.translated(request)
-    proofs = _proofs(run, importer, imported, policies.distro)
+    proofs = proofs_of(run, importer.BUILD_TYPE, imported.subjects, policies.distro)
     if refuted := unproven(proofs, importer.TOOL):
         raise KeymintError.of([*imported.diagnostics, *refuted])
     _refuse_other_library(run, output, request.library, imported.document)
@@ -110,16 +112,23 @@ def _importer(run: Run, policy: Path) -> PolicyImporter:
     return importer
 
 
-def _proofs(run: Run, importer: PolicyImporter, imported: ImportedPolicy, distro: str) -> tuple[SubjectProof, ...]:
-    build_type: object = run.plugins.build_type(importer.BUILD_TYPE)
+def proofs_of(
+    run: Run, build_type_name: str, subjects: Sequence[ImportedSubject], distro: str
+) -> tuple[SubjectProof, ...]:
+    """Return what is proven about subjects whose documents another tool writes.
+
+    Raises:
+        KeymintError: the build type compares no documents, or a rule cannot be mapped.
+    """
+    build_type: object = run.plugins.build_type(build_type_name)
     if not isinstance(build_type, ForeignDocuments):
-        raise KeymintError(f"the build type {importer.BUILD_TYPE} compares no documents", code="import-unproven")
+        raise KeymintError(f"the build type {build_type_name} compares no documents", code="import-unproven")
     effort = effort_of(run, STATES, _SECONDS)
     return tuple(
         SubjectProof(
             each.rules.subject, each.deviates, build_type.compare(each, distro, effort.states, effort.deadline())
         )
-        for each in imported.subjects
+        for each in subjects
     )
 
 

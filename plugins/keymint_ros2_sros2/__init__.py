@@ -18,16 +18,18 @@ _MOST = 16 * 2**20
 class Sros2PolicyType:
     """Reads SROS2 policies of the versions 0.1.0 and 0.2.0.
 
-    Implements :class:`keymint.api.PolicyType`, :class:`keymint.api.RecognisedPolicy` and
-    :class:`keymint.api.PolicyImporter`.
+    Implements :class:`keymint.api.PolicyType`, :class:`keymint.api.RecognisedPolicy`,
+    :class:`keymint.api.PolicyImporter` and :class:`keymint.api.PolicyExporter`.
     """
 
     API = API_VERSION
     NOUN = "an SROS2 policy"
     TOOL = "SROS2"
+    FORMAT = "sros2"
     BUILD_TYPE = "keymint_ros2_dds"
 
     load = lazy("keymint_ros2_sros2.loaded:load")
+    exported = lazy("keymint_ros2_sros2.export:exported")
     translated = lazy("keymint_ros2_sros2.translate:translated")
 
     def recognises(self, path: Path) -> bool:

@@ -42,6 +42,7 @@ CALLS = {
     "provision": ["provision", "policy.xml", "-w", "third"],
     "discover": ["discover", "--from", "graph.json"],
     "learn": ["learn", "graph.json"],
+    "export": ["export", "policy.xml", "--format", "sros2"],
     "import": ["import", "foreign.xml", "-o", "imported"],
     "verify": ["verify", "-w", "ws", "-t", "omg"],
     "why": ["why", "/talker", "ros_publish", "/chatter", "-w", "ws", "-t", "omg"],

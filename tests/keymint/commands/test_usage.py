@@ -21,6 +21,7 @@ ARGUMENTS = {
     "provision": ("policy.xml",),
     "learn": ("graph.json",),
     "import": ("foreign.xml",),
+    "export": ("policy.xml", "--format", "sros2"),
     "graph": ("policy.xml",),
     "lint": ("policy.xml",),
     "test": ("policy.xml",),

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint export``: a policy in the language of another tool, proven to mean the same."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from comarmor.errors import Origin
+from comarmor.text import did_you_mean
+from keymint.api import LoadedPolicy, PolicyExporter
+from keymint.commands.import_policy import proofs_of
+from keymint.commands.import_proof import diagnostics_of, unproven
+from keymint.commands.options import FILE, PATH, PolicyOptions, policy_options, usage_error
+from keymint.commands.policies import Policies
+from keymint.commands.run import Run
+from keymint.commands.user_files import exists, read_input, show_written, write_outputs
+from keymint.commands.verb import verb
+from keymint.errors import KeymintError
+from keymint.ir import SubjectRules
+from keymint.output.report import Report
+
+_GROUP = "keymint.policy_types"
+
+
+@verb(dry_run=True)
+@click.argument("policy", required=False, type=PATH)
+@click.option("--format", "form", metavar="NAME", required=True, help="The format: that of an installed policy type.")
+@click.option("-o", "--output", type=FILE, metavar="FILE", help="Write the policy to this file [standard output].")
+@click.option(
+    "--subjects", "listed", type=FILE, metavar="FILE", help="Further subjects, one a line, for profiles with wildcards."
+)
+@click.option("--lossy", is_flag=True, help="Leave out ALLOW rules that the format cannot express; each is listed.")
+@click.option("-f", "--force", is_flag=True, help="Replace an existing file with different content.")
+@policy_options
+def export(
+    run: Run,
+    policy: Path | None,
+    form: str,
+    output: Path | None,
+    listed: Path | None,
+    lossy: bool,
+    force: bool,
+    policy_options: PolicyOptions,
+) -> Report:
+    """Write POLICY in the language of another tool, for the subjects that it names and those of --subjects.
+
+    What that language cannot express is an error with its line. --lossy leaves out what only allows something; a DENY
+    is never left out, since more would be allowed without it.
+
+    Nothing is written unless, for every name, what the other tool makes of it permits what the policy allows, as the
+    transport's standard reads it; what vendors read otherwise is noted.
+    """
+    exporter = _exporter(run, form)
+    policies = Policies(run, policy_options)
+    made = exporter.exported(_subjects(run, policies.load(policy), listed), lossy=lossy)
+    proofs = proofs_of(run, exporter.BUILD_TYPE, made.subjects, policies.distro)
+    if refuted := unproven(proofs, exporter.TOOL):
+        raise KeymintError.of([*made.diagnostics, *refuted])
+    written: list[str] = []
+    if output is None:
+        run.console.document(made.document)
+    else:
+        if not force and exists(run, output) and read_input(run, output) != made.document:
+            raise KeymintError(
+                "exists and differs from the exported policy", where=Origin(str(output)),
+                help="name another file, or replace it with --force", code="export-exists",
+            )  # fmt: skip
+        written = write_outputs(run, output, made.document)
+        show_written(run, output, written)
+    result: dict[str, Any] = {
+        "file": str(output) if output else None,
+        "written": written,
+        "policy": None if output else made.document.decode(),
+        "subjects": [proof.subject for proof in proofs],
+    }
+    diagnostics = [*made.diagnostics, *diagnostics_of(proofs, exporter.TOOL)]
+    return Report(run.verb, None, (), diagnostics, result, dry_run=run.dry_run)
+
+
+def _exporter(run: Run, form: str) -> PolicyExporter:
+    """Return the policy type that exports a format.
+
+    Raises:
+        KeymintError: there is none.
+    """
+    plugins: list[object] = [run.plugins.policy_type(name) for name in run.plugins.names(_GROUP)]
+    known = {each.FORMAT: each for each in plugins if isinstance(each, PolicyExporter)}
+    if form not in known:
+        names = ", ".join(known) or "none"
+        raise usage_error(f"no policy type exports the format {form!r}", did_you_mean(form, known, f"known: {names}"))
+    return known[form]
+
+
+def _subjects(run: Run, policy: LoadedPolicy, listed: Path | None) -> list[SubjectRules]:
+    """Return the rules of the subjects that the policy names, and of those in a file.
+
+    Raises:
+        KeymintError: there is no subject, or no profile applies to one.
+    """
+    names: dict[str, Origin | None] = dict.fromkeys(policy.subjects())
+    if listed is not None:
+        text = read_input(run, listed).decode(errors="replace")
+        for number, line in enumerate(text.splitlines(), 1):
+            if name := line.partition("#")[0].strip():
+                names.setdefault(name, Origin(str(listed), number))
+    if not names:
+        raise KeymintError(
+            "the policy names no subject exactly", help="list subjects in a file: --subjects FILE", code="subjects-none"
+        )
+    found = []
+    for name, where in names.items():
+        rules = policy.rules(name)
+        if rules is None:
+            raise KeymintError(f"no profile applies to {name}", where=where, code="subject-unknown")
+        found.append(rules)
+    return found

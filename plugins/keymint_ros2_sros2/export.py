@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Export rules as a policy of SROS2: exact, or refused; what is dropped on request only ever allowed something."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import field, replace
+from pathlib import Path
+from types import MappingProxyType
+
+from lxml import etree
+
+from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.language import render
+from comarmor.ros_names import is_fully_qualified
+from comarmor.rules import Effect, Rule
+from comarmor.text import quoted
+from comarmor.values import dataclass
+from keymint.api import ExportedPolicy, ImportedSubject
+from keymint.errors import KeymintError
+from keymint.ir import SubjectRules
+from keymint_ros2_sros2 import permissions
+from keymint_ros2_sros2.parse import NEW
+from keymint_ros2_sros2.sayable import Said, UnsayableError, is_graph, said
+from keymint_ros2_sros2.syntax import PERMISSIONS, Enclave, Entry, Node, NodeGroup, RuleList, SourcePolicy
+
+_LONGEST = 64
+"""Characters of a common name (RFC 5280, ub-common-name); SROS2 puts the path there."""
+
+
+def exported(subjects: Sequence[SubjectRules], *, lossy: bool = False) -> ExportedPolicy:
+    """Return a policy of SROS2; see :meth:`keymint.api.PolicyExporter.exported`.
+
+    Raises:
+        KeymintError: something cannot be said; every such rule with its ``file:line``.
+    """
+    exporter = _Exporter(lossy)
+    enclaves = [exporter.enclave(each) for each in subjects]
+    if exporter.errors:
+        raise KeymintError.of(dict.fromkeys(exporter.errors))
+    policy = SourcePolicy(NEW, tuple(enclaves), Origin("policy.xml"), MappingProxyType({Path("policy.xml"): b""}))
+    made = tuple(
+        ImportedSubject(
+            exporter.kept[enclave.path],
+            permissions.document(policy, enclave, implicit=enclave.path in exporter.graph),
+            permissions.subject_name(enclave),
+        )
+        for enclave in enclaves
+    )
+    return ExportedPolicy(_document(policy), made, tuple(dict.fromkeys(exporter.warnings)))
+
+
+@dataclass(slots=True)
+class _Exporter:
+    """Collects what cannot be said.
+
+    Attributes:
+        lossy: leave out what only allows something.
+        errors: what cannot be said.
+        warnings: what is left out, and what SROS2 adds.
+        kept: the rules that are said, by subject.
+        graph: the subjects that are allowed the topic of the graph, which SROS2 allows by itself.
+    """
+
+    lossy: bool
+    errors: list[Diagnostic] = field(default_factory=list)
+    warnings: list[Diagnostic] = field(default_factory=list)
+    kept: dict[str, SubjectRules] = field(default_factory=dict)
+    graph: set[str] = field(default_factory=set)
+
+    def enclave(self, subject: SubjectRules) -> Enclave:
+        """Return the enclave of a subject, with one node of the same name, and with full names."""
+        path = subject.subject
+        where = subject.rules[0].origin if subject.rules else Origin("policy.xml")
+        if not is_fully_qualified(path) or len(path) > _LONGEST:
+            message = f"the subject {quoted(path)} is no path of an enclave of at most {_LONGEST} characters"
+            self.errors.append(Diagnostic("sros2-path", Severity.ERROR, message, where, "rename it", path))
+        lists: list[RuleList] = []
+        kept: list[Rule] = []
+        graph: set[str] = set()
+        for rule in subject.rules:
+            self._audit(rule, path)
+            names: dict[Said, None] = {}
+            for permission in rule.permissions:
+                for expression in rule.expressions:
+                    try:
+                        if is_graph(rule, permission, expression):
+                            graph.add(permission)
+                        else:
+                            names |= dict.fromkeys(said(rule, permission, expression))
+                    except UnsayableError as error:
+                        self._unsayable(rule, permission, expression, str(error), path)
+                        continue
+                    kept.append(replace(rule, permissions=(permission,), expressions=(expression,)))
+            lists += _lists(rule, names)
+        if len(graph) == len(("publish", "subscribe")):
+            self.graph.add(path)
+        else:
+            message = f"SROS2 allows {path} to publish and subscribe to ros_discovery_info by itself"
+            help_ = "participants need it: include common/node/graph.xml"
+            self.warnings.append(Diagnostic("sros2-graph", Severity.WARNING, message, where, help_, path))
+        self.kept[path] = SubjectRules(path, tuple(kept))
+        parent, _, name = path.rpartition("/")
+        node = Node(parent or "/", name, tuple(lists), where)
+        return Enclave(path, (NodeGroup((node,), where),), where)
+
+    def _audit(self, rule: Rule, path: str) -> None:
+        if rule.audit:
+            message = f"SROS2 cannot require that a request is logged, as this {rule.effect} {rule.kind} rule does"
+            self._lost("sros2-audit", message, rule, path, "with --lossy the rule stays, without AUDIT")
+
+    def _unsayable(self, rule: Rule, permission: str, expression: str, reason: str, path: str) -> None:
+        message = f"SROS2 cannot say {rule.effect} {permission} {quoted(expression)}: {reason}"
+        if rule.effect is Effect.DENY:
+            help_ = "without it more would be allowed, so --lossy does not drop it either: write the policy without it"
+            self.errors.append(Diagnostic("sros2-unsayable", Severity.ERROR, message, rule.origin, help_, path))
+        else:
+            self._lost("sros2-unsayable", message, rule, path, "--lossy leaves it out: then less is allowed")
+
+    def _lost(self, code: str, message: str, rule: Rule, path: str, help_: str) -> None:
+        if self.lossy:
+            self.warnings.append(Diagnostic(code, Severity.WARNING, message, rule.origin, "left out (--lossy)", path))
+        else:
+            self.errors.append(Diagnostic(code, Severity.ERROR, message, rule.origin, help_, path))
+
+
+def _lists(rule: Rule, names: dict[Said, None]) -> list[RuleList]:
+    """Return the lists of a rule: one for each tag and set of permissions."""
+    by_name: dict[tuple[str, str], list[str]] = {}
+    for each in names:
+        by_name.setdefault((each.tag, each.text), []).append(each.permission)
+    groups: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+    for (tag, text), given in by_name.items():
+        groups.setdefault((tag, tuple(given)), []).append(text)
+    return [
+        RuleList(
+            tag, MappingProxyType(dict.fromkeys(given, rule.effect)),
+            tuple(Entry(text, rule.origin) for text in texts), rule.origin,
+        )
+        for (tag, given), texts in groups.items()
+    ]  # fmt: skip
+
+
+def _document(policy: SourcePolicy) -> bytes:
+    root = etree.Element("policy", version=policy.version)
+    enclaves = etree.SubElement(root, "enclaves")
+    for enclave in policy.enclaves:
+        profiles = etree.SubElement(etree.SubElement(enclaves, "enclave", path=enclave.path), "profiles")
+        for node in enclave.nodes():
+            profile = etree.SubElement(profiles, "profile", ns=node.ns, node=node.name)
+            for rules in node.lists:
+                listed = etree.SubElement(profile, rules.tag)
+                for attribute, permission in PERMISSIONS[rules.tag].items():
+                    if permission in rules.effects:
+                        listed.set(attribute, rules.effects[permission].value)
+                for entry in rules.entries:
+                    etree.SubElement(listed, rules.tag.removesuffix("s")).text = entry.text
+    return render.document(root).encode()

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a policy of SROS2 can say of a rule: lists with names that begin with ``/``, so that nothing is resolved."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from comarmor.patterns import glob
+from comarmor.patterns.expression import matches
+from comarmor.patterns.glob import Glob
+from comarmor.patterns.matching import matches as matching
+from comarmor.patterns.printing import exact
+from comarmor.rules import PARTS, Effect, Rule
+from comarmor.values import dataclass
+from keymint_ros2_sros2.rules import GRAPH_TOPIC
+
+_TAGS = {"ros_topic": "topics", "ros_service": "services", "ros_action": "actions"}
+_RAW = {"publish": "ros_publish", "subscribe": "ros_subscribe"}
+_PREFIX = "rt"
+"""What stands before the names of ROS topics in the names of DDS topics."""
+_SERVICES = ("rq/", "rr/")
+"""What the names of the DDS topics of services begin with."""
+_MEMBERS = " \"#$%&'()*+,./:;<=>?@_`{|}~"
+"""Members of a set that need no escape."""
+_SPECIAL = "*?["
+
+
+class UnsayableError(Exception):
+    """A policy of SROS2 cannot say it; the message has the reason."""
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """A name in a list.
+
+    Attributes:
+        tag: the list: ``topics``, ``services`` or ``actions``.
+        permission: what its attribute means, as ComArmor calls it.
+        text: the name.
+    """
+
+    tag: str
+    permission: str
+    text: str
+
+
+def said(rule: Rule, permission: str, expression: str) -> Iterator[Said]:
+    """Yield the names that say exactly what a rule says of one permission and one expression.
+
+    Raises:
+        UnsayableError: there are none.
+    """
+    if _denies_nothing(rule, permission):
+        return
+    if rule.effect is Effect.ALLOW and rule.partitions not in {(), ("",)}:
+        raise UnsayableError("SROS2 has no partitions")
+    if permission.endswith("relay"):
+        raise UnsayableError("SROS2 cannot allow to relay")
+    pattern = glob.parse(expression)
+    if rule.kind == "topic":
+        yield from _raw(rule.effect, permission, pattern)
+        return
+    parts = PARTS.get((rule.kind, permission))
+    if parts is None or (rule.kind in _TAGS and glob.prefix(pattern).startswith("/")):
+        yield from (Said(_TAGS[rule.kind], permission, text) for text in _names(pattern, ""))
+        return
+    for kind, part, suffix in parts:
+        yield from (Said(_TAGS[kind], part, text) for text in _names(pattern, suffix))
+
+
+def is_graph(rule: Rule, permission: str, expression: str) -> bool:
+    """Tell whether SROS2 says it by itself: it allows the topic of the graph."""
+    allowed = rule.effect is Effect.ALLOW and rule.partitions in {(), ("",)}
+    return allowed and rule.kind == "topic" and permission in _RAW and expression == GRAPH_TOPIC
+
+
+def _denies_nothing(rule: Rule, permission: str) -> bool:
+    """Tell whether a DENY concerns only what no policy of SROS2 allows: to relay, and other than default partitions."""
+    if rule.effect is Effect.ALLOW:
+        return False
+    return permission.endswith("relay") or bool(rule.partitions and not any(matches(p, "") for p in rule.partitions))
+
+
+def _raw(effect: Effect, permission: str, pattern: Glob) -> Iterator[Said]:
+    """Yield the ROS topics whose DDS topics a raw rule names, if it names no others that a policy of SROS2 allows."""
+    if effect is Effect.ALLOW and not glob.prefix(pattern).startswith(f"{_PREFIX}/"):
+        raise UnsayableError("SROS2 has no rules on DDS topics that are not those of ROS topics")
+    if matching(pattern, GRAPH_TOPIC):
+        raise UnsayableError("SROS2 allows the topic of the graph by itself")
+    if any(glob.after(pattern, prefix) for prefix in _SERVICES):
+        raise UnsayableError("SROS2 has no rules on DDS topics of services")
+    for rest in glob.after(pattern, f"{_PREFIX}/"):
+        yield Said("topics", _RAW[permission], _text(glob.surround("/", rest, "")))
+
+
+def _names(pattern: Glob, suffix: str) -> Iterator[str]:
+    """Yield expressions of the names that begin with ``/`` and that a pattern with a suffix matches."""
+    for rest in glob.after(glob.surround("", pattern, suffix), "/"):
+        if not glob.is_empty(rest):
+            yield _text(glob.surround("/", rest, ""))
+
+
+def _text(pattern: Glob) -> str:
+    """Return the expression of a pattern without escapes, which vendors read differently."""
+    parts = (_literal(token) if isinstance(token, str) else exact((token,), unescaped=_MEMBERS) for token in pattern)
+    text = "".join(parts)
+    if "\\" in text:
+        raise UnsayableError("its expression needs a '\\', which vendors read differently")
+    if text != text.strip():
+        raise UnsayableError("the name ends with white space")
+    return text
+
+
+def _literal(text: str) -> str:
+    return "".join(f"[{char}]" if char in _SPECIAL else char for char in text)
