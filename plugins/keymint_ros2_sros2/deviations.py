@@ -12,6 +12,10 @@ from comarmor.values import dataclass
 from keymint_ros2_sros2.names import as_read, enforced
 from keymint_ros2_sros2.syntax import Enclave, Entry, Node, SourcePolicy
 
+_LONGEST_PATH = 1024
+_LONGEST_SEGMENT = 255
+"""Characters of a path, which becomes one of files, and of a part of it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Deviation:
@@ -60,12 +64,19 @@ def _doubled(policy: SourcePolicy) -> Iterator[Deviation]:
 
 
 def _of_path(enclave: Enclave) -> Iterator[Deviation]:
-    if is_fully_qualified(enclave.path):
+    if is_fully_qualified(enclave.path) and _is_short(enclave.path):
         return
     what = "the root enclave '/' is not supported" if enclave.path == "/" else "not a path of an enclave"
     message = f"{quoted(enclave.path)}: {what}"
-    help_ = "expected '/' and segments of letters, digits and '_' that do not begin with a digit, without wildcards"
+    help_ = (
+        "expected '/' and segments of letters, digits and '_' that do not begin with a digit, without wildcards;"
+        f" at most {_LONGEST_PATH:,} characters, and {_LONGEST_SEGMENT} between two '/'"
+    )
     yield Deviation(_error("sros2-path", message, enclave, enclave, help_), (enclave.path,), acceptable=False)
+
+
+def _is_short(path: str) -> bool:
+    return len(path) <= _LONGEST_PATH and max(map(len, path.split("/"))) <= _LONGEST_SEGMENT
 
 
 def _of_groups(enclave: Enclave) -> Iterator[Deviation]:

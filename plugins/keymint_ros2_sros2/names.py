@@ -9,6 +9,7 @@ name, or an error. DDS compares the result as an ``fnmatch`` expression, in whic
 from __future__ import annotations
 
 from comarmor.errors import ComArmorError
+from comarmor.language.attachments import MOST_CHARACTERS
 from comarmor.patterns.printing import canonical
 from comarmor.patterns.tokens import COMARMOR, tokenize
 from comarmor.text import quoted
@@ -45,12 +46,17 @@ def expression(name: str, entry: Entry) -> str:
         entry: where it is written.
 
     Raises:
-        ComArmorError: the name contains notation that POSIX leaves undefined, with ``file:line``.
+        ComArmorError: the name is too long, or contains notation that POSIX leaves undefined; with ``file:line``.
     """
     try:
-        return canonical(tuple(tokenize(name, COMARMOR)))
+        written = canonical(tuple(tokenize(name, COMARMOR)))
     except ComArmorError as error:
         (diagnostic,) = error.diagnostics
         raise ComArmorError(
             f"{quoted(entry.text)}: {diagnostic.message}", where=entry.where, help=diagnostic.help, code="expression"
         ) from None
+    if len(written) > MOST_CHARACTERS:
+        raise ComArmorError(
+            f"the name is longer than {MOST_CHARACTERS:,} characters", where=entry.where, code="expression"
+        )
+    return written

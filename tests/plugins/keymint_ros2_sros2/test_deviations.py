@@ -30,6 +30,8 @@ PROFILES = '<profiles><profile ns="/" node="n"/></profiles>'
         ([enclave("/a", topic(" "))], "sros2-empty", False),
         ([enclave("/a*", "")], "sros2-path", False),
         ([enclave("a", "")], "sros2-path", False),
+        ([enclave("/" + "a" * 256, "")], "sros2-path", False),
+        ([enclave("/a" * 513, "")], "sros2-path", False),
         ([enclave("/../a", "")], "sros2-path", False),
         ([enclave("/", "")], "sros2-path", False),
     ],

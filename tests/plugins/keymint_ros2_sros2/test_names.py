@@ -60,7 +60,7 @@ def test_wildcards_stay() -> None:
     assert expression("/a*/[b-d]?", Entry("", HERE)) == "/a*/[b-d]?"
 
 
-@pytest.mark.parametrize("name", ["/a\\", "/[z-a]", "/[[:nope:]]", "/[[.x.]]"])
+@pytest.mark.parametrize("name", ["/" + "a" * 5000, "/a\\", "/[z-a]", "/[[:nope:]]", "/[[.x.]]"])
 def test_undefined_notation_is_refused_with_its_line(name: str) -> None:
     with pytest.raises(ComArmorError) as caught:
         expression(name, Entry(name, HERE))
