@@ -8,48 +8,23 @@ from __future__ import annotations
 
 import json
 import shutil
-import time
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import pytest
-from keymint_ros2_dds.vendors.participants import MatchedError, RefusedError, System, Vendor
+from keymint_ros2_dds.vendors.participants import RefusedError, System, Vendor
 
 from tests.softhsm import PIN, opened
 
 from .presenters import presenting
 from .provisioning import enclave, keymint, provision
+from .stages import POLICY, WAIT, Stages, hears
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-WAIT = 10.0
-POLICY = """<profiles>
-  <profile name="talker"><attachment>/talker</attachment>
-    <ros_topic qualifier="ALLOW"><attachment>/x</attachment><permissions><ros_publish/></permissions></ros_topic>
-    <ros_topic qualifier="ALLOW"><attachment>/wide</attachment><permissions><ros_publish/></permissions></ros_topic>
-  </profile>
-  <profile name="listener"><attachment>/listener</attachment>
-    <ros_topic qualifier="ALLOW"><attachment>/*</attachment><permissions><ros_subscribe/></permissions></ros_topic>
-  </profile>
-  <profile name="stolen"><attachment>/stolen</attachment>
-    <ros_topic qualifier="ALLOW"><attachment>/x</attachment><permissions><ros_publish/></permissions></ros_topic>
-  </profile>
-</profiles>
-"""
+pytestmark = pytest.mark.xdist_group("keystores in stages")
 WIDE = POLICY.split('<ros_topic qualifier="ALLOW"><attachment>/wide', 1)
 NARROW = WIDE[0] + WIDE[1].split("</ros_topic>\n", 1)[1]
-
-
-@dataclass(frozen=True)
-class Stages:
-    """The keystore after each step, beside each other."""
-
-    folder: Path
-    workspace: Path
-
-    def __call__(self, stage: str, subject: str) -> Path:
-        return enclave(self.folder / stage, subject)
 
 
 @pytest.fixture(scope="module")
@@ -163,20 +138,6 @@ def test_what_a_token_signs(stages: Stages, in_token: Stages, system: System) ->
     assert reader.read(WAIT) == "hello"
 
 
-def hears(system: System, listener: Path, talker: Path) -> bool:
-    """Tell whether a sample arrives; else one end refuses the other, or its own files."""
-    try:
-        reader = system.open(listener).edge("subscribe", "rt/x")
-        system.open(talker).edge("publish", "rt/x").write("hello")
-        if reader.await_rejection(WAIT):
-            return False
-    except RefusedError:
-        return False
-    except MatchedError:
-        pass
-    return reader.read(WAIT) == "hello"
-
-
 @pytest.fixture(scope="module")
 def bundles(stages: Stages, tmp_path_factory: pytest.TempPathFactory) -> Stages:
     """Replace the key of the identity authority where vendors trust two at once, phase by phase."""
@@ -270,61 +231,3 @@ def test_an_enclave_made_by_request(stages: Stages, by_request: Path, system: Sy
     reader = system.open(stages("narrow", "/listener")).edge("subscribe", "rt/x")
     system.open(enclave(by_request, "/talker")).edge("publish", "rt/x").write("from its own key")
     assert reader.read(WAIT) == "from its own key"
-
-
-@pytest.fixture(scope="module")
-def renewed(tmp_path_factory: pytest.TempPathFactory) -> Stages:
-    """Provision 250 days ago, for a year; renew /talker now, then the identity authority, then the other one."""
-    folder = tmp_path_factory.mktemp("renewed")
-    policy, workspace = folder / "policy.xml", folder / "ws"
-    policy.write_text(POLICY)
-    then = {"SOURCE_DATE_EPOCH": str(int(time.time()) - 250 * 86_400)}
-    keymint("provision", policy, "-w", workspace, environment=then)
-    shutil.copytree(workspace / "install", folder / "stages/old")
-    keymint("renew", "talker", "-w", workspace)
-    shutil.copytree(workspace / "install", folder / "stages/new")
-    for name, options in (("identity_ca", ()), ("permissions_ca", ("--flag-day",))):
-        keymint("authority", "renew", name, *options, "-w", workspace)
-        shutil.copytree(workspace / "install", folder / "stages" / name)
-    return Stages(folder / "stages", workspace)
-
-
-def test_a_renewed_enclave_restarts_alone(renewed: Stages, system: System) -> None:
-    """The listener runs on; nothing but certificate and permissions of the talker differs."""
-    listener = system.open(renewed("old", "/listener")).edge("subscribe", "rt/x")
-    before = system.open(renewed("old", "/talker"))
-    before.edge("publish", "rt/x").write("before")
-    assert listener.read(WAIT) == "before"
-    before.close()
-    system.open(renewed("new", "/talker")).edge("publish", "rt/x").write("renewed")
-    assert listener.read(WAIT) == "renewed"
-
-
-def test_renewal_changes_certificate_and_permissions_of_its_enclave_alone(renewed: Stages) -> None:
-    old, new = (
-        {str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.is_file()}
-        for root in (renewed.folder / "old", renewed.folder / "new")
-    )
-    assert old.keys() == new.keys()
-    changed = {"cert.pem", "permissions.p7s", "permissions.xml"}
-    assert {name for name in old if old[name] != new[name]} == {f"enclaves/talker/{name}" for name in changed}
-
-
-@pytest.mark.parametrize(("listener", "talker"), [("new", "identity_ca"), ("identity_ca", "new")])
-def test_a_renewed_identity_authority_needs_no_coordination(
-    renewed: Stages, system: System, listener: str, talker: str
-) -> None:
-    assert authority(renewed, "new", "identity_ca") != authority(renewed, "identity_ca", "identity_ca")
-    assert hears(system, renewed(listener, "/listener"), renewed(talker, "/talker"))
-
-
-@pytest.mark.parametrize(("talker", "expected"), [("permissions_ca", True), ("identity_ca", False)])
-def test_a_renewed_permissions_authority_is_a_flag_day(
-    renewed: Stages, system: System, talker: str, *, expected: bool
-) -> None:
-    assert authority(renewed, "identity_ca", "permissions_ca") != authority(renewed, "permissions_ca", "permissions_ca")
-    assert hears(system, renewed("permissions_ca", "/listener"), renewed(talker, "/talker")) == expected
-
-
-def authority(stages: Stages, stage: str, name: str) -> bytes:
-    return (stages(stage, "/talker") / f"{name}.cert.pem").read_bytes()

@@ -12,7 +12,11 @@ from .compiled_space import CompiledSpace, compiled, policy
 from .provisioning import keymint
 from .zenoh_network import real_network
 
-pytestmark = [pytest.mark.zenoh, pytest.mark.usefixtures("zenoh_library")]
+pytestmark = [
+    pytest.mark.zenoh,
+    pytest.mark.usefixtures("zenoh_library"),
+    pytest.mark.xdist_group("revoked on Zenoh"),
+]
 
 CHATTER = "0/chatter/type/hash"
 HOSTILE = {"access_control": {"enabled": False}}
