@@ -54,7 +54,7 @@ def learn(
     if policy_options.distro:
         policies.shipped()  # an unknown distribution is an error even without --policy
     wanted = graph_json.load(read_input(run, graph), str(graph))
-    existing = policies.at(run.setting.cwd / policy, str(policy)) if policy else None
+    existing = policies.at(run.setting.cwd / policy, str(policy), foreign=False) if policy else None
     if output and existing:
         _refuse_overwriting(run, output, existing)
     folder = f"{output.stem}.d" if output else ""

@@ -58,12 +58,13 @@ class Policies:
         """
         return self._run.plugins.profile_type(self._options.profile_type).library(self.distro)
 
-    def at(self, path: Path, typed: str) -> LoadedPolicy:
-        """Load the policy at a path; a file that only another policy type recognises is read by that.
+    def at(self, path: Path, typed: str, *, foreign: bool = True) -> LoadedPolicy:
+        """Load the policy at a path.
 
         Args:
             path: file or folder.
             typed: the path as the user typed it.
+            foreign: a file that only another policy type recognises is read by that; else it is refused.
 
         Raises:
             KeymintError: the policy is missing, or has defects.
@@ -72,12 +73,12 @@ class Policies:
         try:
             return plugins.policy_type(name).load([source], self.shipped())
         except KeymintError as error:
-            foreign = foreign_policy(plugins, [path], name)
-            if foreign is None:
+            found = foreign_policy(plugins, [path], name)
+            if found is None:
                 raise
-            if foreign.path != path:
-                raise foreign.refusal(self._run.typed(str(foreign.path))) from error
-        return plugins.policy_type(foreign.policy_type).load([source], self.shipped())
+            if found.path != path or not foreign:
+                raise found.refusal(self._run.typed(str(found.path))) from error
+        return plugins.policy_type(found.policy_type).load([source], self.shipped())
 
     def _of_workspace(self, workspace: Workspace) -> LoadedPolicy:
         session = self._run.inputs(workspace).session()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is said about the claims of an import."""
+"""The diagnostics about the claims of an import."""
 
 from __future__ import annotations
 

@@ -14,6 +14,10 @@ POLICY = """<policy version="0.2.0"><enclaves><enclave path="/talker"><profiles>
 @pytest.fixture(autouse=True)
 def policy(tmp_path) -> None:
     (tmp_path / "folder").mkdir()
+    (tmp_path / "graph.json").write_text(
+        '{"format": "keymint-graph", "version": 1, "subjects": ["/a"], "types": [],'
+        ' "edges": [{"subject": "/a", "permission": "ros_publish", "object": "/x", "domain": 0}]}'
+    )
     for name in ("policy.xml", "folder/policy.xml"):
         (tmp_path / name).write_text(POLICY)
 
@@ -49,6 +53,7 @@ def test_it_is_tested_by_the_expectations_beside_it(keymint, tmp_path) -> None:
         (("provision", "policy.xml", "-w", "ws"), "policy.xml"),
         (("provision", "folder", "-w", "ws"), "folder/policy.xml"),
         (("lint", "folder"), "folder/policy.xml"),
+        (("learn", "graph.json", "--policy", "policy.xml"), "policy.xml"),
         (("query", "folder", "who", "can", "publish", "/chatter"), "folder/policy.xml"),
     ],
 )
