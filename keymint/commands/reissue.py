@@ -13,7 +13,7 @@ from keymint.commands.proof_gate import proof_stage, proven
 from keymint.commands.run import Run
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.authority_files import is_bundled
-from keymint.plan.build import BuildStage, is_current
+from keymint.plan.build import BuildStage, is_current, options_as_built
 from keymint.plan.distribution import plan_distribution
 from keymint.plan.enclaves import installed as installed_enclaves
 from keymint.plan.install import RIGHTS_OUTLIVE, InstallStage
@@ -21,8 +21,6 @@ from keymint.plan.policy import lazy_policy
 from keymint.plan.register import complete_register
 from keymint.plan.revocation import plan_lists
 from keymint.session import Session
-
-_PLAIN = BuildOptions()
 
 
 def reissued(
@@ -36,7 +34,7 @@ def reissued(
     refresh: Collection[str] = (),
     list_end: datetime | None = None,
     new_authority: Sequence[str] = (),
-    options: BuildOptions = _PLAIN,
+    options: BuildOptions | None = None,
     policy: LoadedPolicy | None = None,
 ) -> Plan:
     """Return a plan followed by what builds, signs and installs some packages, and the revocation lists for all others.
@@ -53,7 +51,7 @@ def reissued(
         refresh: authorities whose revocation list is issued again in any case.
         list_end: nextUpdate of new revocation lists, UTC; the end of the authority's certificate by default.
         new_authority: authorities that get a new key and certificate.
-        options: options of the build.
+        options: options of the build; by default those that each package was built with last.
         policy: what the documents are proven against; the policy of the workspace by default.
 
     Raises:
@@ -71,8 +69,13 @@ def reissued(
     if revoked.writes() and any(map(is_bundled, session.profile.authorities)):
         known = set(session.packages())  # their authorities' file has the revocation lists
         names = tuple(dict.fromkeys((*names, *(name for name in installed_enclaves(session) if name in known))))
-    build = {again: BuildStage(session, options, force=False, renew=again) for again in (False, True)}
-    built = build[False].plan([build[name in rekey].package(name) for name in names])
+    of_package = {name: options or options_as_built(session, name) for name in names}
+
+    def build(name: str) -> BuildStage:
+        return BuildStage(session, of_package[name], force=False, renew=name in rekey)
+
+    shared = options or next(iter(of_package.values()), BuildOptions())
+    built = BuildStage(session, shared, force=False, renew=False).plan([build(name).package(name) for name in names])
     session = session.after(built)
     install = InstallStage(session, authorities, prune=False)
     planned = [install.package(name) for name in names]
@@ -82,7 +85,8 @@ def reissued(
     issued = [each.name for each in planned if not each.withdrawn]
     if not prove or not issued:
         return plan
-    proof = proof_stage(run, policy or lazy_policy(session), standard_only=options.allow_vendor_specific)
+    standard_only = any(of_package[name].allow_vendor_specific for name in issued)
+    proof = proof_stage(run, policy or lazy_policy(session), standard_only=standard_only)
     return proven(run, session, installed.then(others), issued, partial(proof), plan)
 
 

@@ -64,6 +64,13 @@ def is_current(session: Session, name: str) -> bool:
     return stamp is not None and stamp.inputs == inputs_digest(session, name)
 
 
+def options_as_built(session: Session, name: str) -> BuildOptions:
+    """Return the options that a package was built with last, as far as the record tells; hints are not recorded."""
+    stamp = session.state.stamp(STAGE, name)
+    known = (BuildOptions(vendor_specific, optimise) for vendor_specific in (False, True) for optimise in (True, False))
+    return next((each for each in known if stamp and stamp.context == digest(repr(each))), BuildOptions())
+
+
 def is_built(inputs: Inputs, name: str) -> bool:
     """Tell whether a package was built and has its documents; a package whose rights are shared has none of its own."""
     return document_digests(inputs, name) is not None

@@ -77,9 +77,9 @@ def _different(session: Session, folder: Path, files: Mapping[str, File]) -> dic
 
 
 def _is_by(pem: bytes, issuer: x509.Certificate) -> bool:
-    """Tell whether a certificate names an issuer; one that cannot be read names none."""
+    """Tell whether an issuer signed a certificate; nobody signed one that cannot be read."""
     try:
-        return certificates.load(pem).issuer == issuer.subject
+        return certificates.is_issued_by(certificates.load(pem), issuer)
     except KeymintError:
         return False
 

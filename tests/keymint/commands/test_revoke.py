@@ -353,3 +353,14 @@ def test_sources_that_are_made_again_go_on_with_the_generation(
         assert keymint("renew", "--rekey", "talker", cwd=provisioned).code == 0
     assert (provisioned / "install/enclaves/talker/cert.pem").exists()
     assert keymint("check", cwd=provisioned).code == 0
+
+
+def test_documents_are_built_as_they_were(keymint, policy: Path, tmp_path: Path) -> None:
+    assert keymint("provision", policy, "-w", "ws", "--no-optimise").code == 0
+    permissions = tmp_path / "ws/install/enclaves/talker/permissions.xml"
+    before = permissions.read_text()
+    assert keymint("revoke", "talker", "--reason", "superseded", "-w", "ws").code == 0
+    after = permissions.read_text()
+    assert after != before
+    assert len(after) == len(before)  # the digest in the subject name alone
+    assert "nothing to do" in keymint("build", "--no-optimise", "-w", "ws").out
