@@ -33,6 +33,8 @@ VERBS: Mapping[str, Sequence[str]] = {
     "provision": ("policy.xml", "-w", "fresh"),
     "discover": ("--from", "graph.json"),
     "learn": ("graph.json",),
+    "import": ("foreign.xml", "-o", "imported"),
+    "export": ("policy.xml", "--format", "sros2"),
     "graph": ("policy.xml",),
     "plugins": (),
     "transports": (),
@@ -42,6 +44,11 @@ POLICY = (
     "<profiles><profile name='a'><attachment>/a</attachment><ros_topic qualifier='ALLOW'><attachment>/x</attachment>"
     "<permissions><ros_publish/></permissions></ros_topic></profile></profiles>\n"
 )
+FOREIGN = (
+    "<policy version='0.2.0'><enclaves><enclave path='/a'><profiles><profile ns='/' node='a'><topics publish='ALLOW'>"
+    "<topic>x</topic></topics></profile></profiles></enclave></enclaves></policy>\n"
+)
+"""A policy of another tool."""
 GRAPH = {
     "format": "keymint-graph",
     "version": 1,
@@ -133,6 +140,7 @@ def files(folder: Path) -> Path:
     """Create the input of the verbs of :data:`VERBS` in a folder, and return the folder."""
     (folder / "policy.xml").write_text(POLICY)
     (folder / "other.xml").write_text(POLICY.replace("ros_publish", "ros_subscribe"))
+    (folder / "foreign.xml").write_text(FOREIGN)
     (folder / "graph.json").write_text(json.dumps(GRAPH))
     words = ("provision", "policy.xml", "-w", "ws", "-q")
     subprocess.run([sys.executable, "-m", "keymint", *words], cwd=folder, check=True)
