@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -21,7 +21,7 @@ from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint_ros2_sros2 import permissions
 from keymint_ros2_sros2.parse import NEW
-from keymint_ros2_sros2.sayable import Said, UnsayableError, is_graph, said
+from keymint_ros2_sros2.sayable import Said, UnsayableError, is_graph, is_raw, said, services
 from keymint_ros2_sros2.syntax import PERMISSIONS, Enclave, Entry, Node, NodeGroup, RuleList, SourcePolicy
 
 _LONGEST = 64
@@ -78,6 +78,7 @@ class _Exporter:
         lists: list[RuleList] = []
         kept: list[Rule] = []
         graph: set[str] = set()
+        pairs = self._services(subject)
         for rule in subject.rules:
             self._audit(rule, path)
             names: dict[Said, None] = {}
@@ -86,6 +87,8 @@ class _Exporter:
                     try:
                         if is_graph(rule, permission, expression):
                             graph.add(permission)
+                        elif is_raw(rule) and (rule.effect, permission, expression) in pairs:
+                            names |= dict.fromkeys(pairs[rule.effect, permission, expression])
                         else:
                             names |= dict.fromkeys(said(rule, permission, expression))
                     except UnsayableError as error:
@@ -103,6 +106,13 @@ class _Exporter:
         parent, _, name = path.rpartition("/")
         node = Node(parent or "/", name, tuple(lists), where)
         return Enclave(path, (NodeGroup((node,), where),), where)
+
+    def _services(self, subject: SubjectRules) -> Mapping[tuple[Effect, str, str], tuple[Said, ...]]:
+        """Return the services that raw rules form; none if one cannot be said, which is then reported as a raw rule."""
+        try:
+            return services(subject.rules)
+        except UnsayableError:
+            return {}
 
     def _audit(self, rule: Rule, path: str) -> None:
         if rule.audit:

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator, Mapping
 
 from comarmor.patterns import glob
 from comarmor.patterns.expression import matches
@@ -20,6 +21,7 @@ _PREFIX = "rt"
 """What stands before the names of ROS topics in the names of DDS topics."""
 _SERVICES = ("rq/", "rr/")
 """What the names of the DDS topics of services begin with."""
+_REQUEST = re.compile(r"rq(/.*)Request", re.DOTALL)
 _MEMBERS = " \"#$%&'()*+,./:;<=>?@_`{|}~"
 """Members of a set that need no escape."""
 _SPECIAL = "*?["
@@ -68,10 +70,43 @@ def said(rule: Rule, permission: str, expression: str) -> Iterator[Said]:
         yield from (Said(_TAGS[kind], part, text) for text in _names(pattern, suffix))
 
 
+def services(rules: Iterable[Rule]) -> Mapping[tuple[Effect, str, str], tuple[Said, ...]]:
+    """Return what raw rules say whose DDS topics are together those of a service (``rq/sRequest`` and ``rr/sReply``).
+
+    Args:
+        rules: the rules of a subject.
+
+    Returns:
+        By effect, permission and expression of a raw rule: the service for a request, nothing for the reply with it.
+    """
+    raw = {
+        (rule.effect, permission, expression)
+        for rule in rules
+        if is_raw(rule)
+        for permission in rule.permissions
+        for expression in rule.expressions
+    }
+    found: dict[tuple[Effect, str, str], tuple[Said, ...]] = {}
+    for effect, permission, expression in raw:
+        match = _REQUEST.fullmatch(expression)
+        back = "subscribe" if permission == "publish" else "publish"
+        reply = (effect, back, f"rr{match[1]}Reply") if match else None
+        if match and permission in _RAW and reply in raw:
+            means = "ros_call" if permission == "publish" else "ros_execute"
+            names = tuple(Said("services", means, text) for text in _names(glob.parse(match[1]), ""))
+            found[effect, permission, expression] = names
+            found.setdefault(reply, ())
+    return found
+
+
+def is_raw(rule: Rule) -> bool:
+    """Tell whether a rule is about DDS topics in the default partition."""
+    return rule.kind == "topic" and rule.partitions in {(), ("",)}
+
+
 def is_graph(rule: Rule, permission: str, expression: str) -> bool:
     """Tell whether SROS2 says it by itself: it allows the topic of the graph."""
-    allowed = rule.effect is Effect.ALLOW and rule.partitions in {(), ("",)}
-    return allowed and rule.kind == "topic" and permission in _RAW and expression == GRAPH_TOPIC
+    return rule.effect is Effect.ALLOW and is_raw(rule) and permission in _RAW and expression == GRAPH_TOPIC
 
 
 def _denies_nothing(rule: Rule, permission: str) -> bool:

@@ -130,3 +130,46 @@ def test_the_document(tmp_path: Path) -> None:
     assert b'<profile ns="/robot" node="a">' in found.document
     assert b'<services request="ALLOW" reply="ALLOW">' in found.document
     assert [each.code for each in found.diagnostics] == ["sros2-graph"]
+
+
+def raw(effect: str, permission: str, *names: str, more: str = "") -> str:
+    attachments = "".join(f"<attachment>{name}</attachment>" for name in names)
+    return f'<topic qualifier="{effect}">{attachments}<permissions><{permission}/></permissions>{more}</topic>'
+
+
+@pytest.mark.parametrize("effect", ["ALLOW", "DENY"])
+@pytest.mark.parametrize(
+    ("request_by", "reply_by", "attribute"), [("publish", "subscribe", "request"), ("subscribe", "publish", "reply")]
+)
+def test_raw_topics_that_form_a_service(
+    tmp_path: Path, effect: str, request_by: str, reply_by: str, attribute: str
+) -> None:
+    rules = raw(effect, request_by, "rq/sRequest", "rq/a*Request") + raw(effect, reply_by, "rr/sReply", "rr/a*Reply")
+    found = exported(write(tmp_path / "p.xml", rules))
+    assert f'<services {attribute}="{effect}">'.encode() in found.document
+    assert b"<service>/s</service>" in found.document
+    assert b"<service>/a*</service>" in found.document
+    assert returns(found, tmp_path)
+
+
+@pytest.mark.parametrize(
+    "rules",
+    [
+        raw("ALLOW", "publish", "rq/sRequest"),
+        raw("ALLOW", "publish", "rq/sRequest", "rr/sReply"),
+        raw("ALLOW", "publish", "rq/sRequest") + raw("DENY", "subscribe", "rr/sReply"),
+        raw("ALLOW", "publish", "rq/sRequest") + raw("ALLOW", "subscribe", "rr/tReply"),
+        raw("ALLOW", "publish", "rq/sRequest")
+        + raw("ALLOW", "subscribe", "rr/sReply", more="<partitions><partition>p</partition></partitions>"),
+    ],
+)
+def test_raw_topics_that_form_none(tmp_path: Path, rules: str) -> None:
+    assert set(codes(write(tmp_path / "p.xml", rules))) == {"sros2-unsayable"}
+
+
+def test_a_partition_beside_a_service(tmp_path: Path) -> None:
+    rules = raw("ALLOW", "publish", "rq/sRequest") + raw("ALLOW", "subscribe", "rr/sReply")
+    beside = raw("ALLOW", "publish", "rq/sRequest", more="<partitions><partition>p</partition></partitions>")
+    path = write(tmp_path / "p.xml", rules + beside)
+    assert codes(path) == ["sros2-unsayable"]
+    assert returns(exported(path, lossy=True), tmp_path)
