@@ -39,6 +39,7 @@ def test_what_is_written_is_read_back(key: PrivateKey) -> None:
             serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
         ),
     ],
+    ids=["nothing", "no text", "another algorithm", "a private key"],
 )
 def test_anything_else_is_refused_at_its_place(pem: bytes) -> None:
     with pytest.raises(KeymintError, match="not an EC or RSA public key") as error:
