@@ -40,6 +40,12 @@ LONGEST = ("robustness", "real")
 """Folders of the tests that take longest. They start first, so that no processor is idle at the end."""
 
 
+def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
+    """Name PEM in a test by its argument: each worker makes keys of its own, and all must collect the same tests."""
+    text = val.decode("latin-1") if isinstance(val, bytes) else val
+    return argname if isinstance(text, str) and "-----BEGIN" in text else None
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the longest tests first."""
     items.sort(key=lambda item: LONGEST.index(folder) if (folder := item.path.parent.name) in LONGEST else len(LONGEST))
