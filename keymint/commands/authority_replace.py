@@ -85,7 +85,7 @@ def command(
     return replace(report, result={"authority": name, "phase": phases[0]})
 
 
-# -- what is said ----------------------------------------------------------------------------------------------------
+# -- messages --------------------------------------------------------------------------------------------------------
 
 
 def _outline(session: Session, name: str, before: Phase | None, reached: Phase | None) -> Iterator[str]:

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a build type can do beside building: optional capabilities, which are found by their methods."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol, runtime_checkable
+
+from comarmor.errors import Diagnostic
+from keymint.api.building import Artifact, BuildOptions, BuildResult, SharedCredentials, SharedInspection
+from keymint.api.packages import Package
+from keymint.api.transports import Enclave
+from keymint.graph import Edge
+from keymint.ir import SubjectRules
+
+
+@runtime_checkable
+class CommonNameIdentity(Protocol):
+    """Optional capability of a build type: its transport knows a subject by a common name alone.
+
+    Then the common name has the generation (:attr:`Issuance.generation`), so that a revoked identity loses its rights.
+    """
+
+    KNOWS_COMMON_NAMES_ONLY: bool
+
+
+@runtime_checkable
+class RevocationReader(Protocol):
+    """Optional capability of a build type: its transport reads revocation lists."""
+
+    def revocation_files(self, distro: str, layout: str, revocations: bytes) -> Mapping[str, Artifact]:
+        """Return the files with which an enclave has a revocation list, by name; empty if the transport reads none.
+
+        Args:
+            distro: the ROS 2 distribution.
+            layout: name of the layout.
+            revocations: the list, PEM.
+        """
+
+
+@runtime_checkable
+class RemoteCompiler(Protocol):
+    """Optional capability of a build type: other machines, which nobody vouches for, may compile for it."""
+
+    def is_remote(self, package: Package) -> bool:
+        """Tell whether another machine may compile a package: what it answers can be proven."""
+
+    def compiling(self) -> Callable[[Any, Sequence[tuple[Package, BuildOptions]]], Sequence[object]]:
+        """Return the function of a module that a worker calls with packages; its annotation has the exact type.
+
+        Its result has an item for each package; None if there is more to say about the package than its documents.
+        """
+
+    def receive(self, package: Package, options: BuildOptions, compilation: object, *, trusted: bool) -> None:
+        """Keep such an item for :meth:`BuildType.build`, which proves it before it uses it, unless it is trusted."""
+
+
+@runtime_checkable
+class SharedDocuments(Protocol):
+    """Optional capability of a build type: documents over all packages, where one place decides for all of them.
+
+    Their paths are relative to the install space. The files that belong to a document have its path, perhaps with a
+    suffix: ``rights/all.json`` and ``rights/all.json.sig``. No path begins with the folder of enclaves.
+    """
+
+    def build_shared(self, packages: Sequence[Package], options: BuildOptions) -> BuildResult:
+        """Return the unsigned documents by path; a pure function of its arguments.
+
+        Args:
+            packages: all packages of the workspace that have the build type, infrastructure included, sorted by name.
+            options: options of the build.
+
+        Raises:
+            KeymintError: the packages contradict each other; with the ``file:line`` of both.
+        """
+
+    def install_shared(
+        self,
+        packages: Sequence[Package],
+        documents: Mapping[str, bytes],
+        credentials: SharedCredentials,
+        layout: str,
+        installed: Mapping[str, bytes],
+    ) -> Mapping[str, Artifact]:
+        """Return the files to install by path: the documents, and what belongs to them, e.g. signatures.
+
+        Args:
+            packages: as for :meth:`build_shared`.
+            documents: unsigned documents of the build space by path, which may have been edited by hand.
+            credentials: the authorities.
+            layout: name of the layout.
+            installed: the current files; a signature whose content and signer are unchanged is returned unchanged.
+
+        Raises:
+            KeymintError: a document violates its schema.
+        """
+
+    def check_shared(self, inspection: SharedInspection) -> Sequence[Diagnostic]:
+        """Return findings on the installed shared documents; their codes are stable."""
+
+
+@runtime_checkable
+class RuleCheck(Protocol):
+    """Optional capability of a build type: examines the rules of a subject alone, without a package."""
+
+    def check_rules(self, rules: SubjectRules, distro: str) -> Sequence[Diagnostic]:
+        """Return the rules that it cannot express, that implementations read differently, or that have no effect.
+
+        Args:
+            rules: the policy's rules for a subject.
+            distro: ROS 2 distribution whose name mapping applies.
+
+        Returns:
+            Findings at the place of a rule, with stable codes; their severity is that of a build.
+        """
+
+
+@runtime_checkable
+class NameMapping(Protocol):
+    """Optional capability of a build type: maps edges on application names to endpoints of the transport.
+
+    Rules on application names and rules on transport names both apply to an endpoint.
+    """
+
+    def endpoints(self, distro: str, edge: Edge) -> Sequence[Edge]:
+        """Return the edges of kind ``topic`` that implement an edge; an edge of that kind implements itself.
+
+        Raises:
+            KeymintError: the distribution or the permission is not known.
+        """
+
+    def meanings(self, distro: str, endpoint: Edge) -> Sequence[Edge]:
+        """Return the elementary edges of other kinds that this edge of kind ``topic`` implements."""
+
+    def document_topics(self, enclave: Enclave) -> Sequence[tuple[str, Sequence[str]]]:
+        """Return the topic expressions in the signed documents of an enclave, each with its partitions."""
