@@ -8,6 +8,7 @@ import os
 import random
 import shutil
 import signal
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -112,7 +113,7 @@ def require_one_line(diagnostics: Sequence[Diagnostic | comarmor.Diagnostic]) ->
         assert found.message
         assert found.where is not None, line
         assert line.isprintable(), repr(line)
-        assert len(line) < 2000, line
+        assert len(line.replace(tempfile.gettempdir(), "")) < 2000, line
         assert "PRIVATE KEY" not in line
 
 
