@@ -14,7 +14,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 from pathlib import Path
 from types import MappingProxyType
-from urllib.parse import unquote, urlsplit
 
 from lxml import etree
 
@@ -22,6 +21,7 @@ from comarmor.errors import ComArmorError, Origin
 from comarmor.rules import PERMISSIONS
 from comarmor.text import did_you_mean, quoted
 from comarmor.values import dataclass
+from comarmor.xml import includes
 from comarmor.xml.reader import LIMITS, XINCLUDE, Limits, line, parse
 from comarmor.xml.sandboxed_paths import (
     SandboxedFolder,
@@ -355,23 +355,7 @@ def _href(element: etree._Element, where: Origin) -> str:
             help="a missing include is an error, so that no rule is ever left out silently",
             code="include-fallback",
         )
-    href = element.get("href", "")
-    try:
-        parts = urlsplit(href)
-    except ValueError:
-        parts = None
-    path = unquote(href)
-    if not path or "\0" in path or parts is None or parts.scheme or parts.netloc or parts.query or parts.fragment:
-        raise ComArmorError(
-            f"the href {quoted(href)} of xi:include is not a relative path of a file", where=where, code="include-href"
-        )
-    if posixpath.isabs(path):
-        raise ComArmorError(
-            f"xi:include of the absolute path {quoted(path)}, expected one relative to the including file",
-            where=where,
-            code="include-outside",
-        )
-    return path
+    return includes.path_of(element.get("href", ""), where)
 
 
 def _with_chain(error: ComArmorError, chain: tuple[Origin, ...]) -> ComArmorError:

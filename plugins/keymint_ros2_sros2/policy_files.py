@@ -13,7 +13,6 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import field
 from pathlib import Path
-from urllib.parse import unquote, urlsplit
 
 from lxml import etree
 
@@ -21,7 +20,7 @@ from comarmor.data import locate
 from comarmor.errors import ComArmorError, Origin
 from comarmor.text import quoted
 from comarmor.values import dataclass
-from comarmor.xml import schema
+from comarmor.xml import includes, schema
 from comarmor.xml.reader import LIMITS, XINCLUDE, Limits, parse, place
 from comarmor.xml.sandboxed_paths import (
     SandboxedFolder,
@@ -38,6 +37,7 @@ _DRAFT = "http://www.w3.org/2003/XInclude"
 _INCLUDES = (f"{{{XINCLUDE}}}include", f"{{{_DRAFT}}}include")
 _XPOINTER = re.compile(r"\s*(?:xpointer\(\s*)?((?:/(?:\w+|\*))+)(?:\s*\))?\s*")
 _ATTRIBUTES = ("href", "parse", "xpointer")
+_COPY = "copy the file into the policy's folder, and include the copy"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -228,25 +228,8 @@ def _target(include: Placed) -> tuple[str, tuple[str, ...]]:
             "xi:include must be empty; xi:fallback is not supported", where=where, code="include-fallback",
             help="a missing include is an error, so that no rule is ever left out silently",
         )  # fmt: skip
-    return _path(attributes.get("href", ""), where), _steps(attributes.get("xpointer"), where)
-
-
-def _path(href: str, where: Origin) -> str:
-    try:
-        parts = urlsplit(href)
-    except ValueError:
-        parts = None
-    path = unquote(href)
-    if not path or "\0" in path or parts is None or parts.scheme or parts.netloc or parts.query or parts.fragment:
-        raise ComArmorError(
-            f"the href {quoted(href)} of xi:include is not a relative path of a file", where=where, code="include-href"
-        )
-    if posixpath.isabs(path):
-        raise ComArmorError(
-            f"xi:include of the absolute path {quoted(path)}, expected one relative to the including file", where=where,
-            help="copy the file into the policy's folder, and include the copy", code="include-outside",
-        )  # fmt: skip
-    return path
+    path = includes.path_of(attributes.get("href", ""), where, help_=_COPY)
+    return path, _steps(attributes.get("xpointer"), where)
 
 
 def _steps(xpointer: str | None, where: Origin) -> tuple[str, ...]:
