@@ -107,12 +107,18 @@ def issued_certificate(
         issuer: the certificate of its issuer.
         rights: digest of the package's documents.
     """
+    return _entry(certificate, issuer, package.identity.issuer, package.name, package.issuance.generation, rights)
+
+
+def _entry(
+    certificate: x509.Certificate, issuer: x509.Certificate, authority: str, name: str, generation: int, rights: str
+) -> IssuedCertificate:
     return IssuedCertificate(
         issuer=issuer_of(issuer),
         serial=certificate.serial_number,
-        authority=package.identity.issuer,
-        name=package.name,
-        generation=package.issuance.generation,
+        authority=authority,
+        name=name,
+        generation=generation,
         not_before=certificate.not_valid_before_utc,
         not_after=certificate.not_valid_after_utc,
         key=keys.fingerprint(certificates.public_key(certificate)),
@@ -165,16 +171,8 @@ def _found(session: Session) -> Iterator[IssuedCertificate]:
         certificate = installed_certificate(session, name)
         for authority, issuer in issuers:
             if certificate is not None and certificates.is_issued_by(certificate, issuer):
-                yield IssuedCertificate(
-                    issuer=issuer_of(issuer),
-                    serial=certificate.serial_number,
-                    authority=authority,
-                    name=name,
-                    generation=issuance_of(session, name).generation if name in known else 0,
-                    not_before=certificate.not_valid_before_utc,
-                    not_after=certificate.not_valid_after_utc,
-                    key=keys.fingerprint(certificates.public_key(certificate)),
-                )
+                generation = issuance_of(session, name).generation if name in known else 0
+                yield _entry(certificate, issuer, authority, name, generation, rights="")
                 break
 
 
