@@ -62,8 +62,8 @@ def import_policy(
     keymint provision comarmor.d -w my_ws
 
     There is one profile for each enclave of POLICY, with its comments. What cannot be expressed is an error with its
-    line, and so is what the other tool enforces otherwise than it reads: change POLICY, or take it as it reads with
-    --accept, which warns of each change.
+    line, and so is what the other tool enforces differently from what POLICY says: change POLICY, or take it as it
+    reads with --accept, which warns of each change.
 
     Nothing is written unless, for every name, what is compiled from the new policy permits what the other tool's
     documents permit, as the transport's standard reads them; what vendors read otherwise is noted.

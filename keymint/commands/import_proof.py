@@ -59,12 +59,12 @@ def diagnostics_of(proofs: Iterable[SubjectProof], tool: str) -> Iterator[Diagno
 
 
 def _vendors(proof: SubjectProof, standard: str, tool: str) -> Iterator[Diagnostic]:
-    """Yield a note for each vendor that reads the other tool's document otherwise than the standard does."""
+    """Yield a note for each vendor that reads the other tool's document differently from the standard."""
     seen = {standard}
     for claim in proof.comparison.theirs:
         if claim.counterexample is not None and claim.model not in seen:
             seen.add(claim.model)
-            message = f"{proof.subject}: {claim.model} reads {tool}'s document otherwise than the standard"
+            message = f"{proof.subject}: {claim.model} reads {tool}'s document differently from the standard"
             difference = f"{message}: {_difference(claim.counterexample, tool)}"
             where = claim.counterexample.policy.where
             yield Diagnostic("import-vendor", Severity.NOTE, difference, where, "", proof.subject)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What SROS2 enforces otherwise than a policy reads, and what no keystore can hold."""
+"""What SROS2 enforces differently from what a policy says, and what no keystore can hold."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Deviation:
 
 
 def deviations(policy: SourcePolicy) -> tuple[Deviation, ...]:
-    """Return what SROS2 enforces otherwise than the policy reads, and what cannot be taken over."""
+    """Return what SROS2 enforces differently from what the policy says, and what cannot be taken over."""
     found = [*_doubled(policy)]
     for enclave in policy.enclaves:
         found += _of_path(enclave)

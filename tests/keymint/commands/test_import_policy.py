@@ -74,7 +74,7 @@ def test_what_is_enforced_otherwise_takes_a_decision(keymint, foreign: Path, tmp
     assert "/other" in (tmp_path / "comarmor.d/robot.xml").read_text()
 
 
-def test_what_vendors_read_otherwise_is_noted(keymint, foreign: Path) -> None:
+def test_what_vendors_read_differently_is_noted(keymint, foreign: Path) -> None:
     """Cyclone DDS checks a topic in both directions: a DENY of one denies the other (docs/vendors.md)."""
     foreign.write_text(
         policy().replace("</topics>", '</topics><topics publish="DENY" subscribe="ALLOW"><topic>x</topic></topics>')
@@ -83,7 +83,7 @@ def test_what_vendors_read_otherwise_is_noted(keymint, foreign: Path) -> None:
     assert outcome.code == 0
     notes = [each for each in outcome.document["diagnostics"] if each["code"] == "import-vendor"]
     assert [each["severity"] for each in notes] == ["note"]
-    assert "cyclonedds-0.10 reads SROS2's document otherwise" in notes[0]["message"]
+    assert "cyclonedds-0.10 reads SROS2's document differently" in notes[0]["message"]
     assert outcome.document["result"]["subjects"][0]["same"]
 
 

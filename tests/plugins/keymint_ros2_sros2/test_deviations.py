@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What SROS2 enforces otherwise than it reads is an error with its line."""
+"""What SROS2 enforces differently from what a policy says is an error with its line."""
 
 from __future__ import annotations
 
