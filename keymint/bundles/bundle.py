@@ -20,6 +20,7 @@ from keymint.bundles import container
 from keymint.bundles.manifest import Manifest, dump, load
 from keymint.errors import KeymintError
 from keymint.pki import certificates, cms, keys
+from keymint.pki.revocation_lists import is_by
 
 CERTIFICATE, KEY = "cert.pem", "key.pem"
 """The identity of an enclave and its private key; see :class:`keymint.api.BuildType`."""
@@ -140,14 +141,8 @@ def revocation_lists(files: Mapping[str, bytes]) -> Iterator[tuple[str, tuple[x5
 
 def number_of(lists: Mapping[str, tuple[x509.CertificateRevocationList, ...]], authority: x509.Certificate) -> int:
     """Return the lowest number of the revocation lists of an authority (RFC 5280, 5.2.3); 0 if there is none."""
-    public = certificates.public_key(authority)
-    of_authority = [
-        each
-        for of_file in lists.values()
-        for each in of_file
-        if each.issuer == authority.subject and each.is_signature_valid(public)
-    ]
-    return min(map(_number, of_authority), default=0)
+    every = (each for of_file in lists.values() for each in of_file)
+    return min((_number(each) for each in every if is_by(each, authority)), default=0)
 
 
 def _number(listed: x509.CertificateRevocationList) -> int:

@@ -8,7 +8,7 @@ from datetime import datetime
 from comarmor.errors import Origin
 from keymint.bundles.bundle import CERTIFICATE, Bundle
 from keymint.errors import KeymintError
-from keymint.pki import certificates, certification_path
+from keymint.pki import certification_path, revocation_lists
 
 
 def require_in_force(bundle: Bundle, now: datetime, where: Origin) -> None:
@@ -42,10 +42,9 @@ def require_in_force(bundle: Bundle, now: datetime, where: Origin) -> None:
         )
     authorities = [each for of_file in bundle.authorities.values() for each in of_file]
     for listed in (each for of_file in bundle.lists.values() for each in of_file):
-        issuers = [each for each in authorities if each.subject == listed.issuer]
-        by = [each for each in issuers if listed.is_signature_valid(certificates.public_key(each))]
-        end = listed.next_update_utc
-        if not by or listed.last_update_utc > now or (end is not None and end < now):
+        by = [each for each in authorities if revocation_lists.is_by(listed, each)]
+        begin, end = revocation_lists.period(listed)
+        if not by or not begin <= now <= end:
             raise KeymintError(
                 "it has a revocation list that is not in force, or by another authority: nodes would not start",
                 where=where,

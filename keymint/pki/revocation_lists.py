@@ -147,17 +147,33 @@ def _loaded(pem: bytes) -> RevocationList:
         number = crl.extensions.get_extension_for_class(x509.CRLNumber).value.crl_number
     except x509.ExtensionNotFound:
         number = 0
-    return RevocationList(
-        to_text(crl.issuer), number, crl.last_update_utc, crl.next_update_utc or _LAST, tuple(revocations)
-    )
+    return RevocationList(to_text(crl.issuer), number, *period(crl), tuple(revocations))
+
+
+def first(pem: bytes) -> x509.CertificateRevocationList | None:
+    """Return the first revocation list of a file, the only one that transports read; None if they can read none."""
+    try:
+        return x509.load_pem_x509_crl(pem)
+    except ValueError:
+        return None
+
+
+def period(crl: x509.CertificateRevocationList) -> tuple[datetime, datetime]:
+    """Return when a revocation list is in force, UTC; without a nextUpdate it does not end."""
+    return crl.last_update_utc, crl.next_update_utc or _LAST
+
+
+def is_by(crl: x509.CertificateRevocationList, authority: x509.Certificate) -> bool:
+    """Tell whether an authority issued a revocation list: it has its name, and the signature of its key."""
+    try:
+        return crl.issuer == authority.subject and crl.is_signature_valid(certificates.public_key(authority))
+    except (ValueError, TypeError, UnsupportedAlgorithm, KeymintError):
+        return False
 
 
 def problem(pem: bytes, authority: x509.Certificate) -> str:
     """Return why nodes with this list and authority do not start, dates aside; empty if they do."""
-    try:
-        crl = x509.load_pem_x509_crl(pem)
-        if crl.issuer != authority.subject or not crl.is_signature_valid(certificates.public_key(authority)):
-            return "is not a revocation list of the certificate's issuer"
-    except (ValueError, TypeError, UnsupportedAlgorithm, KeymintError):
+    crl = first(pem)
+    if crl is None:
         return "is not a revocation list in PEM"
-    return ""
+    return "" if is_by(crl, authority) else "is not a revocation list of the certificate's issuer"

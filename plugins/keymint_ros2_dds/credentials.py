@@ -4,19 +4,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 from functools import lru_cache
 
 from cryptography import x509
-from cryptography.exceptions import UnsupportedAlgorithm
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.errors import KeymintError
-from keymint.pki import certificates, keys, public_keys
+from keymint.pki import certificates, keys, public_keys, revocation_lists
 from keymint.pki.distinguished_names import to_text
 from keymint_ros2_dds.enclave_layout import CERTIFICATE, CRL, KEY
-
-_LAST = datetime.max.replace(tzinfo=UTC) - timedelta(seconds=1)
 
 
 class CredentialCheck:
@@ -83,24 +80,20 @@ def subject_of(pem: bytes) -> x509.Name:
 
 def revocation_period(pem: bytes) -> tuple[datetime, datetime] | None:
     """Return the validity period of a revocation list, in UTC; None for bytes that are not a revocation list."""
-    try:
-        crl = x509.load_pem_x509_crl(pem)
-    except ValueError:
-        return None
-    return crl.last_update_utc, crl.next_update_utc or _LAST
+    crl = revocation_lists.first(pem)
+    return None if crl is None else revocation_lists.period(crl)
 
 
 def revocation_problem(pem: bytes, identity: bytes, chain: bytes) -> str:
     """Return the defect of a revocation list for a certificate and its issuer's chain, or an empty text."""
-    try:
-        crl = x509.load_pem_x509_crl(pem)
-        revoked = crl.get_revoked_certificate_by_serial_number(certificates.load(identity).serial_number)
-        authority = certificates.load_bundle(chain)[0]
-        public = certificates.public_key(authority)
-        if crl.issuer != authority.subject or not crl.is_signature_valid(public):
-            return "is not a revocation list of the certificate's issuer: vendors refuse the participant"
-    except (ValueError, TypeError, UnsupportedAlgorithm):
+    crl = revocation_lists.first(pem)
+    if crl is None:
         return "is not a revocation list in PEM: vendors refuse the participant"
+    try:
+        serial = certificates.load(identity).serial_number
+        authority = certificates.load_bundle(chain)[0]
     except KeymintError:
         return ""  # the certificate cannot be read, which is reported separately
-    return "" if revoked is None else "revokes the certificate beside it"
+    if not revocation_lists.is_by(crl, authority):
+        return "is not a revocation list of the certificate's issuer: vendors refuse the participant"
+    return "" if crl.get_revoked_certificate_by_serial_number(serial) is None else "revokes the certificate beside it"

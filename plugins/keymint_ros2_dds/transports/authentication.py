@@ -10,23 +10,20 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from datetime import UTC, datetime
+from datetime import datetime
 from functools import lru_cache
 
 from cryptography import x509
-from cryptography.exceptions import UnsupportedAlgorithm
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import Enclave
-from keymint.errors import KeymintError
-from keymint.pki import certificates
+from keymint.pki import certificates, revocation_lists
 from keymint_ros2_dds.decision import Semantics
 from keymint_ros2_dds.enclave_layout import CA, CERTIFICATE, CRL, IDENTITY_CA, KEY, KEY_URI, reads_revocations
 from keymint_ros2_dds.transports import enclave_files
 
 _LIST = re.compile(rb"-----BEGIN X509 CRL-----.*?-----END X509 CRL-----", re.DOTALL)
-_LAST = datetime.max.replace(tzinfo=UTC)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,11 +83,10 @@ def _revoked(
 ) -> str:
     if not lists:
         return ""
-    found = next((each for each in lists if _is_by(each, issuer)), None)
+    found = next((each for each in lists if revocation_lists.is_by(each, issuer)), None)
     if found is None:
         return f"the revocation list in {CRL} is by another authority"
-    period = found.last_update_utc, found.next_update_utc or _LAST
-    if problem := _outside(f"the revocation list in {CRL}", *period, now):
+    if problem := _outside(f"the revocation list in {CRL}", *revocation_lists.period(found), now):
         return problem
     revoked = found.get_revoked_certificate_by_serial_number(certificate.serial_number)
     return "" if revoked is None else f"{CRL} revokes the certificate"
@@ -100,21 +96,6 @@ def _outside(what: str, begin: datetime, end: datetime, now: datetime) -> str:
     if now > end:
         return f"{what} has expired"
     return f"{what} is not yet valid" if now < begin else ""
-
-
-def _is_by(crl: x509.CertificateRevocationList, authority: x509.Certificate) -> bool:
-    try:
-        return crl.issuer == authority.subject and crl.is_signature_valid(certificates.public_key(authority))
-    except (ValueError, TypeError, UnsupportedAlgorithm, KeymintError):
-        return False
-
-
-def _list(pem: bytes) -> x509.CertificateRevocationList | None:
-    """Return the first revocation list of a file, the only one that vendors read; None if they can read none."""
-    try:
-        return x509.load_pem_x509_crl(pem)
-    except ValueError:
-        return None
 
 
 def load(enclave: Enclave, now: datetime) -> Authentication:
@@ -133,13 +114,13 @@ def load(enclave: Enclave, now: datetime) -> Authentication:
     reads = reads_revocations(enclave.distro) and (folder / CRL).exists()
     if reads:
         pem = enclave_files.content(folder, CRL)
-    listed = _list(pem) if reads else None
+    listed = revocation_lists.first(pem) if reads else None
     return Authentication(
         certificates.load(enclave_files.content(folder, CERTIFICATE), Origin(CERTIFICATE)),
         certificates.load_bundle(bundle, Origin(trusted)),
         listed,
         reads and listed is None,
-        tuple(each for each in map(_list, _LIST.findall(bundle)) if each is not None),
+        tuple(each for each in map(revocation_lists.first, _LIST.findall(bundle)) if each is not None),
         (folder / KEY_URI).exists() and not (folder / KEY).exists(),
         now,
     )

@@ -6,6 +6,9 @@ from __future__ import annotations
 from datetime import UTC, datetime, timedelta
 
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError
@@ -74,6 +77,21 @@ def test_lists_of_others(ca: Issuer, spec) -> None:
     for other in (same_name, other_name):
         assert "not a revocation list of the certificate's issuer" in revocation_lists.problem(pem, other.certificate)
     assert "not a revocation list in PEM" in revocation_lists.problem(b"", ca.certificate)
+    crl = revocation_lists.first(pem)
+    assert crl is not None
+    found = [revocation_lists.is_by(crl, each.certificate) for each in (ca, same_name, other_name)]
+    assert found == [True, False, False]
+    assert revocation_lists.period(crl) == (NOW - timedelta(days=1), ca.certificate.not_valid_after_utc)
+
+
+def test_an_authority_whose_key_nothing_can_verify_with_issued_no_list(ca: Issuer) -> None:
+    crl = revocation_lists.first(revocation_lists.issue(ca, [], 1, NOW))
+    builder = x509.CertificateBuilder(
+        ca.certificate.subject, ca.certificate.subject, X25519PrivateKey.generate().public_key()
+    )
+    builder = builder.serial_number(1).not_valid_before(NOW).not_valid_after(NOW + timedelta(days=1))
+    assert crl is not None
+    assert not revocation_lists.is_by(crl, builder.sign(ca.key, hashes.SHA256()))
 
 
 @pytest.mark.parametrize(
