@@ -44,6 +44,7 @@ class TrustAnchors:
         public_key: the subject's public key (PEM), from the package, if its private key is elsewhere; then the enclave
             need not have that, and its certificate must be for this key. Empty if the workspace has the private key.
         key_uri: URI of the private key in the subject's token, from the package; empty if it lies in a file.
+        distro: ROS 2 distribution, whose nodes may look for other files than those of another one.
     """
 
     authorities: Mapping[str, TrustAnchor]
@@ -51,6 +52,7 @@ class TrustAnchors:
     layout: str
     public_key: bytes = b""
     key_uri: str = ""
+    distro: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,7 @@ def anchors_of(session: Session, package: Package, build_type: BuildType, chains
     authorities = {role.role: _anchor(session, [role.name], chains) for role in roles}
     subject_name, public_key = package.identity.subject_name, package.issuance.public_key
     uri = package.identity.key.uri
-    return TrustAnchors(authorities, subject_name, session.profile.layout, public_key, uri)
+    return TrustAnchors(authorities, subject_name, session.profile.layout, public_key, uri, package.distro)
 
 
 def shared_anchors(

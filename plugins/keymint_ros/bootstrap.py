@@ -19,8 +19,9 @@ from keymint_ros.manifest import BUILD_TYPE
 if TYPE_CHECKING:
     import jinja2
 
-_AUTHORITIES = {"sros2": ("identity_ca", "permissions_ca"), "flat": ("ca", "ca")}
-"""By layout: issuer of identities, signer of permissions. Ardent's layout has one ``ca.cert.pem`` for both."""
+_LAYOUTS = dict.fromkeys(("sros2", "flat"))
+_TWO_AUTHORITIES, _ONE_AUTHORITY = ("identity_ca", "permissions_ca"), ("ca", "ca")
+"""Issuer of identities and signer of permissions; Ardent and Bouncy have one ``ca.cert.pem`` for both."""
 SUBJECT_NAMES = {"unique": "OU={unique},CN={common_name}", "sros2": "CN={subject}"}
 _MAX_DOMAIN = 230
 """Cyclone DDS rejects documents with a larger domain id."""
@@ -46,7 +47,7 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
     """Return the files of a new profile: see :meth:`keymint.api.ProfileType.bootstrap`."""
     distros.check(request.distro)
     layout = request.layout or distros.layout(request.distro)
-    _check_choice("layout", layout, _AUTHORITIES)
+    _check_choice("layout", layout, _LAYOUTS)
     _check_choice("subject format", request.subject_format, SUBJECT_NAMES)
     if not 0 <= request.domain <= _MAX_DOMAIN:
         raise KeymintError(
@@ -57,7 +58,7 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
     _check_line("name of the profile", request.name)
     # Start a day early: clocks may be slow, and some vendors read dates without zone as local time.
     start = request.now.replace(hour=0, minute=0, second=0, microsecond=0) - timedelta(days=1)
-    issuer, signer = _AUTHORITIES[layout]
+    issuer, signer = _ONE_AUTHORITY if distros.has_one_authority(request.distro, layout) else _TWO_AUTHORITIES
     build_types = request.build_types or (BUILD_TYPE,)
     begin, duration = validity.starting(request.valid_for, request.now) if request.valid_for else ("", "")
     values = {

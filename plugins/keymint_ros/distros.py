@@ -23,6 +23,7 @@ type description service.
 """
 DISTROS = {distro: family for family, distros in _FAMILIES.items() for distro in distros}
 """For each distribution, the first one of its family."""
+_FLAT_WITH_TWO = frozenset(("crystal", "dashing", "eloquent"))
 DEFAULT = "jazzy"
 
 
@@ -44,8 +45,16 @@ def check(distro: str, where: Origin | None = None) -> str:
 
 
 def layout(distro: str) -> str:
-    """Return the layout of the install space that a distribution reads: Ardent only reads the flat one."""
-    return "flat" if distro == "ardent" else "sros2"
+    """Return the layout of the install space that a distribution reads: the flat one before Foxy."""
+    return "flat" if DISTROS.get(distro) in {"ardent", "bouncy"} else "sros2"
+
+
+def has_one_authority(distro: str, layout: str) -> bool:
+    """Tell whether nodes have one file for the issuer of identities and the signer of permissions.
+
+    In the flat layout, Crystal to Eloquent have two; nothing later reads it.
+    """
+    return layout == "flat" and distro not in _FLAT_WITH_TWO
 
 
 def library(distro: str) -> Path:

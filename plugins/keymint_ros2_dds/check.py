@@ -22,7 +22,6 @@ from keymint_ros2_dds.enclave_layout import (
     CA,
     CERTIFICATE,
     CRL,
-    FILES,
     GOVERNANCE,
     IDENTITY_CA,
     KEY,
@@ -31,6 +30,7 @@ from keymint_ros2_dds.enclave_layout import (
     PERMISSIONS_CA,
     PERMISSIONS_P7S,
     PERMISSIONS_XML,
+    enclave_files,
 )
 from keymint_ros2_dds.reading import dates, signed_governance, signed_permissions
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
@@ -66,7 +66,7 @@ class _EnclaveCheck(CredentialCheck):
         super().__init__(inspection.files, inspection.folder, restore, package.subject)
         self._inspection = inspection
         self._issuer, self._signer = (inspection.chains[role] for role in (roles.IDENTITY, roles.PERMISSIONS))
-        self._names = FILES.get(inspection.layout, ())
+        self._names = enclave_files(inspection.layout, package.distro)
 
     def findings(self) -> Iterator[Diagnostic]:
         yield from self._inventory()

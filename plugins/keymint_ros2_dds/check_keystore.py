@@ -13,7 +13,7 @@ from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
 from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds.credentials import subject_of
-from keymint_ros2_dds.enclave_layout import CERTIFICATE
+from keymint_ros2_dds.enclave_layout import CERTIFICATE, has_one_authority
 
 
 def check_all(inspections: Sequence[Inspection]) -> tuple[Diagnostic, ...]:
@@ -62,8 +62,9 @@ def _shared_authorities(inspections: Sequence[Inspection]) -> Iterator[Diagnosti
         authority = inspection.chains[roles.PERMISSIONS]
         if authority and authority == inspection.chains[roles.IDENTITY] and authority not in reported:
             reported.add(authority)
-            # The flat layout has no file for a second authority, so there the user cannot act on it.
-            severity = Severity.NOTE if inspection.layout == "flat" else Severity.WARNING
+            # Where enclaves have no file for a second authority, the user cannot act on it.
+            one = has_one_authority(inspection.layout, inspection.package.distro)
+            severity = Severity.NOTE if one else Severity.WARNING
             yield Diagnostic(
                 "authority-shared", severity,
                 f"the authority {inspection.package.grant.issuer!r} issues identities and signs permissions: on "

@@ -30,19 +30,36 @@ CRL = "crl.pem"
 """The revocation list of an enclave; see :func:`reads_revocations`."""
 _WITHOUT_REVOCATIONS = frozenset(("ardent", "bouncy", "crystal", "dashing", "eloquent", "foxy", "galactic"))
 
-FILES: Mapping[str, tuple[str, ...]] = {
-    "sros2": (IDENTITY_CA, PERMISSIONS_CA, CERTIFICATE, KEY, GOVERNANCE_P7S, PERMISSIONS_P7S, PERMISSIONS_XML),
-    "flat": (CA, CERTIFICATE, KEY, GOVERNANCE_P7S, PERMISSIONS_P7S),
+_READ = (CERTIFICATE, KEY, GOVERNANCE_P7S, PERMISSIONS_P7S)
+_FILES: Mapping[str, tuple[str, ...]] = {
+    "sros2": (IDENTITY_CA, PERMISSIONS_CA, *_READ, PERMISSIONS_XML),
+    "flat": (CA, *_READ),
 }
-"""The files of an enclave: sros2's keystore of Foxy and later, and that of Ardent and Bouncy (rmw, ``security.c``)."""
+_FLAT_WITH_TWO = frozenset(("crystal", "dashing", "eloquent"))
+"""The distributions that read the flat layout with a file for each authority (rmw_fastrtps#227, rmw_connext#301).
+
+Ardent and Bouncy read one ``ca.cert.pem``. Nothing from Foxy on reads the flat layout, so there it stays what it was.
+"""
 COPIED = (IDENTITY_CA, PERMISSIONS_CA, GOVERNANCE_P7S)
 """The files that ``sros2`` has once more outside of the enclaves, for people and for sros2's tools."""
 
 
+def has_one_authority(layout: str, distro: str) -> bool:
+    """Tell whether an enclave has one file for both authorities, as the nodes of a distribution look for it."""
+    return layout == "flat" and distro not in _FLAT_WITH_TWO
+
+
+def enclave_files(layout: str, distro: str) -> tuple[str, ...]:
+    """Return the names of the files that an enclave always has; none if the layout is not known."""
+    if layout == "flat" and not has_one_authority(layout, distro):
+        return (IDENTITY_CA, PERMISSIONS_CA, *_READ)
+    return _FILES.get(layout, ())
+
+
 def files(layout: str) -> frozenset[str]:
     """Return the names of all files that may lie in an enclave; see :meth:`keymint.api.BuildType.files`."""
-    names = FILES.get(layout, ())
-    return frozenset((*names, CRL, *((KEY_URI,) if IDENTITY_CA in names else ())))
+    of_authorities = (IDENTITY_CA, PERMISSIONS_CA) if layout == "flat" else ()
+    return frozenset((*_FILES.get(layout, ()), *of_authorities, CRL, *((KEY_URI,) if layout == "sros2" else ())))
 
 
 def reads_revocations(distro: str, layout: str = "sros2") -> bool:

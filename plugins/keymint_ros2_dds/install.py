@@ -17,17 +17,19 @@ from keymint_ros2_dds.enclave_layout import (
     CA,
     CERTIFICATE,
     CRL,
-    FILES,
     GOVERNANCE,
     GOVERNANCE_P7S,
     GOVERNANCE_XML,
     IDENTITY_CA,
     KEY,
     KEY_URI,
+    LAYOUTS,
     PERMISSIONS,
     PERMISSIONS_CA,
     PERMISSIONS_P7S,
     PERMISSIONS_XML,
+    enclave_files,
+    has_one_authority,
     reads_revocations,
 )
 
@@ -44,12 +46,15 @@ def install(
     Raises:
         KeymintError: a document is missing or not valid, or the layout has no place for two authorities.
     """
-    if layout not in FILES:
-        raise KeymintError(f"unknown layout {layout!r}", help=f"use {' or '.join(FILES)}", code="layout-unknown")
-    if layout == "flat" and credentials.chains[roles.IDENTITY] != credentials.chains[roles.PERMISSIONS]:
+    if layout not in LAYOUTS:
+        raise KeymintError(f"unknown layout {layout!r}", help=f"use {' or '.join(LAYOUTS)}", code="layout-unknown")
+    if (
+        has_one_authority(layout, package.distro)
+        and credentials.chains[roles.IDENTITY] != credentials.chains[roles.PERMISSIONS]
+    ):
         raise KeymintError(
             f"{package.subject} has one authority for identities and another for permissions, but the layout 'flat' "
-            "has one file for both",
+            f"has one file for both in {package.distro.capitalize()}",
             where=package.grant.origin,
             help="name one authority for both, or use the layout 'sros2'",
             code="layout-authorities",
@@ -65,7 +70,7 @@ def install(
         PERMISSIONS_P7S: Artifact(_signed(permissions, PERMISSIONS, credentials, installed)),
         GOVERNANCE_P7S: Artifact(_signed(governance, GOVERNANCE, credentials, installed)),
     }
-    chosen = {name: files[name] for name in FILES[layout] if name != KEY or credentials.key}
+    chosen = {name: files[name] for name in enclave_files(layout, package.distro) if name != KEY or credentials.key}
     if uri := package.identity.key.uri:  # ROS 2 reads one word; the end of the line is for people
         chosen[KEY_URI] = Artifact(f"{uri}\n".encode())
     if credentials.revocations:

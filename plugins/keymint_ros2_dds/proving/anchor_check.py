@@ -19,13 +19,13 @@ from keymint_ros2_dds.credentials import CredentialCheck
 from keymint_ros2_dds.enclave_layout import (
     CA,
     CERTIFICATE,
-    FILES,
     GOVERNANCE_P7S,
     IDENTITY_CA,
     KEY,
     KEY_URI,
     PERMISSIONS_CA,
     PERMISSIONS_P7S,
+    enclave_files,
 )
 
 IN_PLACE_OF = {f"{name.removesuffix('.pem')}.p11": name for name in (IDENTITY_CA, PERMISSIONS_CA, CERTIFICATE, KEY)}
@@ -109,7 +109,7 @@ class _AnchorCheck(CredentialCheck):
         }
         for name, anchor in trusted.items():
             content = self._files.get(name)
-            if content is None and name in FILES.get(self._anchors.layout, ()):
+            if content is None and name in enclave_files(self._anchors.layout, self._anchors.distro):
                 yield self._error("file-missing", name, "is missing")
             elif content is not None and content != anchor.chain:
                 message = f"is not the certificate of the workspace's authority {anchor.name!r}, {anchor.file}"

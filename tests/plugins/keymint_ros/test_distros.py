@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The policy fragments of each ROS 2 distribution, and the flat layout of Ardent."""
+"""The policy fragments of each ROS 2 distribution, and the layout that it reads."""
 
 from __future__ import annotations
 
