@@ -6,7 +6,7 @@ A subject is a fully qualified ROS name (:mod:`comarmor.ros_names`). No name bec
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from comarmor.ros_names import is_segment
 from comarmor.text import quoted
@@ -18,6 +18,8 @@ MAX_NAME = 1000
 """Bytes of a name: Linux' PATH_MAX is 4096, and includes the path of the workspace."""
 RESERVED = "KEYMINT_IGNORE"
 """The marker file that hides a folder of packages; a segment of this name, in any case, would collide with it."""
+_LISTED = 8
+"""Names in one line of text; ``--json`` has all."""
 _EXAMPLE = "a name is '/' and segments, e.g. /robot1/talker"
 
 
@@ -54,6 +56,12 @@ def package_name(text: str) -> str:
                 code="name-illegal",
             )
     return name
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return the subjects of some packages in one line: ``/a, /b``; of many packages the first, and how many more."""
+    more = len(names) - _LISTED
+    return ", ".join(f"/{name}" for name in names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def refuse_case_collisions(names: Iterable[str]) -> None:

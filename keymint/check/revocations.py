@@ -7,11 +7,11 @@ from collections.abc import Iterator, Mapping
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import counted
-from keymint.api import Package, RevocationReader
+from keymint.api import Package
 from keymint.errors import KeymintError
 from keymint.pki import revocation_lists
 from keymint.plan.authority_files import issuers
-from keymint.plan.build_types import build_types_of
+from keymint.plan.build_types import build_types_of, revocation_files
 from keymint.plan.register import issuer_of, register_of
 from keymint.plan.revocation import enclave_lists
 from keymint.session import Session
@@ -55,12 +55,9 @@ def of_enclave(session: Session, package: Package, files: Mapping[str, bytes]) -
         return
     folder, layout = session.workspace.shown(session.enclaves / package.name), session.profile.layout
     help_ = f"'keymint install {package.name}' writes it; then deploy and restart the enclave"
-    for build_type in build_types_of(session, package).values():
-        if not isinstance(build_type, RevocationReader):
-            continue
-        for file, artifact in build_type.revocation_files(package.distro, layout, in_force).items():
-            if files.get(file) != artifact.content:
-                what = "is not the revocation list in force" if file in files else "the revocation list is missing"
-                message = f"{what}: revoked certificates are accepted"
-                where = Origin(f"{folder}/{file}")
-                yield Diagnostic("revocation-list-outdated", Severity.ERROR, message, where, help_, package.subject)
+    for file, artifact in revocation_files(build_types_of(session, package).values(), package.distro, layout, in_force):
+        if files.get(file) != artifact.content:
+            what = "is not the revocation list in force" if file in files else "the revocation list is missing"
+            message = f"{what}: revoked certificates are accepted"
+            where = Origin(f"{folder}/{file}")
+            yield Diagnostic("revocation-list-outdated", Severity.ERROR, message, where, help_, package.subject)

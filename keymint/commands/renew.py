@@ -20,6 +20,7 @@ from keymint.commands.reissue import reissued
 from keymint.commands.run import Run, exit_code_of
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
+from keymint.names import listed
 from keymint.output.report import Report
 from keymint.plan.enclaves import INSTALLED
 from keymint.plan.issuance import issuance_of, plan_issuance
@@ -42,8 +43,6 @@ from keymint.session import Inputs, Session
 
 NOT_HERE = "authority-key-missing"
 """Code of the error that an authority cannot sign, since its key is elsewhere."""
-_SHOWN = 8
-"""Names of enclaves in one line; ``--json`` has all."""
 
 
 @verb(dry_run=True)
@@ -113,6 +112,7 @@ class _Renewal:
         schedule: what is due.
         plan: what is done.
         renewed: what is renewed by it.
+        unchanged: what was named, and stays as it is: a renewal would give it the dates that it has.
         waiting: what is due and waits for the key of an authority, which is not here.
         needs_person: there is something that only a person can do.
     """
@@ -120,6 +120,7 @@ class _Renewal:
     schedule: Schedule
     plan: Plan
     renewed: tuple[_Renewed, ...]
+    unchanged: tuple[_Renewed, ...]
     waiting: tuple[Due, ...]
     needs_person: bool
 
@@ -165,12 +166,16 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
     after = session.after(plan)
     done = frozenset(names)
     taken = [each for each in due.enclaves if each.name in done]
-    rows = tuple(
-        _Renewed(each, _end(after, each.name), bool(issuance_of(session, each.name).public_key)) for each in taken
-    )
+    rows = [_Renewed(each, _end(after, each.name), bool(issuance_of(session, each.name).public_key)) for each in taken]
+    changed = frozenset(_installed(plan))
     late = frozenset(waiting)
     return _Renewal(
-        due, plan, rows, tuple(each for each in due.enclaves if each.name in late), needs_person=bool(findings)
+        due,
+        plan,
+        tuple(each for each in rows if each.due.name in changed),
+        tuple(each for each in rows if each.due.name not in changed),
+        tuple(each for each in due.enclaves if each.name in late),
+        needs_person=bool(findings),
     )
 
 
@@ -185,6 +190,14 @@ def _issued_again(run: Run, session: Session, due: Schedule, names: Sequence[str
     )  # fmt: skip
     refuse_new_authorities(session, plan)
     return plan
+
+
+def _installed(plan: Plan) -> Sequence[str]:
+    """Return the packages whose enclave a plan changes."""
+    return [
+        step.package for step in plan.steps
+        if step.stage == INSTALLED and step.package and step.action in {Action.UPDATED, Action.CREATED}
+    ]  # fmt: skip
 
 
 def _end(session: Session, name: str) -> datetime | None:
@@ -207,7 +220,7 @@ def _exit_code(run: Run, renewal: _Renewal, plan: Plan) -> ExitCode:
     failed = exit_code_of(plan)
     if failed is not ExitCode.DONE:
         return failed
-    is_due = run.dry_run and bool(renewal.schedule.enclaves or renewal.schedule.lists)
+    is_due = run.dry_run and bool(renewal.schedule.lists or len(renewal.schedule.enclaves) > len(renewal.unchanged))
     return ExitCode.FINDINGS if renewal.needs_person or is_due else ExitCode.DONE
 
 
@@ -217,20 +230,22 @@ def _lines(run: Run, renewal: _Renewal) -> Sequence[str]:
     lines = [
         f"{would} /{each.due.name}: {_why(each.due)}; now in force until {_date(each.now)}" for each in renewal.renewed
     ]
+    lines += [
+        f"/{each.due.name} stays as it is: a renewal would give it the dates that it has; "
+        f"in force until {_date(each.now)}"
+        for each in renewal.unchanged
+    ]
     lines += [f"waits for a signature: /{each.name}: {_why(each)}" for each in renewal.waiting]
     if not renewal.waiting:
         lines += [f"{would} the revocation list of {each.name}: {_why(each)}" for each in renewal.schedule.lists]
     own = {each.due.name for each in renewal.renewed}
-    updated = [
-        step.package for step in renewal.plan.steps
-        if step.stage == INSTALLED and step.package and step.action in {Action.UPDATED, Action.CREATED}
-    ]  # fmt: skip
+    updated = _installed(renewal.plan)
     if ready := [name for name in updated if name in own]:
-        lines.append(f"deploy and restart before the old documents end: {_listed(ready)}")
+        lines.append(f"deploy and restart before the old documents end: {listed(ready)}")
     if others := [name for name in updated if name not in own]:
-        lines.append(f"deploy the new revocation list and restart before the old one ends: {_listed(others)}")
+        lines.append(f"deploy the new revocation list and restart before the old one ends: {listed(others)}")
     if elsewhere := [each.due.name for each in renewal.renewed if each.elsewhere]:
-        lines.append(f"the key is not here: 'keymint bundle' carries the new documents to {_listed(elsewhere)}")
+        lines.append(f"the key is not here: 'keymint bundle' carries the new documents to {listed(elsewhere)}")
     following = renewal.schedule.following
     if following is not None and following.after is not None:
         none = "" if renewal.renewed or renewal.schedule.enclaves else "nothing is due; "
@@ -249,11 +264,6 @@ def _why(due: Due) -> str:
 
 def _date(moment: datetime | None) -> str:
     return shown(moment) if moment else "-"
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = len(names) - _SHOWN
-    return ", ".join(f"/{name}" for name in names[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
 
 
 def _result(renewal: _Renewal) -> dict[str, Any]:
@@ -276,6 +286,7 @@ def _result(renewal: _Renewal) -> dict[str, Any]:
             }
             for each in renewal.renewed
         ],
+        "unchanged": [f"/{each.due.name}" for each in renewal.unchanged],
         "waiting": [{"subject": f"/{each.name}", **due_document(each)} for each in renewal.waiting],
         "lists": [{"authority": each.name, **due_document(each)} for each in renewal.schedule.lists],
         "authorities_due": [

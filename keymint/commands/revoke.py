@@ -13,15 +13,12 @@ from keymint.commands.options import complete_package, prove_option
 from keymint.commands.reissue import reissued
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
-from keymint.names import package_name
+from keymint.names import listed, package_name
 from keymint.output.report import Report
 from keymint.plan.enclaves import INSTALLED
 from keymint.plan.revoking import Revoking, plan_revocation, require_revoked
 from keymint.register.register import REASONS, SUPERSEDED, IssuedCertificate
 from keymint.session import Inputs
-
-SHOWN = 8
-"""Names of enclaves in one line; ``--json`` has all."""
 
 
 @verb(dry_run=True)
@@ -66,7 +63,7 @@ def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report
         say(f"{word} /{each.name} serial {each.serial:x}, generation {each.generation}, {reason}")
     if peers:
         say(
-            f"deploy and restart {counted(len(peers), 'enclave')}: {_listed(peers)}; a node that runs keeps its "
+            f"deploy and restart {counted(len(peers), 'enclave')}: {listed(peers)}; a node that runs keeps its "
             "old list, and until its restart accepts the revoked certificate; connections made before go on until then"
         )
     shared = [
@@ -79,9 +76,9 @@ def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report
     if shared:
         say(f"deploy {', '.join(shared)}, and restart what reads it")
     if names_again:
-        say(f"deploy and restart with the new certificate: {_listed(names_again)}")
+        say(f"deploy and restart with the new certificate: {listed(names_again)}")
     elif reason != SUPERSEDED and revoking.packages:
-        say(f"nothing is issued for {_listed(revoking.packages)} until 'keymint renew --rekey'")
+        say(f"nothing is issued for {listed(revoking.packages)} until 'keymint renew --rekey'")
     return Report(
         report.verb, report.workspace, report.steps, report.diagnostics,
         {"revoked": [document(each) for each in revoking.certificates], "restart": [f"/{name}" for name in peers],
@@ -97,11 +94,6 @@ def _updated(steps: tuple[Step, ...], omitted: tuple[str, ...]) -> list[str]:
         for step in steps
         if step.stage == INSTALLED and step.package and step.action in changing and step.package not in omitted
     ]
-
-
-def _listed(names: list[str] | tuple[str, ...]) -> str:
-    more = len(names) - SHOWN
-    return ", ".join(f"/{name}" for name in names[:SHOWN]) + (f" and {more} more" if more > 0 else "")
 
 
 def document(each: IssuedCertificate) -> dict[str, Any]:

@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, MutableMapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, MutableMapping
 
 from comarmor.errors import Diagnostic, Severity
-from keymint.api import AuthorityRole, BuildType, Package, SharedDocuments
+from keymint.api import Artifact, AuthorityRole, BuildType, Package, RevocationReader, SharedDocuments
 from keymint.errors import KeymintError
 from keymint.session import Session
 from keymint.state import digest
@@ -48,6 +48,22 @@ def recorded_build_types(session: Session, name: str) -> tuple[str, ...]:
         return session.package(name).build_types
     except KeymintError:
         return session.profile.build_types
+
+
+def revocation_files(
+    build_types: Iterable[BuildType], distro: str, layout: str, revocations: bytes
+) -> Iterator[tuple[str, Artifact]]:
+    """Yield the files with which an enclave has a revocation list, with their names.
+
+    Args:
+        build_types: the build types of the enclave.
+        distro: the ROS 2 distribution.
+        layout: name of the layout.
+        revocations: the list, PEM.
+    """
+    for each in build_types:
+        if isinstance(each, RevocationReader):
+            yield from each.revocation_files(distro, layout, revocations).items()
 
 
 def roles_of(session: Session, package: Package) -> Mapping[str, tuple[AuthorityRole, ...]]:

@@ -6,20 +6,19 @@ That needs no sources, no build and no signature, so a defect of one package doe
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from cryptography import x509
 
 from comarmor.errors import Origin
-from keymint.api import RevocationReader
 from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
 from keymint.pki import certificates
 from keymint.plan import install
 from keymint.plan.authority_files import trusted_chains
-from keymint.plan.build_types import recorded_build_types
+from keymint.plan.build_types import recorded_build_types, revocation_files
 from keymint.plan.enclaves import CERTIFICATE, INSTALLED, installed
 from keymint.plan.revocation import enclave_lists, require_nothing_lost
 from keymint.session import Session
@@ -87,13 +86,10 @@ def _is_by(pem: bytes, issuer: x509.Certificate) -> bool:
 def _files(session: Session, build_types: tuple[str, ...], revocations: bytes) -> dict[str, File]:
     """Return the files of a list by name, as the transports read them."""
     key = ("revocation files", build_types, revocations)
-    return session.once(key, lambda: dict(_of_build_types(session, build_types, revocations)))
+    return session.once(key, lambda: _of_build_types(session, build_types, revocations))
 
 
-def _of_build_types(session: Session, build_types: tuple[str, ...], revocations: bytes) -> Iterator[tuple[str, File]]:
-    profile = session.profile
-    for name in build_types:
-        build_type = session.plugins.build_type(name, session.profile_marker())
-        if isinstance(build_type, RevocationReader):
-            found = build_type.revocation_files(profile.distro, profile.layout, revocations)
-            yield from ((file, File(artifact.content)) for file, artifact in found.items())
+def _of_build_types(session: Session, build_types: tuple[str, ...], revocations: bytes) -> dict[str, File]:
+    found = (session.plugins.build_type(name, session.profile_marker()) for name in build_types)
+    artifacts = revocation_files(found, session.profile.distro, session.profile.layout, revocations)
+    return {file: File(artifact.content) for file, artifact in artifacts}

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from keymint.errors import KeymintError
-from keymint.names import MAX_NAME, MAX_SEGMENT, package_name, refuse_case_collisions, refuse_reserved
+from keymint.names import MAX_NAME, MAX_SEGMENT, listed, package_name, refuse_case_collisions, refuse_reserved
 
 SEGMENTS = st.from_regex(r"[A-Za-z_][A-Za-z0-9_]{0,30}", fullmatch=True)
 NAMES = st.lists(SEGMENTS, min_size=1, max_size=6).map("/".join)
@@ -109,3 +109,10 @@ def test_a_name_of_a_folder_of_keystores_is_refused(name: str) -> None:
 def test_other_names_are_not_reserved() -> None:
     refuse_reserved("robot/enclaves", ("enclaves",))
     refuse_reserved("enclaves", ())
+
+
+def test_of_many_packages_a_line_lists_the_first() -> None:
+    assert listed(()) == ""
+    assert listed(["robot/arm", "talker"]) == "/robot/arm, /talker"
+    assert listed(list("abcdefgh")) == "/a, /b, /c, /d, /e, /f, /g, /h"
+    assert listed(list("abcdefghij")) == "/a, /b, /c, /d, /e, /f, /g, /h and 2 more"

@@ -170,6 +170,22 @@ class TestNamed:
         assert keymint("renew", "talker", cwd=ws, env=at(10.1)).code == 0
         assert snapshot(ws) == before
 
+    @pytest.mark.parametrize("options", [(), ("--dry-run",)])
+    def test_what_began_today_is_not_renewed_again(self, keymint: Callable, ws: Path, options: tuple[str, ...]) -> None:
+        before = enclave(ws, "talker")
+        outcome = keymint("renew", "talker", *options, cwd=ws)
+        stays = "/talker stays as it is: a renewal would give it the dates that it has"
+        assert (outcome.code, outcome.out.splitlines()[0]) == (0, f"{stays}; in force until 2028-01-14T00:00:00Z")
+        assert "renewed" not in outcome.out
+        result = keymint("renew", "talker", "--json", *options, cwd=ws).document["result"]
+        assert (result["renewed"], result["unchanged"]) == ([], ["/talker"])
+        assert enclave(ws, "talker") == before
+
+    def test_of_two_one_is_renewed(self, keymint: Callable, ws: Path) -> None:
+        assert keymint("renew", "talker", cwd=ws, env=at(10)).code == 0
+        outcome = keymint("renew", *PACKAGES, "--json", cwd=ws, env=at(10))
+        assert (renewed(outcome), outcome.document["result"]["unchanged"]) == (["/robot1/listener"], ["/talker"])
+
     def test_an_unknown_package(self, keymint: Callable, ws: Path) -> None:
         outcome = keymint("renew", "talkr", cwd=ws)
         assert outcome.code == 1
