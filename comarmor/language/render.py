@@ -22,8 +22,12 @@ def render(policy: Policy) -> str:
 
 
 def document(root: etree._Element) -> str:
-    """Return an element as an indented XML document."""
+    """Return an element as an XML document in canonical form; see :mod:`comarmor.language.formatting`."""
     etree.indent(root)
+    for permissions in root.iter("permissions"):
+        permissions.text = None
+        for permission in permissions:
+            permission.tail = None
     text = etree.tostring(root, encoding="unicode")
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
 

@@ -126,7 +126,7 @@ def test_canonical_form(load) -> None:
         '    <topic qualifier="ALLOW" modifier="AUDIT">\n'
         "      <attachment>xy{name}</attachment>\n"
         "      <attachment>[!\\]]y{name}</attachment>\n"
-        "      <permissions>\n        <publish/>\n        <subscribe/>\n      </permissions>\n"
+        "      <permissions><publish/><subscribe/></permissions>\n"
         "      <partitions>\n        <partition></partition>\n      </partitions>\n"
         "    </topic>\n"
         "  </profile>\n"

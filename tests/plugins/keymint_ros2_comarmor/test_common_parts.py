@@ -34,7 +34,7 @@ def test_a_common_part_covers_the_same_templates_for_each_subject_that_includes_
 
 
 def test_one_attachment_is_not_worth_a_file_and_a_rule_is() -> None:
-    little = {("ros_topic", "/t", "ros_publish", ())}
+    little = {("ros_topic", "/topic_of_both_nodes", "ros_publish", ())}
     much = {("ros_topic", f"/{'long_name_' * 4}{number}", "ros_publish", ()) for number in range(10)}
     assert len(share({"/a": little, "/b": little})) == 1
     own = {("ros_topic", "/own", "ros_publish", ())}  # the rule stays, so that only one attachment would move

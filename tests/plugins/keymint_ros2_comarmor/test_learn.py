@@ -141,7 +141,7 @@ def test_rules_are_folded_over_permissions_and_attachments() -> None:
         "    <attachment>/s</attachment>\n"
         '    <ros_topic qualifier="ALLOW">\n'
         "      <attachment>/a</attachment>\n      <attachment>/b</attachment>\n"
-        "      <permissions>\n        <ros_publish/>\n        <ros_subscribe/>\n      </permissions>\n"
+        "      <permissions><ros_publish/><ros_subscribe/></permissions>\n"
         "    </ros_topic>\n  </profile>\n</profiles>\n"
     )
 

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The canonical form of ComArmor files: profiles, what they include, and policy tests (``docs/language.md``)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lxml import etree
+
+from comarmor.data import locate
+from comarmor.errors import ComArmorError, Origin
+from comarmor.language.attachments import strip
+from comarmor.rules import PERMISSIONS
+from comarmor.xml import schema
+from comarmor.xml.layout import Layout, laid_out, markup, nodes
+from comarmor.xml.reader import parse
+
+LAYOUT = Layout(
+    text=frozenset(("attachment", "value", "partition")),
+    inline=frozenset(("permissions",)),
+    order=("name", "qualifier", "modifier", "href", "parse", "subject", "permission", "object", "partition"),
+    trimmed=strip,
+)
+_DECLARATION = '<?xml version="1.0" encoding="UTF-8"?>\n'
+_SCHEMAS = dict.fromkeys(("profiles", "profile", *PERMISSIONS), "comarmor.xsd") | {"tests": "tests.xsd"}
+"""The schema of a file by the name of its root element."""
+
+
+def formatted(content: bytes, name: str) -> bytes | None:
+    """Return a file in canonical form, or None if its root element is not of this language.
+
+    Formatting it again changes nothing. What the file means stays the same, and all its comments and processing
+    instructions are kept in order. Lines end as the first one does.
+
+    Args:
+        content: the file.
+        name: its path as the user would type it, for messages.
+
+    Raises:
+        ComArmorError: it is not well-formed or not valid, with ``file:line`` of each defect. What it includes is not
+            read, and its expressions are not checked.
+    """
+    root = parse(content, name)
+    if root.tag not in _SCHEMAS:
+        return None
+    schema.validate(root, locate("comarmor", "schemas") / _SCHEMAS[str(root.tag)], name)
+    document = nodes(content, LAYOUT)
+    text = _DECLARATION + laid_out(document, LAYOUT)
+    first_line = content.partition(b"\n")[0]
+    result = (text.replace("\n", "\r\n") if first_line.endswith(b"\r") else text).encode()
+    again = nodes(result, LAYOUT)
+    comments, comments_again = ([each.source.split() for each in markup(which)] for which in (document, again))
+    if _meaning(root) != _meaning(parse(result, name)) or comments != comments_again:
+        raise ComArmorError(
+            "the canonical form would not mean the same",
+            where=Origin(name),
+            help="this is a defect of the formatter; please report it with this file",
+            code="format-meaning",
+        )
+    return result
+
+
+def _meaning(element: etree._Element) -> tuple[Any, ...]:
+    """Return what a reader of the language sees of an element."""
+    text = strip(element.text or "") if element.tag in LAYOUT.text else ""
+    return element.tag, dict(element.attrib), text, [_meaning(child) for child in element]
