@@ -39,6 +39,7 @@ VERBS: Mapping[str, str] = {
     "install": "Sign documents and stage enclaves for deployment.",
     "check": "Compare the installed keystore with its expected state.",
     "renew": "Renew certificates and permissions that are due.",
+    "env": "Print the environment variables of a process that uses an enclave.",
     "prove": "Prove that installed documents permit exactly what the policy allows, for all names.",
     "revoke": "Revoke certificates, and issue new ones that old permissions do not fit.",
     "issued": "List the certificates that were issued, and which are revoked.",
@@ -97,7 +98,7 @@ def cli() -> None:
     keymint create --all                      profile/comarmor.d/ -> src/
     keymint build                             src/ -> build/     (unsigned)
     keymint install                           build/ -> install/ (signed)
-    export ROS_SECURITY_KEYSTORE=$PWD/install
+    source install/keystore.bash              ROS 2 finds the keystore
 
     Exit codes: 0 done, 1 failure, 2 usage, 3 findings, 130 interrupted, 143 terminated.
     """

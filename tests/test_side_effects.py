@@ -66,6 +66,7 @@ FOREIGN = '<policy version="0.2.0"><enclaves><enclave path="/a"><profiles/></enc
 READING_VERBS = (
     ("check", "-w", "ws"),
     ("status", "-w", "ws"),
+    ("env", "talker", "-w", "ws"),
     ("authority", "show", "-w", "ws"),
     ("revoke", "talker", "--reason", "superseded", "-w", "ws"),
     ("revoke", "talker", "--reason", "key-compromise", "-w", "ws"),

@@ -28,6 +28,7 @@ from keymint.api.building import BuildOptions as BuildOptions
 from keymint.api.building import BuildResult as BuildResult
 from keymint.api.building import BuildType as BuildType
 from keymint.api.building import EnclaveCredentials as EnclaveCredentials
+from keymint.api.building import EnvironmentVariable as EnvironmentVariable
 from keymint.api.building import Hint as Hint
 from keymint.api.building import Inspection as Inspection
 from keymint.api.building import Layout as Layout
@@ -36,6 +37,7 @@ from keymint.api.building import SharedInspection as SharedInspection
 from keymint.api.building import SigningAuthority as SigningAuthority
 from keymint.api.capabilities import CommonNameIdentity as CommonNameIdentity
 from keymint.api.capabilities import NameMapping as NameMapping
+from keymint.api.capabilities import ProcessEnvironment as ProcessEnvironment
 from keymint.api.capabilities import RemoteCompiler as RemoteCompiler
 from keymint.api.capabilities import RevocationReader as RevocationReader
 from keymint.api.capabilities import RuleCheck as RuleCheck

@@ -148,6 +148,21 @@ class Artifact:
 
 
 @dataclass(frozen=True, slots=True)
+class EnvironmentVariable:
+    """An environment variable of a process that uses the keystore.
+
+    Attributes:
+        name: its name.
+        value: its value; or a path relative to the install space, empty for the install space itself.
+        is_path: the value is such a path. The variable has the absolute path.
+    """
+
+    name: str
+    value: str
+    is_path: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class Inspection:
     """An installed enclave with the expected state that ``keymint check`` compares it with.
 

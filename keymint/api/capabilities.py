@@ -3,11 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 from comarmor.errors import Diagnostic
-from keymint.api.building import Artifact, BuildOptions, BuildResult, SharedCredentials, SharedInspection
+from keymint.api.building import (
+    Artifact,
+    BuildOptions,
+    BuildResult,
+    EnvironmentVariable,
+    SharedCredentials,
+    SharedInspection,
+)
 from keymint.api.packages import Package
 from keymint.api.transports import Enclave
 from keymint.graph import Edge
@@ -35,6 +42,31 @@ class RevocationReader(Protocol):
             distro: the ROS 2 distribution.
             layout: name of the layout.
             revocations: the list, PEM.
+        """
+
+
+@runtime_checkable
+class ProcessEnvironment(Protocol):
+    """Optional capability of a build type: processes find the keystore by environment variables."""
+
+    def keystore_variables(self, distro: str, layout: str) -> Sequence[EnvironmentVariable]:
+        """Return the variables that all processes of a robot have.
+
+        Args:
+            distro: the ROS 2 distribution.
+            layout: name of the layout.
+        """
+
+    def enclave_variables(
+        self, distro: str, layout: str, subject: str, files: Collection[str]
+    ) -> Sequence[EnvironmentVariable]:
+        """Return the variables of one process that uses an enclave, those of all processes that it needs included.
+
+        Args:
+            distro: the ROS 2 distribution.
+            layout: name of the layout.
+            subject: the subject of the enclave, e.g. ``/robot1/talker``.
+            files: the names of the enclave's files.
         """
 
 

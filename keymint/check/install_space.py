@@ -8,9 +8,9 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Artifact
 from keymint.check.file_status import modes
-from keymint.plan import gitignore
+from keymint.plan import environment, gitignore
 from keymint.plan.enclaves import enclave_files, installed
-from keymint.plan.shared_files import copies_of
+from keymint.plan.shared_files import build_types_in_use, copies_of
 from keymint.session import Session
 from keymint.workspace import packages
 
@@ -25,6 +25,7 @@ def outside_enclaves(session: Session, known: Collection[str]) -> Iterator[Diagn
     workspace, names = session.workspace, installed(session)
     enclaves = {f"{session.enclaves}/{name}" for name in names}
     expected = _copies(session, names)
+    own_scripts = environment.scripts(session, build_types_in_use(session))
     entries = list(session.tree.walk(workspace.install, skipped=""))
     folders = [path for path, is_folder in entries if is_folder]
     empty = [folder for folder in folders if not session.tree.names(folder)]  # an error if one cannot be read
@@ -33,6 +34,9 @@ def outside_enclaves(session: Session, known: Collection[str]) -> Iterator[Diagn
             continue
         relative = path.removeprefix(f"{workspace.install}/")
         if relative in known or relative == gitignore.NAME:
+            continue
+        if relative in own_scripts:
+            yield from _script(session, path, own_scripts[relative])
             continue
         if relative not in expected:
             yield Diagnostic(
@@ -64,6 +68,21 @@ def outside_enclaves(session: Session, known: Collection[str]) -> Iterator[Diagn
                 Origin(workspace.shown(workspace.install / relative)),
                 "'keymint install' restores it",
             )
+
+
+def _script(session: Session, path: str, expected: bytes) -> Iterator[Diagnostic]:
+    """Yield the findings on a script; a workspace that was not installed since they exist has none."""
+    yield from modes(session, path, 0o644, "")
+    content = session.tree.try_read(path) if session.tree.has_file(path) else None
+    if content is not None and content != expected:
+        is_ours = environment.is_ours(content)
+        yield Diagnostic(
+            "file-changed",
+            Severity.ERROR,
+            "differs from what Keymint writes, and shells that source it may use another keystore",
+            Origin(session.workspace.shown(path)),
+            "'keymint install' restores it" if is_ours else "rename it or remove it, and run 'keymint install'",
+        )
 
 
 def _copies(session: Session, names: Iterable[str]) -> Mapping[str, bytes]:

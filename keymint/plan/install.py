@@ -24,9 +24,10 @@ from keymint.plan.enclaves import (
     require_sources,
     unaccounted,
 )
+from keymint.plan.environment import plan_scripts
 from keymint.plan.identity_keys import Keyring
 from keymint.plan.register import complete_register, register_change, register_of, require_free_serials
-from keymint.plan.shared_files import shared_steps
+from keymint.plan.shared_files import build_types_in_use, shared_steps
 from keymint.plan.shared_install import HAND_EDITED, OUTDATED, plan_shared_install
 from keymint.plan.signing import sign
 from keymint.plan.stage import PackagePlan, recorded, steps_of
@@ -81,9 +82,12 @@ class InstallStage:
         removed = orphans(session) if prune else ()
         shared = plan_shared_install(session, [each.name for each in planned], self._authorities, removed)
         withdrawn = {each.name: each.withdrawn for each in planned if each.withdrawn}
-        copies = shared_steps(session, changed, {*removed, *withdrawn})
-        steps = [*shared.steps, *copies, *steps_of(planned)]
-        diagnostics = [diagnostic for each in planned for diagnostic in each.diagnostics]
+        leaving = {*removed, *withdrawn}
+        build_types = build_types_in_use(session, changed, leaving)
+        copies = shared_steps(session, changed, build_types, leaving)
+        scripts, foreign = plan_scripts(session, build_types)
+        steps = [*shared.steps, *copies, *scripts, *steps_of(planned)]
+        diagnostics = [*(diagnostic for each in planned for diagnostic in each.diagnostics), *foreign]
         diagnostics += _outdated(session, [each.name for each in planned if each.outdated])
         diagnostics += shared.diagnostics
         diagnostics += lifetimes.findings({each.name: each.lifetimes for each in planned}, session)

@@ -13,25 +13,35 @@ from keymint.plan.build_types import recorded_build_types
 from keymint.plan.enclaves import INSTALLED, installed
 from keymint.session import Session
 
+ChangedEnclaves = Mapping[str, tuple[Collection[str], Mapping[str, Artifact]]]
+"""Build types and files of each enclave that changes, by package."""
+
+
+def build_types_in_use(
+    session: Session, changed_enclaves: ChangedEnclaves | None = None, removed: Collection[str] = ()
+) -> list[str]:
+    """Return the names of the build types of all enclaves, sorted; arguments as for :func:`shared_steps`."""
+    changing = changed_enclaves or {}
+    kept = (name for name in installed(session) if name not in removed and name not in changing)
+    of_packages = [
+        *(of_package for of_package, _ in changing.values()),
+        *(recorded_build_types(session, name) for name in kept),
+    ]
+    return sorted({build_type for of_package in of_packages for build_type in of_package})
+
 
 def shared_steps(
-    session: Session,
-    changed_enclaves: Mapping[str, tuple[Collection[str], Mapping[str, Artifact]]],
-    removed: Collection[str] = (),
+    session: Session, changed_enclaves: ChangedEnclaves, build_types: Collection[str], removed: Collection[str] = ()
 ) -> list[Step]:
     """Return the steps that write the shared files.
 
     Args:
         session: the workspace and its profile.
-        changed_enclaves: build types and files of each enclave that changes, by package.
+        changed_enclaves: the enclaves that change.
+        build_types: the build types of all enclaves; see :func:`build_types_in_use`.
         removed: enclaves that are removed, and so are no example for the others.
     """
     kept = [name for name in installed(session) if name not in removed]
-    of_packages = [
-        *(of_package for of_package, _ in changed_enclaves.values()),
-        *(recorded_build_types(session, name) for name in kept if name not in changed_enclaves),
-    ]
-    build_types = sorted({build_type for of_package in of_packages for build_type in of_package})
     copied = {file for name in build_types for file in session.plugins.build_type(name).COPIED}
     enclaves: dict[str, Mapping[str, Artifact]] = {}
     contents: dict[str | None, Artifact | None] = {None: None}  # enclaves usually have the same files

@@ -20,7 +20,7 @@ class DdsSecurity:
     Implements :class:`keymint.api.BuildType`, :class:`keymint.api.NameMapping`, :class:`keymint.api.ActionMapping`,
     :class:`keymint.api.RuleCheck`, :class:`keymint.api.ForeignDocuments`,
     :class:`keymint.api.RevocationReader`, :class:`keymint.api.AuthorityChanges`,
-    :class:`keymint.api.RemoteCompiler`,
+    :class:`keymint.api.RemoteCompiler`, :class:`keymint.api.ProcessEnvironment`,
     :class:`keymint.api.Prover` and :class:`keymint.api.RemoteProver`.
     """
 
@@ -42,6 +42,8 @@ class DdsSecurity:
     install = lazy("keymint_ros2_dds.install:install")
     shared = lazy("keymint_ros2_dds.install:shared")
     revocation_files = lazy("keymint_ros2_dds.install:revocation_files")
+    keystore_variables = lazy("keymint_ros2_dds.process_environment:keystore_variables")
+    enclave_variables = lazy("keymint_ros2_dds.process_environment:enclave_variables")
     check = lazy("keymint_ros2_dds.check:check")
     check_all = lazy("keymint_ros2_dds.check_keystore:check_all")
 

@@ -14,10 +14,10 @@ __all__ = ["Zenoh", "build_type"]
 class Zenoh:
     """The build type for Zenoh's access control, as rmw_zenoh uses Zenoh.
 
-        Implements :class:`keymint.api.BuildType`, :class:`keymint.api.SharedDocuments`,
+    Implements :class:`keymint.api.BuildType`, :class:`keymint.api.SharedDocuments`,
     :class:`keymint.api.Infrastructure`, :class:`keymint.api.CommonNameIdentity`, :class:`keymint.api.RuleCheck`,
-    :class:`keymint.api.ActionMapping`, :class:`keymint.api.AuthorityChanges`, :class:`keymint.api.Prover` and
-    :class:`keymint.api.SharedProver`.
+    :class:`keymint.api.ActionMapping`, :class:`keymint.api.AuthorityChanges`,
+    :class:`keymint.api.ProcessEnvironment`, :class:`keymint.api.Prover` and :class:`keymint.api.SharedProver`.
     """
 
     API = API_VERSION
@@ -39,6 +39,8 @@ class Zenoh:
     build = lazy("keymint_ros2_zenoh.build:build")
     install = lazy("keymint_ros2_zenoh.install:install")
     shared = lazy("keymint_ros2_zenoh.install:shared")
+    keystore_variables = lazy("keymint_ros2_zenoh.process_environment:keystore_variables")
+    enclave_variables = lazy("keymint_ros2_zenoh.process_environment:enclave_variables")
     check = lazy("keymint_ros2_zenoh.check:check")
     check_all = lazy("keymint_ros2_zenoh.check:check_all")
     build_shared = lazy("keymint_ros2_zenoh.build:build_shared")

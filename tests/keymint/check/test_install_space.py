@@ -31,3 +31,27 @@ def test_stray_files_and_empty_folders_are_reported(keymint: Callable, ws: Path)
     assert outcome.code == 3
     places = {(each["code"], each["file"]) for each in outcome.document["diagnostics"]}
     assert places == {("folder-unexpected", "install/deep/empty"), ("file-unexpected", "install/public/.git/config")}
+
+
+def test_an_edited_script_is_a_finding_and_a_missing_one_is_none(keymint: Callable, ws: Path) -> None:
+    (ws / "install/keystore.fish").unlink()
+    assert keymint("check", "-w", "ws").code == 0
+    path = ws / "install/keystore.bash"
+    path.write_text(path.read_text() + "export ROS_SECURITY_STRATEGY=Permissive\n")
+    (finding,) = keymint("check", "-w", "ws", "--json").document["diagnostics"]
+    assert (finding["code"], finding["severity"], finding["file"]) == (
+        "file-changed",
+        "error",
+        "ws/install/keystore.bash",
+    )
+    assert finding["help"] == "'keymint install' restores it"
+    path.write_text("source /elsewhere\n")
+    (finding,) = keymint("check", "-w", "ws", "--json").document["diagnostics"]
+    assert finding["help"] == "rename it or remove it, and run 'keymint install'"
+
+
+def test_the_mode_and_the_kind_of_a_script_are_checked(keymint: Callable, ws: Path) -> None:
+    (ws / "install/keystore.bash").chmod(0o666)
+    (ws / "install/keystore.zsh").unlink()
+    (ws / "install/keystore.zsh").symlink_to("/dev/null")
+    assert {"file-mode", "file-link"} <= set(keymint("check", "-w", "ws", "--json").codes())

@@ -33,6 +33,7 @@ CALLS = {
     "install": ["install", "-w", "ws"],
     "check": ["check", "-w", "ws"],
     "authority": ["authority", "show", "-w", "ws"],
+    "env": ["env", "talker", "-w", "ws"],
     "prove": ["prove", "-w", "ws"],
     "revoke": ["revoke", "talker", "--reason", "superseded", "-w", "ws"],
     "issued": ["issued", "-w", "ws"],

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint env``: the environment variables of a process that uses an enclave."""
+
+from __future__ import annotations
+
+import click
+
+from comarmor.errors import Origin
+from comarmor.text import did_you_mean
+from keymint.commands.options import complete_package
+from keymint.commands.run import Run
+from keymint.commands.verb import verb
+from keymint.errors import KeymintError
+from keymint.names import package_name
+from keymint.output.report import Report
+from keymint.plan.enclaves import installed
+from keymint.plan.environment import enclave_environment
+from keymint.session import Session
+from keymint.shells import SHELLS, exports
+
+
+@verb()
+@click.argument("enclave", shell_complete=complete_package)
+@click.option("--shell", type=click.Choice(tuple(SHELLS)), default="bash", show_default=True, help="Syntax to print.")
+def env(run: Run, enclave: str, shell: str) -> Report:
+    """Print the environment variables with which a process uses an installed ENCLAVE, and no other.
+
+    \b
+    bash, zsh:  eval "$(keymint env /robot1/talker)"
+    fish:       keymint env --shell fish /robot1/talker | source
+
+    All processes of a shell find the keystore, each by the name of its enclave, after 'source install/keystore.bash'
+    (.zsh, .fish).
+    """
+    workspace = run.workspace()
+    session = run.inputs(workspace).session()
+    name = _installed(session, enclave)
+    values = enclave_environment(session, name)
+    run.console.document(exports(values, shell).encode(errors="surrogateescape"))
+    result = {"enclave": f"/{name}", "variables": dict(values)}
+    return Report(run.verb, workspace, (), (), result)
+
+
+def _installed(session: Session, typed: str) -> str:
+    """Return the package of an installed enclave.
+
+    Raises:
+        KeymintError: there is none of that name.
+    """
+    name, known = package_name(typed), installed(session)
+    if name in known:
+        return name
+    where = Origin(session.workspace.shown(session.enclaves))
+    if name in session.packages():
+        raise KeymintError(
+            f"the enclave /{name} is not installed", where=where, help=f"run 'keymint install {name}'",
+            code="not-installed",
+        )  # fmt: skip
+    raise KeymintError(
+        f"there is no enclave /{name}",
+        where=where,
+        help=did_you_mean(f"/{name}", [f"/{each}" for each in known], "'keymint status' lists them"),
+        code="enclave-unknown",
+    )

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint env``."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+from tests.conftest import snapshot
+
+
+def test_a_shell_takes_it(keymint, ws: Path, tmp_path: Path) -> None:
+    moved = tmp_path / "it's $HOME"
+    shutil.move(ws, moved)
+    (tmp_path / "lines").write_text(keymint("env", "/robot1/listener", "-w", moved).out)
+    show = 'eval "$(cat lines)"; printf "%s|" "$ROS_SECURITY_KEYSTORE" "$ROS_SECURITY_ENCLAVE_OVERRIDE"'
+    done = subprocess.run(["bash", "-c", show], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout == f"{moved}/install|/robot1/listener|"
+
+
+def test_each_syntax(keymint, ws: Path) -> None:
+    lines = keymint("env", "talker", "-w", "ws").out
+    assert lines == keymint("env", "talker", "--shell", "zsh", "-w", "ws").out
+    assert lines.splitlines() == [
+        f"export ROS_SECURITY_KEYSTORE={ws}/install",
+        "export ROS_SECURITY_ENABLE=true",
+        "export ROS_SECURITY_STRATEGY=Enforce",
+        "export ROS_SECURITY_ENCLAVE_OVERRIDE=/talker",
+    ]
+    fish = keymint("env", "/talker", "--shell", "fish", "-w", "ws").out
+    assert fish.splitlines()[-1] == "set -gx ROS_SECURITY_ENCLAVE_OVERRIDE /talker"
+
+
+def test_json(keymint, ws: Path) -> None:
+    result = keymint("env", "/talker", "-w", "ws", "--json").document["result"]
+    assert result["enclave"] == "/talker"
+    assert result["variables"]["ROS_SECURITY_KEYSTORE"] == f"{ws}/install"
+
+
+def test_an_unknown_enclave(keymint, ws: Path) -> None:
+    outcome = keymint("env", "/tolker", "-w", "ws")
+    assert (outcome.code, outcome.out) == (1, "")
+    assert outcome.err == "ws/install/enclaves: error: there is no enclave /tolker (did you mean '/talker'?)\n"
+    assert keymint("env", "/x;reboot", "-w", "ws", "--json").codes() == ["name-illegal"]
+
+
+def test_one_that_is_not_installed(keymint, ws: Path) -> None:
+    shutil.rmtree(ws / "install/enclaves/talker")
+    outcome = keymint("env", "/talker", "-w", "ws", "--json")
+    assert (outcome.code, outcome.codes()) == (1, ["not-installed"])
+    assert outcome.document["diagnostics"][0]["help"] == "run 'keymint install talker'"
+
+
+def test_it_writes_nothing(keymint, ws: Path) -> None:
+    before = snapshot(ws)
+    assert keymint("env", "/talker", "-w", "ws").code == 0
+    assert snapshot(ws) == before
+
+
+def test_both_transports(keymint, policy: Path, tmp_path: Path) -> None:
+    keymint("provision", policy, "-w", "both", "--transport", "dds", "--transport", "zenoh")
+    install = tmp_path / "both/install"
+    values = keymint("env", "/talker", "-w", "both", "--json").document["result"]["variables"]
+    assert values["ZENOH_SESSION_CONFIG_URI"] == f"{install}/enclaves/talker/session.json5"
+    assert values["ROS_SECURITY_ENCLAVE_OVERRIDE"] == "/talker"
+    router = keymint("env", "zenoh_router", "-w", "both", "--json").document["result"]["variables"]
+    assert router == {"ZENOH_ROUTER_CONFIG_URI": f"{install}/zenoh/router.json5"}

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The environment variables of ROS 2 by distribution and layout."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import pytest
+from keymint_ros2_dds import build_type
+from keymint_ros2_dds.process_environment import enclave_variables, keystore_variables
+
+from keymint.api import EnvironmentVariable, ProcessEnvironment
+from keymint.shells import resolved
+
+SWITCHES = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
+
+
+def values(variables: Iterable[EnvironmentVariable]) -> dict[str, str]:
+    found = dict(resolved(variables, Path("/k")))
+    assert {name: found.pop(name) for name in SWITCHES} == SWITCHES
+    return found
+
+
+@pytest.mark.parametrize("distro", ["foxy", "humble", "jazzy", "rolling", "of_the_future"])
+def test_from_foxy_on(distro: str) -> None:
+    assert values(keystore_variables(distro, "sros2")) == {"ROS_SECURITY_KEYSTORE": "/k"}
+    assert values(enclave_variables(distro, "sros2", "/r/talker", ())) == {
+        "ROS_SECURITY_KEYSTORE": "/k", "ROS_SECURITY_ENCLAVE_OVERRIDE": "/r/talker"
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("distro", ["crystal", "dashing", "eloquent"])
+@pytest.mark.parametrize(("layout", "root"), [("flat", "/k"), ("sros2", "/k/enclaves")])
+def test_before_foxy(distro: str, layout: str, root: str) -> None:
+    assert values(keystore_variables(distro, layout)) == {"ROS_SECURITY_ROOT_DIRECTORY": root}
+    assert values(enclave_variables(distro, layout, "/r/talker", ())) == {
+        "ROS_SECURITY_ROOT_DIRECTORY": root, "ROS_SECURITY_NODE_DIRECTORY": f"{root}/r/talker"
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("distro", ["ardent", "bouncy"])
+def test_the_first_two_find_enclaves_by_the_names_of_nodes_alone(distro: str) -> None:
+    assert values(enclave_variables(distro, "flat", "/talker", ())) == {"ROS_SECURITY_ROOT_DIRECTORY": "/k"}
+
+
+def test_the_build_type_has_them() -> None:
+    assert isinstance(build_type, ProcessEnvironment)
+    assert build_type.keystore_variables("jazzy", "sros2") == keystore_variables("jazzy", "sros2")

@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The environment variables of rmw_zenoh."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from keymint_ros2_zenoh import build_type
+from keymint_ros2_zenoh.enclave_layout import SESSION, files
+from keymint_ros2_zenoh.process_environment import enclave_variables, keystore_variables
+
+from keymint.api import ProcessEnvironment
+from keymint.shells import resolved
+
+ROUTER = {"ZENOH_ROUTER_CONFIG_URI": "/k/zenoh/router.json5"}
+
+
+def test_all_processes_find_the_router() -> None:
+    assert resolved(keystore_variables("jazzy", "sros2"), Path("/k")) == ROUTER
+
+
+def test_a_session_and_the_router() -> None:
+    session = enclave_variables("jazzy", "sros2", "/r/talker", files("sros2"))
+    assert resolved(session, Path("/k")) == {"ZENOH_SESSION_CONFIG_URI": "/k/enclaves/r/talker/session.json5"}
+    router = enclave_variables("jazzy", "sros2", "/zenoh_router", files("sros2") - {SESSION})
+    assert resolved(router, Path("/k")) == ROUTER
+
+
+def test_the_build_type_has_them() -> None:
+    assert isinstance(build_type, ProcessEnvironment)
+    assert build_type.keystore_variables("jazzy", "sros2") == keystore_variables("jazzy", "sros2")
