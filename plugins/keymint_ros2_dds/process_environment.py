@@ -12,9 +12,9 @@ from collections.abc import Collection
 from keymint.api import EnvironmentVariable
 from keymint_ros2_dds.enclave_layout import LAYOUTS
 
-_BEFORE_FOXY = frozenset(("ardent", "bouncy", "crystal", "dashing", "eloquent"))
-_WITHOUT_OVERRIDE = frozenset(("ardent", "bouncy"))
-"""A node of these finds its enclave by its name alone; ``ROS_SECURITY_NODE_DIRECTORY`` came with Crystal."""
+_WITH_NODE_DIRECTORY = frozenset(("crystal", "dashing", "eloquent"))
+"""The distributions before Foxy in which a variable names the folder of a node itself."""
+_BEFORE_FOXY = frozenset(("ardent", "bouncy")) | _WITH_NODE_DIRECTORY
 _SWITCHES = (
     EnvironmentVariable("ROS_SECURITY_ENABLE", "true"),
     EnvironmentVariable("ROS_SECURITY_STRATEGY", "Enforce"),
@@ -22,10 +22,12 @@ _SWITCHES = (
 
 
 def keystore_variables(distro: str, layout: str) -> tuple[EnvironmentVariable, ...]:
-    """See :meth:`keymint.api.ProcessEnvironment.keystore_variables`; an unknown distribution counts as later."""
+    """See :meth:`keymint.api.ProcessEnvironment.keystore_variables`; an unknown distribution counts as later.
+
+    Ardent and Bouncy look for the name of a node without its namespace: the variables are those of the namespace ``/``.
+    """
     if _is_old(distro, layout):
-        # The folders of nodes lie directly in the root directory.
-        return EnvironmentVariable("ROS_SECURITY_ROOT_DIRECTORY", LAYOUTS[layout].enclaves, is_path=True), *_SWITCHES
+        return _root(LAYOUTS[layout].enclaves), *_SWITCHES
     return EnvironmentVariable("ROS_SECURITY_KEYSTORE", "", is_path=True), *_SWITCHES
 
 
@@ -34,13 +36,18 @@ def enclave_variables(
 ) -> tuple[EnvironmentVariable, ...]:
     """See :meth:`keymint.api.ProcessEnvironment.enclave_variables`."""
     del files
-    common = keystore_variables(distro, layout)
     if not _is_old(distro, layout):
-        return *common, EnvironmentVariable("ROS_SECURITY_ENCLAVE_OVERRIDE", subject)
-    if distro in _WITHOUT_OVERRIDE:
-        return common
+        return *keystore_variables(distro, layout), EnvironmentVariable("ROS_SECURITY_ENCLAVE_OVERRIDE", subject)
     folder = f"{LAYOUTS[layout].enclaves}{subject}".strip("/")
-    return *common, EnvironmentVariable("ROS_SECURITY_NODE_DIRECTORY", folder, is_path=True)
+    if distro in _WITH_NODE_DIRECTORY:
+        own = EnvironmentVariable("ROS_SECURITY_NODE_DIRECTORY", folder, is_path=True)
+        return *keystore_variables(distro, layout), own
+    return _root(folder.rpartition("/")[0]), *_SWITCHES
+
+
+def _root(folder: str) -> EnvironmentVariable:
+    """Return the variable for the folder that has the folders of nodes, relative to the install space."""
+    return EnvironmentVariable("ROS_SECURITY_ROOT_DIRECTORY", folder, is_path=True)
 
 
 def _is_old(distro: str, layout: str) -> bool:

@@ -40,8 +40,10 @@ def test_before_foxy(distro: str, layout: str, root: str) -> None:
 
 
 @pytest.mark.parametrize("distro", ["ardent", "bouncy"])
-def test_the_first_two_find_enclaves_by_the_names_of_nodes_alone(distro: str) -> None:
+def test_the_first_two_look_for_a_node_without_its_namespace(distro: str) -> None:
+    assert values(keystore_variables(distro, "flat")) == {"ROS_SECURITY_ROOT_DIRECTORY": "/k"}
     assert values(enclave_variables(distro, "flat", "/talker", ())) == {"ROS_SECURITY_ROOT_DIRECTORY": "/k"}
+    assert values(enclave_variables(distro, "flat", "/r/s/talker", ())) == {"ROS_SECURITY_ROOT_DIRECTORY": "/k/r/s"}
 
 
 def test_the_build_type_has_them() -> None:
