@@ -50,6 +50,10 @@ from keymint.api.certificates import KeySpec as KeySpec
 from keymint.api.certificates import Phase as Phase
 from keymint.api.certificates import Rollover as Rollover
 from keymint.api.certificates import Validity as Validity
+from keymint.api.comparisons import ComparisonTask as ComparisonTask
+from keymint.api.comparisons import DocumentComparer as DocumentComparer
+from keymint.api.comparisons import DocumentComparison as DocumentComparison
+from keymint.api.comparisons import Relation as Relation
 from keymint.api.graphs import DiscoveredGraph as DiscoveredGraph
 from keymint.api.graphs import GraphSource as GraphSource
 from keymint.api.graphs import LearnedPolicy as LearnedPolicy

@@ -18,7 +18,7 @@ class DdsSecurity:
     """The build type for DDS Security 1.1 as Cyclone DDS and Fast DDS implement it.
 
     Implements :class:`keymint.api.BuildType`, :class:`keymint.api.NameMapping`, :class:`keymint.api.ActionMapping`,
-    :class:`keymint.api.RuleCheck`, :class:`keymint.api.ForeignDocuments`,
+    :class:`keymint.api.RuleCheck`, :class:`keymint.api.ForeignDocuments`, :class:`keymint.api.DocumentComparer`,
     :class:`keymint.api.RevocationReader`, :class:`keymint.api.AuthorityChanges`,
     :class:`keymint.api.RemoteCompiler`, :class:`keymint.api.ProcessEnvironment`,
     :class:`keymint.api.Prover` and :class:`keymint.api.RemoteProver`.
@@ -49,6 +49,7 @@ class DdsSecurity:
 
     check_rules = lazy("keymint_ros2_dds.rule_check:check_rules")
     compare = lazy("keymint_ros2_dds.foreign_documents:compare")
+    compared = lazy("keymint_ros2_dds.proving.relation:compared")
 
     endpoints = lazy("keymint_ros2_dds.lowering.endpoints:endpoints")
     actions = lazy("keymint_ros2_dds.lowering.endpoints:actions")
