@@ -67,6 +67,7 @@ READING_VERBS = (
     ("check", "-w", "ws"),
     ("status", "-w", "ws"),
     ("env", "talker", "-w", "ws"),
+    ("adopt", "ws/install"),
     ("authority", "show", "-w", "ws"),
     ("revoke", "talker", "--reason", "superseded", "-w", "ws"),
     ("revoke", "talker", "--reason", "key-compromise", "-w", "ws"),

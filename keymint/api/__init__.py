@@ -67,6 +67,13 @@ from keymint.api.imports import ImportRequest as ImportRequest
 from keymint.api.imports import PolicyExporter as PolicyExporter
 from keymint.api.imports import PolicyImporter as PolicyImporter
 from keymint.api.imports import standard_claims as standard_claims
+from keymint.api.keystores import FoundAuthority as FoundAuthority
+from keymint.api.keystores import FoundEnclave as FoundEnclave
+from keymint.api.keystores import FoundKeystore as FoundKeystore
+from keymint.api.keystores import KeptDocuments as KeptDocuments
+from keymint.api.keystores import KeystoreFile as KeystoreFile
+from keymint.api.keystores import KeystoreFiles as KeystoreFiles
+from keymint.api.keystores import KeystoreReader as KeystoreReader
 from keymint.api.packages import DomainRange as DomainRange
 from keymint.api.packages import Grant as Grant
 from keymint.api.packages import Issuance as Issuance

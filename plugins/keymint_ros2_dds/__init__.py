@@ -21,6 +21,7 @@ class DdsSecurity:
     :class:`keymint.api.RuleCheck`, :class:`keymint.api.ForeignDocuments`, :class:`keymint.api.DocumentComparer`,
     :class:`keymint.api.RevocationReader`, :class:`keymint.api.AuthorityChanges`,
     :class:`keymint.api.RemoteCompiler`, :class:`keymint.api.ProcessEnvironment`,
+    :class:`keymint.api.RemoteCompiler`, :class:`keymint.api.KeystoreReader`,
     :class:`keymint.api.Prover` and :class:`keymint.api.RemoteProver`.
     """
 
@@ -50,6 +51,8 @@ class DdsSecurity:
     check_rules = lazy("keymint_ros2_dds.rule_check:check_rules")
     compare = lazy("keymint_ros2_dds.foreign_documents:compare")
     compared = lazy("keymint_ros2_dds.proving.relation:compared")
+
+    found = lazy("keymint_ros2_dds.keystores.found:found")
 
     endpoints = lazy("keymint_ros2_dds.lowering.endpoints:endpoints")
     actions = lazy("keymint_ros2_dds.lowering.endpoints:actions")

@@ -12,6 +12,7 @@ import pytest
 from keymint.cli import VERBS
 from keymint.graph import Edge, Graph, Object
 from keymint.graph_json import dump
+from tests import sros2_keystore
 from tests.conftest import CHECKOUT, Outcome
 
 SCHEMA = json.loads((CHECKOUT / "schemas/keymint/report.schema.json").read_text())
@@ -55,6 +56,7 @@ CALLS = {
     "plugins": ["plugins"],
     "transports": ["transports"],
     "completion": ["completion", "bash"],
+    "adopt": ["adopt", "keystore"],
     "request": ["request", "talker", "--folder", "ws/install"],
     "sign": ["sign", "talker.request.pem", "-w", "ws"],
     "accept": ["accept", "talker.bundle", "--folder", "ws/install"],
@@ -69,9 +71,20 @@ BEFORE = {"sign": "request", "accept": "bundle"}
 """The verb that makes the file that another one takes."""
 
 
+@pytest.fixture(scope="module")
+def of_sros2(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A keystore of another tool, whose private keys only its owner can read."""
+    folder = tmp_path_factory.mktemp("sros2") / "keystore"
+    sros2_keystore.make(folder, FOREIGN)
+    for path in folder.rglob("*key.pem"):
+        path.chmod(0o600)
+    return folder
+
+
 @pytest.fixture(autouse=True)
-def graph(tmp_path: Path) -> None:
-    """A graph for the verbs that take one."""
+def graph(tmp_path: Path, of_sros2: Path) -> None:
+    """A graph and a keystore for the verbs that take one."""
+    (tmp_path / "keystore").symlink_to(of_sros2)
     edge = Edge("/talker", "ros_publish", Object("ros_topic", "/chatter"))
     (tmp_path / "graph.json").write_bytes(dump(Graph.of([edge])))
     (tmp_path / "foreign.xml").write_text(FOREIGN)

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keystores that another tool made: what a build type reads from them, so that Keymint can take them over."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import field
+from datetime import datetime
+from typing import Any, Protocol, runtime_checkable
+
+from comarmor.errors import Diagnostic
+from comarmor.values import dataclass
+from keymint.api.certificates import KeySpec, Validity
+from keymint.api.packages import DomainRange, Package
+
+
+@dataclass(frozen=True, slots=True)
+class KeystoreFile:
+    """A file of a keystore.
+
+    Attributes:
+        content: its bytes; of a link those of the file that it leads to.
+        mode: its permission bits, of a link those of that file.
+        link: the text of a symbolic link that stays within the keystore; empty for a regular file.
+    """
+
+    content: bytes = field(repr=False)
+    mode: int
+    link: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class KeystoreFiles:
+    """The files of a keystore, read once.
+
+    Attributes:
+        folder: its folder as the user would type it.
+        files: by path relative to the folder, sorted.
+        now: the clock, UTC.
+    """
+
+    folder: str
+    files: Mapping[str, KeystoreFile] = field(repr=False)
+    now: datetime
+
+
+@dataclass(frozen=True, slots=True)
+class FoundAuthority:
+    """An authority of a keystore.
+
+    Attributes:
+        name: the name that it gets in a workspace.
+        roles: what enclaves trust it for, as the build type calls it (:attr:`AuthorityRole.role`).
+        certificate: PEM, as it stands in the file.
+        file: path of the certificate.
+        key: PEM of its private key; empty if it is elsewhere.
+        key_file: path of the private key; empty if it is elsewhere.
+        facts: what a report says about it; values are those of JSON.
+    """
+
+    name: str
+    roles: tuple[str, ...]
+    certificate: bytes
+    file: str
+    key: bytes = field(repr=False)
+    key_file: str
+    facts: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class FoundEnclave:
+    """An enclave of a keystore.
+
+    Attributes:
+        subject: the subject, ``/`` and a path.
+        files: its files by the names that the layout gives them, each with its path in the keystore.
+        certificate: PEM, as it stands in the file; empty if it is missing or damaged.
+        key: PEM of the private key; empty if it is elsewhere.
+        key_spec: the kind of the key; None if the certificate is missing or damaged.
+        subject_name: distinguished name of the certificate as text, in certificate order.
+        validity: validity of the certificate.
+        grant_validity: validity of the grant, if there is one grant with two dates.
+        domains: domains of the grant, if its rules have the same.
+        documents: the signed documents, by the names of the unsigned ones (:attr:`BuildResult.documents`); only those
+            whose signature verifies.
+        facts: what a report says about it; values are those of JSON.
+    """
+
+    subject: str
+    files: Mapping[str, str]
+    certificate: bytes
+    key: bytes = field(repr=False)
+    key_spec: KeySpec | None
+    subject_name: str
+    validity: Validity | None
+    grant_validity: Validity | None
+    domains: tuple[DomainRange, ...]
+    documents: Mapping[str, bytes]
+    facts: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class FoundKeystore:
+    """What a build type found in a keystore.
+
+    Attributes:
+        form: the form of the keystore in words, e.g. its tool.
+        layout: the layout of its files (:attr:`BuildType.LAYOUTS`); empty if they lie in another way.
+        subject_format: form of subject names, as the profile type calls it; empty if there is none that fits all.
+        authorities: the authorities that its enclaves trust.
+        enclaves: by subject, sorted.
+        kept: paths of the files that a workspace's install space has at the same place.
+        defaults: defaults of the parts that the build type reads from a package, by name (:attr:`BuildType.PARTS`).
+        diagnostics: findings. An error is a reason why the keystore cannot be taken over as it is.
+    """
+
+    form: str
+    layout: str
+    subject_format: str
+    authorities: tuple[FoundAuthority, ...]
+    enclaves: tuple[FoundEnclave, ...]
+    kept: tuple[str, ...]
+    defaults: Mapping[str, bytes]
+    diagnostics: tuple[Diagnostic, ...]
+
+
+@runtime_checkable
+class KeystoreReader(Protocol):
+    """Optional capability of a build type: reads keystores that other tools made."""
+
+    def found(self, keystore: KeystoreFiles) -> FoundKeystore:
+        """Return what a keystore has: its authorities, enclaves and documents, examined.
+
+        Raises:
+            KeymintError: it has no enclave that the build type knows.
+        """
+
+
+@runtime_checkable
+class KeptDocuments(Protocol):
+    """Optional capability of a build type: keeps the documents that another tool signed (:attr:`Package.kept`)."""
+
+    def not_kept(self, package: Package, name: str, document: bytes) -> str:
+        """Return why a document is not one that the sources of a package could build; empty if it is.
+
+        Args:
+            package: the package.
+            name: name of the unsigned document (:attr:`BuildResult.documents`).
+            document: its content.
+        """

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The authorities that the enclaves of a keystore trust, and what is wrong with them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+from cryptography import x509
+
+from comarmor.errors import Diagnostic, Severity
+from keymint.api import FoundAuthority, KeystoreFiles
+from keymint.errors import KeymintError
+from keymint.pki import adoption, certificates, extensions, keys
+from keymint.pki.distinguished_names import to_text
+from keymint_ros2_dds.authority_roles import IDENTITY, PERMISSIONS
+from keymint_ros2_dds.enclave_layout import CA, IDENTITY_CA, PERMISSIONS_CA
+from keymint_ros2_dds.keystores.contents import Contents
+from keymint_ros2_dds.keystores.enclaves import exposure, key_spec, validity_of
+from keymint_ros2_dds.keystores.places import EnclavePlace
+
+_FILES = {IDENTITY: IDENTITY_CA, PERMISSIONS: PERMISSIONS_CA}
+_NAMES = {IDENTITY: "identity_ca", PERMISSIONS: "permissions_ca"}
+BOTH = "ca"
+"""Name of an authority that has both roles."""
+
+
+def authorities(
+    keystore: KeystoreFiles, contents: Contents, enclaves: Iterable[EnclavePlace]
+) -> tuple[tuple[FoundAuthority, ...], list[Diagnostic]]:
+    """Return the authorities that the enclaves trust, and the findings on them.
+
+    Args:
+        keystore: the keystore.
+        contents: what its files contain.
+        enclaves: where the files of its enclaves are.
+    """
+    findings: list[Diagnostic] = []
+    trusted: dict[str, tuple[str, bytes]] = {}
+    for role, name in _FILES.items():
+        for enclave in enclaves:
+            path = enclave.files.get(name) or enclave.files.get(CA, "")
+            if not path:
+                continue
+            content = keystore.files[path].content
+            first = trusted.setdefault(role, (path, content))
+            if first[1] != content:
+                message = f"is another authority than that of other enclaves, {contents.place(first[0])}"
+                help_ = "a workspace has one authority for each role: adopt these enclaves as a keystore of their own"
+                where = contents.place(path)
+                findings.append(Diagnostic("adopt-authorities", Severity.ERROR, message, where, help_, enclave.subject))
+    together = len(trusted) == len(_FILES) and len({content for _, content in trusted.values()}) == 1
+    found = []
+    for role, (path, content) in trusted.items():
+        if together and role != IDENTITY:
+            continue
+        roles = tuple(_FILES) if together else (role,)
+        authority, own = _authority(keystore, contents, path, content, roles)
+        found += [authority] if authority else []
+        findings += own
+    if len({_key_of(each) for each in found}) < len(found):
+        message = "both authorities have one and the same key"
+        help_ = "make a certificate for one of them alone the file of both"
+        findings.append(
+            Diagnostic("adopt-authority-key", Severity.ERROR, message, contents.place(found[0].file), help_)
+        )
+    return tuple(found), findings
+
+
+def _key_of(authority: FoundAuthority) -> str:
+    return str(authority.facts["fingerprint"])
+
+
+def _authority(
+    keystore: KeystoreFiles, contents: Contents, path: str, content: bytes, roles: Sequence[str]
+) -> tuple[FoundAuthority | None, list[Diagnostic]]:
+    where = contents.place(path)
+    findings: list[Diagnostic] = []
+    try:
+        certificate = adoption.require_authority(content, where)
+    except KeymintError as error:
+        return None, list(error.diagnostics)
+    if content != certificates.to_pem(certificate):
+        message = "has text around its certificate, or encodes it in another way; enclaves would get another file"
+        help_ = f"rewrite it, here and on the robots: openssl x509 -in {where} -out {where}"
+        findings.append(Diagnostic("adopt-encoding", Severity.ERROR, message, where, help_))
+    if not certificates.is_issued_by(certificate, certificate):
+        message = f"was issued by {to_text(certificate.issuer)!r}, and not by itself"
+        help_ = "Keymint takes over self-signed authorities only; Cyclone DDS refuses others as well"
+        findings.append(Diagnostic("adopt-intermediate", Severity.ERROR, message, where, help_))
+    end = certificate.not_valid_after_utc
+    if end < keystore.now:
+        message = f"expired on {end:%Y-%m-%d}: no participant starts"
+        findings.append(
+            Diagnostic("adopt-authority-expired", Severity.WARNING, message, where, "'keymint authority renew'")
+        )
+    name = BOTH if len(roles) > 1 else _NAMES[roles[0]]
+    key_path = contents.key_of(certificate)
+    findings += _about_key(keystore, contents, key_path, name, path)
+    findings += _lacking(certificate, roles, path, contents)
+    facts: dict[str, Any] = {
+        "subject_name": to_text(certificate.subject),
+        "fingerprint": keys.fingerprint(certificates.public_key(certificate)),
+        "key_kind": _kind(certificate),
+        "not_before": f"{validity_of(certificate).not_before:%Y-%m-%dT%H:%M:%SZ}",
+        "not_after": f"{end:%Y-%m-%dT%H:%M:%SZ}",
+        "key_usage": _usage(certificate),
+        "subject_key_identifier": extensions.value(certificate, x509.SubjectKeyIdentifier) is not None,
+        "authority_key_identifier": extensions.value(certificate, x509.AuthorityKeyIdentifier) is not None,
+        "path_length": getattr(extensions.value(certificate, x509.BasicConstraints), "path_length", None),
+        "key_file": str(contents.place(key_path)) if key_path else None,
+    }
+    key = keystore.files[key_path].content if key_path else b""
+    return FoundAuthority(name, tuple(roles), content, path, key, key_path, facts), findings
+
+
+def _about_key(
+    keystore: KeystoreFiles, contents: Contents, key_path: str, name: str, path: str
+) -> Iterator[Diagnostic]:
+    if key_path:
+        yield from exposure(keystore, key_path, contents.place(key_path), "")
+        return
+    message = f"has no private key here: the authority {name!r} is taken over without it, and signs nothing here"
+    help_ = f"'keymint authority import {name} {contents.place(path)} --key FILE' brings it later"
+    if contents.encrypted:
+        names = ", ".join(str(contents.place(each)) for each in contents.encrypted)
+        help_ = f"if it is one of {names}, which are encrypted: decrypt it (openssl pkey), then {help_}"
+    yield Diagnostic("adopt-authority-elsewhere", Severity.NOTE, message, contents.place(path), help_)
+
+
+def _lacking(
+    certificate: x509.Certificate, roles: Sequence[str], path: str, contents: Contents
+) -> Iterator[Diagnostic]:
+    """Yield a note for what the certificate lacks, or has too much of; each is the matter of a later step."""
+    where = contents.place(path)
+    if len(roles) > 1:
+        message = (
+            "issues identities and signs permissions: on old vendors, any identity can sign permissions for itself"
+        )
+        help_ = "CVE-2023-24010; a second authority ends it, docs/sros2.md"
+        yield Diagnostic("adopt-one-authority", Severity.NOTE, message, where, help_)
+    lacks = [
+        name
+        for name, kind in (("keyUsage", x509.KeyUsage), ("subjectKeyIdentifier", x509.SubjectKeyIdentifier))
+        if extensions.value(certificate, kind) is None
+    ]
+    if lacks:
+        message = f"lacks {' and '.join(lacks)} (RFC 5280, 4.2.1)"
+        yield Diagnostic(
+            "adopt-extensions", Severity.NOTE, message, where, "'keymint authority renew' adds them, docs/sros2.md"
+        )
+
+
+def _usage(certificate: x509.Certificate) -> list[str] | None:
+    usage = extensions.value(certificate, x509.KeyUsage)
+    return None if usage is None else list(extensions.usages(usage))
+
+
+def _kind(certificate: x509.Certificate) -> str:
+    spec = key_spec(certificate)
+    return f"RSA {spec.size}" if spec.algorithm == "rsa" else spec.curve

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the files of a keystore contain, whatever their names are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+
+from cryptography import x509
+
+from comarmor.errors import Origin
+from comarmor.values import dataclass
+from keymint.api import DomainRange, KeystoreFiles
+from keymint.errors import KeymintError
+from keymint.pki import certificates, extensions, keys, smime
+from keymint_ros2_dds import subject_name_text
+from keymint_ros2_dds.enclave_layout import GOVERNANCE, PERMISSIONS
+from keymint_ros2_dds.reading import signed_governance, signed_permissions
+from keymint_ros2_dds.reading.signed_permissions import DocumentDomains, PermissionsDocument
+
+_SIGNED = b"MIME-Version:"
+_PRIVATE = b"PRIVATE KEY-----"
+ENCRYPTED = (b"-----BEGIN ENCRYPTED PRIVATE KEY-----", b"Proc-Type: 4,ENCRYPTED")
+
+
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """The files of a keystore by what they contain; links are left out, since they repeat another file.
+
+    Attributes:
+        folder: the keystore as the user would type it.
+        certificates: the first certificate of each file that begins with one.
+        keys: paths of unencrypted private keys by the fingerprint of the key, the first path of each.
+        encrypted: paths of encrypted private keys.
+        permissions: unverified permissions documents by path of the signed file.
+        governances: paths of signed governance documents.
+    """
+
+    folder: str
+    certificates: Mapping[str, x509.Certificate]
+    keys: Mapping[str, str]
+    encrypted: tuple[str, ...]
+    permissions: Mapping[str, PermissionsDocument]
+    governances: tuple[str, ...]
+
+    def place(self, path: str) -> Origin:
+        """Return a path of the keystore as the user would type it."""
+        return Origin(f"{self.folder}/{path}" if path else self.folder)
+
+    def key_of(self, certificate: x509.Certificate) -> str:
+        """Return the path of the private key of a certificate; empty if it is not in the keystore."""
+        public = certificate.public_key()
+        return self.keys.get(keys.fingerprint(public), "") if isinstance(public, keys.PublicKey) else ""
+
+
+def contents(keystore: KeystoreFiles) -> Contents:
+    """Return what the files of a keystore contain; files that cannot be read contain nothing."""
+    found: dict[str, x509.Certificate] = {}
+    private: dict[str, str] = {}
+    encrypted: list[str] = []
+    permissions: dict[str, PermissionsDocument] = {}
+    governances: list[str] = []
+    for path, file in keystore.files.items():
+        if file.link:
+            continue
+        if file.content.startswith(_SIGNED):
+            document = _document(file.content)
+            if isinstance(document, PermissionsDocument):
+                permissions[path] = document
+            elif document:
+                governances.append(path)
+        elif any(mark in file.content for mark in ENCRYPTED):
+            encrypted.append(path)
+        elif _PRIVATE in file.content:
+            for fingerprint in _key(file.content):
+                private.setdefault(fingerprint, path)
+        elif (certificate := first_certificate(file.content)) is not None:
+            found[path] = certificate
+    return Contents(keystore.folder, found, private, tuple(encrypted), permissions, tuple(governances))
+
+
+def first_certificate(pem: bytes) -> x509.Certificate | None:
+    """Return the first certificate of a file; None if it has none, or one that cannot be read."""
+    try:
+        certificate = certificates.load_bundle(pem)[0]
+        certificates.public_key(certificate)
+    except KeymintError:
+        return None
+    return certificate
+
+
+def is_authority(certificate: x509.Certificate) -> bool:
+    """Tell whether a certificate may issue others."""
+    constraints = extensions.value(certificate, x509.BasicConstraints)
+    return constraints is not None and constraints.ca
+
+
+def subject_of(name: x509.Name) -> str:
+    """Return a distinguished name as the text of ``<subject_name>``; one that vendors compare differently as it is."""
+    try:
+        return subject_name_text.render(name)
+    except KeymintError:
+        return name.rfc4514_string()
+
+
+def as_ranges(domains: Iterable[DocumentDomains]) -> Iterator[DomainRange]:
+    """Yield the domains of a document; a range without a maximum is its minimum, as vendors read it."""
+    for each in domains:
+        first = each.first or 0
+        yield DomainRange(first, first if each.last is None else each.last)
+
+
+def _key(pem: bytes) -> Iterable[str]:
+    try:
+        return (keys.fingerprint(keys.public_of(pem)),)
+    except KeymintError:
+        return ()
+
+
+def _document(signed: bytes) -> PermissionsDocument | bool:
+    """Return a signed permissions document, or whether the file is a signed governance document."""
+    try:
+        content = smime.signed_content(signed)
+    except KeymintError:
+        return False
+    try:
+        return signed_permissions.read(content, f"{PERMISSIONS}.xml")
+    except KeymintError:
+        pass
+    try:
+        signed_governance.read(content, f"{GOVERNANCE}.xml")
+    except KeymintError:
+        return False
+    return True
