@@ -6,11 +6,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+from comarmor.errors import Origin
 from keymint.changes import Action, File, Plan, Step
+from keymint.errors import KeymintError
 from keymint.plan import gitignore, key_record
 from keymint.staged import Staged
 from keymint.state import State, dump_mark
 from keymint.store import Store
+from keymint.tree import Tree
 from keymint.workers import Workers
 from keymint.workspace import Workspace
 from keymint.workspace_lock import clock
@@ -61,6 +64,31 @@ def execute(
             on_step(step)
         store.write(workspace.state, {RECORD: File(record)})
     return visible
+
+
+def require_register(plan: Plan, workspace: Workspace, tree: Tree) -> None:
+    """Require that the register which a plan replaces is the one that it was made from.
+
+    A workspace that shares the private space writes it, too, and not every file system has locks.
+
+    Args:
+        plan: the plan.
+        workspace: the workspace.
+        tree: what the plan was made from.
+
+    Raises:
+        KeymintError: it is another one, so that serial numbers or revocations would be lost.
+    """
+    path = workspace.register
+    if any(change.folder == path.parent and path.name in change.files for change in plan.first):
+        present = Tree().digest(path)
+        if present != tree.digest(path):
+            raise KeymintError(
+                "was changed by another run meanwhile, so nothing was written",
+                where=Origin(workspace.shown(path)),
+                help="run the command again",
+                code="register-changed",
+            )
 
 
 def _staged(plan: Plan, store: Store, workers: Workers) -> list[Staged]:

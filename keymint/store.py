@@ -25,7 +25,7 @@ from keymint.folder_swap import finish, is_waiting
 from keymint.group_commit import commit
 from keymint.open_folders import OpenFolders, Roots
 from keymint.staged import Staged, Staging, remove_staged
-from keymint.workspace_lock import LOCK, wait_for_lock
+from keymint.workspace_lock import LOCK, folder_lock, wait_for_lock
 
 
 class Store:
@@ -41,15 +41,18 @@ class Store:
         self._roots = Roots(roots, records)
         self._records = records
         self._mark = records / "running"
+        self._locks = contextlib.ExitStack()
+        self.missing: tuple[str, ...] = ()
+        """The private folders that were missing when the lock was taken."""
 
     # -- sessions ------------------------------------------------------------------------------------------------
 
     @contextlib.contextmanager
     def locked(self, on_wait: Callable[[], None]) -> Iterator[None]:
-        """Hold the workspace lock exclusively.
+        """Hold the workspace lock exclusively, and the locks of the private folders, which others may share.
 
         Args:
-            on_wait: called once before waiting for another process that holds the lock.
+            on_wait: called before waiting for another process that holds a lock.
         """
         with OpenFolders(self._roots) as folders:
             records = folders.open(str(self._records))
@@ -58,9 +61,40 @@ class Store:
         try:
             with reported(self._records / LOCK):
                 wait_for_lock(lock, fcntl.LOCK_EX, on_wait)
-            yield
+            with contextlib.ExitStack() as self._locks:
+                private = [root for root, private in self._roots.private.items() if private]
+                self.missing = tuple(root for root in private if not os.path.isdir(root))
+                for root in private:
+                    if root not in self.missing:
+                        self._lock(root, on_wait)
+                yield
         finally:
             os.close(lock)
+
+    def _lock(self, root: str, on_wait: Callable[[], None]) -> None:
+        self._locks.enter_context(folder_lock(Path(root), fcntl.LOCK_EX, on_wait))
+
+    def lock_missing(self, on_wait: Callable[[], None]) -> bool:
+        """Create the private folders that were missing when :meth:`locked` was entered, and lock them.
+
+        Args:
+            on_wait: called before waiting for another process that holds a lock.
+
+        Returns:
+            Whether another run wrote to one of them meanwhile, so that what was planned is out of date.
+
+        Raises:
+            KeymintError: a link is in the way, or the system refuses.
+        """
+        written = False
+        with OpenFolders(self._roots) as folders:
+            for root in self.missing:
+                folders.open(root)
+                self._lock(root, on_wait)
+                with reported(root):
+                    written = written or bool(os.listdir(root))
+        self.missing = ()
+        return written
 
     @contextlib.contextmanager
     def marked(self, content: bytes) -> Iterator[None]:

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The workspace lock. Readers hold it only while they read their inputs into memory."""
+"""The workspace lock, and that of a private space, which several workspaces may share.
+
+Readers hold them only while they read their inputs into memory. All take the lock of the workspace first.
+"""
 
 from __future__ import annotations
 
@@ -42,6 +45,35 @@ def read_lock(records: Path, on_wait: Callable[[], None]) -> Iterator[bool]:
         yield locked
     finally:
         os.close(lock)
+
+
+@contextlib.contextmanager
+def folder_lock(folder: Path, operation: int, on_wait: Callable[[], None]) -> Iterator[bool]:
+    """Hold the lock of a folder itself, for which it needs no file.
+
+    Args:
+        folder: the folder; if it does not exist, cannot be opened, or its file system locks no folders (e.g. NFS, to
+            write), it is not locked.
+        operation: ``LOCK_SH`` to read, ``LOCK_EX`` to write.
+        on_wait: called once before waiting for another process that holds the lock.
+
+    Yields:
+        Whether the lock is held.
+    """
+    try:
+        opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    except OSError:
+        yield False
+        return
+    locked = True
+    try:
+        try:
+            wait_for_lock(opened, operation, on_wait)
+        except OSError:
+            locked = False
+        yield locked
+    finally:
+        os.close(opened)
 
 
 def wait_for_lock(lock: int, operation: int, on_wait: Callable[[], None]) -> None:

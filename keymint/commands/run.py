@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import field, replace
 from datetime import datetime
@@ -21,7 +22,7 @@ from keymint.changes import File, Plan
 from keymint.commands.options import PROCESSES, usage_error
 from keymint.commands.remember import remember
 from keymint.errors import ExitCode, KeymintError
-from keymint.execute import RECORD, execute, open_store
+from keymint.execute import RECORD, execute, open_store, require_register
 from keymint.folder_status import Sight
 from keymint.names import package_name
 from keymint.output.console import Console, Streams
@@ -38,7 +39,7 @@ from keymint.tree import HeldError, Tree, read_file
 from keymint.unchanged import Call
 from keymint.workers import Workers
 from keymint.workspace import Workspace, find, packages, shown
-from keymint.workspace_lock import LOCK, clock, read_lock
+from keymint.workspace_lock import LOCK, clock, folder_lock, read_lock
 
 if TYPE_CHECKING:
     from keymint.executors import Pool
@@ -69,6 +70,10 @@ class Setting:
     streams: Streams
     call: Call
     ask: Callable[[str], str] | None = None
+
+
+def _writes_below(roots: Collection[str], plan: Plan) -> bool:
+    return any(f"{change.folder}/".startswith(f"{root}/") for root in roots for change in plan.changes())
 
 
 def exit_code_of(plan: Plan) -> ExitCode:
@@ -172,7 +177,11 @@ class Run:
         The workspace lock is held only while reading.
         """
         for _ in range(2):  # another run may create the lock meanwhile
-            with read_lock(workspace.state, self.console.waiting) as locked:
+            waiting = self.console.waiting
+            with (
+                read_lock(workspace.state, waiting) as locked,
+                folder_lock(workspace.private, fcntl.LOCK_SH, waiting),
+            ):
                 inputs = self.inputs(workspace)
                 for space in workspace.spaces():
                     # Other files beside the XML may be large, and are never read.
@@ -295,11 +304,14 @@ class Run:
         store = open_store(workspace)
         with store.locked(self.console.waiting):
             store.sweep()
-            if planned is None or workspace.exists() or workspace.state.joinpath(RECORD).exists():
-                sight = Sight.of(map(str, workspace.spaces()), clock(workspace.state))
-                inputs = self.inputs(workspace, sight)
-                planned = (inputs, make_plan(inputs))
+            # If this workspace is new, the private space is that of another one.
+            shared = not store.missing
+            if planned is None or shared or workspace.exists() or workspace.state.joinpath(RECORD).exists():
+                planned, sight = self._planned_again(workspace, make_plan)
+            if _writes_below(store.missing, planned[1]) and store.lock_missing(self.console.waiting):
+                planned, sight = self._planned_again(workspace, make_plan)
             inputs, plan = planned
+            require_register(plan, workspace, inputs.tree)
             guards = gitignore.missing_files(workspace, plan)
             with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
                 visible = execute(plan, workspace, store, inputs.state, self.workers, advance)
@@ -308,6 +320,14 @@ class Run:
             report = Report(self.verb, workspace, plan.steps, plan.diagnostics, {}, exit_code(plan))
             remember(self.setting.call, inputs, plan, self.presented(report), sight, store, self.console)
         return report
+
+    def _planned_again(
+        self, workspace: Workspace, make_plan: Callable[[Inputs], Plan]
+    ) -> tuple[tuple[Inputs, Plan], Sight]:
+        """Plan under the workspace lock; return what the plan was made from, the plan, and the folders as they are."""
+        sight = Sight.of(map(str, workspace.spaces()), clock(workspace.state))
+        inputs = self.inputs(workspace, sight)
+        return (inputs, make_plan(inputs)), sight
 
     def presented(self, report: Report) -> Report:
         """Return a report with all paths as the user would type them, and equal diagnostics merged."""

@@ -569,6 +569,40 @@ def test_the_lock_of_a_process_that_died_is_free(root: Path, store: Store) -> No
         pass
 
 
+def test_stores_that_share_a_private_folder_exclude_each_other(root: Path) -> None:
+    private = root / "private"
+    order: list[str] = []
+    made, waits = threading.Event(), threading.Event()
+
+    def second_waits() -> None:
+        order.append("second waits")
+        waits.set()
+
+    def second() -> None:
+        with other.locked(lambda: pytest.fail("waits for another workspace that has no private folder yet")):
+            ready.set()
+            assert made.wait(10)
+            order.append(f"second finds work {other.lock_missing(second_waits)}")
+            assert other.missing == ()
+        with other.locked(lambda: None):
+            order.append(f"second has it {other.lock_missing(lambda: None)}")
+
+    one, other = (Store({root: False, private: True}, root / name) for name in ("one", "other"))
+    ready = threading.Event()
+    thread = threading.Thread(target=second)
+    with one.locked(lambda: pytest.fail("waits for nobody")):
+        thread.start()
+        assert ready.wait(10)
+        assert one.missing == (str(private),)
+        assert not one.lock_missing(lambda: pytest.fail("waits for nobody"))
+        assert stat.S_IMODE(private.stat().st_mode) == 0o700
+        made.set()
+        assert waits.wait(10)
+        one.write(private, {"key": File(b"", secret=True)})
+    thread.join(10)
+    assert order == ["second waits", "second finds work True", "second has it False"]
+
+
 def test_the_lock_is_free_after_an_error(store: Store) -> None:
     with pytest.raises(ValueError, match="inside"), store.locked(lambda: None):
         raise ValueError("inside")

@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import threading
 from pathlib import Path
 
 import pytest
 
 from keymint.store import Store
-from keymint.workspace_lock import LOCK, read_lock
+from keymint.workspace_lock import LOCK, folder_lock, read_lock
 
 
 def never() -> None:
@@ -85,3 +87,37 @@ def test_the_lock_is_released_after_an_error(tmp_path: Path) -> None:
         raise ValueError("inside")
     with Store({tmp_path: False}, tmp_path / ".keymint").locked(never):
         pass
+
+
+def test_a_folder_is_locked_without_a_file_in_it(tmp_path: Path) -> None:
+    order: list[str] = []
+    waits = threading.Event()
+
+    def write() -> None:
+        with folder_lock(tmp_path, fcntl.LOCK_EX, waits.set) as held:
+            order.append(f"writes {held}")
+
+    writer = threading.Thread(target=write)
+    with folder_lock(tmp_path, fcntl.LOCK_SH, never) as first, folder_lock(tmp_path, fcntl.LOCK_SH, never) as second:
+        writer.start()
+        assert waits.wait(10)
+        order.append(f"read {first} {second}")
+    writer.join(10)
+    assert order == ["read True True", "writes True"]
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", ["nothing", "link", "no locks"])
+def test_what_cannot_be_locked_is_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    folder = tmp_path / "private"
+    if kind == "link":
+        folder.symlink_to(tmp_path)
+    if kind == "no locks":
+        folder.mkdir()
+
+        def refuse(*_arguments: object) -> None:
+            raise OSError(errno.EBADF, "NFS locks no folder for writing")
+
+        monkeypatch.setattr(fcntl, "flock", refuse)
+    with folder_lock(folder, fcntl.LOCK_EX, never) as held:
+        assert not held
