@@ -197,7 +197,7 @@ class Session(Inputs):
 
     def package_files(self, name: str) -> dict[str, bytes]:
         """Return the XML files of a package; empty if there is no such package."""
-        return package_files(self.tree, f"{self.workspace.src}/{name}")
+        return package_files(self.tree, self.workspace, name)
 
     def file_digests(self, name: str) -> Mapping[str, str]:
         """Return the digest of each file of :meth:`package_files`."""
@@ -208,7 +208,7 @@ class Session(Inputs):
         return self.once((_FILES, name), lambda: self._read_sources(name), of_sources=True)
 
     def _read_sources(self, name: str) -> tuple[Mapping[str, str], str]:
-        paths = package_paths(self.tree, f"{self.workspace.src}/{name}")
+        paths = package_paths(self.tree, self.workspace, name)
         found = {file: value for file, path in paths.items() if (value := self.tree.digest(path)) is not None}
         return found, digest(*(part for item in sorted(found.items()) for part in item))
 

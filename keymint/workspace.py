@@ -10,6 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
+from comarmor.text import quoted
 from comarmor.values import dataclass
 from keymint import SPACES
 from keymint.errors import ExitCode, KeymintError
@@ -194,21 +195,53 @@ def hidden_by(tree: Tree, src: Path, name: str) -> Path | None:
     return next((folder / IGNORE_MARKER for folder in folders if tree.has_file(folder / IGNORE_MARKER)), None)
 
 
-def package_files(tree: Tree, folder: Path | str) -> dict[str, bytes]:
+def package_files(tree: Tree, workspace: Workspace, name: str) -> dict[str, bytes]:
     """Return the XML files of a package's folder, those of its ``package.defaults`` included."""
-    paths = package_paths(tree, folder)
-    contents = {name: tree.read(path) for name, path in paths.items()}
-    return {name: content for name, content in contents.items() if content is not None}
+    paths = package_paths(tree, workspace, name)
+    contents = {file: tree.read(path) for file, path in paths.items()}
+    return {file: content for file, content in contents.items() if content is not None}
 
 
-def package_paths(tree: Tree, folder: Path | str) -> dict[str, str]:
-    """Return the paths of the XML files of a package's folder, by their name in the package."""
+def package_paths(tree: Tree, workspace: Workspace, name: str) -> dict[str, str]:
+    """Return the paths of the XML files of a package's folder, by their name in the package.
+
+    Raises:
+        KeymintError: ``package.defaults`` is a link that leads nowhere, or out of the workspace.
+    """
+    folder = f"{workspace.src}/{name}"
     entries = tree.names(folder)
-    names = [name for name, is_folder in entries if name.endswith(".xml") and not is_folder]
-    if any(name == DEFAULTS for name, _ in entries):
-        inner = tree.names(f"{folder}/{DEFAULTS}")
-        names += [f"{DEFAULTS}/{name}" for name, is_folder in inner if name.endswith(".xml") and not is_folder]
-    return {name: f"{folder}/{name}" for name in names}
+    names = [entry for entry, is_folder in entries if entry.endswith(".xml") and not is_folder]
+    for entry, is_folder in entries:
+        if entry == DEFAULTS and (is_folder or _has_own_defaults(workspace, f"{folder}/{DEFAULTS}")):
+            inner = tree.names(f"{folder}/{DEFAULTS}")
+            names += [f"{DEFAULTS}/{file}" for file, is_folder in inner if file.endswith(".xml") and not is_folder]
+    return {file: f"{folder}/{file}" for file in names}
+
+
+def _has_own_defaults(workspace: Workspace, path: str) -> bool:
+    """Tell whether a link ``package.defaults`` leads to other defaults than those of the profile.
+
+    The tool of 2018 linked those of the profile, by an absolute path, into each package. Such a link dangles once the
+    workspace has moved.
+
+    Raises:
+        KeymintError: it leads nowhere, or out of the workspace.
+    """
+    if not os.path.islink(path):  # noqa: PTH114 - of a text
+        return False
+    target, shared = os.path.realpath(path), f"{workspace.profile}/{DEFAULTS}"
+    is_there = os.path.isdir(target)  # noqa: PTH112 - of a text
+    moved = not is_there and target.endswith(f"/{workspace.profile.name}/{DEFAULTS}")
+    if moved or target == os.path.realpath(shared):
+        return False
+    if is_there and Path(target).is_relative_to(workspace.root):
+        return True
+    raise KeymintError(
+        f"is a link to {quoted(target, 200)}, which is {'outside the workspace' if is_there else 'no folder'}",
+        where=Origin(path),
+        help=f"remove it, so that {workspace.shown(shared)} applies, or put a copy of the right folder in its place",
+        code="symlink-refused",
+    )
 
 
 def profile_files(tree: Tree, profile: Path) -> dict[str, bytes]:

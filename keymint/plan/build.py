@@ -214,10 +214,19 @@ def _smaller(size: DocumentSize) -> str:
 def _refuse_edits(inputs: Inputs, name: str, folder: Path, existing: Mapping[str, bytes | None]) -> None:
     """Raise an error for a document that differs from the new one, and is not the recorded build either."""
     for file, content in existing.items():
-        if content is not None and not inputs.state.wrote(STAGE, name, file, content):
+        if content is None or inputs.state.wrote(STAGE, name, file, content):
+            continue
+        where = Origin(inputs.workspace.shown(folder / file))
+        if inputs.state.stamp(STAGE, name) is None:
             raise KeymintError(
-                "was edited by hand, and its sources changed too",
-                where=Origin(inputs.workspace.shown(folder / file)),
-                help=f"'keymint build -f {name}' discards the edit",
-                code="hand-edited",
+                "is not from a build of this workspace, and differs from what its sources give",
+                where=where,
+                help=f"'keymint build -f {name}' replaces it",
+                code="build-foreign",
             )
+        raise KeymintError(
+            "was edited by hand, and its sources changed too",
+            where=where,
+            help=f"'keymint build -f {name}' discards the edit",
+            code="hand-edited",
+        )

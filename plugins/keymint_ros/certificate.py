@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from lxml import etree
 
 _RANDOM = 0
+_TRUE = frozenset({"true", "1"})
+_BASIC_CONSTRAINTS = "BasicConstraints"
 _SERIAL_OCTETS = 20
 _CURVES = {"prime256v1": "SECP256R1"}
 """SEC's names of curves, by OpenSSL's."""
@@ -34,7 +36,7 @@ class CertificateElement:
     Attributes:
         line: line of the element.
         file: its document, for messages; empty until the caller of the reader sets it.
-        serial: 0 for a random one, which an empty element requests.
+        serial: 0 for a random one, which an empty element or a number that is not positive requests.
         issuer: name of the issuing authority; empty if self-signed.
         issuer_line: line of the issuer's element.
     """
@@ -128,12 +130,15 @@ def issuer(own: CertificateElement, defaults: CertificateElement) -> tuple[str, 
 
 
 def _serial(element: etree._Element) -> int:
-    """Return a serial number (RFC 5280, 4.1.2.2: positive, at most 20 octets)."""
+    """Return a serial number (RFC 5280, 4.1.2.2: positive, at most 20 octets).
+
+    One that is not positive means a random one: documents of 2018 have 0 or -1 for it.
+    """
     number = text(element)
     if not number:
         return _RANDOM
-    serial = int(number)
-    if not 0 < serial < 1 << 8 * _SERIAL_OCTETS - 1:
+    serial = max(_RANDOM, int(number))
+    if serial >= 1 << 8 * _SERIAL_OCTETS - 1:
         raise KeymintError(
             f"the serial number {number} is not a positive number of at most {_SERIAL_OCTETS} octets",
             where=place(element),
@@ -146,7 +151,8 @@ def _serial(element: etree._Element) -> int:
 def _extensions(element: etree._Element) -> tuple[Extension, ...]:
     extensions: dict[str, Extension] = {}
     for item in element:
-        name = item.get("name", "").strip()
+        of_2018 = item.tag == _BASIC_CONSTRAINTS
+        name = "basicConstraints" if of_2018 else item.get("name", "").strip()
         if name in extensions:
             raise KeymintError(
                 f"the extension {name} is given twice",
@@ -154,9 +160,28 @@ def _extensions(element: etree._Element) -> tuple[Extension, ...]:
                 help="write its values into one element, separated by commas",
                 code="extension-doubled",
             )
-        critical = item.get("critical", "false").strip() in {"true", "1"}
-        extensions[name] = Extension(name, text(item) or "", critical, place(item))
+        value = _basic_constraints(item) if of_2018 else text(item) or ""
+        extensions[name] = Extension(name, value, item.get("critical", "false").strip() in _TRUE, place(item))
     return tuple(extensions.values())
+
+
+def _basic_constraints(element: etree._Element) -> str:
+    """Return the value of ``<BasicConstraints>``, an extension as documents of 2018 write it."""
+    path_length = element.find("path_length")
+    if path_length is None:
+        return "CA:TRUE" if _is_true(element, "ca") else "CA:FALSE"
+    if not _is_true(element, "ca"):
+        raise KeymintError(
+            "<path_length> is given for a certificate that is not an authority's (RFC 5280, 4.2.1.9)",
+            where=place(path_length),
+            help="remove it, or write <ca>true</ca> for an authority",
+            code="extension-invalid",
+        )
+    return f"CA:TRUE, pathlen:{int(text(path_length) or 0)}"
+
+
+def _is_true(element: etree._Element, tag: str) -> bool:
+    return text(element.find(tag)) in _TRUE
 
 
 def _complete_key(key: KeySpec, defaults: KeySpec | None) -> KeySpec:

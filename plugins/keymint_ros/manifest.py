@@ -124,7 +124,23 @@ def _group(root: etree._Element, group: str, item: str, usual: str) -> PackagePa
     element = root.find(group)
     if element is None:
         return _unmentioned(line(root), usual)
+    for tag in ("issuer_name", item):
+        _check_single(element, tag, group)
     return _part(element, element.find(f"{item}/{item}_path"), element.find(f"{item}/defaults_path"), usual)
+
+
+def _check_single(element: etree._Element, tag: str, group: str) -> None:
+    """Check that an element occurs once; documents of 2018 could have several, and each package several documents."""
+    others = element.findall(tag)[1:]
+    if others:
+        raise KeymintError(
+            f"there are two elements <{tag}> in <{group}>",
+            where=place(others[0]),
+            help="a package has one authority that signs them; remove one of the elements"
+            if tag == "issuer_name"
+            else f"a package has one document of each part: move the content of the others into it, and remove <{tag}>",
+            code="part-doubled",
+        )
 
 
 def _part(

@@ -139,8 +139,28 @@ def _policies(root: etree._Element) -> tuple[_PolicyElement, ...]:
     return tuple(
         _PolicyElement(item.get("name", "").strip(), text(path) or "", line(path))
         for item in root.iterfind("policies/policy")
-        for path in item.iterfind("comarmor/profile_path")
+        for path in (_profile_path(item),)
     )
+
+
+def _profile_path(policy: etree._Element) -> etree._Element:
+    """Return the element that names the folder of a policy; documents of early 2018 have two, for the same folder.
+
+    Raises:
+        KeymintError: these two name different folders, but an include is relative to the file that has it.
+    """
+    (*config, path) = policy.iterfind("comarmor/*")
+    for each in config:
+        if os.path.normpath(text(each) or "") != os.path.normpath(text(path) or ""):
+            raise KeymintError(
+                f"<{each.tag}> names another folder than <{path.tag}>, but includes are relative to the file that has "
+                "them",
+                where=place(each),
+                help=f"move what is included into {text(path)!r}, and write <profile_path>{text(path)}</profile_path> "
+                "in place of both",
+                code="policy-folders",
+            )
+    return path
 
 
 _read_manifest = Reader("keymint_ros", "keymint_profile", _manifest)

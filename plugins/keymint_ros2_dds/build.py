@@ -84,8 +84,8 @@ def _check(package: Package) -> Iterator[Diagnostic]:
         yield Diagnostic(
             "domain-uncovered", Severity.ERROR,
             f"the permissions are for {in_words([item])}, which the governance does not cover",
-            granted.domains_origin or granted.origin, "add the domain to a domain rule of the governance",
-            package.subject,
+            granted.domains_origin or granted.origin,
+            "add the domain to a domain rule of the governance, or remove it from these domains", package.subject,
         )  # fmt: skip
 
 

@@ -133,7 +133,8 @@ def test_the_files_of_a_package_and_of_a_profile(tmp_path: Path) -> None:
         "profile/comarmor.d/talker.xml",
         "profile/comarmor.d/common/node.xml",
     )
-    assert set(package_files(Tree(), tmp_path / "src" / "a")) == {"permissions.xml", "package.defaults/governance.xml"}
+    workspace = Workspace.at(tmp_path, {}, tmp_path)
+    assert set(package_files(Tree(), workspace, "a")) == {"permissions.xml", "package.defaults/governance.xml"}
     assert set(profile_files(Tree(), tmp_path / "profile")) == {
         "keymint_profile.xml",
         "profile.defaults/authorities.xml",

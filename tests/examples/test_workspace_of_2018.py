@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Workspaces of the tool of 2018, from the command line: nothing of them is edited, and openssl verifies the result."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from cryptography import x509
+
+from tests.conftest import snapshot
+
+from .workspace_of_2018 import PACKAGES, write, write_build
+
+IN_2018 = {"SOURCE_DATE_EPOCH": "1530000000"}
+"""2018-06-26, when the certificates of the published workspace were valid."""
+
+
+def provisioned(keymint, ws: Path, env: dict[str, str] | None = None, *build: str) -> None:
+    """Run each stage in a workspace that ``init`` never saw."""
+    for arguments in (("create", "--all"), ("build", *build), ("install",)):
+        outcome = keymint(*arguments, "-w", ws, env=env)
+        assert outcome.code == 0, outcome.err
+
+
+def verified(enclave: Path, at: str = "1800000000") -> None:
+    """Let openssl verify the certificate and the documents of an enclave, at a time in seconds."""
+    chain = ["openssl", "verify", "-attime", at, "-CAfile", "identity_ca.cert.pem", "cert.pem"]
+    commands = [chain] + [
+        ["openssl", "smime", "-verify", "-attime", at, "-in", f"{name}.p7s", "-CAfile", "permissions_ca.cert.pem"]
+        for name in ("permissions", "governance")
+    ]
+    for command in commands:
+        done = subprocess.run(command, cwd=enclave, capture_output=True, check=False)
+        assert done.returncode == 0, done.stderr
+
+
+def own_files(ws: Path) -> dict[str, bytes]:
+    """Return the files of the owner, except the permissions that ``create`` generates, as it did in 2018."""
+    return {
+        str(path.relative_to(ws)): path.read_bytes()
+        for space in ("profile", "src")
+        for path in sorted((ws / space).rglob("*"))
+        if (path.is_file() and not path.name.startswith("permissions.xml")) or path.match("*.defaults/*")
+    }
+
+
+def test_every_element_of_then_loads_and_openssl_verifies(keymint, tmp_path: Path) -> None:
+    ws = tmp_path / "ws"
+    write(ws)
+    before, old = own_files(ws), (ws / "src/talker/permissions.xml").read_bytes()
+    provisioned(keymint, ws)
+    assert own_files(ws) == before
+    assert (ws / "src/talker/permissions.xml.2018").read_bytes() == old
+    for name in PACKAGES:
+        verified(ws / "install" / "enclaves" / name)
+    assert keymint("check", "-w", ws).code == 0
+
+    root, identity, permissions = (
+        x509.load_pem_x509_certificate((ws / "public" / f"{name}.cert.pem").read_bytes())
+        for name in ("root_ca", "identity_ca", "permissions_ca")
+    )
+    constraints = [each.extensions.get_extension_for_class(x509.BasicConstraints) for each in (root, identity)]
+    assert [(each.critical, each.value.ca, each.value.path_length) for each in constraints] == [
+        (True, True, 1),
+        (True, True, 0),
+    ]
+    assert permissions.serial_number == 3
+    serials = {root.serial_number, identity.serial_number}
+    assert len(serials) == 2
+    assert min(serials) > 1 << 32
+    assert keymint("build", "-w", ws).out.startswith("nothing to do")
+
+
+def test_the_published_workspace_as_it_is(keymint, reference: Path, tmp_path: Path) -> None:
+    ws = tmp_path / "ws"
+    shutil.copytree(reference / "ppac" / "keymint_ws", ws, copy_function=shutil.copyfile)
+    subprocess.run(["chmod", "-R", "u+w", ws], check=True)
+    before = own_files(ws)
+    provisioned(keymint, ws, IN_2018)
+    assert own_files(ws) == before
+    for name in ("talker", "listener"):
+        verified(ws / "install" / "enclaves" / name, IN_2018["SOURCE_DATE_EPOCH"])
+    outcome = keymint("check", "-w", ws, "--json", env=IN_2018)
+    assert (outcome.code, outcome.codes()) == (3, ["authority-shared"])
+
+
+def test_a_committed_build_space_is_neither_signed_nor_replaced_unasked(keymint, tmp_path: Path) -> None:
+    ws = tmp_path / "ws"
+    write(ws)
+    write_build(ws)
+    stale = snapshot(ws / "build")
+    assert keymint("create", "--all", "-w", ws).code == 0
+    outcome = keymint("build", "-w", ws, "--json")
+    assert outcome.codes() == ["build-foreign"] * len(PACKAGES)
+    assert outcome.document["diagnostics"][-1]["help"] == "'keymint build -f talker' replaces it"
+    assert keymint("install", "-w", ws).code != 0
+    assert {path: state for path, state in snapshot(ws / "build").items() if path in stale} == stale
+    assert not (ws / "install" / "enclaves").exists()
+
+    provisioned(keymint, ws, None, "-f")
+    verified(ws / "install" / "enclaves" / "talker")
+    assert b"stale" not in b"".join(path.read_bytes() for path in (ws / "install").rglob("*") if path.is_file())
+
+
+def test_the_defaults_that_were_linked_are_those_of_the_profile_also_after_a_move(keymint, tmp_path: Path) -> None:
+    ws = tmp_path / "ws"
+    write(ws, link="/elsewhere/keymint_ws/profile/package.defaults")
+    provisioned(keymint, ws)
+    verified(ws / "install" / "enclaves" / "listener")
+
+
+@pytest.mark.parametrize(("target", "what"), [("other.defaults", "outside the workspace"), ("lost", "no folder")])
+def test_defaults_that_are_linked_from_elsewhere_are_refused(keymint, tmp_path: Path, target: str, what: str) -> None:
+    ws, other = tmp_path / "ws", tmp_path / "other.defaults"
+    write(ws, link=str(tmp_path / target))
+    shutil.copytree(ws / "profile" / "package.defaults", other)
+    outcome = keymint("create", "--all", "-w", ws)
+    assert outcome.code == 1
+    assert f"package.defaults: error: is a link to '{target}', which is {what} (remove it, so" in outcome.err
+
+
+def edited(ws: Path, path: str, old: str, new: str) -> None:
+    text = (ws / path).read_text()
+    assert old in text
+    (ws / path).write_text(text.replace(old, new, 1))
+
+
+_DEFAULTS = "profile/profile.defaults/authorities.xml"
+_MANIFEST = "src/talker/keymint_package.xml"
+
+
+@pytest.mark.parametrize(
+    ("path", "old", "new", "error"),
+    [
+        (_DEFAULTS, "SHA256", "SHA224", "<hash_algorithm> is 'SHA224', expected SHA256 or SHA384 or SHA512"),
+        (_DEFAULTS, "SECP256R1", "SECT571K1", "<curve> is 'SECT571K1', expected SECP256R1 or SECP384R1"),
+        (
+            _DEFAULTS,
+            "<ec><curve>SECP256R1</curve></ec>",
+            "<dsa><key_size>2048</key_size></dsa>",
+            "<dsa> is not expected here, expected <ec> or <rsa>",
+        ),
+        (_DEFAULTS, "<path_length>1", "<path_length>-1", "<path_length> is '-1', expected 0 or more"),
+        (_DEFAULTS, "<ca>true", "<ca>false", "<path_length> is given for a certificate that is not an authority's"),
+        (_DEFAULTS, "critical='true'", "critical='false'", "must be critical and CA:TRUE for an authority"),
+        (
+            _MANIFEST,
+            "<permission>",
+            "<permission><permission_path>more.xml</permission_path></permission><permission>",
+            "there are two elements <permission> in <permissions> (a package has one document of each part: move",
+        ),
+        (
+            _MANIFEST,
+            "<issuer_name>",
+            "<issuer_name>root_ca</issuer_name><issuer_name>",
+            "there are two elements <issuer_name> in <permissions> (a package has one authority that signs them",
+        ),
+        (
+            "profile/policies.xml",
+            "<config_dir>comarmor.d",
+            "<config_dir>config.d",
+            "<config_dir> names another folder than <profile_dir>, but includes are relative to the file that has them",
+        ),
+        (
+            "src/talker/identities.xml",
+            "</cert>",
+            "<extensions><BasicConstraints critical='1'><ca>1</ca></BasicConstraints></extensions></cert>",
+            "would make an identity an authority (leave it out for the default)",
+        ),
+    ],
+)
+def test_what_cannot_be_had_today_says_what_to_do(
+    keymint, tmp_path: Path, path: str, old: str, new: str, error: str
+) -> None:
+    ws = tmp_path / "ws"
+    write(ws)
+    edited(ws, path, old, new)
+    keymint("create", "--all", "-w", ws)
+    keymint("build", "-w", ws)
+    outcome = keymint("install", "-w", ws)
+    found = "".join(keymint(verb, "-w", ws).err for verb in ("build", "install")) + outcome.err
+    assert outcome.code != 0
+    assert f"{path}:" in found
+    assert error in found
+    assert not (ws / "install" / "enclaves").exists()
