@@ -9,8 +9,8 @@ import sys
 from keymint import process
 
 
-def main() -> None:
-    """Run the command line and end the process with its exit code."""
+def run(arguments: list[str]) -> int:
+    """Run the command line as the only task of this process, and return its exit code."""
     process.open_missing_streams()
     process.hold_signals()
     from keymint import cli  # noqa: PLC0415 - signals wait until the import is done
@@ -18,11 +18,16 @@ def main() -> None:
     process.stop_on_signals()
     try:
         process.release_signals()
-        code = cli.main()
+        code = cli.main(arguments)
     except process.StoppedError as stop:
-        code = cli.stopped(sys.argv[1:], stop.number)
+        code = cli.stopped(arguments, stop.number)
     gc.freeze()  # the process ends: nothing is searched for cycles any more
-    sys.exit(code)
+    return code
+
+
+def main() -> None:
+    """Run the command line and end the process with its exit code."""
+    sys.exit(run(sys.argv[1:]))
 
 
 if __name__ == "__main__":
