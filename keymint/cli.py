@@ -51,6 +51,7 @@ VERBS: Mapping[str, str] = {
     "diff": "Compare two policies: which subject gains or loses which permission.",
     "query": "Ask a policy who can do what, including subjects that it does not name.",
     "test": "Run the unit tests of a policy.",
+    "fmt": "Bring policy files into their canonical form.",
     "authority": "Show, renew, replace, import or export the certificate authorities.",
     "provision": "Run init, create, build and install in one step, e.g. in CI.",
     "adopt": "Examine a keystore that another tool made, and take it over.",
@@ -252,16 +253,22 @@ def _setting(given: Sequence[str]) -> Any:
     call = call_of(given)
     progress = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
     ask = _ask if sys.stdin is not None and sys.stdin.isatty() else None
-    return setting(call, Streams(sys.stdout, sys.stderr, *call.colours, progress=progress), ask)
+    return setting(call, Streams(sys.stdout, sys.stderr, *call.colours, progress=progress), ask, _read)
 
 
-def setting(call: Call, streams: Streams, ask: Callable[[str], str] | None = None) -> Setting:
+def setting(
+    call: Call,
+    streams: Streams,
+    ask: Callable[[str], str] | None = None,
+    read: Callable[[int], bytes] = lambda _most: b"",
+) -> Setting:
     """Return the environment of a run: the clock, the folders and the processors of this machine.
 
     Args:
         call: the command; see :func:`call_of`.
         streams: where output goes.
         ask: shows a text and returns what the user types, unseen; None if there is no terminal.
+        read: returns at most so many bytes of standard input.
     """
     from keymint.commands.run import Setting  # noqa: PLC0415 - not needed for --help
 
@@ -275,6 +282,7 @@ def setting(call: Call, streams: Streams, ask: Callable[[str], str] | None = Non
         streams=streams,
         call=call,
         ask=ask,
+        read=read,
     )
 
 
@@ -286,6 +294,11 @@ def _ask(text: str) -> str:
         return getpass.getpass(text)
     except EOFError:
         return ""
+
+
+def _read(most: int) -> bytes:
+    """Return at most so many bytes of standard input; none if the process was started without it."""
+    return b"" if sys.stdin is None else sys.stdin.buffer.read(most)
 
 
 def _cache() -> Path:

@@ -64,7 +64,7 @@ def create(folder: int, shown: str | Path, name: str, file: File, owner: tuple[i
         try:
             write_all(opened, file.content)
             give(opened, owner)
-            os.fchmod(opened, file_mode(secret=file.secret))
+            os.fchmod(opened, file_mode(secret=file.secret) if file.mode is None else file.mode)
         finally:
             os.close(opened)
     except OSError as error:

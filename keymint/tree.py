@@ -190,10 +190,17 @@ def _or_raise(result: _Read | KeymintError) -> _Read:
 
 @dataclass(frozen=True, slots=True)
 class File:
-    """A file to write: its bytes, and whether it is secret (0600) or public (0644)."""
+    """A file to write.
+
+    Attributes:
+        content: its bytes.
+        secret: its mode is 0600, else 0644.
+        mode: another mode, e.g. that of the file that it replaces.
+    """
 
     content: bytes = field(repr=False)
     secret: bool = False
+    mode: int | None = None
     _digest: str = field(default="", init=False, repr=False, compare=False)
 
     @property

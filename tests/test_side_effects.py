@@ -52,6 +52,7 @@ WRITING_VERBS = (
     ("graph", POLICY, "-o", "policy.dot"),
     ("lint", POLICY, "--sarif", "lint.sarif"),
     ("test", str(CHECKOUT / "examples/fleet"), "--junit", "tests.xml"),
+    ("fmt", "untidy"),
     ("learn", str(CHECKOUT / "examples/ppac_2018/graph.json"), "-o", "learned.xml"),
     ("import", "policy.xml", "-o", "imported"),
     ("export", POLICY, "--format", "sros2", "-o", "exported.xml"),
@@ -121,6 +122,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[int], list[Event
     folder = tmp_path_factory.mktemp("audited")
     subprocess.run(["git", "init", "-q"], cwd=folder, check=True)
     (folder / "policy.xml").write_text(FOREIGN)
+    (folder / "untidy").mkdir()
+    (folder / "untidy/p.xml").write_text("<profiles/>")
     codes, before = audited(folder, *WRITING_VERBS[:4])
     identity = ("-c", "user.name=a", "-c", "user.email=a@b.c")
     subprocess.run(["git", "add", POLICY], cwd=folder, check=True)

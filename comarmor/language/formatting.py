@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import Any
 
 from lxml import etree
@@ -14,6 +16,7 @@ from comarmor.rules import PERMISSIONS
 from comarmor.xml import schema
 from comarmor.xml.layout import Layout, laid_out, markup, nodes
 from comarmor.xml.reader import parse
+from comarmor.xml.sandboxed_paths import path_text, unreadable
 
 LAYOUT = Layout(
     text=frozenset(("attachment", "value", "partition")),
@@ -41,7 +44,7 @@ def formatted(content: bytes, name: str) -> bytes | None:
             read, and its expressions are not checked.
     """
     root = parse(content, name)
-    if root.tag not in _SCHEMAS:
+    if not _is_of_this_language(root):
         return None
     schema.validate(root, locate("comarmor", "schemas") / _SCHEMAS[str(root.tag)], name)
     document = nodes(content, LAYOUT)
@@ -58,6 +61,38 @@ def formatted(content: bytes, name: str) -> bytes | None:
             code="format-meaning",
         )
     return result
+
+
+def _is_of_this_language(root: etree._Element) -> bool:
+    """Tell whether a document is meant to be a file of this language, valid or not.
+
+    Files of workspaces have a root ``<profile>`` as well; profiles of this language have a name or attachments.
+    """
+    if root.tag == "profile":
+        return "name" in root.attrib or any(child.tag in ("attachment", "attachments") for child in root)
+    return root.tag in _SCHEMAS
+
+
+def written_files(folder: Path) -> tuple[Path, ...]:
+    """Return, sorted, the ``*.xml`` files in a folder and below it, without links and what is hidden.
+
+    These are the policy's root files and tests, and all that they may include from the folder.
+
+    Raises:
+        ComArmorError: a folder cannot be read.
+    """
+
+    def refuse(error: OSError) -> None:
+        raise ComArmorError(
+            unreadable(error, "the folder"), where=Origin(path_text(str(error.filename))), code="unreadable"
+        ) from None
+
+    found: list[Path] = []
+    for inside, folders, names in os.walk(folder, onerror=refuse):
+        folders[:] = (name for name in folders if not name.startswith("."))
+        files = (Path(inside, name) for name in names if name.endswith(".xml") and not name.startswith("."))
+        found += (file for file in files if file.is_file() and not file.is_symlink())
+    return tuple(sorted(found))
 
 
 def _meaning(element: etree._Element) -> tuple[Any, ...]:

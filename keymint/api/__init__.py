@@ -89,6 +89,7 @@ from keymint.api.policies import LoadedPolicy as LoadedPolicy
 from keymint.api.policies import PolicyDecision as PolicyDecision
 from keymint.api.policies import PolicyStructure as PolicyStructure
 from keymint.api.policies import PolicyType as PolicyType
+from keymint.api.policies import PolicyTypeWithForm as PolicyTypeWithForm
 from keymint.api.policies import PolicyTypeWithTests as PolicyTypeWithTests
 from keymint.api.policies import RecognisedPolicy as RecognisedPolicy
 from keymint.api.policies import RowPolicy as RowPolicy

@@ -175,6 +175,29 @@ class PolicyTypeWithTests(Protocol):
 
 
 @runtime_checkable
+class PolicyTypeWithForm(Protocol):
+    """Optional capability of a policy type: its files have a canonical form."""
+
+    def written_files(self, folder: Path) -> Sequence[Path]:
+        """Return, sorted, the files in a folder and below it that may be of this policy type; links are left out.
+
+        Raises:
+            KeymintError: a folder cannot be read.
+        """
+
+    def formatted(self, content: bytes, name: str) -> bytes | None:
+        """Return a file in canonical form, which means the same; None if it is of another type.
+
+        Args:
+            content: the file.
+            name: its path as the user would type it, for messages.
+
+        Raises:
+            KeymintError: with ``file:line`` of each defect.
+        """
+
+
+@runtime_checkable
 class RecognisedPolicy(Protocol):
     """Optional capability of a policy type whose files verbs meet where policies of another type are expected."""
 

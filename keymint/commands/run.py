@@ -59,6 +59,7 @@ class Setting:
         streams: where output goes.
         call: the command.
         ask: shows a text and returns what the user types, unseen; None if there is no terminal.
+        read: returns at most so many bytes of standard input.
     """
 
     now: datetime
@@ -70,6 +71,7 @@ class Setting:
     streams: Streams
     call: Call
     ask: Callable[[str], str] | None = None
+    read: Callable[[int], bytes] = lambda _most: b""
 
 
 def _writes_below(roots: Collection[str], plan: Plan) -> bool:

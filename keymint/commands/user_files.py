@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
+import stat
 from collections.abc import Mapping
 from pathlib import Path
 
 from comarmor.errors import Origin
-from keymint.changes import File
+from keymint.changes import File, FolderChange
 from keymint.commands.run import Run
 from keymint.errors import KeymintError
 from keymint.store import Store
@@ -64,6 +65,31 @@ def write_outputs(
             place = folder / name
             store.write(place.parent, {place.name: File(data, secret=secret)})
     return [str(path.parent / name) for name, _ in changed]
+
+
+def replace_inputs(run: Run, changed: Mapping[Path, tuple[bytes, bytes]]) -> None:
+    """Replace files that were read with :func:`read_input`; each keeps its mode, and is replaced in one step.
+
+    Nothing is replaced before all of it is written beside. With ``--dry-run`` nothing is written.
+
+    Args:
+        run: the run.
+        changed: content that was read, and new content, by path.
+
+    Raises:
+        KeymintError: a file changed meanwhile, or the system refuses.
+    """
+    if run.dry_run or not changed:
+        return
+    changes: list[FolderChange] = []
+    for path, (before, content) in changed.items():
+        if read_input(run, path) != before:
+            help_ = "nothing was written; run the command again"
+            raise KeymintError("changed meanwhile", where=Origin(str(path)), help=help_, code="file-changed")
+        target = _resolved(run, path)
+        mode = stat.S_IMODE(target.stat().st_mode)
+        changes.append(FolderChange(target.parent, {target.name: File(content, mode=mode)}))
+    Store({change.folder: False for change in changes}, changes[0].folder).change(changes)
 
 
 def show_written(run: Run, path: Path, written: list[str]) -> None:

@@ -120,6 +120,18 @@ class ComArmorPolicyType:
 
         return expectations(path)
 
+    def written_files(self, folder: Path) -> Sequence[Path]:
+        """See :meth:`keymint.api.PolicyTypeWithForm.written_files`."""
+        from comarmor.language.formatting import written_files  # noqa: PLC0415 - only one verb needs it
+
+        return written_files(folder)
+
+    def formatted(self, content: bytes, name: str) -> bytes | None:
+        """See :meth:`keymint.api.PolicyTypeWithForm.formatted`."""
+        from comarmor.language.formatting import formatted  # noqa: PLC0415 - only one verb needs it
+
+        return formatted(content, name)
+
     def learn(self, graph: Graph, existing: LoadedPolicy | None, fragments: str) -> LearnedPolicy:
         """See :func:`keymint_ros2_comarmor.learn.learn`.
 

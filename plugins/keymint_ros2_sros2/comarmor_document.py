@@ -9,6 +9,7 @@ from pathlib import Path
 from lxml import etree
 
 from comarmor.language import render
+from comarmor.language.formatting import formatted
 from comarmor.patterns.printing import escape
 from comarmor.rules import PERMISSIONS, Effect
 from comarmor.xml.reader import XINCLUDE
@@ -40,7 +41,8 @@ def document(
     _comment(root, policy.closing)
     text = render.document(root)
     # A prefix that nothing uses would only puzzle.
-    return (text if "<xi:include" in text else text.replace(f' xmlns:xi="{XINCLUDE}"', "", 1)).encode()
+    content = (text if "<xi:include" in text else text.replace(f' xmlns:xi="{XINCLUDE}"', "", 1)).encode()
+    return formatted(content, "the new policy") or content  # comments have the indentation of the old policy
 
 
 def _profile(enclaves: Sequence[Enclave], library: Path, *, graph: bool, policy: SourcePolicy) -> etree._Element:

@@ -297,7 +297,13 @@ def test_what_cannot_be_read_is_refused(text: str, message: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["<policy version='0.2.0'/>", "<package/>", "<profiles xmlns='http://www.eprosima.com/XMLSchemas'/>"]
+    "text",
+    [
+        "<policy version='0.2.0'/>",
+        "<package/>",
+        "<profiles xmlns='http://www.eprosima.com/XMLSchemas'/>",
+        "<profile format='1'><name>ws</name></profile>",
+    ],
 )
 def test_other_documents_are_no_files_of_this_language(text: str) -> None:
     assert formatted(text.encode(), "p.xml") is None

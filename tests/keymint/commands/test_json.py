@@ -52,6 +52,7 @@ CALLS = {
     "diff": ["diff", "policy.xml", "policy.xml"],
     "query": ["query", "policy.xml", "who", "can", "publish", "/chatter"],
     "test": ["test", "policy.xml"],
+    "fmt": ["fmt", "policy.xml"],
     "graph": ["graph", "policy.xml"],
     "plugins": ["plugins"],
     "transports": ["transports"],
