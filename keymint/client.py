@@ -34,7 +34,7 @@ from keymint.names import package_name
 from keymint.output.console import Streams
 from keymint.output.report import Report
 from keymint.plan.create import CreateStage
-from keymint.plan.policy import load_policy
+from keymint.plan.policy import load_policy, locations_digest
 from keymint.plan.threshold import DEFAULT, Threshold
 from keymint.session import Inputs, Session
 
@@ -201,7 +201,7 @@ class Client:
         known, policy = self._policy
         fingerprint = session.plugins.policy_type(session.profile.policy_type, session.profile_marker()).fingerprint
         changed = policy is None or any(fingerprint(path) != value for path, value in policy.seen.items())
-        if policy is None or changed or known != session.profile_digest:
+        if policy is None or changed or known != locations_digest(session):
             policy = load_policy(session)
-            self._policy = session.profile_digest, policy
+            self._policy = locations_digest(session), policy
         return policy

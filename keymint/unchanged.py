@@ -27,7 +27,7 @@ _RECORDS, _RECORD, _MARK = ".keymint", "state.json", "running"
 _PROFILE = "profile/keymint_profile.xml"
 _UNRECORDED = ("--hints", "--profile-space", "--new-authority", "--renew", "--force", "-f", "--executor")
 """Options of commands that do something each time, or read more than what is recorded."""
-_VARIABLES = {"ROS_DISTRO"}
+_VARIABLES = {"ROS_DISTRO", "AMENT_PREFIX_PATH"}
 """Environment variables whose values may be recorded; any other one may be a password."""
 _TICK, _COARSE_TICK = 20_000_000, 2_000_000_000
 """Nanoseconds in which a file may change twice and have the same time; the second if times are whole seconds."""

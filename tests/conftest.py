@@ -73,7 +73,7 @@ class Outcome:
 def plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fix the clock, and hide the machine's ROS."""
     monkeypatch.setenv("SOURCE_DATE_EPOCH", str(NOW))
-    for name in ("ROS_DISTRO", "KEYMINT_TRACEBACK", "KEYMINT_PKCS11_PIN", "KEYMINT_PKCS11_MODULE"):
+    for name in ("ROS_DISTRO", "AMENT_PREFIX_PATH", "KEYMINT_TRACEBACK", "KEYMINT_PKCS11_PIN", "KEYMINT_PKCS11_MODULE"):
         monkeypatch.delenv(name, raising=False)
 
 

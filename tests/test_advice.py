@@ -124,7 +124,7 @@ def test_no_advice_leaves_open_which_verb_replaces_or_removes_something() -> Non
 
 def _is_foreign(text: str) -> bool:
     """Tell whether a text is about another program."""
-    return bool(re.search(r"ros2 run|openssl |git |uv |pip |pipx |rosdep |pkcs11-tool ", text))
+    return bool(re.search(r"ros2 run|openssl |git |uv |pip |pipx |rosdep |colcon build |pkcs11-tool ", text))
 
 
 def test_every_command_in_the_documents_exists() -> None:

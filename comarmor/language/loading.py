@@ -11,9 +11,16 @@ from comarmor.errors import ComArmorError, Diagnostic
 from comarmor.language.parse import parse
 from comarmor.language.policy import Policy
 from comarmor.language.source import load_tree
+from comarmor.xml.package_folders import PackageFolders
 
 
-def load(path: str | Path, *, library: str | Path | None = None, library_shown: Path | None = None) -> Policy:
+def load(
+    path: str | Path,
+    *,
+    library: str | Path | None = None,
+    library_shown: Path | None = None,
+    packages: PackageFolders | None = None,
+) -> Policy:
     """Load a policy.
 
     Args:
@@ -22,15 +29,21 @@ def load(path: str | Path, *, library: str | Path | None = None, library_shown: 
         library: a folder that is searched for included files which the policy does not have; its files can only
             include files of the library.
         library_shown: path of the library in origins, if it differs from where the library is read.
+        packages: where packages are that ship files; without it the policy may include none of theirs.
 
     Raises:
         ComArmorError: the policy has defects; carries all of them, with ``file:line``.
     """
-    return parse(load_tree(Path(path), None if library is None else Path(library), library_shown))
+    folder = None if library is None else Path(library)
+    return parse(load_tree(Path(path), folder, library_shown, packages=packages))
 
 
 def load_all(
-    paths: Iterable[str | Path], *, library: str | Path | None = None, library_shown: Path | None = None
+    paths: Iterable[str | Path],
+    *,
+    library: str | Path | None = None,
+    library_shown: Path | None = None,
+    packages: PackageFolders | None = None,
 ) -> Policy:
     """Load several policies as one: the union of their profiles, each confined to its own folder.
 
@@ -38,6 +51,7 @@ def load_all(
         paths: as for :func:`load`.
         library: as for :func:`load`.
         library_shown: as for :func:`load`.
+        packages: as for :func:`load`.
 
     Raises:
         ComArmorError: a policy has defects; carries those of all policies.
@@ -46,7 +60,7 @@ def load_all(
     policies: list[Policy] = []
     for path in paths:
         try:
-            policies.append(load(path, library=library, library_shown=library_shown))
+            policies.append(load(path, library=library, library_shown=library_shown, packages=packages))
         except ComArmorError as error:
             diagnostics |= dict.fromkeys(error.diagnostics)
     if diagnostics:
@@ -55,4 +69,5 @@ def load_all(
     seen = {path: fingerprint for policy in policies for path, fingerprint in policy.seen.items()}
     profiles = tuple(profile for policy in policies for profile in policy.profiles)
     unused = tuple(tunable for policy in policies for tunable in policy.unused_tunables)
-    return Policy(profiles, MappingProxyType(files), MappingProxyType(seen), unused)
+    shipped = {(each.package, each.path): each for policy in reversed(policies) for each in reversed(policy.shipped)}
+    return Policy(profiles, MappingProxyType(files), MappingProxyType(seen), unused, tuple(reversed(shipped.values())))

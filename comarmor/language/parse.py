@@ -126,11 +126,23 @@ class _PolicyParser:
                 yield child
                 continue
             included = item.document.includes[element]
+            if audit is None and included.package:
+                self.outside(child, included.package)
+                continue
             inner = _PlacedElement(included.root, included, child.inner_chain)
             if included.root.tag == "profiles":
                 yield from self.children(inner, audit=audit)
             else:
                 yield inner
+
+    def outside(self, include: _PlacedElement, package: str) -> None:
+        """Refuse an include outside of a profile of a file that a package ships: it could attach to any subject."""
+        self.refuse(
+            f"a file of the package {quoted(package)} is included outside of a profile",
+            include.where,
+            "package-outside",
+            "move the xi:include into a <profile>, whose <attachment> limits the subjects that the file is about",
+        )
 
     def fragment(self, include: _PlacedElement, *, audit: bool) -> _Fragment | None:
         """Return the rules that an include adds to a profile; None if they must be parsed at each inclusion."""
@@ -188,7 +200,14 @@ class _PolicyParser:
         parts: list[ProfileRule | Inclusion] = []
         for child in self.children(item, audit=audit):
             tag = child.element.tag
-            if tag == "tunable":
+            if tag == "tunable" and child.document.package and not item.document.package:
+                self.refuse(
+                    "a file that a package ships declares a tunable in the profile that includes it",
+                    child.where,
+                    "package-tunable",
+                    "declare it inside a <profile> of that file, or in the policy that includes it",
+                )
+            elif tag == "tunable":
                 self.tunable(child, scope)
             elif tag in ("attachment", "attachments"):
                 attachments += self.subjects(child, scope)
@@ -305,7 +324,7 @@ def parse(sources: PolicyFiles) -> Policy:
     if parser.diagnostics:
         raise ComArmorError.of(parser.diagnostics)
     unused = tuple(parser.budget.unused_tunables.values())
-    return Policy(profiles, sources.files, sources.seen, unused)
+    return Policy(profiles, sources.files, sources.seen, unused, sources.shipped)
 
 
 def _place(document: PolicyFile, element: etree._Element, chain: tuple[Origin, ...] = ()) -> Origin:

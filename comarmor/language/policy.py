@@ -14,6 +14,7 @@ from comarmor.language.syntax import Decision, Inclusion, Profile, ProfileRule, 
 from comarmor.patterns.expression import beginning, literal, matches
 from comarmor.rules import Rule
 from comarmor.values import dataclass
+from comarmor.xml.package_folders import ShippedFile
 
 _MOST_CACHED = 4096
 """Subjects whose rules are cached."""
@@ -76,12 +77,14 @@ class Policy:
         seen: every path that loading looked at, whether it exists or not, with its fingerprint
             (:func:`comarmor.language.source.fingerprint`). While the fingerprints are the same, so is the policy.
         unused_tunables: tunables that neither an attachment nor another tunable uses.
+        shipped: those of its files that packages ship, each once.
     """
 
     profiles: tuple[Profile, ...]
     files: Mapping[Path, bytes] = field(default_factory=dict)
     seen: Mapping[Path, bytes] = field(default_factory=dict)
     unused_tunables: tuple[Tunable, ...] = ()
+    shipped: tuple[ShippedFile, ...] = ()
     _level: _ProfileLookup = field(init=False, repr=False)
     _cached_rules: dict[str, tuple[Rule, ...]] = field(init=False, repr=False, default_factory=dict)
     _indexes: dict[str, RuleIndex] = field(init=False, repr=False, default_factory=dict)

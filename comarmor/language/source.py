@@ -19,15 +19,17 @@ from lxml import etree
 
 from comarmor.errors import ComArmorError, Origin
 from comarmor.rules import PERMISSIONS
-from comarmor.text import did_you_mean, quoted
+from comarmor.text import quoted
 from comarmor.values import dataclass
 from comarmor.xml import includes
+from comarmor.xml.include_elements import href_of
+from comarmor.xml.package_folders import PackageFolders, ShippedFile
 from comarmor.xml.reader import LIMITS, XINCLUDE, Limits, line, parse
 from comarmor.xml.sandboxed_paths import (
     SandboxedFolder,
     exists,
     path_text,
-    read_bounded,
+    read_in,
     resolve,
     similar_file,
     unreadable,
@@ -50,6 +52,7 @@ class PolicyFile:
         inclusions: number of such inclusions, nested ones included.
         uniform: it has rules only, and uses no tunables, so that it means the same wherever it is included. A document
             with anything else includes it without reading or copying it.
+        package: name of the package that ships it; empty for a file of the policy's owner.
     """
 
     name: str
@@ -58,6 +61,7 @@ class PolicyFile:
     nodes: int
     inclusions: int
     uniform: bool
+    package: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,15 +72,22 @@ class PolicyFiles:
         roots: its root documents, in order.
         files: the SHA-256 of every file by its resolved path.
         seen: the :func:`fingerprint` of every path that was looked at, whether it exists or not.
+        shipped: those of its files that packages ship, each once.
     """
 
     roots: tuple[PolicyFile, ...]
     files: Mapping[Path, bytes]
     seen: Mapping[Path, bytes]
+    shipped: tuple[ShippedFile, ...] = ()
 
 
 def load_tree(
-    path: Path, library: Path | None = None, library_shown: Path | None = None, *, limits: Limits = LIMITS
+    path: Path,
+    library: Path | None = None,
+    library_shown: Path | None = None,
+    *,
+    packages: PackageFolders | None = None,
+    limits: Limits = LIMITS,
 ) -> PolicyFiles:
     """Read a policy: a file, or the ``*.xml`` files directly in a directory, in sorted order.
 
@@ -84,6 +95,7 @@ def load_tree(
         path: file or directory; includes are confined to the directory, or the file's own folder.
         library: a folder that is searched for included files which the policy does not have.
         library_shown: path of the library in origins, if it differs from where the library is read.
+        packages: where packages are that ship files; without it the policy may include none of theirs.
         limits: limits of files and includes.
 
     Raises:
@@ -107,11 +119,10 @@ def load_tree(
             help="put the policy's root files directly into it; files in sub-folders are only reached by includes",
             code="policy-empty",
         )
-    reader = _PolicyReader(folder, _library(library, library_shown), limits)
+    reader = _PolicyReader(folder, _library(library, library_shown), limits, packages)
     if path.is_dir():
         reader.seen[Path(folder.shown)] = _names_fingerprint(roots)
-    documents = tuple(reader.root(name) for name in roots)
-    return PolicyFiles(documents, MappingProxyType(reader.files), MappingProxyType(reader.seen))
+    return reader.result(tuple(reader.root(name) for name in roots))
 
 
 def read_document(content: bytes, name: str, library: Path, *, limits: Limits = LIMITS) -> PolicyFiles:
@@ -131,7 +142,7 @@ def read_document(content: bytes, name: str, library: Path, *, limits: Limits = 
     # The document itself lies nowhere, but its includes are relative to the library's folder.
     document = replace(reader.complete(parse(content, name, limits=limits), folder, "-", ()), name=name)
     reader.bound(document.nodes, document.inclusions, Origin(name))
-    return PolicyFiles((document,), MappingProxyType(reader.files), MappingProxyType(reader.seen))
+    return reader.result((document,))
 
 
 def fingerprint(path: Path) -> bytes:
@@ -178,10 +189,12 @@ class _PolicyReader:
         folder: the policy's folder.
         library: the library's folder.
         limits: limits.
+        packages: where packages are that ship files.
         files: digests of the files.
         seen: fingerprints of the paths that were looked at.
-        done: complete documents by resolved path.
-        included: documents by folder, path in it, and ``href`` of an include.
+        shipped: files of packages by package and path.
+        done: complete documents by package and path: the resolved one, or of a package's file that in its folder.
+        included: documents by folder, the folder in it, and ``href`` of an include there.
         open: resolved paths of the files that are being read, outermost first.
         total: bytes read.
     """
@@ -189,14 +202,21 @@ class _PolicyReader:
     folder: SandboxedFolder
     library: SandboxedFolder | None
     limits: Limits
+    packages: PackageFolders | None = None
     files: dict[Path, bytes] = field(default_factory=dict)
     seen: dict[Path, bytes] = field(default_factory=dict)
-    done: dict[Path, PolicyFile] = field(default_factory=dict)
+    shipped: dict[tuple[str, str], ShippedFile] = field(default_factory=dict)
+    done: dict[tuple[str, str], PolicyFile] = field(default_factory=dict)
     included: dict[tuple[SandboxedFolder, str, str], PolicyFile] = field(default_factory=dict)
     open: list[Path] = field(default_factory=list)
     total: int = 0
     nodes: int = 0
     inclusions: int = 0
+
+    def result(self, roots: tuple[PolicyFile, ...]) -> PolicyFiles:
+        """Return what was read for some root documents."""
+        files, seen = MappingProxyType(self.files), MappingProxyType(self.seen)
+        return PolicyFiles(roots, files, seen, tuple(self.shipped.values()))
 
     def root(self, relative: str) -> PolicyFile:
         """Read a root file of the policy."""
@@ -218,7 +238,7 @@ class _PolicyReader:
         """
         real = resolve(folder, relative, where)
         if real in self.files:
-            self.seen[Path(folder.shown, relative)] = self.files[real]
+            self.seen[folder.place(relative)] = self.files[real]
         if real in self.open:
             raise ComArmorError(
                 f"{quoted(folder.name(relative), 200)} includes itself",
@@ -226,16 +246,19 @@ class _PolicyReader:
                 help="remove one of the includes of the loop",
                 code="include-loop",
             )
-        if real in self.done:
-            return self.done[real]
+        key = folder.package, relative if folder.package else str(real)
+        if key in self.done:
+            return self.done[key]
         content = self.read(folder, real, where)
-        self.seen[Path(folder.shown, relative)] = self.files[real]
+        self.seen[folder.place(relative)] = self.files[real]
+        if folder.package:
+            self.shipped[key] = ShippedFile(folder.package, relative, content, where)
         try:
             root = parse(content, folder.name(relative), limits=self.limits)
         except ComArmorError as error:
             raise _with_chain(error, chain) from None
         self.open.append(real)
-        document = self.done[real] = self.complete(root, folder, relative, chain)
+        document = self.done[key] = self.complete(root, folder, relative, chain)
         self.open.pop()
         return document
 
@@ -262,33 +285,56 @@ class _PolicyReader:
                 inclusions += 1 + included.inclusions
             self.bound(nodes, inclusions, place)
         uniform = uniform and all(included.uniform for included in includes.values())
-        return PolicyFile(name, root, MappingProxyType(includes), nodes, inclusions, uniform)
+        return PolicyFile(name, root, MappingProxyType(includes), nodes, inclusions, uniform, folder.package)
 
     def include(self, element: etree._Element, folder: SandboxedFolder, relative: str, where: Origin) -> PolicyFile:
         """Read the file that an ``xi:include`` element refers to."""
-        href = _href(element, where)
-        target = posixpath.normpath(posixpath.join(posixpath.dirname(relative), href))
-        key = (folder, target, href)
+        href = href_of(element, where)
+        key = folder, posixpath.dirname(relative), href
         if key in self.included:  # many profiles include the same few files
             return self.included[key]
         chain = (Origin(where.file, where.line, (), where.column), *where.chain)
-        is_there = exists(folder, target, where)
+        shipped = includes.package_path(href, where)
+        if shipped is not None:
+            inner, target = self.package(shipped.package, where), shipped.path
+        else:
+            target = posixpath.normpath(posixpath.join(key[1], includes.path_of(href, where)))
+            inner, target = folder, includes.checked_path(target, where) if folder.package else target
+        is_there = exists(inner, target, where)
         if not is_there:
-            self.seen[Path(folder.shown, target)] = b""
-        if not is_there and self.library is not None:
-            from_root = posixpath.normpath(href)
+            self.seen[inner.place(target)] = b""
+        if not is_there and not inner.package and self.library is not None:
+            from_root = posixpath.normpath(includes.path_of(href, where))
             if exists(self.library, from_root, where):
-                folder, target, is_there = self.library, from_root, True
-        if not is_there:
-            raise self.missing(folder, target, href, where)
-        document = self.included[key] = self.document(folder, target, where, chain)
+                inner, target, is_there = self.library, from_root, True
+        if is_there:
+            document = self.document(inner, target, where, chain)
+        elif inner.absent_is_empty:
+            document = PolicyFile(inner.name(target), etree.Element("profiles"), {}, 1, 0, True, inner.package)
+        else:
+            raise self.missing(inner, target, href, where)
+        self.included[key] = document
         return document
+
+    def package(self, name: str, where: Origin) -> SandboxedFolder:
+        """Return the folder of the files that a package ships."""
+        if self.packages is None:
+            raise ComArmorError(
+                f"the package {quoted(name)} cannot be looked up here, so none of its files can be included",
+                where=where,
+                code="package-unavailable",
+            )
+        folder = self.packages.folder(name, where)
+        for path in self.packages.looked_at(name):
+            self.seen[path] = fingerprint(path)
+        return folder
 
     def missing(self, folder: SandboxedFolder, target: str, href: str, where: Origin) -> ComArmorError:
         """Return the error for a missing included file, with the searched paths and a similar file name."""
-        places, near = [folder.name(target)], similar_file(folder, target, where.file)
-        if self.library is not None:
-            from_root = posixpath.normpath(href)
+        place = path_text(str(folder.place(target))) if folder.package else folder.name(target)
+        places, near = [place], similar_file(folder, target, where.file)
+        if self.library is not None and not folder.package:
+            from_root = posixpath.normpath(includes.path_of(href, where))
             places.append(self.library.name(from_root))
             near = near or similar_file(self.library, from_root)
         looked = f"looked for {' and '.join(quoted(each, 200) for each in dict.fromkeys(places))}"
@@ -302,7 +348,7 @@ class _PolicyReader:
     def read(self, folder: SandboxedFolder, real: Path, where: Origin) -> bytes:
         """Return the bytes of a file, and record their digest."""
         try:
-            content = read_bounded(folder.real, real, self.limits.file_bytes + 1)
+            content = read_in(folder, real, self.limits.file_bytes + 1)
         except (OSError, ValueError) as error:
             raise ComArmorError(unreadable(error, "the file"), where=where, code="unreadable") from None
         self.total += len(content)
@@ -330,32 +376,6 @@ def _is_uniform(root: etree._Element) -> bool:
     return all(part.tag in PERMISSIONS or part.tag == INCLUDE for part in parts) and not any(
         "@{" in (element.text or "") for element in root.iter()
     )
-
-
-def _href(element: etree._Element, where: Origin) -> str:
-    """Return the relative path that an ``xi:include`` element refers to.
-
-    Raises:
-        ComArmorError: the element does not include an XML file by a plain relative path.
-    """
-    for attribute in element.attrib:
-        if attribute not in ("href", "parse"):
-            raise ComArmorError(
-                f"xi:include has the attribute {quoted(str(attribute))}, expected only href and parse",
-                where=where,
-                help=did_you_mean(str(attribute), ("href", "parse")),
-                code="schema",
-            )
-    if element.get("parse", "xml") != "xml":
-        raise ComArmorError('xi:include can only have parse="xml"', where=where, code="include-parse")
-    if len(element):
-        raise ComArmorError(
-            "xi:include must be empty; xi:fallback is not supported",
-            where=Origin(where.file, line(element[0]), where.chain),
-            help="a missing include is an error, so that no rule is ever left out silently",
-            code="include-fallback",
-        )
-    return includes.path_of(element.get("href", ""), where)
 
 
 def _with_chain(error: ComArmorError, chain: tuple[Origin, ...]) -> ComArmorError:

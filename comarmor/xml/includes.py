@@ -1,13 +1,90 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every format accepts as the ``href`` of an include: the relative path of a file, and nothing else."""
+"""What formats accept as the ``href`` of an include: the relative path of a file, or a file that a package ships."""
 
 from __future__ import annotations
 
 import posixpath
+import re
 from urllib.parse import unquote, urlsplit
 
 from comarmor.errors import ComArmorError, Origin
 from comarmor.text import quoted
+from comarmor.values import dataclass
+
+PACKAGE = "package://"
+"""Begin of an ``href`` that names a file of a ROS package, as in URDF and in ``resource_retriever``."""
+_PACKAGE_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,254}")
+"""Names of ROS packages (REP 144), and those with capitals, which colcon builds as well."""
+_SEGMENT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,254}")
+
+
+@dataclass(frozen=True, slots=True)
+class PackagePath:
+    """A file that a package ships: name of the package, and path below its folder of profiles."""
+
+    package: str
+    path: str
+
+
+def package_path(href: str, where: Origin) -> PackagePath | None:
+    """Return the file of a package that the ``href`` of an include names; None if it begins in another way.
+
+    Args:
+        href: the attribute: ``package://PACKAGE/PATH``.
+        where: the place of the element.
+
+    Raises:
+        ComArmorError: ``include-href``: the package has no legal name, or there is no path; ``include-outside``: the
+            path leads out of the package.
+    """
+    if not href.startswith(PACKAGE):
+        return None
+    package, _, rest = href.removeprefix(PACKAGE).partition("/")
+    if not is_package_name(package):
+        raise ComArmorError(
+            f"{quoted(package)} is not the name of a package",
+            where=where,
+            help="write package://PACKAGE/FILE.xml; a name has letters, digits, '_' and '-', and begins with a letter",
+            code="include-href",
+        )
+    if not rest:
+        raise ComArmorError(
+            f"the href {quoted(href)} of xi:include names no file",
+            where=where,
+            help=f"write {PACKAGE}{package}/FILE.xml; 'keymint plugins' lists the files that packages ship",
+            code="include-href",
+        )
+    return PackagePath(package, checked_path(path_of(rest, where), where))
+
+
+def is_package_name(name: str) -> bool:
+    """Tell whether a text can be the name of a ROS package."""
+    return _PACKAGE_NAME.fullmatch(name) is not None
+
+
+def checked_path(path: str, where: Origin) -> str:
+    """Return the normalized path of a file of a package, which will become a path in a workspace too.
+
+    Raises:
+        ComArmorError: ``include-outside``: it leads out of the package; ``include-href``: it has other characters than
+            letters, digits, ``_``, ``.``, ``+`` and ``-``, or a hidden part, or does not end in ``.xml``.
+    """
+    normal = posixpath.normpath(path)
+    if normal.split("/", 1)[0] == "..":
+        raise ComArmorError(
+            f"the path {quoted(path, 200)} leads out of the package's folder of profiles",
+            where=where,
+            help="a package ships its profiles in share/PACKAGE/keymint/comarmor.d; name a file below it",
+            code="include-outside",
+        )
+    if not all(map(_SEGMENT.fullmatch, normal.split("/"))) or not normal.endswith(".xml"):
+        raise ComArmorError(
+            f"the path {quoted(path, 200)} of a package's file is not plain",
+            where=where,
+            help="expected a path that ends in .xml, of letters, digits, '_', '.', '+' and '-', without hidden parts",
+            code="include-href",
+        )
+    return normal
 
 
 def path_of(href: str, where: Origin, *, help_: str = "") -> str:

@@ -13,17 +13,37 @@ from comarmor.errors import ComArmorError, Origin
 from comarmor.text import did_you_mean, quoted
 from comarmor.values import dataclass
 
+FOLLOW_LINKS = "--trust-links follows it, e.g. in what 'colcon build --symlink-install' made"
+"""What to do about a link that leads out of a package."""
+
 
 @dataclass(frozen=True, slots=True)
 class SandboxedFolder:
-    """A folder that file access is confined to: its resolved path, and the path as the user would type it."""
+    """A folder that file access is confined to.
+
+    Attributes:
+        real: its resolved path.
+        shown: the path as the user would type it.
+        package: name of the package that ships it; empty for a folder of the policy's owner.
+        path: its path, if ``shown`` is none.
+        trusts_links: its symbolic links may lead anywhere.
+        absent_is_empty: a file that it does not have counts as an empty one.
+    """
 
     real: Path
     shown: str
+    package: str = ""
+    path: Path | None = None
+    trusts_links: bool = False
+    absent_is_empty: bool = False
 
     def name(self, relative: str) -> str:
         """Return the path of a file in this folder as the user would type it."""
         return path_text(relative if self.shown == "." else posixpath.join(self.shown, relative))
+
+    def place(self, relative: str) -> Path:
+        """Return the path of a file in this folder, before links are resolved."""
+        return Path(self.path or self.shown, relative)
 
 
 def resolve(folder: SandboxedFolder, relative: str, where: Origin) -> Path:
@@ -37,14 +57,21 @@ def resolve(folder: SandboxedFolder, relative: str, where: Origin) -> Path:
         real = (folder.real / relative).resolve()
     except (OSError, RuntimeError, ValueError) as error:
         raise ComArmorError(unreadable(error, "the file"), where=where, code="unreadable") from None
-    if outside or not real.is_relative_to(folder.real):
+    if outside or not (folder.trusts_links or real.is_relative_to(folder.real)):
         raise ComArmorError(
             f"{quoted(relative, 200)} is outside of the policy's folder {quoted(path_text(folder.shown), 200)}",
             where=where,
-            help="copy the file into the folder, and include the copy",
+            help=FOLLOW_LINKS
+            if folder.package and not outside
+            else "copy the file into the folder, and include the copy",
             code="include-outside",
         )
     return real
+
+
+def read_in(folder: SandboxedFolder, real: Path, size: int) -> bytes:
+    """Return at most ``size`` bytes of a file that :func:`resolve` returned for a folder; see :func:`read_bounded`."""
+    return read_bounded(real.parent if folder.trusts_links else folder.real, real, size)
 
 
 def exists(folder: SandboxedFolder, relative: str, where: Origin) -> bool:

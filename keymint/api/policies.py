@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from comarmor.errors import Origin, Reason
 from comarmor.rules import Expectation
@@ -14,6 +14,9 @@ from comarmor.values import dataclass
 from keymint.api.profiles import PolicySource
 from keymint.graph import Edge
 from keymint.ir import Rule, SubjectRules
+
+if TYPE_CHECKING:
+    from comarmor.xml.package_folders import PackageFolders, ShippedFile
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +104,15 @@ class DigestedPolicy(Protocol):
 
     def rules_digest(self, subject: str) -> str | None:
         """Return a digest that differs if the rules of a subject or their places do; None if no profile applies."""
+
+
+@runtime_checkable
+class PolicyWithPackages(Protocol):
+    """Optional capability of a loaded policy: it knows which of its files packages ship."""
+
+    @property
+    def shipped(self) -> Sequence[ShippedFile]:
+        """The files of packages that it was read from, each once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,3 +241,27 @@ class PolicyType(Protocol):
 
     def fingerprint(self, path: Path) -> bytes:
         """Return a digest of a path that changes when a policy loaded from it may change."""
+
+
+@runtime_checkable
+class PackageIncludes(Protocol):
+    """Optional capability of a policy type: policies include files that ROS packages ship (docs/packages.md)."""
+
+    def load_with_packages(
+        self,
+        sources: Sequence[PolicySource],
+        library: Path | None,
+        library_shown: Path | None,
+        packages: PackageFolders,
+    ) -> LoadedPolicy:
+        """Load several policies as one: see :meth:`PolicyType.load`.
+
+        Args:
+            sources: the policies.
+            library: as for :meth:`PolicyType.load`.
+            library_shown: as for :meth:`PolicyType.load`.
+            packages: finds the files that packages ship.
+
+        Raises:
+            KeymintError: with ``file:line`` of each defect.
+        """

@@ -27,6 +27,19 @@ class PolicySource:
 
 
 @dataclass(frozen=True, slots=True)
+class AcceptedPackage:
+    """What the owner of a workspace accepted of the profiles that a ROS package ships.
+
+    Attributes:
+        files: SHA-256 of each accepted file, in hex, by its path below the package's folder of profiles.
+        follows_links: symbolic links in that folder may lead out of it.
+    """
+
+    files: Mapping[str, str]
+    follows_links: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class WorkspaceProfile:
     """A loaded workspace profile.
 
@@ -44,6 +57,8 @@ class WorkspaceProfile:
         files: files of the profile by path relative to the profile space (for plugins of the same format).
         accepts: weakenings of the policy that the owner accepts, as build types call them.
         revoke_superseded: a certificate is revoked where new signed rights are narrower than those it had.
+        packages: what the owner accepted of the profiles that ROS packages ship, by package.
+        package_copies: the folder of copies of what was accepted, a folder for each package; None if it has none.
     """
 
     name: str
@@ -59,6 +74,8 @@ class WorkspaceProfile:
     files: Mapping[str, bytes] = field(repr=False)
     accepts: frozenset[str] = frozenset()
     revoke_superseded: bool = False
+    packages: Mapping[str, AcceptedPackage] = field(default_factory=dict)
+    package_copies: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,6 +176,21 @@ class AuthorityIssuanceFiles(Protocol):
 
         Args:
             issuance: what was decided, by authority; those without any decision may be omitted.
+        """
+
+
+@runtime_checkable
+class AcceptedPackageFiles(Protocol):
+    """Optional capability of a profile type: keeps what the owner accepted of the profiles that ROS packages ship.
+
+    :meth:`ProfileType.load` returns it as :attr:`WorkspaceProfile.packages`.
+    """
+
+    def with_packages(self, packages: Mapping[str, AcceptedPackage]) -> Mapping[str, bytes]:
+        """Return the files to write into the profile space so that it has this, beside the copies.
+
+        Args:
+            packages: what was accepted, by package.
         """
 
 

@@ -8,6 +8,7 @@ from functools import partial
 import click
 
 from keymint.changes import Plan
+from keymint.commands.accepted_packages import AcceptanceOptions, accept, acceptance_options
 from keymint.commands.options import usage_error, valid_for_option
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
@@ -24,21 +25,34 @@ from keymint.session import Inputs
 @click.option("--all", "all_subjects", is_flag=True, help="Create every subject that the policy names exactly.")
 @click.option("-f", "--force", is_flag=True, help="Replace the rules of a package even if they were edited manually.")
 @valid_for_option
-def create(run: Run, names: tuple[str, ...], all_subjects: bool, force: bool, valid_for: str | None) -> Report:
+@acceptance_options
+def create(
+    run: Run,
+    names: tuple[str, ...],
+    all_subjects: bool,
+    force: bool,
+    valid_for: str | None,
+    acceptance: AcceptanceOptions,
+) -> Report:
     """Create source packages in src/, one per subject, or update their rules from the policy.
 
     If a transport of the workspace needs further identities, their packages are created as well.
 
     NAME is a subject, e.g. /robot1/talker. Any subject that a profile applies to is allowed, even if the policy
     names it only by a wildcard. Manual edits of other documents are preserved.
+
+    With --accept-package and without NAME and --all it only records what was accepted.
     """
-    if not names and not all_subjects:
+    if not names and not all_subjects and not acceptance.accept_package:
         raise usage_error("no subject is named", "name some, or use --all")
     workspace = run.workspace()
     named = [package_name(name) for name in names]
 
     def make_plan(inputs: Inputs) -> Plan:
-        session = inputs.session()
+        accepted = accept(inputs.session(), acceptance)
+        if not names and not all_subjects:
+            return accepted
+        session = inputs.after(accepted).session()
         policy = lazy_policy(session)
         subjects = dict.fromkeys([*named, *(packages_to_create(session, policy) if all_subjects else ())])
         if not subjects:
@@ -50,6 +64,6 @@ def create(run: Run, names: tuple[str, ...], all_subjects: bool, force: bool, va
         create = partial(CreateStage, policy=policy, force=force, valid_for=valid_for or "")
         wanted = create(session).subjects(tuple(subjects))
         run.workers.start(session, wanted, (create,))
-        return run.planned(create(session), wanted)
+        return accepted.then(run.planned(create(session), wanted))
 
     return run.carry_out(workspace, make_plan)

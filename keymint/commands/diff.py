@@ -88,4 +88,4 @@ def _loaded(run: Run, policies: Policies, text: str, stack: ExitStack) -> Loaded
         return policies.load(Path(text))
     revision = stack.enter_context(at_revision(text, run.setting.cwd, run.setting.environment))
     run.folder_names[f"{revision.root}/"] = f"{revision.name}:"
-    return policies.load(revision.path)
+    return policies.load(revision.path, as_accepted=True)

@@ -178,11 +178,13 @@ class PolicyOptions:
         distro: ROS 2 distribution, or None.
         profile_type: plugin that ships the policy library.
         policy_type: plugin that reads the policy.
+        trust_links: follow symbolic links out of the folders of ROS packages.
     """
 
     distro: str | None
     profile_type: str
     policy_type: str
+    trust_links: bool = False
 
 
 policy_options = option_group(
@@ -208,6 +210,11 @@ policy_options = option_group(
         default="keymint_ros2_comarmor",
         show_default=True,
         help="Plugin that reads the policy.",
+    ),
+    click.option(
+        "--trust-links",
+        is_flag=True,
+        help="Follow symbolic links out of the folders of ROS packages, as 'colcon build --symlink-install' makes.",
     ),
 )
 

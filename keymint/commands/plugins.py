@@ -4,8 +4,11 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from typing import Any
 
 from comarmor.errors import Diagnostic
+from comarmor.xml.package_folders import InstalledPackages, ShippingPackage
+from comarmor.xml.sandboxed_paths import path_text
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
@@ -14,7 +17,10 @@ from keymint.output.report import Report
 
 @verb(workspace=False)
 def plugins(run: Run) -> Report:
-    """List the installed plugins: group, name, version, distribution, and whether each loads."""
+    """List the installed plugins: group, name, version, distribution, and whether each loads.
+
+    Then the ROS packages of AMENT_PREFIX_PATH that ship profiles, which policies include as package://PACKAGE/FILE.xml.
+    """
     diagnostics: list[Diagnostic] = []
     listed = []
     for info in run.plugins.infos:
@@ -32,5 +38,26 @@ def plugins(run: Run) -> Report:
             for info, usable in listed
         ],
     )
-    result = {"plugins": [asdict(info) | {"usable": usable} for info, usable in listed]}
+    shipping = tuple(InstalledPackages(run.setting.environment).shipping())
+    if shipping:
+        run.console.line("")
+        run.console.table(["PACKAGE", "SHIPS", "HIDDEN BY", "FROM"], [_row(run, each) for each in shipping])
+    result = {
+        "plugins": [asdict(info) | {"usable": usable} for info, usable in listed],
+        "packages": [_document(each) for each in shipping],
+    }
     return Report(run.verb, None, (), diagnostics, result, ExitCode.FAILURE if diagnostics else ExitCode.DONE)
+
+
+def _row(run: Run, package: ShippingPackage) -> list[str]:
+    files = "(unreadable)" if package.files is None else " ".join(package.files)
+    return [package.name, files, package.hidden_by or "-", run.typed(path_text(str(package.folder)))]
+
+
+def _document(package: ShippingPackage) -> dict[str, Any]:
+    return {
+        "name": package.name,
+        "folder": path_text(str(package.folder)),
+        "files": None if package.files is None else list(map(path_text, package.files)),
+        "hidden_by": package.hidden_by or None,
+    }

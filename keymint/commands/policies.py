@@ -8,12 +8,14 @@ from functools import cache
 from pathlib import Path
 
 from comarmor.errors import Origin, library_name
+from comarmor.xml.package_folders import InstalledPackages
 from keymint.api import LoadedPolicy, PolicySource
 from keymint.commands.options import PolicyOptions
 from keymint.commands.run import Run
 from keymint.errors import KeymintError
 from keymint.plan.foreign_policies import foreign_policy
-from keymint.plan.policy import load_policy
+from keymint.plan.packages import load_with
+from keymint.plan.policy import accepted_policy, load_policy
 from keymint.session import Session
 from keymint.workspace import Workspace
 
@@ -38,17 +40,22 @@ class Policies:
         self.distro = options.distro or run.setting.environment.get("ROS_DISTRO") or _DEFAULT_DISTRO
         self.build_types = run.plugins.profile_type(options.profile_type).BUILD_TYPES
 
-    def load(self, path: Path | None) -> LoadedPolicy:
+    def load(self, path: Path | None, *, as_accepted: bool = False) -> LoadedPolicy:
         """Load the policy at a path, or of the workspace there; without a path, of the current workspace.
+
+        Args:
+            path: the path, or None.
+            as_accepted: read what ROS packages ship from the copies that a workspace has, not from where they are
+                installed: its policy is not the present one.
 
         Raises:
             KeymintError: the policy is missing, or has defects.
         """
         if path is None:
-            return self._of_workspace(self._run.workspace())
+            return self._of_workspace(self._run.workspace(), as_accepted)
         folder = self._run.setting.cwd / path
         workspace = Workspace.at(folder, {}, self._run.setting.cwd)
-        return self._of_workspace(workspace) if workspace.exists() else self.at(folder, str(path))
+        return self._of_workspace(workspace, as_accepted) if workspace.exists() else self.at(folder, str(path))
 
     def shipped(self) -> Path:
         """Return the directory of the policy library that ships with Keymint.
@@ -70,8 +77,9 @@ class Policies:
             KeymintError: the policy is missing, or has defects.
         """
         source, plugins, name = PolicySource(typed, path, Origin(typed)), self._run.plugins, self._options.policy_type
+        packages = InstalledPackages(self._run.setting.environment, None if self._options.trust_links else frozenset())
         try:
-            return plugins.policy_type(name).load([source], self.shipped())
+            return load_with(plugins.policy_type(name), [source], self.shipped(), None, packages)
         except KeymintError as error:
             found = foreign_policy(plugins, [path], name)
             if found is None:
@@ -80,12 +88,12 @@ class Policies:
                 raise found.refusal(self._run.typed(str(found.path))) from error
         return plugins.policy_type(found.policy_type).load([source], self.shipped())
 
-    def _of_workspace(self, workspace: Workspace) -> LoadedPolicy:
+    def _of_workspace(self, workspace: Workspace, as_accepted: bool) -> LoadedPolicy:
         session = self._run.inputs(workspace).session()
         if self._options.distro is None:
             self.distro = session.profile.distro
         self.build_types = session.profile.build_types
-        return load_policy(session)
+        return accepted_policy(session) if as_accepted else load_policy(session, trust_links=self._options.trust_links)
 
     def library(self, path: Path | None) -> Callable[[str], str | None]:
         """Return a function that names a file of the shipped library, or of an unchanged copy; None for other files."""

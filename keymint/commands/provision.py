@@ -11,6 +11,7 @@ import click
 
 from comarmor.errors import Origin
 from keymint.changes import Plan
+from keymint.commands.accepted_packages import AcceptanceOptions, accept, acceptance_options
 from keymint.commands.build import build_options, policy_slips
 from keymint.commands.init import bootstrap_request, refuse_contradiction
 from keymint.commands.options import (
@@ -56,6 +57,7 @@ from keymint.session import Inputs
 @prove_option
 @strict_option
 @revoke_superseded_option
+@acceptance_options
 def provision(
     run: Run,
     policy: Path,
@@ -68,6 +70,7 @@ def provision(
     prove: bool,
     strict: bool,
     revoke_superseded: bool,
+    acceptance: AcceptanceOptions,
 ) -> Report:
     """Turn a ComArmor POLICY into a keystore in one step: init, create --all, build and install.
 
@@ -83,6 +86,7 @@ def provision(
 
     def make_plan(inputs: Inputs) -> Plan:
         plan = _profile_plan(inputs)
+        plan = plan.then(accept(inputs.after(plan).session(), acceptance))
         session = inputs.after(plan).session()
         acquired = lazy_policy(session)
         names = packages_to_create(session, acquired)

@@ -13,6 +13,7 @@ from keymint.commands.options import common_options, require_known_plugins
 from keymint.commands.run import Run, Setting
 from keymint.errors import ExitCode, KeymintError
 from keymint.output.report import Report
+from keymint.plan.packages import UnacceptedPackagesError
 
 Verb = Callable[..., Report]
 """The function of a verb; ``inspect.unwrap`` finds it below the callback of its click command."""
@@ -76,6 +77,10 @@ def _guarded(run: Run, function: Callable[[], Report]) -> ExitCode:
     """Run a verb, show its report or its error, and return the exit code."""
     try:
         report = function()
+    except UnacceptedPackagesError as error:
+        from keymint.commands.accepted_packages import unaccepted  # noqa: PLC0415 - few runs need it
+
+        report = unaccepted(run, error)
     except KeymintError as error:
         report = Report(
             run.verb, run.known_workspace, (), error.diagnostics, exit_code=error.exit_code, dry_run=run.dry_run

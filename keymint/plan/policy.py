@@ -8,11 +8,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from comarmor.xml.package_folders import CopiedPackages, PackageFolders
 from keymint.api import AppliedProfile, DigestedPolicy, LoadedPolicy, PolicyDecision, PolicyStructure, StructuredPolicy
+from keymint.changes import Plan
 from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint.ir import SubjectRules
 from keymint.names import package_name
+from keymint.plan import packages
 from keymint.plan.foreign_policies import foreign_policy
 from keymint.session import Session
 from keymint.state import Stamp, State, digest
@@ -21,18 +24,50 @@ _STAGE, _FILES, _SUBJECTS = "policy", "seen", "subjects"
 """Keys of the record of the policy: the paths that it was read from, and the subjects that it names."""
 
 
-def load_policy(session: Session) -> LoadedPolicy:
+def load_policy(session: Session, *, trust_links: bool = False) -> LoadedPolicy:
     """Load the policy that the profile names; errors as :meth:`keymint.api.PolicyType.load`.
 
     A library that is only planned yet is read from where it will be copied from, and named by its future path.
+
+    Args:
+        session: the workspace and its profile.
+        trust_links: follow symbolic links out of the folders of ROS packages, also where the owner did not decide it.
+
+    Raises:
+        UnacceptedPackagesError: it includes files of ROS packages that its owner did not accept as they are now.
     """
+    policy = _load(session, packages.installed(session, trust_links=trust_links))
+    packages.refuse_unaccepted(session, policy, functools.partial(accepted_policy, session, absent_is_empty=True))
+    return policy
+
+
+def accepted_policy(session: Session, *, absent_is_empty: bool = False) -> LoadedPolicy:
+    """Load the policy with the files of ROS packages as its owner accepted them, wherever they are installed.
+
+    Args:
+        session: the workspace and its profile.
+        absent_is_empty: a file that was not accepted counts as empty.
+
+    Raises:
+        KeymintError: as of :func:`load_policy`; without ``absent_is_empty`` also if a copy is missing.
+    """
+    copies = session.profile.package_copies
+    return _load(session, CopiedPackages(copies, absent_is_empty) if copies else packages.installed(session))
+
+
+def plan_acceptance(session: Session, names: Sequence[str], *, trust_links: bool) -> Plan:
+    """Plan to accept what ROS packages ship; see :func:`keymint.plan.packages.plan_acceptance`."""
+    return packages.plan_acceptance(session, names, functools.partial(_load, session), trust_links=trust_links)
+
+
+def _load(session: Session, folders: PackageFolders) -> LoadedPolicy:
     profile = session.profile
     policy_type = session.plugins.policy_type(profile.policy_type, session.profile_marker())
     library, shown = profile.library, None
     if library is not None and not library.is_dir():
         library, shown = session.plugins.profile_type(profile.profile_type).library(profile.distro), library
     try:
-        return policy_type.load(profile.policies, library, shown)
+        return packages.load_with(policy_type, profile.policies, library, shown, folders)
     except KeymintError as error:
         paths = [source.path for source in profile.policies]
         foreign = foreign_policy(session.plugins, paths, profile.policy_type)
@@ -66,7 +101,7 @@ def is_unchanged(session: Session) -> bool:
     return (
         recorded is not None
         and session.state.stamp(_STAGE, _SUBJECTS) is not None
-        and recorded.inputs == _locations_digest(session)
+        and recorded.inputs == locations_digest(session)
         and all(policy_type.fingerprint(Path(path)).hex() == value for path, value in recorded.outputs.items())
     )
 
@@ -85,7 +120,7 @@ def recorded_subjects(session: Session) -> frozenset[str]:
 
 def record_policy(session: Session, policy: LoadedPolicy) -> State:
     """Return the state with the files that the policy was read from and the subjects that it names."""
-    locations = _locations_digest(session)
+    locations = locations_digest(session)
     files = Stamp(locations, {str(path): value.hex() for path, value in policy.seen.items()})
     subjects = Stamp(locations, dict.fromkeys(policy.subjects(), ""))
     return session.state.updated(_STAGE, {_FILES: files, _SUBJECTS: subjects})
@@ -100,10 +135,14 @@ def package_of(policy: LoadedPolicy, subject: str) -> str:
         raise KeymintError.of(replace(diagnostic, where=where) for diagnostic in error.diagnostics) from None
 
 
-def _locations_digest(session: Session) -> str:
+def locations_digest(session: Session) -> str:
     """Return the digest of the paths that the policy is read from; a copy of the workspace has another one."""
     profile = session.profile
-    return digest(session.profile_digest, str(profile.library), *(str(source.path) for source in profile.policies))
+    paths = [source.path for source in profile.policies]
+    if profile.packages:
+        installed = packages.installed(session)
+        paths += (path for name in profile.packages for path in installed.looked_at(name))
+    return digest(session.profile_digest, str(profile.library), *map(str, paths))
 
 
 class _LazyPolicy:

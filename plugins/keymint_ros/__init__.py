@@ -15,8 +15,8 @@ __all__ = ["RosPackageType", "RosProfileType", "package_type", "profile_type"]
 class RosProfileType:
     """Profiles.
 
-    Implements :class:`keymint.api.ProfileType`, :class:`keymint.api.ProfileSettings` and
-    :class:`keymint.api.AuthorityIssuanceFiles`.
+    Implements :class:`keymint.api.ProfileType`, :class:`keymint.api.ProfileSettings`,
+    :class:`keymint.api.AuthorityIssuanceFiles` and :class:`keymint.api.AcceptedPackageFiles`.
     """
 
     API = API_VERSION
@@ -35,6 +35,7 @@ class RosProfileType:
     with_policy = lazy("keymint_ros.profile:with_policy")
     settings = lazy("keymint_ros.profile:settings")
     with_authority_issuance = lazy("keymint_ros.authority_issuance:with_authority_issuance")
+    with_packages = lazy("keymint_ros.packages_lock:with_packages")
 
 
 class RosPackageType:

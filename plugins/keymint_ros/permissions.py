@@ -25,6 +25,7 @@ from comarmor.patterns.expression import parse as parse_expression
 from comarmor.rules import Effect
 from comarmor.values import dataclass
 from comarmor.xml import reader
+from comarmor.xml.includes import PACKAGE
 from comarmor.xml.reader import line
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
@@ -252,7 +253,7 @@ def stated(text: str) -> Origin | None:
 def placed(base: str, origin: Origin) -> Origin:
     """Return an origin with its relative paths in a folder."""
     first, *chain = (
-        Origin(each.file if each.file.startswith("/") else posixpath.normpath(base + each.file), each.line)
+        Origin(each.file if each.file.startswith(("/", PACKAGE)) else posixpath.normpath(base + each.file), each.line)
         for each in (origin, *origin.chain)
     )
     return replace(first, chain=tuple(chain))

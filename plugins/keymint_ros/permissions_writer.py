@@ -10,6 +10,7 @@ from functools import lru_cache
 from urllib.parse import quote
 
 from comarmor.errors import Origin
+from comarmor.xml.includes import PACKAGE
 from keymint.ir import Rule, SubjectRules
 from keymint_ros import permissions
 from keymint_ros.permissions import digest
@@ -128,7 +129,7 @@ def _relative(file: str, base: str) -> str:
     """Return a path relative to a folder where the two paths alone allow it, with unsafe characters quoted."""
     if file.startswith(base):
         file = file.removeprefix(base)
-    elif not file.startswith("/") and not base.startswith("/"):
+    elif not file.startswith(("/", PACKAGE)) and not base.startswith("/"):
         file = os.path.relpath(file, base)
     return _UNSAFE.sub(_percent_encoded, file)
 

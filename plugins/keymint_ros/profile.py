@@ -17,7 +17,16 @@ from comarmor.xml.reader import line
 from keymint.api import Authority, PolicySource, WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint.source_documents import Reader, domains, file_in, place, text
-from keymint_ros import authority_issuance, bootstrap, certificate, distros, manifest, placeholders, validity
+from keymint_ros import (
+    authority_issuance,
+    bootstrap,
+    certificate,
+    distros,
+    manifest,
+    packages_lock,
+    placeholders,
+    validity,
+)
 from keymint_ros.certificate import CertificateElement
 from keymint_ros.manifest import BUILD_TYPE
 
@@ -216,6 +225,8 @@ def load(root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
         files=files,
         accepts=own.accepts,
         revoke_superseded=own.revoke_superseded,
+        packages=packages_lock.read(files, str(root)),
+        package_copies=root / packages_lock.COPIES,
     )
 
 

@@ -12,6 +12,7 @@ import comarmor.language.source
 from comarmor.language.decide import Ruling
 from comarmor.rules import Effect, Expectation
 from comarmor.values import dataclass
+from comarmor.xml.package_folders import PackageFolders, ShippedFile
 from keymint.api import (
     API_VERSION,
     AppliedProfile,
@@ -38,6 +39,11 @@ class ComArmorPolicy:
     def seen(self) -> Mapping[Path, bytes]:
         """Every path that loading looked at, with its fingerprint."""
         return self.policy.seen
+
+    @property
+    def shipped(self) -> tuple[ShippedFile, ...]:
+        """See :attr:`keymint.api.PolicyWithPackages.shipped`."""
+        return self.policy.shipped
 
     def subjects(self) -> tuple[str, ...]:
         """Return, sorted, the subjects that the policy names exactly."""
@@ -98,6 +104,25 @@ class ComArmorPolicyType:
         self, sources: Sequence[PolicySource], library: Path | None, library_shown: Path | None = None
     ) -> ComArmorPolicy:
         """See :meth:`keymint.api.PolicyType.load`."""
+        return self._loaded(sources, library, library_shown, None)
+
+    def load_with_packages(
+        self,
+        sources: Sequence[PolicySource],
+        library: Path | None,
+        library_shown: Path | None,
+        packages: PackageFolders,
+    ) -> ComArmorPolicy:
+        """See :meth:`keymint.api.PackageIncludes.load_with_packages`."""
+        return self._loaded(sources, library, library_shown, packages)
+
+    def _loaded(
+        self,
+        sources: Sequence[PolicySource],
+        library: Path | None,
+        library_shown: Path | None,
+        packages: PackageFolders | None,
+    ) -> ComArmorPolicy:
         for source in sources:
             if not source.path.exists():
                 raise KeymintError(
@@ -106,9 +131,9 @@ class ComArmorPolicyType:
                     help="name a ComArmor file, or a directory of *.xml files",
                     code="policy-missing",
                 )
-        return ComArmorPolicy(
-            comarmor.load_all([source.path for source in sources], library=library, library_shown=library_shown)
-        )
+        paths = [source.path for source in sources]
+        loaded = comarmor.load_all(paths, library=library, library_shown=library_shown, packages=packages)
+        return ComArmorPolicy(loaded)
 
     def fingerprint(self, path: Path) -> bytes:
         """Return a digest of a path that changes when a policy loaded from it may change."""

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ``href`` of an include is the relative path of a file: for every format that has includes."""
+"""The ``href`` of an include is the relative path of a file, or a file of a package: for every format with includes."""
 
 from __future__ import annotations
 
 import pytest
 
 from comarmor.errors import ComArmorError, Origin
-from comarmor.xml.includes import path_of
+from comarmor.xml.includes import PackagePath, package_path, path_of
 
 WHERE = Origin("policy.xml", 3)
 
@@ -40,3 +40,65 @@ def test_what_is_no_relative_path(href: str, code: str) -> None:
     (found,) = caught.value.diagnostics
     assert (found.code, found.where) == (code, WHERE)
     assert found.help == ("copy it" if code == "include-outside" else "")
+
+
+@pytest.mark.parametrize(
+    ("href", "expected"),
+    [
+        ("package://nav2_bringup/controller.xml", PackagePath("nav2_bringup", "controller.xml")),
+        ("package://a/b/./c/../d.xml", PackagePath("a", "b/d.xml")),
+        ("package://A-b_2/a%2Db%5F1.xml", PackagePath("A-b_2", "a-b_1.xml")),
+        ("common/node.xml", None),
+        ("../package://a/b.xml", None),
+    ],
+)
+def test_a_file_of_a_package(href: str, expected: PackagePath | None) -> None:
+    assert package_path(href, WHERE) == expected
+
+
+@pytest.mark.parametrize(
+    ("href", "code"),
+    [
+        ("package://", "include-href"),
+        ("package:///a.xml", "include-href"),
+        ("package://a", "include-href"),
+        ("package://a/", "include-href"),
+        ("package://../a.xml", "include-href"),
+        ("package://./a.xml", "include-href"),
+        ("package://%61/a.xml", "include-href"),
+        ("package://a%2F..%2Fb/a.xml", "include-href"),
+        ("package://user@a/a.xml", "include-href"),
+        ("package://a:80/a.xml", "include-href"),
+        ("package://1a/a.xml", "include-href"),
+        ("package://a b/a.xml", "include-href"),
+        ("package://ä/a.xml", "include-href"),
+        ("package://a\nb/a.xml", "include-href"),
+        (f"package://{'a' * 256}/a.xml", "include-href"),
+        ("package://a/../b.xml", "include-outside"),
+        ("package://a/%2e%2e/b.xml", "include-outside"),
+        ("package://a/b/../../c.xml", "include-outside"),
+        ("package://a//etc/x.xml", "include-outside"),
+        ("package://a/%2Fetc/x.xml", "include-outside"),
+        ("package://a/.", "include-href"),
+        ("package://a/b/", "include-href"),
+        ("package://a/.hidden.xml", "include-href"),
+        ("package://a/b.txt", "include-href"),
+        ("package://a/a%00.xml", "include-href"),
+        ("package://a/a%0Ab.xml", "include-href"),
+        ("package://a/a\\b.xml", "include-href"),
+        ("package://a/b.xml?c", "include-href"),
+        ("package://a/b.xml#c", "include-href"),
+    ],
+)
+def test_what_is_no_file_of_a_package(href: str, code: str) -> None:
+    with pytest.raises(ComArmorError) as caught:
+        package_path(href, WHERE)
+    (found,) = caught.value.diagnostics
+    assert (found.code, found.where) == (code, WHERE)
+
+
+@pytest.mark.parametrize("href", ["PACKAGE://a/b.xml", "package:a/b.xml", "package:/a/b.xml"])
+def test_what_resembles_it_is_no_path_either(href: str) -> None:
+    assert package_path(href, WHERE) is None
+    with pytest.raises(ComArmorError, match="is not a relative path"):
+        path_of(href, WHERE)

@@ -1,0 +1,264 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where ROS packages ship profiles: ``share/PACKAGE/keymint/comarmor.d`` in the prefix where a package is installed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import field
+from pathlib import Path
+from typing import Protocol
+
+from comarmor.errors import ComArmorError, Origin
+from comarmor.text import did_you_mean, quoted
+from comarmor.values import dataclass
+from comarmor.xml.includes import PACKAGE, is_package_name
+from comarmor.xml.sandboxed_paths import FOLLOW_LINKS, SandboxedFolder, path_text, unreadable
+
+SEARCH_PATH = "AMENT_PREFIX_PATH"
+"""The environment variable that lists the prefixes, the first one first (ament_index, of ROS 2)."""
+_INDEX = "share/ament_index/resource_index/packages"
+_KEYMINT, _PROFILES = "keymint", "comarmor.d"
+
+
+@dataclass(frozen=True, slots=True)
+class ShippedFile:
+    """A file of a package that a policy includes.
+
+    Attributes:
+        package: name of the package.
+        path: path below the package's folder of profiles.
+        content: its bytes.
+        where: the place that includes it first.
+    """
+
+    package: str
+    path: str
+    content: bytes = field(repr=False)
+    where: Origin
+
+
+@dataclass(frozen=True, slots=True)
+class ShippingPackage:
+    """A package that ships profiles.
+
+    Attributes:
+        name: its name.
+        folder: the folder of its profiles.
+        files: paths of its ``*.xml`` files below that folder, sorted; None if they cannot be listed.
+        hidden_by: the prefix of the package of this name that is found first; empty if this one is.
+    """
+
+    name: str
+    folder: Path
+    files: tuple[str, ...] | None
+    hidden_by: str
+
+
+class PackageFolders(Protocol):
+    """Finds the folder of the profiles that a package ships."""
+
+    def folder(self, package: str, where: Origin) -> SandboxedFolder:
+        """Return the folder of a package.
+
+        Args:
+            package: a legal name of a package.
+            where: the place that includes a file of it.
+
+        Raises:
+            ComArmorError: there is no such package, or it ships no profiles, or its folder cannot be used.
+        """
+
+    def looked_at(self, package: str) -> tuple[Path, ...]:
+        """Return the paths that tell where a package is; while none of them changes, neither does the answer."""
+
+
+@dataclass(frozen=True, slots=True)
+class CopiedPackages:
+    """Copies of files that packages ship.
+
+    Attributes:
+        root: the folder with a folder for each package.
+        absent_is_empty: a file without a copy counts as empty; else it is missing.
+    """
+
+    root: Path
+    absent_is_empty: bool = False
+
+    def folder(self, package: str, where: Origin) -> SandboxedFolder:  # noqa: ARG002 - of the protocol
+        """See :class:`PackageFolders`."""
+        place = self.root / package
+        shown = f"{PACKAGE}{package}"
+        return SandboxedFolder(place.resolve(), shown, package, place, absent_is_empty=self.absent_is_empty)
+
+    def looked_at(self, package: str) -> tuple[Path, ...]:  # noqa: ARG002 - of the protocol
+        """See :class:`PackageFolders`."""
+        return ()
+
+
+@dataclass(frozen=True, slots=True)
+class InstalledPackages:
+    """The installed packages, found as ament_index finds them: the first prefix that has a package wins.
+
+    A prefix has a package that is registered in its index, or for which it has a folder ``share/PACKAGE/keymint``.
+    Empty entries of the list and prefixes that do not exist are skipped, as ament_index does; a relative prefix is an
+    error.
+
+    Attributes:
+        environment: environment variables, of which :data:`SEARCH_PATH` is read.
+        trusted: packages whose symbolic links are followed out of their folder; None for all.
+    """
+
+    environment: Mapping[str, str] = field(repr=False, compare=False)
+    trusted: frozenset[str] | None = frozenset()
+
+    @property
+    def prefixes(self) -> tuple[str, ...]:
+        """The prefixes, without empty entries and repetitions."""
+        return tuple(dict.fromkeys(filter(None, self.environment.get(SEARCH_PATH, "").split(os.pathsep))))
+
+    def folder(self, package: str, where: Origin) -> SandboxedFolder:
+        """See :class:`PackageFolders`."""
+        prefix = self._prefix(package, where)
+        share = Path(prefix, "share", package)
+        place = share / _KEYMINT / _PROFILES
+        try:
+            expected, real = Path(prefix).resolve() / "share" / package, place.resolve()
+            is_folder = real.is_dir()
+        except (OSError, RuntimeError) as error:
+            raise ComArmorError(
+                unreadable(error, f"'{path_text(str(place))}'"), where=where, code="unreadable"
+            ) from None
+        follows = self.trusted is None or package in self.trusted
+        if not follows and not real.is_relative_to(expected):
+            raise ComArmorError(
+                f"a symbolic link leads out of the package {quoted(package)}, at or above '{path_text(str(place))}'",
+                where=where,
+                help=FOLLOW_LINKS,
+                code="include-outside",
+            )
+        if not is_folder:
+            raise ComArmorError(
+                f"the package {quoted(package)} ships no profiles: there is no folder '{path_text(str(place))}'",
+                where=where,
+                help=self._instead(package, prefix),
+                code="package-without-profiles",
+            )
+        return SandboxedFolder(real, f"{PACKAGE}{package}", package, place, trusts_links=follows)
+
+    def looked_at(self, package: str) -> tuple[Path, ...]:
+        """See :class:`PackageFolders`."""
+        paths: list[Path] = []
+        for prefix in self.prefixes:
+            marks = _marks(prefix, package)
+            paths += marks
+            if any(map(_exists, marks)):
+                break
+        return tuple(paths)
+
+    def shipping(self) -> Iterator[ShippingPackage]:
+        """Yield the packages that ship profiles, by name, and those that another prefix hides after the others."""
+        names = {name for prefix in self.prefixes for name in _names(prefix)}
+        for name in sorted(names):
+            having = [each for each in self.prefixes if _is_absolute(each) and _has(each, name)]
+            for prefix in having:
+                folder = Path(prefix, "share", name, _KEYMINT, _PROFILES)
+                if folder.is_dir():
+                    yield ShippingPackage(name, folder, _files(folder), "" if prefix == having[0] else having[0])
+
+    def _prefix(self, package: str, where: Origin) -> str:
+        for prefix in self.prefixes:
+            if not _is_absolute(prefix):
+                raise ComArmorError(
+                    f"{SEARCH_PATH} has the relative path {quoted(prefix, 200)}, expected absolute ones only",
+                    where=where,
+                    help="what a package ships must not depend on the current folder; the setup files of ROS 2 comply",
+                    code="package-prefix",
+                )
+            try:
+                if _has(prefix, package):
+                    return prefix
+            except OSError as error:
+                place = f"'{path_text(str(error.filename))}'"
+                raise ComArmorError(unreadable(error, place), where=where, code="unreadable") from None
+        raise ComArmorError(
+            f"the package {quoted(package)} is not installed",
+            where=where,
+            help=self._near(package),
+            code="package-unknown",
+        )
+
+    def _near(self, package: str) -> str:
+        if not self.prefixes:
+            return f"{SEARCH_PATH} is not set: source the setup file of your ROS 2 workspace"
+        known = sorted({name for prefix in self.prefixes for name in _names(prefix)})
+        source = (
+            f"source the setup file of the workspace that has it; {SEARCH_PATH} lists {len(self.prefixes)} prefixes"
+        )
+        return did_you_mean(package, known, source)
+
+    def _instead(self, package: str, prefix: str) -> str:
+        """Return a hint at a prefix that the first one hides."""
+        later = self.prefixes[self.prefixes.index(prefix) + 1 :]
+        for other in later:
+            if _is_absolute(other) and _exists(Path(other, "share", package, _KEYMINT, _PROFILES)):
+                return f"'{path_text(other)}' has some, but '{path_text(prefix)}' comes first in {SEARCH_PATH}"
+        return "'keymint plugins' lists the packages that do"
+
+
+def _marks(prefix: str, package: str) -> tuple[Path, Path]:
+    """Return the paths of which one exists if a prefix has a package."""
+    return Path(prefix, _INDEX, package), Path(prefix, "share", package, _KEYMINT)
+
+
+def _has(prefix: str, package: str) -> bool:
+    """Tell whether a prefix has a package.
+
+    Raises:
+        OSError: it cannot be told, which must not mean that a later prefix is taken.
+    """
+    for mark in _marks(prefix, package):
+        try:
+            os.lstat(mark)
+        except (FileNotFoundError, NotADirectoryError):
+            continue
+        return True
+    return False
+
+
+def _exists(path: Path) -> bool:
+    try:
+        os.lstat(path)
+    except OSError:
+        return False
+    return True
+
+
+def _is_absolute(prefix: str) -> bool:
+    return prefix.startswith("/")
+
+
+def _names(prefix: str) -> Iterator[str]:
+    """Yield the names of the packages of a prefix that have a folder for Keymint."""
+    if not _is_absolute(prefix):
+        return
+    try:
+        with os.scandir(Path(prefix, "share")) as entries:
+            names = [entry.name for entry in entries]
+    except OSError:
+        return
+    yield from (name for name in names if is_package_name(name) and _exists(Path(prefix, "share", name, _KEYMINT)))
+
+
+def _files(folder: Path) -> tuple[str, ...] | None:
+    found: list[str] = []
+
+    def refuse(error: OSError) -> None:
+        raise error
+
+    try:
+        for inner, _, names in os.walk(folder, onerror=refuse):
+            found += (os.path.relpath(Path(inner, name), folder) for name in names if name.endswith(".xml"))
+    except OSError:
+        return None
+    return tuple(sorted(found))

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Accept what ROS packages ship, and show what is not accepted yet: who would gain and who would lose what."""
+
+from __future__ import annotations
+
+import click
+
+from comarmor.errors import Diagnostic, Severity
+from comarmor.values import dataclass
+from keymint.changes import Plan
+from keymint.commands.options import option_group, usage_error
+from keymint.commands.run import Run
+from keymint.errors import KeymintError
+from keymint.output.report import Report
+from keymint.plan.packages import UnacceptedPackagesError
+from keymint.plan.policy import plan_acceptance
+from keymint.session import Session
+
+
+@dataclass(frozen=True, slots=True)
+class AcceptanceOptions:
+    """What the owner of a workspace accepts of the profiles that ROS packages ship.
+
+    Attributes:
+        accept_package: names of packages whose profiles are accepted as they are now.
+        trust_links: symbolic links of these packages may lead out of them.
+    """
+
+    accept_package: tuple[str, ...]
+    trust_links: bool
+
+
+acceptance_options = option_group(
+    "acceptance",
+    AcceptanceOptions,
+    click.option(
+        "--accept-package",
+        multiple=True,
+        metavar="NAME",
+        help="Accept the profiles that this ROS package ships, as they are now (docs/packages.md). May be repeated.",
+    ),
+    click.option(
+        "--trust-links",
+        is_flag=True,
+        help="Follow symbolic links out of the accepted packages, as 'colcon build --symlink-install' makes.",
+    ),
+)
+
+
+def accept(session: Session, options: AcceptanceOptions) -> Plan:
+    """Plan to accept the packages that the command line names; nothing if it names none.
+
+    Raises:
+        KeymintError: the policy includes nothing of a package, or has defects, or links are to be followed in none.
+    """
+    if options.accept_package:
+        return plan_acceptance(session, options.accept_package, trust_links=options.trust_links)
+    if options.trust_links:
+        raise usage_error("--trust-links needs --accept-package", "name the package whose links are to be followed")
+    return Plan((), session.state)
+
+
+def unaccepted(run: Run, error: UnacceptedPackagesError) -> Report:
+    """Return the report of a verb that met files of packages that nobody accepted, and show what they change."""
+    # Few runs need the comparison, and it takes time to import.
+    from keymint.analysis.policy_diff import diff_policies  # noqa: PLC0415
+    from keymint.output.differences import as_text, summary  # noqa: PLC0415
+    from keymint.output.json import differences_json  # noqa: PLC0415
+
+    files = [
+        {"package": each.package, "path": each.path, "accepted": each.accepted or None, "shipped": each.shipped}
+        for each in error.files
+    ]
+    result: dict[str, object] = {"unaccepted": files, "subjects": None}
+    diagnostics = error.diagnostics
+    try:
+        differences = diff_policies(error.before(), error.after)
+    except KeymintError as reason:
+        why = f"what that changes cannot be shown, since the accepted files do not fit the policy: {reason}"
+        diagnostics = (*diagnostics, Diagnostic("package-diff", Severity.WARNING, why, None, "read the files"))
+    else:
+        for line in (*as_text(differences, run.place), summary(differences)):
+            run.console.line(line)
+        result["subjects"] = differences_json(differences, run.typed)
+    return Report(
+        run.verb, run.known_workspace, (), diagnostics, result, exit_code=error.exit_code, dry_run=run.dry_run
+    )

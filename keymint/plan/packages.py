@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The profiles that ROS packages ship: a workspace uses them only as its owner accepted them (docs/packages.md)."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.text import counted, did_you_mean, first_few, quoted
+from comarmor.values import dataclass
+from comarmor.xml.package_folders import InstalledPackages, PackageFolders, ShippedFile
+from keymint.api import (
+    AcceptedPackage,
+    AcceptedPackageFiles,
+    LoadedPolicy,
+    PackageIncludes,
+    PolicySource,
+    PolicyType,
+    PolicyWithPackages,
+)
+from keymint.changes import Action, File, FolderChange, Plan, Step, changed
+from keymint.errors import ExitCode, KeymintError
+from keymint.session import Session
+
+STAGE = "create"
+_SHOWN = 5
+"""Files that a message lists."""
+
+
+@dataclass(frozen=True, slots=True)
+class UnacceptedFile:
+    """A file of a package that a policy includes, and that its owner did not accept as it is now.
+
+    Attributes:
+        package: name of the package.
+        path: path below the package's folder of profiles.
+        accepted: SHA-256 of what was accepted, in hex; empty if nothing was.
+        shipped: SHA-256 of what the package ships.
+    """
+
+    package: str
+    path: str
+    accepted: str
+    shipped: str
+
+
+class UnacceptedPackagesError(KeymintError):
+    """The policy includes files of packages that its owner did not accept as they are now.
+
+    Attributes:
+        files: these files.
+        before: loads the policy with what was accepted of them, which is nothing of a file that is new.
+        after: the policy with what the packages ship.
+    """
+
+    files: tuple[UnacceptedFile, ...] = ()
+    before: Callable[[], LoadedPolicy]
+    after: LoadedPolicy
+
+
+def load_with(
+    policy_type: PolicyType,
+    sources: Sequence[PolicySource],
+    library: Path | None,
+    library_shown: Path | None,
+    packages: PackageFolders,
+) -> LoadedPolicy:
+    """Load policies that may include files of packages, if their type can; errors as :meth:`PolicyType.load`."""
+    if isinstance(policy_type, PackageIncludes):
+        return policy_type.load_with_packages(sources, library, library_shown, packages)
+    return policy_type.load(sources, library, library_shown)
+
+
+def installed(session: Session, trusted: Iterable[str] = (), *, trust_links: bool = False) -> InstalledPackages:
+    """Return the installed packages.
+
+    Args:
+        session: the workspace and its profile, which has the packages whose symbolic links are followed.
+        trusted: further ones.
+        trust_links: follow those of all packages.
+    """
+    accepted = (name for name, each in session.profile.packages.items() if each.follows_links)
+    return InstalledPackages(session.environment, None if trust_links else frozenset((*accepted, *trusted)))
+
+
+def shipped_files(policy: LoadedPolicy) -> Sequence[ShippedFile]:
+    """Return the files of packages that a policy was read from."""
+    return policy.shipped if isinstance(policy, PolicyWithPackages) else ()
+
+
+def refuse_unaccepted(session: Session, policy: LoadedPolicy, before: Callable[[], LoadedPolicy]) -> None:
+    """Refuse a policy with files of packages that the owner of the workspace did not accept as they are.
+
+    Args:
+        session: the workspace and its profile.
+        policy: the policy, as it was read.
+        before: loads it with the accepted copies.
+
+    Raises:
+        UnacceptedPackagesError: there are such files.
+        KeymintError: a copy of what was accepted was edited.
+    """
+    shipped = shipped_files(policy)
+    if not shipped:
+        return
+    _refuse_edited_copies(session, shipped)
+    found: dict[ShippedFile, UnacceptedFile] = {}
+    for each in shipped:
+        accepted, value = _accepted(session, each.package, each.path), _sha256(each.content)
+        if value != accepted:
+            found[each] = UnacceptedFile(each.package, each.path, accepted, value)
+    if not found:
+        return
+    error = UnacceptedPackagesError("")
+    error.diagnostics = tuple(_diagnostics(found))
+    error.args = (str(error.diagnostics[0]),)
+    error.files, error.before, error.after = tuple(found.values()), before, policy
+    raise error
+
+
+def plan_acceptance(
+    session: Session, names: Sequence[str], load: Callable[[InstalledPackages], LoadedPolicy], *, trust_links: bool
+) -> Plan:
+    """Plan to accept the profiles of packages as they are now: their digests, and copies to compare with later.
+
+    Args:
+        session: the workspace and its profile.
+        names: the packages.
+        load: loads the policy with the installed packages.
+        trust_links: follow the symbolic links of these packages, from now on.
+
+    Raises:
+        KeymintError: the policy includes nothing of a package, or has defects, or the profile cannot keep it.
+    """
+    profile = session.profile
+    plugin = session.plugins.profile_type(profile.profile_type)
+    if not isinstance(plugin, AcceptedPackageFiles) or profile.package_copies is None:
+        raise KeymintError(
+            f"the profile type {profile.profile_type!r} cannot keep what was accepted of packages",
+            where=session.profile_marker(),
+            help="copy the files into the policy, and include the copies",
+            code="profile-without-packages",
+        )
+    by_package: dict[str, list[ShippedFile]] = {}
+    for each in shipped_files(load(installed(session, names if trust_links else ()))):
+        by_package.setdefault(each.package, []).append(each)
+    accepted = dict(profile.packages)
+    steps: list[Step] = []
+    for name in dict.fromkeys(names):
+        if name not in by_package:
+            raise KeymintError(
+                f"the policy includes no file of a package {quoted(name)}",
+                help=did_you_mean(name, by_package, f"write package://{name}/FILE.xml into a profile first"),
+                code="package-unknown",
+                exit_code=ExitCode.USAGE,
+            )
+        before = accepted.get(name, AcceptedPackage({}))
+        files = {each.path: _sha256(each.content) for each in by_package[name]}
+        accepted[name] = AcceptedPackage(files, before.follows_links or trust_links)
+        changes = tuple(_copied(session, profile.package_copies / name, by_package[name], before))
+        if changes or accepted[name] != before:
+            detail = f"accepted {counted(len(files), 'file')} of the package {name}"
+            steps.append(Step(STAGE, "", Action.UPDATED, changes, detail))
+    if not steps:
+        return Plan((), session.state)
+    lock = plugin.with_packages(accepted)
+    written = changed(session.tree, session.workspace.profile, {name: File(content) for name, content in lock.items()})
+    steps[-1] = replace(steps[-1], changes=(*steps[-1].changes, *written))
+    return Plan(tuple(steps), session.state)
+
+
+def _copied(
+    session: Session, folder: Path, files: Sequence[ShippedFile], before: AcceptedPackage
+) -> Iterator[FolderChange]:
+    """Yield the changes that make the copies of a package those of some files."""
+    kept = {each.path for each in files}
+    for each in files:
+        path = folder / each.path
+        yield from changed(session.tree, path.parent, {path.name: File(each.content)})
+    for path in (folder / each for each in before.files if each not in kept):
+        if session.tree.read(path) is not None:
+            yield FolderChange(path.parent, removed=(path.name,))
+
+
+def _refuse_edited_copies(session: Session, shipped: Sequence[ShippedFile]) -> None:
+    """Refuse copies that are not what was accepted: the comparison with them would not tell what changes."""
+    copies = session.profile.package_copies
+    if copies is None:
+        return
+    packages = dict.fromkeys(each.package for each in shipped)
+    named = [(name, path) for name in packages for path in _of(session.profile.packages, name).files]
+    for name, path in dict.fromkeys((*named, *((each.package, each.path) for each in shipped))):
+        content = session.tree.read(copies / name / path)
+        if content is not None and _sha256(content) != _accepted(session, name, path):
+            raise KeymintError(
+                f"is not the copy of what was accepted of the package {quoted(name)}; an edit here grants nothing",
+                where=_marker(session, copies / name / path),
+                help="restore it, or remove it; to change rights, write them into the policy",
+                code="package-copy-edited",
+            )
+
+
+def _marker(session: Session, path: Path) -> Origin:
+    return Origin(session.workspace.shown(path))
+
+
+def _diagnostics(found: Mapping[ShippedFile, UnacceptedFile]) -> Iterator[Diagnostic]:
+    """Yield an error for each package."""
+    for name in dict.fromkeys(each.package for each in found):
+        own = [each for each in found if each.package == name]
+        paths = first_few([each.path for each in own], _SHOWN)
+        known = any(found[each].accepted for each in own)
+        message = (
+            f"the package {quoted(name)} ships something else than what was accepted: {paths}"
+            if known
+            else f"what the package {quoted(name)} ships was not accepted yet: {paths}"
+        )
+        help_ = (
+            "'keymint create --all' and 'keymint provision' list who gains and who loses what by it; if that is right, "
+            f"repeat the command with --accept-package {name}"
+        )
+        code = "package-changed" if known else "package-unaccepted"
+        yield Diagnostic(code, Severity.ERROR, message, own[0].where, help_)
+
+
+def _of(packages: Mapping[str, AcceptedPackage], name: str) -> AcceptedPackage:
+    return packages.get(name) or AcceptedPackage({})
+
+
+def _accepted(session: Session, package: str, path: str) -> str:
+    """Return the SHA-256 of a file that was accepted, or an empty text."""
+    return _of(session.profile.packages, package).files.get(path, "")
+
+
+def _sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()

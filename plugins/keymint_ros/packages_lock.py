@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``packages.lock.xml``: what the owner of a workspace accepted of the profiles that ROS packages ship.
+
+Keymint writes this file, and nobody else: ``keymint create --accept-package`` records what its owner decided.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from keymint.api import AcceptedPackage
+from keymint.errors import KeymintError
+from keymint.source_documents import Reader, place
+
+if TYPE_CHECKING:
+    from lxml import etree
+
+FILE = "packages.lock.xml"
+COPIES = "packages.lock.d"
+"""Folder of the copies of what was accepted, one folder for each package."""
+_HEAD = """\
+<?xml version="1.0" encoding="UTF-8"?>
+<!-- Written by Keymint for its option accept-package: the files that ROS packages ship, as the owner of this workspace
+     accepted them. Keep it and packages.lock.d/ under version control. The copies there show what changed; they grant
+     nothing. -->
+"""
+
+
+def _packages(root: etree._Element) -> Mapping[str, AcceptedPackage]:
+    found: dict[str, AcceptedPackage] = {}
+    for element in root.iterfind("package"):
+        name = element.get("name", "")
+        if name in found:
+            raise KeymintError(
+                f"there are two elements for the package {name!r}",
+                where=place(element),
+                help="remove one of them, or accept the package again",
+                code="package-doubled",
+            )
+        files: dict[str, str] = {}
+        for file in element.iterfind("file"):
+            path = file.get("path", "")
+            if path in files:
+                raise KeymintError(
+                    f"there are two elements for the file {path!r} of the package {name!r}",
+                    where=place(file),
+                    help="remove one of them, or accept the package again",
+                    code="package-doubled",
+                )
+            files[path] = file.get("sha256", "")
+        found[name] = AcceptedPackage(MappingProxyType(files), element.get("links") == "follow")
+    return MappingProxyType(found)
+
+
+_read = Reader("keymint_ros", "packages_lock", _packages)
+
+
+def read(files: Mapping[str, bytes], folder: str) -> Mapping[str, AcceptedPackage]:
+    """Return what was accepted, by package.
+
+    Args:
+        files: the files of the profile by path relative to the profile space.
+        folder: the profile space, as the user would type it.
+
+    Raises:
+        KeymintError: with ``file:line`` of each defect.
+    """
+    content = files.get(FILE)
+    return {} if content is None else _read(content, f"{folder}/{FILE}")
+
+
+def with_packages(packages: Mapping[str, AcceptedPackage]) -> Mapping[str, bytes]:
+    """Return the document: see :meth:`keymint.api.AcceptedPackageFiles.with_packages`."""
+    lines = [line for name, each in sorted(packages.items()) for line in _lines(name, each)]
+    return {FILE: "\n".join((f'{_HEAD}<packages_lock format="2">', *lines, "</packages_lock>", "")).encode()}
+
+
+def _lines(name: str, package: AcceptedPackage) -> Iterator[str]:
+    links = ' links="follow"' if package.follows_links else ""
+    yield f'  <package name="{name}"{links}>'
+    for path, value in sorted(package.files.items()):
+        yield f'    <file path="{path}" sha256="{value}"/>'
+    yield "  </package>"
