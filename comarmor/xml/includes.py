@@ -13,8 +13,8 @@ from comarmor.values import dataclass
 
 PACKAGE = "package://"
 """Begin of an ``href`` that names a file of a ROS package, as in URDF and in ``resource_retriever``."""
-_PACKAGE_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,254}")
-"""Names of ROS packages (REP 144), and those with capitals, which colcon builds as well."""
+_PACKAGE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,254}")
+"""Names of ROS packages (REP 127), with the exemptions that ament_index makes: capitals, digits in front, dashes."""
 _SEGMENT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,254}")
 
 
@@ -44,7 +44,7 @@ def package_path(href: str, where: Origin) -> PackagePath | None:
         raise ComArmorError(
             f"{quoted(package)} is not the name of a package",
             where=where,
-            help="write package://PACKAGE/FILE.xml; a name has letters, digits, '_' and '-', and begins with a letter",
+            help="write package://PACKAGE/FILE.xml; a name has letters, digits, '_' and '-', a letter or digit first",
             code="include-href",
         )
     if not rest:

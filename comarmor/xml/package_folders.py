@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Iterator, Mapping
+import stat
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import field
 from pathlib import Path
 from typing import Protocol
@@ -150,21 +152,19 @@ class InstalledPackages:
         """See :class:`PackageFolders`."""
         paths: list[Path] = []
         for prefix in self.prefixes:
-            marks = _marks(prefix, package)
-            paths += marks
-            if any(map(_exists, marks)):
+            paths += _marks(prefix, package)
+            if _found_in(prefix, package):
                 break
         return tuple(paths)
 
     def shipping(self) -> Iterator[ShippingPackage]:
-        """Yield the packages that ship profiles, by name, and those that another prefix hides after the others."""
-        names = {name for prefix in self.prefixes for name in _names(prefix)}
-        for name in sorted(names):
-            having = [each for each in self.prefixes if _is_absolute(each) and _has(each, name)]
-            for prefix in having:
+        """Yield the packages that ship profiles, by name; one that another prefix hides comes after that one."""
+        by_prefix = {prefix: frozenset(_names(prefix)) for prefix in self.prefixes}
+        for name in sorted(frozenset().union(*by_prefix.values())):
+            having = [each for each in self.prefixes if _is_absolute(each) and _found_in(each, name)]
+            for prefix in (each for each in having if name in by_prefix[each]):
                 folder = Path(prefix, "share", name, _KEYMINT, _PROFILES)
-                if folder.is_dir():
-                    yield ShippingPackage(name, folder, _files(folder), "" if prefix == having[0] else having[0])
+                yield ShippingPackage(name, folder, _files(folder), "" if prefix == having[0] else having[0])
 
     def _prefix(self, package: str, where: Origin) -> str:
         for prefix in self.prefixes:
@@ -201,13 +201,13 @@ class InstalledPackages:
         """Return a hint at a prefix that the first one hides."""
         later = self.prefixes[self.prefixes.index(prefix) + 1 :]
         for other in later:
-            if _is_absolute(other) and _exists(Path(other, "share", package, _KEYMINT, _PROFILES)):
+            if _is_absolute(other) and package in _names(other):
                 return f"'{path_text(other)}' has some, but '{path_text(prefix)}' comes first in {SEARCH_PATH}"
         return "'keymint plugins' lists the packages that do"
 
 
 def _marks(prefix: str, package: str) -> tuple[Path, Path]:
-    """Return the paths of which one exists if a prefix has a package."""
+    """Return the paths of which one exists if a prefix has a package: a file of the index, and a folder."""
     return Path(prefix, _INDEX, package), Path(prefix, "share", package, _KEYMINT)
 
 
@@ -217,21 +217,23 @@ def _has(prefix: str, package: str) -> bool:
     Raises:
         OSError: it cannot be told, which must not mean that a later prefix is taken.
     """
-    for mark in _marks(prefix, package):
-        try:
-            os.lstat(mark)
-        except (FileNotFoundError, NotADirectoryError):
-            continue
-        return True
-    return False
+    marker, folder = _marks(prefix, package)
+    return _is(stat.S_ISREG, marker) or _is(stat.S_ISDIR, folder)
 
 
-def _exists(path: Path) -> bool:
+def _is(kind: Callable[[int], bool], path: Path) -> bool:
     try:
-        os.lstat(path)
-    except OSError:
+        return kind(os.stat(path).st_mode)  # noqa: PTH116 - all but a missing file is an error, not an answer
+    except (FileNotFoundError, NotADirectoryError):
         return False
-    return True
+
+
+def _found_in(prefix: str, package: str) -> bool:
+    """Tell whether a prefix has a package, as far as that can be told."""
+    try:
+        return _has(prefix, package)
+    except OSError:
+        return True
 
 
 def _is_absolute(prefix: str) -> bool:
@@ -244,10 +246,13 @@ def _names(prefix: str) -> Iterator[str]:
         return
     try:
         with os.scandir(Path(prefix, "share")) as entries:
-            names = [entry.name for entry in entries]
+            names = [entry.name for entry in entries if is_package_name(entry.name)]
     except OSError:
         return
-    yield from (name for name in names if is_package_name(name) and _exists(Path(prefix, "share", name, _KEYMINT)))
+    for name in names:
+        with contextlib.suppress(OSError):
+            if _is(stat.S_ISDIR, Path(prefix, "share", name, _KEYMINT, _PROFILES)):
+                yield name
 
 
 def _files(folder: Path) -> tuple[str, ...] | None:

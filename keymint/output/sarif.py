@@ -12,6 +12,7 @@ from urllib.parse import quote
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.values import dataclass
+from comarmor.xml.includes import PACKAGE
 from keymint import __version__
 
 _SCHEMA = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json"
@@ -103,9 +104,9 @@ def _result(each: SarifResult, index: int, typed: Callable[[str], str]) -> dict[
 def _location(where: Origin, typed: Callable[[str], str]) -> dict[str, Any]:
     """Return a place as a location object (SARIF 3.28)."""
     path = typed(where.file)
-    place: dict[str, Any] = {
-        "artifactLocation": {"uri": ("file://" if path.startswith("/") else "") + quote(os.fsencode(path))}
-    }
+    scheme = "file://" if path.startswith("/") else PACKAGE if path.startswith(PACKAGE) else ""
+    uri = scheme + quote(os.fsencode(path.removeprefix(PACKAGE)))
+    place: dict[str, Any] = {"artifactLocation": {"uri": uri}}
     if where.line:
         place["region"] = {"startLine": where.line} | ({"startColumn": where.column} if where.column else {})
     return {"physicalLocation": place}

@@ -161,14 +161,14 @@ def plan_acceptance(
         files = {each.path: _sha256(each.content) for each in by_package[name]}
         accepted[name] = AcceptedPackage(files, before.follows_links or trust_links)
         changes = tuple(_copied(session, profile.package_copies / name, by_package[name], before))
-        if changes or accepted[name] != before:
-            detail = f"accepted {counted(len(files), 'file')} of the package {name}"
-            steps.append(Step(STAGE, "", Action.UPDATED, changes, detail))
-    if not steps:
-        return Plan((), session.state)
-    lock = plugin.with_packages(accepted)
-    written = changed(session.tree, session.workspace.profile, {name: File(content) for name, content in lock.items()})
-    steps[-1] = replace(steps[-1], changes=(*steps[-1].changes, *written))
+        action = Action.UPDATED if changes or accepted[name] != before else Action.UNCHANGED
+        detail = f"accepted {counted(len(files), 'file')} of the package {name}"
+        steps.append(Step(STAGE, "", action, changes, detail))
+    if any(step.action is Action.UPDATED for step in steps):
+        lock = {name: File(content) for name, content in plugin.with_packages(accepted).items()}
+        last = next(at for at in reversed(range(len(steps))) if steps[at].action is Action.UPDATED)
+        written = changed(session.tree, session.workspace.profile, lock)
+        steps[last] = replace(steps[last], changes=(*steps[last].changes, *written))
     return Plan(tuple(steps), session.state)
 
 

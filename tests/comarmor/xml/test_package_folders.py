@@ -94,17 +94,38 @@ def test_what_cannot_be_told_is_an_error_and_no_reason_to_take_the_next_prefix(t
     assert "symbolic links" in found.message
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")
-def test_a_folder_that_cannot_be_read(tmp_path: Path) -> None:
+@pytest.mark.parametrize("function", ["scandir", "stat"])
+def test_what_the_system_refuses(tmp_path: Path, policy: Path, monkeypatch: pytest.MonkeyPatch, function: str) -> None:
+    """As for a folder without permissions, which root reads in spite of it."""
     folder = ship(tmp_path / "prefix", FILES)
-    folder.chmod(0)
-    try:
-        assert [each.files for each in packages(tmp_path / "prefix").shipping()] == [None]
-        with pytest.raises(ComArmorError) as caught:
-            names(tmp_path / "p.xml", packages(tmp_path / "prefix"))
-        assert caught.value.diagnostics[0].code == "unreadable"
-    finally:
-        folder.chmod(0o755)
+    plain = getattr(os, function)
+
+    def refusing(path: object, **options: object) -> object:
+        if str(path).startswith(str(folder)):
+            raise PermissionError(13, "Permission denied", str(path))
+        return plain(path, **options)
+
+    monkeypatch.setattr(os, function, refusing)
+    found = packages(tmp_path / "prefix")
+    if function == "scandir":
+        assert [each.files for each in found.shipping()] == [None]
+        return
+    with pytest.raises(ComArmorError) as caught:
+        names(policy, found)
+    assert caught.value.diagnostics[0].code == "unreadable"
+    assert "Permission denied" in caught.value.diagnostics[0].message
+
+
+def test_a_dangling_link_is_no_package(tmp_path: Path, policy: Path) -> None:
+    """As after an overlay's sources were removed; ament_index skips it as well."""
+    ship(tmp_path / "under", FILES)
+    over = ship(tmp_path / "over", FILES, registered=False)
+    over.parent.rename(tmp_path / "away")
+    over.parent.symlink_to(tmp_path / "gone")
+    marker = tmp_path / "over/share/ament_index/resource_index/packages" / PACKAGE
+    marker.parent.mkdir(parents=True)
+    marker.symlink_to(tmp_path / "gone")
+    assert names(policy, packages(tmp_path / "over", tmp_path / "under")) == ["/cmd_vel"]
 
 
 def test_a_folder_that_is_a_file(tmp_path: Path) -> None:

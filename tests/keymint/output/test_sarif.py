@@ -44,3 +44,10 @@ def test_places_are_quoted_and_have_the_places_that_include_them() -> None:
     (related,) = result["relatedLocations"]
     assert related["message"]["text"] == "included from here"
     assert related["physicalLocation"]["region"] == {"startLine": 7}
+
+
+def test_a_file_that_a_package_ships_has_its_address() -> None:
+    where = Origin("package://nav2_bringup/a.xml", 3)
+    log = json.loads(sarif("keymint lint", {}, of_diagnostics([Diagnostic("c", Severity.NOTE, "m", where)]), str))
+    (result,) = log["runs"][0]["results"]
+    assert result["locations"][0]["physicalLocation"]["artifactLocation"] == {"uri": "package://nav2_bringup/a.xml"}
