@@ -25,6 +25,7 @@ from keymint.api import (
     Environment,
     GraphSource,
     PackageType,
+    PolicyFormat,
     PolicyType,
     ProfileType,
     Transport,
@@ -40,6 +41,7 @@ GROUPS: Mapping[str, str] = {
     "keymint.build_types": "builds, signs and checks a transport's documents",
     "keymint.transports": "tells what a transport decides about installed enclaves",
     "keymint.graph_sources": "finds graphs: in a running system, and in captures of one",
+    "keymint.policy_formats": "writes policies in a format that other tools read",
 }
 
 
@@ -246,6 +248,10 @@ class Plugins:
     def graph_source(self, name: str, where: Origin | None = None) -> GraphSource:
         """Return the graph source of this name; see :meth:`load`."""
         return cast("GraphSource", self.load("keymint.graph_sources", name, where))
+
+    def policy_format(self, name: str, where: Origin | None = None) -> PolicyFormat:
+        """Return the policy format of this name; see :meth:`load`."""
+        return cast("PolicyFormat", self.load("keymint.policy_formats", name, where))
 
     def load(self, group: str, name: str, where: Origin | None = None) -> Any:
         """Return a plugin object.

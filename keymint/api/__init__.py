@@ -14,6 +14,7 @@ group                        protocol
 ``keymint.build_types``      :class:`BuildType`
 ``keymint.transports``       :class:`TransportType`
 ``keymint.graph_sources``    :class:`GraphSource`
+``keymint.policy_formats``   :class:`PolicyFormat`
 ===========================  ======================================================
 """
 
@@ -65,7 +66,9 @@ from keymint.api.imports import ImportedPolicy as ImportedPolicy
 from keymint.api.imports import ImportedSubject as ImportedSubject
 from keymint.api.imports import ImportRequest as ImportRequest
 from keymint.api.imports import PolicyExporter as PolicyExporter
+from keymint.api.imports import PolicyFormat as PolicyFormat
 from keymint.api.imports import PolicyImporter as PolicyImporter
+from keymint.api.imports import WrittenPolicy as WrittenPolicy
 from keymint.api.imports import standard_claims as standard_claims
 from keymint.api.keystores import FoundAuthority as FoundAuthority
 from keymint.api.keystores import FoundEnclave as FoundEnclave

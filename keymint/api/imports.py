@@ -124,6 +124,40 @@ class PolicyExporter(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class WrittenPolicy:
+    """A policy in a format that Keymint writes but no build type reads.
+
+    Attributes:
+        document: the policy.
+        diagnostics: what is left out, as warnings with ``file:line``.
+    """
+
+    document: bytes = field(repr=False)
+    diagnostics: tuple[Diagnostic, ...] = ()
+
+
+class PolicyFormat(Protocol):
+    """Writes rules in a format of policies, under whose name it is registered.
+
+    What a :class:`PolicyExporter` writes is also proven to mean the same.
+    """
+
+    API: str
+    """Version of the plugin interface, :data:`keymint.api.API_VERSION`."""
+
+    def written(self, subjects: Sequence[SubjectRules], *, lossy: bool = False) -> WrittenPolicy:
+        """Write rules in this format.
+
+        Args:
+            subjects: the rules of each subject.
+            lossy: leave out what the format cannot express, where it only allows something.
+
+        Raises:
+            KeymintError: a rule cannot be expressed; each with its ``file:line``.
+        """
+
+
+@dataclass(frozen=True, slots=True)
 class Comparison:
     """What two documents mean, by the same rules.
 

@@ -3,14 +3,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
-from comarmor.errors import Origin
+from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean
-from keymint.api import LoadedPolicy, PolicyExporter
+from keymint.api import LoadedPolicy, PolicyExporter, PolicyFormat
 from keymint.commands.import_policy import proofs_of
 from keymint.commands.import_proof import diagnostics_of, unproven
 from keymint.commands.options import FILE, PATH, PolicyOptions, policy_options, usage_error
@@ -23,11 +24,12 @@ from keymint.ir import SubjectRules
 from keymint.output.report import Report
 
 _GROUP = "keymint.policy_types"
+_FORMATS = "keymint.policy_formats"
 
 
 @verb(dry_run=True)
 @click.argument("policy", required=False, type=PATH)
-@click.option("--format", "form", metavar="NAME", required=True, help="The format: that of an installed policy type.")
+@click.option("--format", "form", metavar="NAME", required=True, help="The format: of a policy type, or xacml.")
 @click.option("-o", "--output", type=FILE, metavar="FILE", help="Write the policy to this file [standard output].")
 @click.option(
     "--subjects", "listed", type=FILE, metavar="FILE", help="Further subjects, one a line, for profiles with wildcards."
@@ -50,47 +52,67 @@ def export(
     What that language cannot express is an error with its line. --lossy leaves out what only allows something; a DENY
     is never left out, since more would be allowed without it.
 
-    Nothing is written unless, for every name, what the other tool makes of it permits what the policy allows, as the
-    transport's standard reads it; what vendors read otherwise is noted.
+    If the tool makes documents of it for a transport, nothing is written unless these permit what the policy allows,
+    for every name, as the transport's standard reads them; what vendors read otherwise is noted. XACML is not of that
+    kind, and written without a proof.
     """
-    exporter = _exporter(run, form)
+    writer = _writer(run, form)
     policies = Policies(run, policy_options)
-    made = exporter.exported(_subjects(run, policies.load(policy), listed), lossy=lossy)
-    proofs = proofs_of(run, exporter.BUILD_TYPE, made.subjects, policies.distro)
-    if refuted := unproven(proofs, exporter.TOOL):
-        raise KeymintError.of([*made.diagnostics, *refuted])
+    subjects = _subjects(run, policies.load(policy), listed)
+    document, diagnostics = _made(run, writer, subjects, policies.distro, lossy=lossy)
     written: list[str] = []
     if output is None:
-        run.console.document(made.document)
+        run.console.document(document)
     else:
-        if not force and exists(run, output) and read_input(run, output) != made.document:
+        if not force and exists(run, output) and read_input(run, output) != document:
             raise KeymintError(
                 "exists and differs from the exported policy", where=Origin(str(output)),
                 help="name another file, or replace it with --force", code="export-exists",
             )  # fmt: skip
-        written = write_outputs(run, output, made.document)
+        written = write_outputs(run, output, document)
         show_written(run, output, written)
     result: dict[str, Any] = {
         "file": str(output) if output else None,
         "written": written,
-        "policy": None if output else made.document.decode(),
-        "subjects": [proof.subject for proof in proofs],
+        "policy": None if output else document.decode(),
+        "subjects": [each.subject for each in subjects],
     }
-    diagnostics = [*made.diagnostics, *diagnostics_of(proofs, exporter.TOOL)]
     return Report(run.verb, None, (), diagnostics, result, dry_run=run.dry_run)
 
 
-def _exporter(run: Run, form: str) -> PolicyExporter:
-    """Return the policy type that exports a format.
+def _made(
+    run: Run, writer: PolicyExporter | PolicyFormat, subjects: Sequence[SubjectRules], distro: str, *, lossy: bool
+) -> tuple[bytes, list[Diagnostic]]:
+    """Return the policy in the other language, and what is to be said about it; it is proven if that is possible.
+
+    Raises:
+        KeymintError: a rule cannot be expressed, or what the other tool makes of it permits something else.
+    """
+    if not isinstance(writer, PolicyExporter):
+        plain = writer.written(subjects, lossy=lossy)
+        return plain.document, list(plain.diagnostics)
+    made = writer.exported(subjects, lossy=lossy)
+    proofs = proofs_of(run, writer.BUILD_TYPE, made.subjects, distro)
+    if refuted := unproven(proofs, writer.TOOL):
+        raise KeymintError.of([*made.diagnostics, *refuted])
+    return made.document, [*made.diagnostics, *diagnostics_of(proofs, writer.TOOL)]
+
+
+def _writer(run: Run, form: str) -> PolicyExporter | PolicyFormat:
+    """Return what writes a format: a policy type that also reads it, or a plugin that only writes it.
 
     Raises:
         KeymintError: there is none.
     """
+    formats = run.plugins.names(_FORMATS)
+    if form in formats:
+        return run.plugins.policy_format(form)
     plugins: list[object] = [run.plugins.policy_type(name) for name in run.plugins.names(_GROUP)]
     known = {each.FORMAT: each for each in plugins if isinstance(each, PolicyExporter)}
     if form not in known:
-        names = ", ".join(known) or "none"
-        raise usage_error(f"no policy type exports the format {form!r}", did_you_mean(form, known, f"known: {names}"))
+        every = sorted({*known, *formats})
+        hint = did_you_mean(form, every, f"known: {', '.join(every) or 'none'}")
+        raise usage_error(f"no plugin exports the format {form!r}", hint)
     return known[form]
 
 

@@ -93,3 +93,19 @@ def test_of_a_workspace(keymint, source: Path) -> None:
     assert keymint("provision", "source.xml", "-w", "ws").code == 0
     outcome = keymint("export", "-w", "ws", "--format", "sros2", "--json")
     assert outcome.document["result"]["subjects"] == ["/talker"]
+
+
+def test_xacml(keymint, source: Path, tmp_path: Path) -> None:
+    words = ("export", "source.xml", "--format", "xacml", "-o", "policy.xacml.xml")
+    assert keymint(*words).out == "policy.xacml.xml written\n"
+    assert keymint(*words).out == "policy.xacml.xml is up to date\n"
+    first = (tmp_path / "policy.xacml.xml").read_text()
+    assert str(tmp_path) not in first
+    assert "<Description>source.xml:4</Description>" in first
+    source.write_text(POLICY.replace("/chatter", "/chat*"))
+    outcome = keymint("export", "source.xml", "--format", "xacml", "--json")
+    assert outcome.document["result"]["subjects"] == ["/talker"]
+    assert outcome.document["result"]["policy"] == first.replace(">/chatter<", r">^/chat[\s\S]*$<").replace(
+        'function:string-equal">\n                <AttributeValue DataType="http://www.w3.org/2001/XMLSchema#string">^',
+        'function:string-regexp-match">\n                <AttributeValue DataType="http://www.w3.org/2001/XMLSchema#string">^',
+    )

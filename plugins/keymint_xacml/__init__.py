@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Policy format ``xacml``: writes rules as a policy set of XACML 3.0 (OASIS Standard, 2013)."""
+
+from __future__ import annotations
+
+from keymint.api import API_VERSION
+from keymint.api.lazy import lazy
+
+__all__ = ["XacmlPolicyFormat", "policy_format"]
+
+
+class XacmlPolicyFormat:
+    """Writes XACML 3.0; implements :class:`keymint.api.PolicyFormat`."""
+
+    API = API_VERSION
+
+    written = lazy("keymint_xacml.policy_set:written")
+
+
+policy_format = XacmlPolicyFormat()
