@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
+
 import click
 
 from comarmor.errors import Diagnostic, Severity
@@ -16,17 +19,32 @@ from keymint.plan.packages import UnacceptedPackagesError
 from keymint.plan.policy import plan_acceptance
 from keymint.session import Session
 
+_DIGEST = re.compile("[0-9a-f]{64}")
+
+
+def _named(_context: click.Context, _parameter: click.Parameter, given: tuple[str, ...]) -> Mapping[str, str]:
+    """Return the digest, or an empty text, by the package that an option names."""
+    named: dict[str, str] = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        if equals and not _DIGEST.fullmatch(value):
+            raise click.BadParameter(f"{text!r} has no SHA-256 after '=', expected 64 digits and letters a to f.")
+        if named.setdefault(name, value) != value:
+            raise click.BadParameter(f"{name!r} is named twice, with and without a digest, or with two.")
+    return named
+
 
 @dataclass(frozen=True, slots=True)
 class AcceptanceOptions:
     """What the owner of a workspace accepts of the profiles that ROS packages ship.
 
     Attributes:
-        accept_package: names of packages whose profiles are accepted as they are now.
+        accept_package: packages whose profiles are accepted as they are now, each with the digest that it must have, or
+            an empty text.
         trust_links: symbolic links of these packages may lead out of them.
     """
 
-    accept_package: tuple[str, ...]
+    accept_package: Mapping[str, str]
     trust_links: bool
 
 
@@ -36,7 +54,8 @@ acceptance_options = option_group(
     click.option(
         "--accept-package",
         multiple=True,
-        metavar="NAME",
+        callback=_named,
+        metavar="NAME[=SHA256]",
         help="Accept the profiles that this ROS package ships, as they are now (docs/packages.md). May be repeated.",
     ),
     click.option(

@@ -115,25 +115,39 @@ def refuse_unaccepted(session: Session, policy: LoadedPolicy, before: Callable[[
     if not found:
         return
     error = UnacceptedPackagesError("")
-    error.diagnostics = tuple(_diagnostics(found))
+    error.diagnostics = tuple(_diagnostics(shipped, found))
     error.args = (str(error.diagnostics[0]),)
     error.files, error.before, error.after = tuple(found.values()), before, policy
     raise error
 
 
+def package_digest(files: Mapping[str, str]) -> str:
+    """Return the digest of a package's files: that of what ``sha256sum`` prints for them, sorted by path.
+
+    Args:
+        files: SHA-256 of each file, in hex, by its path.
+    """
+    return _sha256("".join(f"{value}  {path}\n" for path, value in sorted(files.items())).encode())
+
+
 def plan_acceptance(
-    session: Session, names: Sequence[str], load: Callable[[InstalledPackages], LoadedPolicy], *, trust_links: bool
+    session: Session,
+    named: Mapping[str, str],
+    load: Callable[[InstalledPackages], LoadedPolicy],
+    *,
+    trust_links: bool,
 ) -> Plan:
     """Plan to accept the profiles of packages as they are now: their digests, and copies to compare with later.
 
     Args:
         session: the workspace and its profile.
-        names: the packages.
+        named: the packages, each with the :func:`package_digest` that it must have, or an empty text.
         load: loads the policy with the installed packages.
         trust_links: follow the symbolic links of these packages, from now on.
 
     Raises:
-        KeymintError: the policy includes nothing of a package, or has defects, or the profile cannot keep it.
+        KeymintError: the policy includes nothing of a package, or has defects, or a package has another digest, or the
+            profile cannot keep it.
     """
     profile = session.profile
     plugin = session.plugins.profile_type(profile.profile_type)
@@ -145,11 +159,11 @@ def plan_acceptance(
             code="profile-without-packages",
         )
     by_package: dict[str, list[ShippedFile]] = {}
-    for each in shipped_files(load(installed(session, names if trust_links else ()))):
+    for each in shipped_files(load(installed(session, named if trust_links else ()))):
         by_package.setdefault(each.package, []).append(each)
     accepted = dict(profile.packages)
     steps: list[Step] = []
-    for name in dict.fromkeys(names):
+    for name, wanted in named.items():
         if name not in by_package:
             raise KeymintError(
                 f"the policy includes no file of a package {quoted(name)}",
@@ -159,6 +173,14 @@ def plan_acceptance(
             )
         before = accepted.get(name, AcceptedPackage({}))
         files = {each.path: _sha256(each.content) for each in by_package[name]}
+        if wanted and wanted != package_digest(files):
+            raise KeymintError(
+                f"the package {quoted(name)} ships something else than what is to be accepted: its digest is "
+                f"{package_digest(files)}",
+                where=by_package[name][0].where,
+                help="leave out --accept-package to see what it would change now",
+                code="package-changed",
+            )
         accepted[name] = AcceptedPackage(files, before.follows_links or trust_links)
         changes = tuple(_copied(session, profile.package_copies / name, by_package[name], before))
         action = Action.UPDATED if changes or accepted[name] != before else Action.UNCHANGED
@@ -207,8 +229,8 @@ def _marker(session: Session, path: Path) -> Origin:
     return Origin(session.workspace.shown(path))
 
 
-def _diagnostics(found: Mapping[ShippedFile, UnacceptedFile]) -> Iterator[Diagnostic]:
-    """Yield an error for each package."""
+def _diagnostics(shipped: Sequence[ShippedFile], found: Mapping[ShippedFile, UnacceptedFile]) -> Iterator[Diagnostic]:
+    """Yield an error for each package; it has the digest, so that exactly what was seen can be accepted."""
     for name in dict.fromkeys(each.package for each in found):
         own = [each for each in found if each.package == name]
         paths = first_few([each.path for each in own], _SHOWN)
@@ -218,9 +240,10 @@ def _diagnostics(found: Mapping[ShippedFile, UnacceptedFile]) -> Iterator[Diagno
             if known
             else f"what the package {quoted(name)} ships was not accepted yet: {paths}"
         )
+        value = package_digest({each.path: _sha256(each.content) for each in shipped if each.package == name})
         help_ = (
             "'keymint create --all' and 'keymint provision' list who gains and who loses what by it; if that is right, "
-            f"repeat the command with --accept-package {name}"
+            f"repeat the command with --accept-package {name}={value}"
         )
         code = "package-changed" if known else "package-unaccepted"
         yield Diagnostic(code, Severity.ERROR, message, own[0].where, help_)

@@ -55,9 +55,9 @@ def accepted_policy(session: Session, *, absent_is_empty: bool = False) -> Loade
     return _load(session, CopiedPackages(copies, absent_is_empty) if copies else packages.installed(session))
 
 
-def plan_acceptance(session: Session, names: Sequence[str], *, trust_links: bool) -> Plan:
+def plan_acceptance(session: Session, named: Mapping[str, str], *, trust_links: bool) -> Plan:
     """Plan to accept what ROS packages ship; see :func:`keymint.plan.packages.plan_acceptance`."""
-    return packages.plan_acceptance(session, names, functools.partial(_load, session), trust_links=trust_links)
+    return packages.plan_acceptance(session, named, functools.partial(_load, session), trust_links=trust_links)
 
 
 def _load(session: Session, folders: PackageFolders) -> LoadedPolicy:

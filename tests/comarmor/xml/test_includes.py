@@ -3,7 +3,12 @@
 
 from __future__ import annotations
 
+import posixpath
+from string import ascii_letters, digits
+
 import pytest
+from hypothesis import given
+from hypothesis.strategies import text
 
 from comarmor.errors import ComArmorError, Origin
 from comarmor.xml.includes import PackagePath, package_path, path_of
@@ -104,3 +109,15 @@ def test_what_resembles_it_is_no_path_either(href: str) -> None:
     assert package_path(href, WHERE) is None
     with pytest.raises(ComArmorError, match="is not a relative path"):
         path_of(href, WHERE)
+
+
+@given(text(max_size=40) | text("ab./%2eE-_:@\\", max_size=20))
+def test_any_text_is_a_plain_path_below_a_package_or_an_error(rest: str) -> None:
+    try:
+        found = package_path(f"package://{rest}.xml", WHERE)
+    except ComArmorError:
+        return
+    assert found is not None
+    assert posixpath.normpath(f"/{found.package}/{found.path}") == f"/{found.package}/{found.path}"
+    assert set(f"{found.package}/{found.path}") <= set(f"{ascii_letters}{digits}-_.+/")
+    assert not any(part.startswith(".") for part in (found.package, *found.path.split("/")))

@@ -79,25 +79,25 @@ def test_one_error_for_each_package(session: Any) -> None:
 
 
 def test_the_plan_writes_copies_and_the_lock_and_only_what_changes(session: Any) -> None:
-    plan = plan_acceptance(session, ["nav2_bringup"] * 2, lambda _: policy(FILE), trust_links=False)
+    plan = plan_acceptance(session, {"nav2_bringup": ""}, lambda _: policy(FILE), trust_links=False)
     written = [str(change.folder / name) for change in plan.changes() for name in change.written]
     profile = session.workspace.profile
     assert written == [f"{profile}/packages.lock.d/nav2_bringup/controller.xml", f"{profile}/packages.lock.xml"]
     after = session.after(plan).session()
     assert after.profile.packages == {"nav2_bringup": AcceptedPackage({"controller.xml": VALUE})}
-    again = plan_acceptance(after, ["nav2_bringup"], lambda _: policy(FILE), trust_links=False)
+    again = plan_acceptance(after, {"nav2_bringup": ""}, lambda _: policy(FILE), trust_links=False)
     assert ([step.action for step in again.steps], again.writes()) == ([Action.UNCHANGED], False)
-    linked = plan_acceptance(after, ["nav2_bringup"], lambda _: policy(FILE), trust_links=True)
+    linked = plan_acceptance(after, {"nav2_bringup": ""}, lambda _: policy(FILE), trust_links=True)
     trusting = after.after(linked).session()
     assert trusting.profile.packages["nav2_bringup"].follows_links
     assert packages.installed(trusting).trusted == {"nav2_bringup"}
     assert packages.installed(trusting, trust_links=True).trusted is None
-    kept = plan_acceptance(trusting, ["nav2_bringup"], lambda _: policy(FILE), trust_links=False)
+    kept = plan_acceptance(trusting, {"nav2_bringup": ""}, lambda _: policy(FILE), trust_links=False)
     assert not kept.writes()
 
 
 def test_a_profile_that_cannot_keep_it(session: Any) -> None:
     without = replace(session, profile=replace(session.profile, package_copies=None))
     with pytest.raises(KeymintError, match="cannot keep what was accepted") as caught:
-        plan_acceptance(without, ["nav2_bringup"], lambda _: policy(FILE), trust_links=False)
+        plan_acceptance(without, {"nav2_bringup": ""}, lambda _: policy(FILE), trust_links=False)
     assert caught.value.diagnostics[0].code == "profile-without-packages"

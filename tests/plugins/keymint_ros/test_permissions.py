@@ -5,11 +5,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from keymint_ros import package_type
+from keymint_ros import package_type, permissions, permissions_writer
 
 from comarmor.errors import Origin
 from comarmor.rules import PERMISSIONS, Effect
@@ -25,7 +26,7 @@ _EXPRESSIONS = _TEXT.filter(lambda text: not text.endswith("\\"))
 _FILES = st.text(st.characters(codec="utf-8", exclude_characters="\0/"), min_size=1, max_size=8).filter(
     lambda name: name not in {".", ".."}
 )
-_FOLDERS = st.sampled_from(["/ws/profile/comarmor.d/", "/ws/profile/", "/other/"])
+_FOLDERS = st.sampled_from(["/ws/profile/comarmor.d/", "/ws/profile/", "/other/", "package://nav2_bringup/"])
 _PLACES = st.builds(lambda folder, file, line: Origin(folder + file, line), _FOLDERS, _FILES, st.integers(0, 10**6))
 _ORIGINS = st.builds(
     lambda place, chain: Origin(place.file, place.line, tuple(chain)), _PLACES, st.lists(_PLACES, max_size=2)
@@ -187,3 +188,14 @@ def test_a_defect_is_reported_with_its_line(old: str, new: str, message: str) ->
     assert diagnostic.where.line > 3
     assert message in f"{diagnostic}"
     assert "\n" not in str(diagnostic)
+
+
+@pytest.mark.parametrize("base", ["", "profile/", "../ws/profile/", "/ws/profile/"])
+def test_a_file_that_a_package_ships_is_named_alike_from_every_folder(base: str) -> None:
+    where = Origin("package://nav2_bringup/a.xml", 3)
+    document = permissions_writer.render(SubjectRules("/a", (replace(RULES.rules[0], origin=where),)), base).decode()
+    (stated,) = re.findall('origin="(.*?)"', document)
+    assert stated == "package://nav2_bringup/a.xml:3"
+    origin = permissions.stated(stated)
+    assert origin is not None
+    assert permissions.placed(base, origin) == where
