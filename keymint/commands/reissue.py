@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from datetime import datetime
 from functools import partial
 
@@ -17,7 +18,7 @@ from keymint.plan.build import BuildStage, is_current, options_as_built
 from keymint.plan.distribution import plan_distribution
 from keymint.plan.enclaves import installed as installed_enclaves
 from keymint.plan.install import RIGHTS_OUTLIVE, InstallStage
-from keymint.plan.policy import lazy_policy
+from keymint.plan.policy import policy_in_force
 from keymint.plan.register import complete_register
 from keymint.plan.revocation import plan_lists
 from keymint.session import Session
@@ -52,7 +53,8 @@ def reissued(
         list_end: nextUpdate of new revocation lists, UTC; the end of the authority's certificate by default.
         new_authority: authorities that get a new key and certificate.
         options: options of the build; by default those that each package was built with last.
-        policy: what the documents are proven against; the policy of the workspace by default.
+        policy: what the documents are proven against; by default the policy of the workspace, with what ROS
+            packages ship as it was accepted.
 
     Raises:
         KeymintError: a package cannot be built, signed or proven, or an authority cannot sign; with all defects.
@@ -86,7 +88,9 @@ def reissued(
     if not prove or not issued:
         return plan
     standard_only = any(of_package[name].allow_vendor_specific for name in issued)
-    proof = proof_stage(run, policy or lazy_policy(session), standard_only=standard_only)
+    in_force, warnings = (policy, ()) if policy else policy_in_force(session)
+    plan = replace(plan, diagnostics=(*plan.diagnostics, *warnings))
+    proof = proof_stage(run, in_force, standard_only=standard_only)
     return proven(run, session, installed.then(others), issued, partial(proof), plan)
 
 

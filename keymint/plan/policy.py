@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from comarmor.errors import Diagnostic, Severity
 from comarmor.xml.package_folders import CopiedPackages, PackageFolders
 from keymint.api import AppliedProfile, DigestedPolicy, LoadedPolicy, PolicyDecision, PolicyStructure, StructuredPolicy
 from keymint.changes import Plan
@@ -53,6 +54,31 @@ def accepted_policy(session: Session, *, absent_is_empty: bool = False) -> Loade
     """
     copies = session.profile.package_copies
     return _load(session, CopiedPackages(copies, absent_is_empty) if copies else packages.installed(session))
+
+
+def policy_in_force(session: Session) -> tuple[LoadedPolicy, tuple[Diagnostic, ...]]:
+    """Return the policy for documents that are issued again, and warnings; see :func:`lazy_policy`.
+
+    A package that was updated, or that this shell does not find, must keep nobody from renewing and revoking. So where
+    the policy cannot be read with what packages ship, it is read with what its owner accepted of that.
+
+    Raises:
+        KeymintError: it cannot be read so either; the error is that of :func:`lazy_policy`.
+    """
+    try:
+        return lazy_policy(session), ()
+    except KeymintError as error:
+        if not session.profile.packages:
+            raise
+        try:
+            policy = accepted_policy(session)
+            packages.refuse_unaccepted(session, policy, lambda: policy)
+        except KeymintError:
+            raise error from None
+        return policy, tuple(
+            replace(each, severity=Severity.WARNING, message=f"{each.message}; here it counts as it was accepted")
+            for each in error.diagnostics
+        )
 
 
 def plan_acceptance(session: Session, named: Mapping[str, str], *, trust_links: bool) -> Plan:

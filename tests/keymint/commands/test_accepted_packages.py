@@ -319,6 +319,34 @@ def test_provision_and_the_client_take_what_was_accepted(keymint, shipped: Path,
     assert snapshot(tmp_path / "ws/install") == installed
 
 
+def test_renew_and_revoke_take_what_was_accepted(keymint, shipped: Path, tmp_path: Path) -> None:
+    """An update of a package, or a shell without ROS, must not let certificates expire."""
+    assert keymint("provision", "policy.xml", "-w", "ws", *ACCEPT).code == 0
+    content = shipped.read_text()
+    shipped.write_text(fragment(topic("/*")))
+    renewed = keymint("renew", "/robot/controller", "--rekey", "-w", "ws")
+    assert renewed.code == 0, renewed.err
+    assert "warning: the package" in renewed.err
+    assert "here it counts as it was accepted" in renewed.err
+    document = tmp_path / "ws/build/robot/controller/permissions.xml"
+    assert "<topic>rt/cmd_vel</topic>" in document.read_text()
+    env = {"AMENT_PREFIX_PATH": ""}
+    revoked = keymint("revoke", "/other", "--reason", "superseded", "-w", "ws", env=env)
+    assert revoked.code == 0, revoked.err
+    assert "is not installed" in revoked.err
+    copy = tmp_path / f"ws/profile/packages.lock.d/{PACKAGE}/controller.xml"
+    again = ("renew", "/robot/controller", "--rekey", "-w", "ws")
+    copy.write_text(shipped.read_text())
+    assert "is not the copy" in keymint(*again).err
+    copy.unlink()
+    refused = keymint(*again)
+    assert refused.code == 1
+    assert "error: the package" in refused.err
+    copy.write_text(content)
+    (tmp_path / "policy.xml").write_text(including(HREF, "package://another/x.xml"))
+    assert keymint(*again).code == 1
+
+
 def commit(folder: Path) -> None:
     for command in (["init", "-q"], ["add", "-A"], ["commit", "-qm", "x"]):
         config = ["-c", "user.name=x", "-c", "user.email=x@example.org"]
