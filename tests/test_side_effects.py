@@ -69,6 +69,7 @@ READING_VERBS = (
     ("status", "-w", "ws"),
     ("env", "talker", "-w", "ws"),
     ("adopt", "ws/install"),
+    ("learn", "--from-keystore", "ws/install"),
     ("authority", "show", "-w", "ws"),
     ("revoke", "talker", "--reason", "superseded", "-w", "ws"),
     ("revoke", "talker", "--reason", "key-compromise", "-w", "ws"),

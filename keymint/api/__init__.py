@@ -77,6 +77,10 @@ from keymint.api.keystores import KeptDocuments as KeptDocuments
 from keymint.api.keystores import KeystoreFile as KeystoreFile
 from keymint.api.keystores import KeystoreFiles as KeystoreFiles
 from keymint.api.keystores import KeystoreReader as KeystoreReader
+from keymint.api.learning import GrantedRules as GrantedRules
+from keymint.api.learning import GrantReader as GrantReader
+from keymint.api.learning import PolicyOfRules as PolicyOfRules
+from keymint.api.learning import PolicyWriter as PolicyWriter
 from keymint.api.packages import DomainRange as DomainRange
 from keymint.api.packages import Grant as Grant
 from keymint.api.packages import Issuance as Issuance

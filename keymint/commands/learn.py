@@ -13,7 +13,8 @@ import click
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint import graph_json
 from keymint.api import LearnedPolicy, LoadedPolicy, PolicyLearner
-from keymint.commands.options import PATH, PolicyOptions, policy_options
+from keymint.commands.learn_keystore import from_keystore, refuse_replacing
+from keymint.commands.options import PATH, PolicyOptions, policy_options, usage_error
 from keymint.commands.policies import Policies
 from keymint.commands.run import Run
 from keymint.commands.user_files import read_input, show_written, write_outputs
@@ -24,14 +25,19 @@ from keymint.output.report import Report
 
 
 @verb(workspace=False, dry_run=True)
-@click.argument("graph", type=PATH)
+@click.argument("graph", type=PATH, required=False)
+@click.option(
+    "--from-keystore", "keystore", type=PATH, metavar="KEYSTORE",
+    help="Learn from the signed documents of a keystore in place of a graph.",
+)  # fmt: skip
 @click.option("--policy", type=PATH, metavar="EXISTING", help="Keep this policy; generate only what it lacks.")
 @click.option("-o", "--output", type=PATH, metavar="FILE", help="Write the policy to this file [standard output].")
 @click.option("-f", "--force", is_flag=True, help="Replace an existing file with different content.")
 @policy_options
 def learn(
     run: Run,
-    graph: Path,
+    graph: Path | None,
+    keystore: Path | None,
     policy: Path | None,
     output: Path | None,
     force: bool,
@@ -39,14 +45,32 @@ def learn(
 ) -> Report:
     """Generate the smallest policy that allows the edges of GRAPH, like aa-genprof for robots.
 
+    \b
+    keymint learn graph.json -o policy.xml
+    keymint learn --from-keystore demo_keystore -o policy.xml
+
     GRAPH is JSON written by 'keymint discover'. Review the result: it allows everything that the system did during the
     observation, even by an attacker, and nothing that it did not do.
 
     With --policy the result contains only what EXISTING lacks; put both into one directory. Permissions of EXISTING
     that the graph does not use are listed.
 
+    With --from-keystore the policy means what the signed documents of KEYSTORE mean, proven for all names; what no
+    policy can say is an error with its line. See 'keymint adopt'.
+
     Exit code 3: a DENY rule of EXISTING denies an edge of the graph.
     """
+    if keystore is not None:
+        if graph is not None or policy is not None:
+            raise usage_error(
+                "--from-keystore takes neither a graph nor --policy", "learn from one of them at a time, and compare "
+                "the results: keymint diff ONE OTHER",
+            )  # fmt: skip
+        return from_keystore(run, keystore, output, policy_options, force=force)
+    if graph is None:
+        raise usage_error(
+            "the argument GRAPH is missing", "name a file of 'keymint discover', or a keystore: --from-keystore"
+        )
     policies = Policies(run, policy_options)
     learner = run.plugins.policy_type(policy_options.policy_type)
     if not isinstance(learner, PolicyLearner):
@@ -63,7 +87,7 @@ def learn(
     written: list[str] = []
     if output and learned.document:
         if not force:
-            _refuse_replacing(run, output, learned.document)
+            refuse_replacing(run, output, learned.document)
         fragments = {f"{folder}/{name}": content for name, content in learned.fragments.items()}
         written = write_outputs(run, output, learned.document, fragments)
     _tell(run, learned, output, written, against=policy is not None)
@@ -110,16 +134,6 @@ def _refuse_overwriting(run: Run, output: Path, existing: LoadedPolicy) -> None:
             where=Origin(str(output)),
             help="name another file in the same directory",
             code="learn-overwrites",
-        )
-
-
-def _refuse_replacing(run: Run, output: Path, document: bytes) -> None:
-    if (run.setting.cwd / output).exists() and read_input(run, output) != document:
-        raise KeymintError(
-            "exists and differs from the learned policy",
-            where=Origin(str(output)),
-            help="name another file, compare it with the graph by --policy, or replace it with --force",
-            code="learn-exists",
         )
 
 

@@ -19,6 +19,7 @@ from keymint.api import (
     LearnedPolicy,
     LoadedPolicy,
     PolicyDecision,
+    PolicyOfRules,
     PolicySource,
     PolicyStructure,
 )
@@ -156,6 +157,16 @@ class ComArmorPolicyType:
         from comarmor.language.formatting import formatted  # noqa: PLC0415 - only one verb needs it
 
         return formatted(content, name)
+
+    def policy_of(self, subjects: Sequence[SubjectRules], name: str, note: str = "") -> PolicyOfRules:
+        """See :func:`keymint_ros2_comarmor.policy_of_rules.policy_of`.
+
+        Raises:
+            KeymintError: an expression or the name of a subject cannot be written.
+        """
+        from keymint_ros2_comarmor.policy_of_rules import policy_of  # noqa: PLC0415 - few verbs need it
+
+        return policy_of(subjects, name, note)
 
     def learn(self, graph: Graph, existing: LoadedPolicy | None, fragments: str) -> LearnedPolicy:
         """See :func:`keymint_ros2_comarmor.learn.learn`.

@@ -37,8 +37,7 @@ def document(needs: Mapping[str, set[Need]], parts: Sequence[CommonPart], folder
         for part in reversed(parts):
             if subject in part.subjects:
                 profile.insert(1, etree.Element(INCLUDE, href=f"{folder}/{part.name}", parse="xml"))
-    policy = render.document(root).encode()
-    return policy.replace(b"<profiles", f"<!-- {note} -->\n<profiles".encode(), 1) if note else policy
+    return _noted(root, note)
 
 
 def fragment(part: CommonPart) -> bytes:
@@ -61,6 +60,24 @@ def profile_size(rules: tuple[ProfileRule, ...]) -> int:
     root = etree.Element("profiles")
     root.append(_profile("p", "p", rules))
     return len(render.document(root).encode())
+
+
+def profiles(subjects: Mapping[str, tuple[ProfileRule, ...]], note: str = "") -> bytes:
+    """Return a policy document with one profile of rules for each subject.
+
+    Args:
+        subjects: the rules of each subject.
+        note: a comment to insert before the root element; empty for none.
+    """
+    root = etree.Element("profiles")
+    for subject, rules in subjects.items():
+        root.append(_profile(subject.removeprefix("/"), escape(subject), rules))
+    return _noted(root, note)
+
+
+def _noted(root: etree._Element, note: str) -> bytes:
+    policy = render.document(root).encode()
+    return policy.replace(b"<profiles", f"<!-- {note} -->\n<profiles".encode(), 1) if note else policy
 
 
 def _profile(name: str, attachment: str, rules: tuple[ProfileRule, ...]) -> etree._Element:

@@ -50,11 +50,12 @@ def needs_of(edges: Iterable[Edge]) -> dict[str, set[Need]]:
     }
 
 
-def fold(needs: Iterable[Need]) -> tuple[ProfileRule, ...]:
+def fold(needs: Iterable[Need], effect: Effect = Effect.ALLOW) -> tuple[ProfileRule, ...]:
     """Return the fewest rules that grant needs, sorted; each object occurs once for each list of partitions.
 
     Args:
-        needs: needs with attachments, not names.
+        needs: needs with attachments and expressions of partitions, not names.
+        effect: whether the rules allow them, or deny them.
     """
     permissions: dict[tuple[str, str, tuple[str, ...]], set[str]] = {}
     for kind, attachment, permission, partitions in needs:
@@ -63,7 +64,7 @@ def fold(needs: Iterable[Need]) -> tuple[ProfileRule, ...]:
     for (kind, attachment, partitions), granted in permissions.items():
         ordered = tuple(permission for permission in PERMISSIONS[kind] if permission in granted)
         attachments.setdefault((kind, ordered, partitions), set()).add(attachment)
-    return tuple(_rule(*key, sorted(texts)) for key, texts in sorted(attachments.items(), key=_order))
+    return tuple(_rule(effect, *key, sorted(texts)) for key, texts in sorted(attachments.items(), key=_order))
 
 
 def _order(item: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], set[str]]) -> tuple[object, ...]:
@@ -72,22 +73,24 @@ def _order(item: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], set[str]]) 
     return _KINDS.index(kind), partitions, [known.index(permission) for permission in permissions], sorted(attachments)
 
 
-def _rule(kind: str, permissions: tuple[str, ...], partitions: tuple[str, ...], attachments: list[str]) -> ProfileRule:
+def _rule(
+    effect: Effect, kind: str, permissions: tuple[str, ...], partitions: tuple[str, ...], attachments: list[str]
+) -> ProfileRule:
     return ProfileRule(
-        effect=Effect.ALLOW,
+        effect=effect,
         kind=kind,
         permissions=permissions,
         attachments=tuple(Attachment(text, NOWHERE) for text in attachments),
-        partitions=tuple(map(escape, partitions)),
+        partitions=partitions,
         audit=False,
         where=NOWHERE,
     )
 
 
 def literal(need: Need) -> Need:
-    """Return a need with an attachment that matches only its name."""
+    """Return a need with an attachment that matches only its name, and expressions of its partitions."""
     kind, name, permission, partitions = need
-    return kind, escape(name), permission, partitions
+    return kind, escape(name), permission, tuple(map(escape, partitions))
 
 
 def templates(need: Need, subject: str) -> tuple[Need, ...]:
@@ -100,4 +103,4 @@ def templates(need: Need, subject: str) -> tuple[Need, ...]:
             texts.append("{namespace}{name}" + escape(name.removeprefix(subject)))
         elif name.startswith(namespace) and namespace != "/":
             texts.append("{namespace}" + escape(name.removeprefix(namespace)))
-    return tuple((kind, text, permission, partitions) for text in texts)
+    return tuple((kind, text, permission, tuple(map(escape, partitions))) for text in texts)

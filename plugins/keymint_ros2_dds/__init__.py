@@ -19,6 +19,7 @@ class DdsSecurity:
 
     Implements :class:`keymint.api.BuildType`, :class:`keymint.api.NameMapping`, :class:`keymint.api.ActionMapping`,
     :class:`keymint.api.RuleCheck`, :class:`keymint.api.ForeignDocuments`, :class:`keymint.api.DocumentComparer`,
+    :class:`keymint.api.GrantReader`,
     :class:`keymint.api.RevocationReader`, :class:`keymint.api.AuthorityChanges`,
     :class:`keymint.api.RemoteCompiler`, :class:`keymint.api.ProcessEnvironment`,
     :class:`keymint.api.RemoteCompiler`, :class:`keymint.api.KeystoreReader`,
@@ -51,6 +52,7 @@ class DdsSecurity:
     check_rules = lazy("keymint_ros2_dds.rule_check:check_rules")
     compare = lazy("keymint_ros2_dds.foreign_documents:compare")
     compared = lazy("keymint_ros2_dds.proving.relation:compared")
+    granted = lazy("keymint_ros2_dds.keystores.grants:granted")
 
     found = lazy("keymint_ros2_dds.keystores.found:found")
 

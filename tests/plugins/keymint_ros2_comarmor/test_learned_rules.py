@@ -9,7 +9,7 @@ from keymint_ros2_comarmor.learned_rules import fold, literal, needs_of, templat
 
 from comarmor.language.attachments import expand, for_subject, parse
 from comarmor.patterns.expression import literal as only_name
-from comarmor.rules import PERMISSIONS
+from comarmor.rules import PERMISSIONS, Effect
 from keymint.graph import Edge, Object
 
 NEEDS = st.lists(
@@ -40,8 +40,7 @@ def test_folded_rules_grant_each_need_once_and_nothing_else(needs) -> None:
         for attachment in rule.attachments
         for permission in rule.permissions
     ]
-    escaped = {(*need[:3], tuple(text.replace("*", "\\*") for text in need[3])) for need in needs}
-    assert sorted(granted) == sorted(escaped)
+    assert sorted(granted) == sorted(set(needs))
     assert fold(reversed(needs)) == rules
     assert all(rule.permissions == tuple(p for p in PERMISSIONS[rule.kind] if p in rule.permissions) for rule in rules)
     groups = [(rule.kind, rule.permissions, rule.partitions) for rule in rules]
@@ -61,6 +60,17 @@ def test_every_template_of_a_need_names_its_object_for_its_subject(subject, name
         (value,) = expand(parse(text), lambda _: ())
         assert only_name(for_subject(value, subject)) == name
         assert (kind, permission, partitions) == (need[0], need[2], need[3])
+
+
+def test_the_partitions_of_a_need_are_names() -> None:
+    need = ("topic", "t*", "publish", ("", "p*"))
+    assert literal(need) == ("topic", "t\\*", "publish", ("", "p\\*"))
+    assert templates(need, "/a") == (literal(need),)
+
+
+def test_rules_may_deny() -> None:
+    (rule,) = fold([("topic", "t*", "publish", ("p*",))], Effect.DENY)
+    assert (rule.effect, rule.partitions, rule.attachments[0].text) == (Effect.DENY, ("p*",), "t*")
 
 
 def test_names_below_the_subject_or_its_namespace_may_be_shared() -> None:

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Learn a policy from the signed documents of a keystore, and prove that both mean the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import field, replace
+
+from comarmor.errors import Diagnostic, Severity
+from comarmor.values import dataclass
+from keymint.api import (
+    ComparisonTask,
+    Counterexample,
+    DocumentComparer,
+    FoundKeystore,
+    GrantedRules,
+    GrantReader,
+    KeystoreFiles,
+    PolicyWriter,
+    Relation,
+)
+from keymint.errors import KeymintError
+from keymint.ir import SubjectRules
+from keymint.plugins import Plugins
+
+_REFUSED = frozenset(("adopt-authorities", "adopt-doubled"))
+"""Findings on a keystore because of which nobody can tell what its documents grant to a subject."""
+
+_NOTE = "Learned from the signed documents of a keystore, and proven to mean the same for all names."
+
+
+@dataclass(frozen=True, slots=True)
+class LearnedKeystore:
+    """A policy that means what the signed documents of a keystore do.
+
+    Attributes:
+        document: the policy.
+        granted: what the document of each enclave grants.
+        diagnostics: what was left out because it has no effect, and what is wrong with the keystore, as warnings.
+    """
+
+    document: bytes = field(repr=False)
+    granted: tuple[GrantedRules, ...]
+    diagnostics: tuple[Diagnostic, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Learning:
+    """How a policy is learned.
+
+    Attributes:
+        build_type: name of the build type that reads the keystore.
+        policy_type: name of the policy type that writes the policy.
+        distro: ROS 2 distribution whose name mapping applies.
+        name: path of the new policy, as the user would type it.
+        states: the most states that the search for one answer may visit.
+        deadline: returns a function that is polled while the documents of an enclave are compared; it ends then.
+    """
+
+    build_type: str
+    policy_type: str
+    distro: str
+    name: str
+    states: int
+    deadline: Callable[[], Callable[[], bool]]
+
+
+def learned_from(plugins: Plugins, files: KeystoreFiles, found: FoundKeystore, learning: Learning) -> LearnedKeystore:
+    """Return the policy of a keystore, proven to mean what its signed documents mean, for all names.
+
+    Args:
+        plugins: the plugins.
+        files: the files of the keystore.
+        found: what it has.
+        learning: how the policy is learned.
+
+    Raises:
+        KeymintError: a signature does not verify, a document grants what no policy can say, or the proof fails; each
+            with its place.
+    """
+    reader: object = plugins.build_type(learning.build_type)
+    writer: object = plugins.policy_type(learning.policy_type)
+    if not isinstance(reader, GrantReader) or not isinstance(reader, DocumentComparer):
+        raise KeymintError(
+            f"the build type {learning.build_type} reads no rules from documents", code="learn-unsupported"
+        )
+    if not isinstance(writer, PolicyWriter):
+        raise KeymintError(f"the policy type {learning.policy_type!r} cannot write rules", code="learn-unsupported")
+    if refused := [each for each in found.diagnostics if each.code in _REFUSED]:
+        raise KeymintError.of(refused)
+    granted: list[GrantedRules] = []
+    errors: list[Diagnostic] = []
+    for enclave in found.enclaves:
+        try:
+            granted.append(reader.granted(files, enclave, learning.distro))
+        except KeymintError as error:
+            errors += (replace(each, subject=enclave.subject) for each in error.diagnostics)
+    if errors:
+        raise KeymintError.of(errors)
+    policy = writer.policy_of([each.rules for each in granted], learning.name, _NOTE)
+    if unproven := list(_unproven(reader, granted, policy.subjects, learning)):
+        raise KeymintError.of(unproven)
+    return LearnedKeystore(policy.document, tuple(granted), (*_warnings(found), *_left_out(granted)))
+
+
+def _unproven(
+    comparer: DocumentComparer, granted: Sequence[GrantedRules], written: Sequence[SubjectRules], learning: Learning
+) -> Iterator[Diagnostic]:
+    """Yield an error for each document that is not proven to mean what its subject's rules in the policy mean."""
+    for each, rules in zip(granted, written, strict=True):
+        task = ComparisonTask(
+            each.document, each.file, each.offset, each.subject_name, rules, learning.distro, each.domains,
+            learning.states, learning.deadline(),
+        )  # fmt: skip
+        comparison = comparer.compared(task)
+        if comparison.relation is not Relation.EQUAL:
+            example = comparison.missing or comparison.excess
+            reason = comparison.reason or _example(example)
+            message = f"{rules.subject}: the learned rules are not proven to mean what {each.file} means: {reason}"
+            help_ = "simplify the document, or report a defect of Keymint if it is a simple one"
+            yield Diagnostic("learn-unproven", Severity.ERROR, message, None, help_, rules.subject)
+
+
+def _example(example: Counterexample | None) -> str:
+    if example is None:
+        return "unknown"
+    permits = "permits" if example.document.allowed else "does not permit"
+    return f"it {permits} to {example.endpoint.action} {example.endpoint.name!r}"
+
+
+def _warnings(found: FoundKeystore) -> Iterator[Diagnostic]:
+    """Yield what is wrong with the keystore: it does not concern what its documents mean."""
+    for each in found.diagnostics:
+        if each.severity is Severity.ERROR:
+            yield replace(each, severity=Severity.WARNING)
+
+
+def _left_out(granted: Iterable[GrantedRules]) -> Iterator[Diagnostic]:
+    for each in granted:
+        yield from each.diagnostics

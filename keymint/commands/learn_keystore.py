@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint learn --from-keystore``: the policy that the signed documents of a keystore mean."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.text import counted
+from keymint.api import GrantedRules
+from keymint.commands.options import PolicyOptions
+from keymint.commands.policies import Policies
+from keymint.commands.proof_diagnostics import STATES, effort_of
+from keymint.commands.run import Run
+from keymint.commands.user_files import exists, read_input, show_written, write_outputs
+from keymint.errors import KeymintError
+from keymint.output.report import Report
+
+_SECONDS = 60.0
+
+
+def from_keystore(
+    run: Run, keystore: Path, output: Path | None, policy_options: PolicyOptions, *, force: bool
+) -> Report:
+    """Learn a policy from the signed documents of a keystore, prove it, and write it.
+
+    Args:
+        run: the run.
+        keystore: folder of the keystore.
+        output: the file to write; None for standard output.
+        policy_options: the options of the policy to write.
+        force: replace a file with different content.
+
+    Raises:
+        KeymintError: a signature does not verify, no policy can say what a document grants, or the proof fails; with
+            its place.
+    """
+    from keymint.adoption.learning import Learning, learned_from  # noqa: PLC0415 - graphs need none of it
+    from keymint.adoption.reading import found_in  # noqa: PLC0415
+
+    policies = Policies(run, policy_options)
+    policies.shipped()  # an unknown distribution is wrong usage, whatever the keystore is
+    build_type, files, found = found_in(run.plugins, run.setting.cwd / keystore, str(keystore), run.setting.now)
+    effort = effort_of(run, STATES, _SECONDS)
+    learning = Learning(
+        build_type, policy_options.policy_type, policies.distro, str(output or "policy.xml"), effort.states,
+        effort.deadline,
+    )  # fmt: skip
+    learned = learned_from(run.plugins, files, found, learning)
+    written: list[str] = []
+    if output is None:
+        run.console.document(learned.document)
+    else:
+        if not force:
+            refuse_replacing(run, output, learned.document)
+        written = write_outputs(run, output, learned.document)
+        show_written(run, output, written)
+        subjects = counted(len(learned.granted), "subject")
+        run.console.line(f"{subjects}: proven to allow, for all names, what the signed documents permit")
+    result: dict[str, Any] = {
+        "domains": sorted({domain for each in learned.granted for domain in _domains(each)}),
+        "file": str(output) if output else None,
+        "written": written,
+        "policy": None if output else learned.document.decode(),
+        "missing": [],
+        "unused": [],
+    }
+    diagnostics = (*learned.diagnostics, *_about_domains(learned.granted, output))
+    return Report(run.verb, None, (), diagnostics, result, dry_run=run.dry_run)
+
+
+def refuse_replacing(run: Run, output: Path, document: bytes) -> None:
+    """Refuse to replace a file that has other content than a learned policy.
+
+    Raises:
+        KeymintError: it has.
+    """
+    if exists(run, output) and read_input(run, output) != document:
+        raise KeymintError(
+            "exists and differs from the learned policy",
+            where=Origin(str(output)),
+            help="name another file, compare it with the graph by --policy, or replace it with --force",
+            code="learn-exists",
+        )
+
+
+def _domains(granted: GrantedRules) -> Iterator[int]:
+    for each in granted.domains:
+        yield from range(each.first, each.last + 1)
+
+
+def _about_domains(granted: Sequence[GrantedRules], output: Path | None) -> Iterator[Diagnostic]:
+    """Yield a warning unless all documents are for domain 0 alone: a policy contains no domain."""
+    groups: dict[tuple[int, ...], list[str]] = {}
+    for each in granted:
+        if domains := tuple(_domains(each)):
+            groups.setdefault(domains, []).append(each.rules.subject)
+    where = Origin(str(output)) if output else None
+    if len(groups) > 1:
+        shown = "; ".join(f"{_in_words(domains)} ({subjects[0]})" for domains, subjects in groups.items())
+        message = f"the documents are for different domains: {shown}; the policy allows all in each"
+        help_ = "to keep the domains separate, have one keystore and one workspace for each"
+        yield Diagnostic("learn-domain", Severity.WARNING, message, where, help_)
+    for domains in groups if len(groups) == 1 else ():
+        if domains != (0,):
+            message = f"the documents are for {_in_words(domains)}; policies contain no domain"
+            help_ = f"keymint provision {output or 'POLICY'} --domain {domains[0]}"
+            yield Diagnostic("learn-domain", Severity.WARNING, message, where, help_)
+
+
+def _in_words(domains: Sequence[int]) -> str:
+    if len(domains) == 1:
+        return f"domain {domains[0]}"
+    return f"{len(domains)} domains, {domains[0]} to {domains[-1]}"

@@ -1,0 +1,267 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Read what signed permissions grant as rules of a policy, in which order has no meaning and DENY overrides ALLOW.
+
+In a document the first rule that matches decides (DDS Security 1.1, 9.4.1.3). A denial that follows a rule which allows
+some of the same is left out where it has no effect; elsewhere no policy can say it, and it is an error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.patterns import glob
+from comarmor.patterns.glob import EVERYTHING, Glob
+from comarmor.patterns.matching import matches
+from comarmor.patterns.printing import canonical
+from comarmor.patterns.relations import covers, disjoint
+from comarmor.patterns.tokens import PatternError
+from comarmor.rules import Effect, Rule
+from comarmor.text import quoted
+from comarmor.values import dataclass
+from keymint.api import DomainRange, FoundEnclave, GrantedRules, KeystoreFiles
+from keymint.errors import KeymintError
+from keymint.ir import SubjectRules
+from keymint.pki import certificates, smime
+from keymint_ros2_dds.decision.semantics import STANDARD
+from keymint_ros2_dds.domains import in_words, merged
+from keymint_ros2_dds.enclave_layout import CA, CERTIFICATE, PERMISSIONS_CA, PERMISSIONS_P7S
+from keymint_ros2_dds.keystores.contents import subject_of
+from keymint_ros2_dds.lowering.dds_topics import TopicAction
+from keymint_ros2_dds.lowering.ros_rules import in_ros
+from keymint_ros2_dds.proving.enclave_governance import cuts
+from keymint_ros2_dds.proving.grant_periods import grant_periods
+from keymint_ros2_dds.proving.permission_lists import have_partitions
+from keymint_ros2_dds.reading import signed_permissions
+from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, DocumentRule, PermissionsDocument
+
+_CODE = "learn-unsayable"
+
+
+def granted(keystore: KeystoreFiles, enclave: FoundEnclave, distro: str) -> GrantedRules:
+    """Return what the signed permissions of an enclave grant; see :meth:`keymint.api.GrantReader.granted`.
+
+    Raises:
+        KeymintError: the signature does not verify, the document cannot be read, or no policy can say what it grants.
+    """
+    path = _path(keystore, enclave, PERMISSIONS_P7S)
+    authority = enclave.files.get(PERMISSIONS_CA) or _path(keystore, enclave, CA)
+    where = Origin(f"{keystore.folder}/{path}")
+    signed = smime.read(keystore.files[path].content, keystore.files[authority].content, where=where)
+    document = signed_permissions.read(signed.content, where.file, signed.lines_before)
+    if document.defects:
+        raise KeymintError.of(document.defects)
+    place = Origin(f"{keystore.folder}/{_path(keystore, enclave, CERTIFICATE)}")
+    name = subject_of(certificates.load(enclave.certificate, place).subject)
+    rules, domains, findings = rules_of(document, name, enclave.subject, distro)
+    return GrantedRules(
+        SubjectRules(enclave.subject, rules), signed.content, where.file, signed.lines_before, name, domains, findings
+    )
+
+
+def rules_of(
+    document: PermissionsDocument, name: str, subject: str, distro: str
+) -> tuple[tuple[Rule, ...], tuple[DomainRange, ...], tuple[Diagnostic, ...]]:
+    """Return the rules of an identity in a document, the domains in which they apply, and what is left out.
+
+    Args:
+        document: a document that its schema allows.
+        name: distinguished name of the identity, in the order of RFC 2253.
+        subject: the subject.
+        distro: ROS 2 distribution whose name mapping applies.
+
+    Raises:
+        KeymintError: no policy can say what the document grants, with ``file:line``.
+    """
+    grant, findings = _grant(document, name, subject)
+    if grant is None:
+        return (), (), findings
+    domains, applying = _applying(document, grant)
+    steps = list(_steps(document, grant, applying))
+    named = not have_partitions([grant])
+    rules = _rules(_unordered(document, steps, named=named), distro, named=named)
+    return tuple(rules), domains, findings
+
+
+def _path(keystore: KeystoreFiles, enclave: FoundEnclave, name: str) -> str:
+    if name not in enclave.files:
+        where = Origin(f"{keystore.folder}/{enclave.facts['place']}/{name}")
+        raise KeymintError("is missing", where=where, help="restore it", code="file-missing")
+    return enclave.files[name]
+
+
+def _grant(
+    document: PermissionsDocument, name: str, subject: str
+) -> tuple[DocumentGrant | None, tuple[Diagnostic, ...]]:
+    """Return the grant of an identity, and warnings about those that are never in force.
+
+    Raises:
+        KeymintError: there are several, each in its time.
+    """
+    own = STANDARD.grants(document, name)
+    eras = tuple(grant_periods(document, name, STANDARD))
+    if len(eras) > 1:
+        raise KeymintError(
+            f"{quoted(name)} has another grant from {eras[1].begin:%Y-%m-%d} on, and rules of a policy have no time",
+            where=document.place(eras[1].grant.line), help="sign a document with one grant", code=_CODE,
+        )  # fmt: skip
+    grant = eras[0].grant if eras else None
+    findings = [
+        Diagnostic(
+            "learn-grant", Severity.WARNING, f"this grant of {quoted(name)} is never in force, and is not learned",
+            document.place(each.line), "remove it from the document", subject,
+        )
+        for each in own
+        if each is not grant
+    ]  # fmt: skip
+    if not own:
+        message = f"no grant is for {quoted(name)}, so the enclave is permitted nothing"
+        help_ = "sign a document for this name"
+        findings.append(Diagnostic("learn-grant", Severity.WARNING, message, Origin(document.file), help_, subject))
+    return grant, tuple(findings)
+
+
+def _applying(
+    document: PermissionsDocument, grant: DocumentGrant
+) -> tuple[tuple[DomainRange, ...], tuple[DocumentRule, ...]]:
+    """Return the domains in which a grant permits anything, and the rules that apply in all of these.
+
+    Raises:
+        KeymintError: rules that matter apply in some of them only.
+    """
+    groups: dict[tuple[bool, ...], list[DomainRange]] = {}
+    for domains in cuts(each for rule in grant.rules for each in rule.domains):
+        applies = tuple(STANDARD.applies(rule, domains.first) for rule in grant.rules)
+        permits = any(rule.allows and rule.criteria for rule, each in zip(grant.rules, applies, strict=True) if each)
+        if grant.allows or permits:
+            groups.setdefault(applies, []).append(domains)
+    if len(groups) > 1:
+        first, second = list(groups)[:2]
+        rule = next(rule for rule, a, b in zip(grant.rules, first, second, strict=True) if a is not b)
+        raise KeymintError(
+            f"permits something else in {in_words(groups[first])} than in {in_words(groups[second])}, because of this "
+            "rule; rules of a policy hold in all its domains",
+            where=document.place(rule.line), help="learn from one document for each domain", code=_CODE,
+        )  # fmt: skip
+    for applies, ranges in groups.items():
+        return tuple(merged(ranges)), tuple(rule for rule, each in zip(grant.rules, applies, strict=True) if each)
+    return (), ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """A topic expression of a document: what it decides, and for what.
+
+    Attributes:
+        effect: what it decides.
+        action: about which action.
+        topic: its pattern.
+        partitions: expressions; none: the default partition of an allowed topic, and every one of a denied topic.
+        line: line of its element.
+    """
+
+    effect: Effect
+    action: TopicAction
+    topic: Glob
+    partitions: tuple[Glob, ...]
+    line: int
+
+
+def _steps(document: PermissionsDocument, grant: DocumentGrant, rules: Sequence[DocumentRule]) -> Iterator[_Step]:
+    """Yield the steps of a grant in order; its default is the last one.
+
+    Raises:
+        KeymintError: a policy cannot say it, or it is not defined what it matches.
+    """
+    for rule in rules:
+        effect = Effect.ALLOW if rule.allows else Effect.DENY
+        for criteria in rule.criteria:
+            where = document.place(criteria.line)
+            if criteria.tags is not None:
+                raise KeymintError(
+                    "is about data tags, which no policy has", where=where, help="remove them", code=_CODE
+                )
+            try:
+                partitions = tuple(glob.parse(each) for each in criteria.partitions or ())
+                topics = [glob.parse(each) for each in criteria.topics]
+            except PatternError as error:
+                raise KeymintError.of(
+                    Diagnostic("expression", Severity.ERROR, each.message, where, each.help)
+                    for each in error.diagnostics
+                ) from None
+            if effect is Effect.ALLOW and partitions == ((),):
+                partitions = ()
+            for topic in topics:
+                if topic and not glob.is_empty(topic):
+                    yield _Step(effect, TopicAction(criteria.action), topic, partitions, criteria.line)
+    if grant.allows:
+        for action in TopicAction:
+            yield _Step(Effect.ALLOW, action, EVERYTHING, (EVERYTHING,), grant.line)
+
+
+def _unordered(document: PermissionsDocument, steps: Sequence[_Step], *, named: bool) -> Iterator[tuple[_Step, Origin]]:
+    """Yield the steps that matter, with their places.
+
+    Args:
+        document: the document.
+        steps: its steps, in order.
+        named: nothing is allowed outside of the default partition.
+
+    Raises:
+        KeymintError: a denial would deny what an earlier step allows.
+    """
+    allowed = [(number, each) for number, each in enumerate(steps) if each.effect is Effect.ALLOW]
+    for number, step in enumerate(steps):
+        if step.effect is Effect.DENY:
+            same = [(at, each) for at, each in allowed if each.action is step.action and _overlap(each, step)]
+            before = [each for at, each in same if at < number]
+            if before and (len(before) == len(same) or any(_covers(each, step, named=named) for each in before)):
+                continue  # nothing that follows allows any of it, or all of it is allowed before
+            if before:
+                raise _denied_after(document, step, before[0])
+        yield step, document.place(step.line)
+
+
+def _denied_after(document: PermissionsDocument, step: _Step, allowing: _Step) -> KeymintError:
+    line = document.place(allowing.line).line
+    return KeymintError(
+        f"denies to {step.action} {quoted(canonical(step.topic))}, but line {line} before it allows "
+        f"{quoted(canonical(allowing.topic))}; in a policy every DENY overrides every ALLOW",
+        where=document.place(step.line), help="write out the names that are allowed", code=_CODE,
+    )  # fmt: skip
+
+
+def _overlap(allowing: _Step, denying: _Step) -> bool:
+    own = allowing.partitions or ((),)
+    shared = not denying.partitions or any(not disjoint(a, b) for a in own for b in denying.partitions)
+    return shared and not disjoint(allowing.topic, denying.topic)
+
+
+def _covers(allowing: _Step, denying: _Step, *, named: bool) -> bool:
+    own = allowing.partitions or ((),)
+    wide = own if named else denying.partitions or (EVERYTHING,)
+    return covers(allowing.topic, denying.topic) and all(any(covers(a, b) for a in own) for b in wide)
+
+
+def _rules(steps: Iterator[tuple[_Step, Origin]], distro: str, *, named: bool) -> Iterator[Rule]:
+    """Yield a rule for each name: on ROS names where the topics of a default partition say so, else on DDS topics.
+
+    Args:
+        steps: the steps.
+        distro: ROS 2 distribution whose name mapping applies.
+        named: nothing is allowed outside of the default partition, so that denials of others say nothing.
+    """
+    places: dict[Effect, dict[tuple[TopicAction, Glob], Origin]] = {effect: {} for effect in Effect}
+    raw: dict[tuple[_Step, Origin], None] = {}
+    for step, where in steps:
+        if not step.partitions or (named and any(matches(each, "") for each in step.partitions)):
+            places[step.effect].setdefault((step.action, step.topic), where)
+        else:
+            raw[step, where] = None
+    for effect, patterns in places.items():
+        names: Mapping[tuple[str, str, Glob], tuple[TopicAction, Glob]] = in_ros(patterns, distro)
+        for (kind, permission, name), source in names.items():
+            yield Rule(effect, kind, (permission,), (canonical(name),), (), False, patterns[source])
+    for step, where in raw:
+        partitions = tuple(map(canonical, step.partitions))
+        yield Rule(step.effect, "topic", (str(step.action),), (canonical(step.topic),), partitions, False, where)
