@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 
 from comarmor.errors import Origin, Spot
@@ -77,5 +78,16 @@ def _verb(change: PermissionChange) -> str:
 
 
 def _code(text: str) -> str:
-    fence = "``" if "`" in text else "`"
-    return f"{fence}{text}{fence}".replace("|", "\\|")
+    """Return a code span (CommonMark 0.31.2, 6.1) that may stand in a table; no text ends it."""
+    fence = "`" * (max(map(len, re.findall("`+", text)), default=0) + 1)
+    blank = " " * ("`" in (text[:1], text[-1:]))
+    return _PIPE.sub(_escaped_pipe, f"{fence}{blank}{text}{blank}{fence}")
+
+
+_PIPE = re.compile(r"(\\*)\|")
+
+
+def _escaped_pipe(match: re.Match[str]) -> str:
+    """Return a pipe after backslashes of which the last escapes it, however many there are."""
+    backslashes = match[1]
+    return backslashes + "\\" * (1 + len(backslashes) % 2) + "|"

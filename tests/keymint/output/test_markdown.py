@@ -3,12 +3,17 @@
 
 from __future__ import annotations
 
+import re
+
+from hypothesis import given
+from hypothesis import strategies as st
+
 from comarmor.errors import Origin
 from comarmor.patterns.glob import parse
 from keymint.analysis.policy_diff import SubjectChanges
 from keymint.analysis.rule_diff import PermissionChange
 from keymint.output.differences import as_text, summary
-from keymint.output.markdown import markdown
+from keymint.output.markdown import _code, markdown
 
 GAIN = PermissionChange(
     gains=True,
@@ -65,3 +70,18 @@ def test_a_new_node_gets_one_line_for_each_file_of_the_library() -> None:
 def test_equivalent_policies() -> None:
     assert lines_of()[-1] == "**Equivalent**: no subject gains or loses anything."
     assert summary([]) == "equivalent: no subject gains or loses anything"
+
+
+@given(st.text("a`|\\ @*", min_size=1, max_size=8))
+def test_no_text_ends_a_code_span_or_a_cell_of_a_table(text: str) -> None:
+    span = _code(text)
+    cells = re.sub(r"\\(?:[!-/:-@\[-`{-~])", "", span)  # GFM: a backslash escapes punctuation before cells are split
+    assert "|" not in cells
+    opened = re.match("`+", span)
+    assert opened
+    fence = opened[0]
+    inner = span[len(fence) : -len(fence)]
+    assert span.endswith(fence)
+    assert not re.search(rf"(?<!`){fence}(?!`)", inner)
+    assert not inner.startswith("`")
+    assert not inner.endswith("`")
