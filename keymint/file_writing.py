@@ -60,6 +60,9 @@ def create(folder: int, shown: str | Path, name: str, file: File, owner: tuple[i
         owner: user and group to give it to, if the system permits that.
     """
     try:
+        if file.link:
+            os.symlink(file.link, name, dir_fd=folder)
+            return
         opened = os.open(name, NEW_FILE, 0o600, dir_fd=folder)
         try:
             write_all(opened, file.content)
@@ -106,8 +109,14 @@ def check_component(name: str, folder: str | Path) -> None:
         )
 
 
-def require_regular(folder: int, shown: str | Path, name: str) -> os.stat_result | None:
+def require_regular(folder: int, shown: str | Path, name: str, *, or_link: bool = False) -> os.stat_result | None:
     """Return the status of the regular file that is about to be replaced, or None if there is none.
+
+    Args:
+        folder: the open folder.
+        shown: its path, for messages.
+        name: name of the file.
+        or_link: a symbolic link may be replaced as well; then None is returned.
 
     Raises:
         KeymintError: the name belongs to a symbolic link, a folder or another kind of file.
@@ -115,6 +124,8 @@ def require_regular(folder: int, shown: str | Path, name: str) -> os.stat_result
     try:
         status = os.lstat(name, dir_fd=folder)
     except FileNotFoundError:
+        return None
+    if or_link and stat.S_ISLNK(status.st_mode):
         return None
     if not stat.S_ISREG(status.st_mode):
         kind = "a symbolic link" if stat.S_ISLNK(status.st_mode) else "not a regular file"

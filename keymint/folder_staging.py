@@ -105,8 +105,9 @@ def stage(old: int, new_parent: int, name: str, shown: str, content: FolderConte
             _copy_attributes(old, new)
             carried = _carry(old, new, shown, content)
             for file in content.files:
-                replaced = require_regular(old, shown, file) or status
-                create(new, shown, file, content.files[file], (replaced.st_uid, replaced.st_gid))
+                changed = content.files[file]
+                replaced = require_regular(old, shown, file, or_link=changed.replaces_link) or status
+                create(new, shown, file, changed, (replaced.st_uid, replaced.st_gid))
             _add_folders(new, shown, content, staged=carried.folders)
             if content.removes() and not (carried.files or carried.folders or content.writes()):
                 os.rmdir(name, dir_fd=new_parent)

@@ -192,7 +192,7 @@ class Staging:
         if file is None:
             self._exchanges.append(Exchange(order, shown, name, None, file=True))
             return
-        replaced = require_regular(folder, shown, name) or os.fstat(folder)
+        replaced = require_regular(folder, shown, name, or_link=file.replaces_link) or os.fstat(folder)
         with self._temporary(order, folder, shown, name, file=True) as staged:
             create(folder, shown, staged, file, (replaced.st_uid, replaced.st_gid))
 

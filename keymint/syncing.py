@@ -82,6 +82,10 @@ def sync_tree(parent: int, name: str) -> None:
     except NotADirectoryError:
         _sync_file(parent, name)
         return
+    except OSError as error:
+        if error.errno != errno.ELOOP:
+            raise
+        return  # a symbolic link, which its folder contains
     try:
         for entry in list(os.scandir(folder)):
             if entry.is_dir(follow_symlinks=False):

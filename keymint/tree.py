@@ -90,12 +90,14 @@ class _Disk:
 
     Args:
         known: digests of files that need not be read for them, by folder and name.
+        linked: a folder in which symbolic links are followed that stay in it; empty for none.
     """
 
-    def __init__(self, known: Mapping[str, Mapping[str, str]]) -> None:
+    def __init__(self, known: Mapping[str, Mapping[str, str]], linked: str = "") -> None:
         self.digests: dict[str, dict[str, str]] = {}
         """Digests that were asked for, by folder and name."""
         self.known = known
+        self.linked = linked
         self._contents: dict[str, bytes | KeymintError | None] = {}
         self._entries: dict[str, dict[str, bool] | KeymintError] = {}
         self._statuses: dict[str, os.stat_result | None] = {}
@@ -104,8 +106,16 @@ class _Disk:
 
     def read(self, path: str) -> bytes | None:
         if path not in self._contents:
-            self._contents[path] = None if self._is_absent(path) else read_file(path)
+            self._contents[path] = None if self._is_absent(path) else self._file(path)
         return _or_raise(self._contents[path])
+
+    def _file(self, path: str) -> bytes | None:
+        try:
+            return read_file(path)
+        except KeymintError:
+            if real := linked_file(path, self.linked):
+                return read_file(real)
+            raise
 
     def digest(self, path: str) -> str | None:
         folder, _, name = path.rpartition("/")
@@ -127,8 +137,13 @@ class _Disk:
 
     def status(self, path: str) -> os.stat_result | None:
         if path not in self._statuses:
-            self._statuses[path] = None if self._is_absent(path) else _lstat(path)
+            self._statuses[path] = None if self._is_absent(path) else self._status(path)
         return self._statuses[path]
+
+    def _status(self, path: str) -> os.stat_result | None:
+        found = _lstat(path)
+        is_link = found is not None and stat.S_ISLNK(found.st_mode)
+        return _lstat(linked_file(path, self.linked) or path) if is_link else found
 
     def hold(self, folder: str, suffix: str) -> None:
         """Read everything below a folder, so that the disk is not accessed again."""
@@ -143,12 +158,12 @@ class _Disk:
                 continue
             for name, is_folder in self.entries(inner).items():
                 path = f"{inner}/{name}"
-                self._statuses[path] = _lstat(path)
+                self._statuses[path] = self._status(path)
                 if is_folder:
                     waiting += [path] if name != ".git" else []
                 elif name.endswith(suffix):
                     try:
-                        self._contents[path] = read_file(path)
+                        self._contents[path] = self._file(path)
                     except KeymintError as error:
                         self._contents[path] = error
         self._held.add(folder)
@@ -181,6 +196,28 @@ def _lstat(path: str) -> os.stat_result | None:
         return None
 
 
+def linked_file(path: str, folder: str) -> str:
+    """Return the regular file that a relative symbolic link in a folder leads to, if that is in the folder; else empty.
+
+    It must be readable by everyone: else a link could make the content of a private key look like a public file.
+
+    Args:
+        path: absolute path of the link.
+        folder: absolute path of the folder; empty to follow no link.
+    """
+    if not folder or not path.startswith(f"{folder}/"):
+        return ""
+    try:
+        relative = not os.readlink(path).startswith("/")  # noqa: PTH115 - of a text
+        real = os.path.realpath(path, strict=True)
+    except OSError:
+        return ""
+    status = _lstat(real)
+    inside = real.startswith(f"{os.path.realpath(folder)}/")
+    public = status is not None and stat.S_ISREG(status.st_mode) and status.st_mode & stat.S_IROTH
+    return real if relative and inside and public else ""
+
+
 def _or_raise(result: _Read | KeymintError) -> _Read:
     """Return the result of reading, or raise its error."""
     if isinstance(result, KeymintError):
@@ -193,14 +230,18 @@ class File:
     """A file to write.
 
     Attributes:
-        content: its bytes.
+        content: its bytes; of a link those of the file that it leads to.
         secret: its mode is 0600, else 0644.
         mode: another mode, e.g. that of the file that it replaces.
+        link: the text of a symbolic link, which is written in place of the content; empty for a regular file.
+        replaces_link: a symbolic link in its place is replaced; else that is refused.
     """
 
     content: bytes = field(repr=False)
     secret: bool = False
     mode: int | None = None
+    link: str = ""
+    replaces_link: bool = False
     _digest: str = field(default="", init=False, repr=False, compare=False)
 
     @property
@@ -233,6 +274,7 @@ class Tree:
         overlay: planned content by absolute path, which hides the disk; None for a file that will be removed.
         disk: the files on the disk, if some were already read.
         known: digests of files that need not be read for them, by folder and name.
+        linked: a folder in which symbolic links are followed that stay in it, as ROS 2 does in a keystore.
     """
 
     def __init__(
@@ -240,8 +282,9 @@ class Tree:
         overlay: Mapping[Path | str, Content] | None = None,
         disk: _Disk | None = None,
         known: Mapping[str, Mapping[str, str]] | None = None,
+        linked: Path | None = None,
     ) -> None:
-        self._disk = disk or _Disk(known or {})
+        self._disk = disk or _Disk(known or {}, str(linked or ""))
         self._files: dict[str, dict[str, Content]] = {}
         """Planned content by folder and name."""
         self._folders: dict[str, set[str]] = {}
@@ -325,8 +368,15 @@ class Tree:
             return None
 
     def status(self, path: Path | str) -> os.stat_result | None:
-        """Return the status of a path on the disk (without following a link), or None if it does not exist."""
+        """Return the status of a path on the disk, or None if it does not exist.
+
+        Links are not followed, except in the folder where :meth:`read` follows them.
+        """
         return self._disk.status(str(path))
+
+    def follows(self, path: Path | str) -> str:
+        """Return the file that a symbolic link leads to, if :meth:`read` follows it; else an empty text."""
+        return linked_file(str(path), self._disk.linked)
 
     def hold(self, folder: Path, *, suffix: str = "") -> None:
         """Read everything below a folder into memory, so that the disk is not accessed again.

@@ -47,6 +47,7 @@ WRITING_VERBS = (
     ("authority", "replace", "identity_ca", "--phase", "end", "-w", "ws"),
     ("authority", "export", "identity_ca", "-o", "ca.pem", "-w", "ws"),
     ("provision", POLICY, "-w", "ws2"),
+    ("adopt", "ws2/install", POLICY, "--apply", "-w", "ws3"),
     ("graph", POLICY, "-o", "policy.svg"),
     ("graph", POLICY, "-o", "policy.html"),
     ("graph", POLICY, "-o", "policy.dot"),

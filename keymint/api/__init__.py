@@ -70,8 +70,11 @@ from keymint.api.imports import PolicyFormat as PolicyFormat
 from keymint.api.imports import PolicyImporter as PolicyImporter
 from keymint.api.imports import WrittenPolicy as WrittenPolicy
 from keymint.api.imports import standard_claims as standard_claims
+from keymint.api.keystores import AdoptedSources as AdoptedSources
+from keymint.api.keystores import AdoptingPackageType as AdoptingPackageType
 from keymint.api.keystores import FoundAuthority as FoundAuthority
 from keymint.api.keystores import FoundEnclave as FoundEnclave
+from keymint.api.keystores import FoundGrant as FoundGrant
 from keymint.api.keystores import FoundKeystore as FoundKeystore
 from keymint.api.keystores import KeptDocuments as KeptDocuments
 from keymint.api.keystores import KeystoreFile as KeystoreFile

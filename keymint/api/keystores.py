@@ -12,6 +12,8 @@ from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.api.certificates import KeySpec, Validity
 from keymint.api.packages import DomainRange, Package
+from keymint.api.profiles import WorkspaceProfile
+from keymint.ir import SubjectRules
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +70,23 @@ class FoundAuthority:
 
 
 @dataclass(frozen=True, slots=True)
+class FoundGrant:
+    """The signed rights of an enclave.
+
+    Attributes:
+        document: the unsigned document; its signature was verified.
+        file: the signed file as the user would type it.
+        offset: number of lines before the document in that file.
+        subject_name: whom it grants rights to, in the order of RFC 2253.
+    """
+
+    document: bytes = field(repr=False)
+    file: str
+    offset: int
+    subject_name: str
+
+
+@dataclass(frozen=True, slots=True)
 class FoundEnclave:
     """An enclave of a keystore.
 
@@ -83,6 +102,7 @@ class FoundEnclave:
         domains: domains of the grant, if its rules have the same.
         documents: the signed documents, by the names of the unsigned ones (:attr:`BuildResult.documents`); only those
             whose signature verifies.
+        grant: its rights, if they verify and there is one grant.
         facts: what a report says about it; values are those of JSON.
     """
 
@@ -96,6 +116,7 @@ class FoundEnclave:
     grant_validity: Validity | None
     domains: tuple[DomainRange, ...]
     documents: Mapping[str, bytes]
+    grant: FoundGrant | None
     facts: Mapping[str, Any]
 
 
@@ -106,7 +127,7 @@ class FoundKeystore:
     Attributes:
         form: the form of the keystore in words, e.g. its tool.
         layout: the layout of its files (:attr:`BuildType.LAYOUTS`); empty if they lie in another way.
-        subject_format: form of subject names, as the profile type calls it; empty if there is none that fits all.
+        subject_format: form that all subject names have, as the profile type calls it; empty if there is none.
         authorities: the authorities that its enclaves trust.
         enclaves: by subject, sorted.
         kept: paths of the files that a workspace's install space has at the same place.
@@ -122,6 +143,37 @@ class FoundKeystore:
     kept: tuple[str, ...]
     defaults: Mapping[str, bytes]
     diagnostics: tuple[Diagnostic, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class AdoptedSources:
+    """What the sources of a package must say so that they describe an enclave that another tool made.
+
+    Attributes:
+        rules: the rules of the subject.
+        subject_name: distinguished name, in certificate order; empty for that of the profile.
+        validity: validity of the certificate.
+        grant_validity: validity of the grant.
+        domains: domains of the grant; empty for those of the profile.
+        key: the kind of the key.
+        documents: the signed documents, by the names of the unsigned ones.
+    """
+
+    rules: SubjectRules
+    subject_name: str
+    validity: Validity
+    grant_validity: Validity
+    domains: tuple[DomainRange, ...]
+    key: KeySpec
+    documents: Mapping[str, bytes] = field(repr=False)
+
+
+@runtime_checkable
+class AdoptingPackageType(Protocol):
+    """Optional capability of a package type: its sources describe enclaves that another tool made."""
+
+    def adopted_sources(self, profile: WorkspaceProfile, sources: AdoptedSources) -> Mapping[str, bytes]:
+        """Return the files of a new package, by name."""
 
 
 @runtime_checkable

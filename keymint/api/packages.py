@@ -135,11 +135,14 @@ class Issuance:
             say; the length of each stays. None if they were never renewed.
         public_key: the subject's public key (SubjectPublicKeyInfo in PEM), if the private key is not in the workspace:
             the subject's machine made it, and it never left that. Empty if the workspace has the key.
+        certificate: PEM of a certificate that another tool issued. It is used as it is for as long as the sources ask
+            for its subject name, validity and issuer, and it is for the subject's key. Empty if there is none.
     """
 
     generation: int = 0
     renewed: datetime | None = None
     public_key: bytes = b""
+    certificate: bytes = b""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,6 +162,8 @@ class Package:
         infrastructure: the packages of that role in the workspace that have a build type in common with this one.
         issuance: what an authority decided about the certificate and the grant, which have it in their names and
             periods already.
+        kept: documents that another tool signed, by the names of the unsigned ones. A build type goes on with such a
+            document for as long as it means what the sources say.
     """
 
     name: str
@@ -172,3 +177,4 @@ class Package:
     role: Role = Role.SUBJECT
     infrastructure: tuple[Package, ...] = ()
     issuance: Issuance = Issuance()
+    kept: Mapping[str, bytes] = field(default_factory=dict, repr=False)

@@ -95,6 +95,7 @@ class Bootstrap:
         build_types: the plugins that build new packages; empty for those of the profile type.
         valid_for: length of the validity of packages' certificates and grants, an ISO 8601 duration such as ``P90D``;
             empty for that of the profile type.
+        authority: name of the one authority that issues identities and signs documents; empty for those of the layout.
     """
 
     name: str
@@ -106,6 +107,7 @@ class Bootstrap:
     now: datetime
     build_types: tuple[str, ...] = ()
     valid_for: str = ""
+    authority: str = ""
 
 
 class ProfileType(Protocol):

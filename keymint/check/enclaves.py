@@ -102,6 +102,18 @@ def identity_key(
     return fingerprint, ()
 
 
+def _link(session: Session, name: str, path: str) -> Diagnostic:
+    """Return the finding on a link within the keystore, which a tool that made the enclave may have meant."""
+    message, help_ = (
+        "is a symbolic link, which breaks when the enclave is copied",
+        "remove it and run 'keymint install'",
+    )
+    if session.package(name).kept:
+        help_ = f"copy what it leads to as well ('cp -L', 'rsync -L'), or {help_}"
+    severity = Severity.NOTE if session.package(name).kept else Severity.ERROR
+    return Diagnostic("file-link", severity, message, Origin(session.workspace.shown(path)), help_, f"/{name}")
+
+
 def on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterator[Diagnostic]:
     """Check modes, links and recorded digests of one enclave."""
     folder = f"{session.enclaves}/{name}"
@@ -111,6 +123,8 @@ def on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterator
     for file, is_folder in session.tree.names(folder):
         if not is_folder:
             yield from modes(session, f"{folder}/{file}", file_mode(secret=file in secret), f"/{name}")
+            if session.tree.follows(f"{folder}/{file}"):
+                yield _link(session, name, f"{folder}/{file}")
             if file in secret:
                 yield from linked_twice(session, f"{folder}/{file}", f"/{name}")
     if stamp is None:

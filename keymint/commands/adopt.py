@@ -3,30 +3,161 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import click
 
+from comarmor.errors import Diagnostic, Origin, Severity
+from keymint.adoption.policy import AdoptedPolicy, Compared, compared
 from keymint.adoption.reading import found_in
-from keymint.commands.options import PATH
+from keymint.adoption.workspace import Adoption, plan_adoption
+from keymint.api import Bootstrap, DocumentComparer, FoundEnclave, FoundKeystore, KeystoreFiles
+from keymint.changes import Plan
+from keymint.commands.adopted_policy import named_policy
+from keymint.commands.options import DEFAULT_PROFILE_TYPE, PATH, PluginOption, PolicyOptions
+from keymint.commands.proof_diagnostics import effort_of
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
+from keymint.errors import ExitCode, KeymintError
 from keymint.output.keystores import as_json, summary
 from keymint.output.report import Report, findings_exit
+from keymint.session import Inputs
+from keymint.workspace import Workspace
+
+_SECONDS = 60.0
+_OLD = "eloquent"
+"""The distribution of a keystore in the layout before Foxy, if none is named."""
 
 
 @verb(dry_run=True)
 @click.argument("keystore", type=PATH)
-def adopt(run: Run, keystore: Path) -> Report:
-    """Report on KEYSTORE, which another tool made: 'ros2 security', openssl, or a vendor's guide.
+@click.argument("policy", type=PATH, required=False)
+@click.option("--apply", "applied", is_flag=True, help="Write the workspace; without it nothing is written.")
+@click.option("--accept", is_flag=True, help="Take POLICY as it reads where the other tool enforces something else.")
+@click.option(
+    "--implicit/--no-implicit",
+    default=True,
+    show_default=True,
+    help="POLICY of another tool has the rules that this tool adds by itself.",
+)
+@click.option("--distro", metavar="NAME", help="ROS 2 distribution [$ROS_DISTRO, else jazzy].")
+@click.option(
+    "--profile-type", cls=PluginOption, group="keymint.profile_types", default=DEFAULT_PROFILE_TYPE, show_default=True,
+    help="Plugin that makes the profile.",
+)  # fmt: skip
+def adopt(
+    run: Run,
+    keystore: Path,
+    policy: Path | None,
+    applied: bool,
+    accept: bool,
+    implicit: bool,
+    distro: str | None,
+    profile_type: str,
+) -> Report:
+    """Examine KEYSTORE, which another tool made, and take it over: 'ros2 security', openssl, or a vendor's guide.
 
     \b
-    keymint adopt demo_keystore                     reads it, and writes nothing
+    keymint adopt demo_keystore policy.xml                      reads both, and writes nothing
+    keymint adopt demo_keystore policy.xml --apply -w my_ws     makes a workspace; KEYSTORE stays as it is
 
-    For each enclave: whether its certificate, key and signed documents belong together, what they allow, until when,
-    and who can read its key. No link is followed that leads out of KEYSTORE. Exit code 3: there are findings.
+    For each enclave: whether its certificate, key and signed documents belong together, how they compare with POLICY,
+    until when they are good, and who can read its key. No link is followed that leads out of KEYSTORE.
+
+    With --apply, the workspace has the same authorities, keys, certificates and signed documents. The next build and
+    install change nothing that robots have; if they would, nothing is written. Exit code 3: there are findings.
     """
-    _, _, found = found_in(run.plugins, run.setting.cwd / keystore, str(keystore), run.setting.now)
-    for line in summary(str(keystore), found, {}):
+    workspace, folder = run.workspace_at(None), run.setting.cwd / keystore
+    build_type_name, files, found = found_in(run.plugins, folder, str(keystore), run.setting.now)
+    chosen = distro or run.setting.environment.get("ROS_DISTRO") or (_OLD if found.layout == "flat" else "")
+    options = PolicyOptions(chosen or None, profile_type, "keymint_ros2_comarmor")
+    own, comparisons = _policy(run, build_type_name, found, policy, workspace, options, (accept, implicit))
+    different = [each for each in (one.finding() for one in comparisons) if each]
+    found = replace(found, diagnostics=(*found.diagnostics, *(own.diagnostics if own else ()), *different))
+    for line in summary(str(keystore), found, {each.subject: each.words for each in comparisons}):
         run.console.line(line)
-    return Report(run.verb, None, (), found.diagnostics, as_json(found, {}), findings_exit(found.diagnostics))
+    result = as_json(found, {each.subject: each.as_json() for each in comparisons})
+    if not applied:
+        return Report(run.verb, None, (), found.diagnostics, result, findings_exit(found.diagnostics))
+    adoption = _adoption(workspace, files, found, own, build_type_name, profile_type, chosen or "jazzy", run)
+    left = tuple(_left(found, str(keystore), workspace))
+    notes = [each for each in found.diagnostics if each.severity is not Severity.ERROR]
+
+    def make_plan(inputs: Inputs) -> Plan:
+        plan = plan_adoption(inputs, adoption)
+        return replace(plan, diagnostics=(*notes, *plan.diagnostics, *left))
+
+    return replace(run.carry_out(workspace, make_plan), result=result)
+
+
+def _policy(
+    run: Run, build_type_name: str, found: FoundKeystore, policy: Path | None, workspace: Workspace,
+    options: PolicyOptions, reading: tuple[bool, bool],
+) -> tuple[AdoptedPolicy | None, tuple[Compared, ...]]:  # fmt: skip
+    """Return the policy, if there is one, and how the signed documents compare with it."""
+    if policy is None:
+        return None, ()
+    own = named_policy(run, policy, workspace, options, [each.subject for each in found.enclaves], *reading)
+    build_type: object = run.plugins.build_type(build_type_name)
+    if not isinstance(build_type, DocumentComparer):
+        return own, ()
+    distro = options.distro or "jazzy"
+    go_on = effort_of(run, seconds=_SECONDS).deadline()
+    return own, compared(build_type, found.enclaves, own.rules, distro, go_on)
+
+
+def _adoption(
+    workspace: Workspace, files: KeystoreFiles, found: FoundKeystore, policy: AdoptedPolicy | None,
+    build_type: str, profile_type: str, distro: str, run: Run,
+) -> Adoption:  # fmt: skip
+    """Return what is taken over.
+
+    Raises:
+        KeymintError: something is in the way; with all of it.
+    """
+    errors = [each for each in found.diagnostics if each.severity is Severity.ERROR]
+    if errors:
+        raise KeymintError.of(found.diagnostics, ExitCode.FAILURE)
+    if workspace.exists():
+        raise KeymintError(
+            "there is a workspace already", where=Origin(workspace.shown(workspace.profile)),
+            help="name another folder with -w", code="workspace-exists",
+        )  # fmt: skip
+    keystore = (run.setting.cwd / files.folder).resolve()
+    if workspace.root.is_relative_to(keystore) or keystore.is_relative_to(workspace.install):
+        raise KeymintError(
+            "the workspace would lie in the keystore, or the keystore in its install space",
+            where=Origin(workspace.shown(workspace.root)), help="name a folder beside it with -w", code="space-overlap",
+        )  # fmt: skip
+    if policy is None:
+        raise KeymintError("a policy is needed", help="name a POLICY", code="adopt-policy")
+    roles = {each.name for each in found.authorities}
+    request = Bootstrap(
+        name=workspace.root.name or "workspace",
+        policy=policy.path,
+        distro=distro,
+        domain=_domain(found.enclaves),
+        layout=found.layout,
+        subject_format=found.subject_format or "unique",
+        now=files.now,
+        authority=found.authorities[0].name if len(roles) == 1 else "",
+    )
+    return Adoption(build_type, files, found, policy, profile_type, request)
+
+
+def _domain(enclaves: Sequence[FoundEnclave]) -> int:
+    """Return the domain of the first enclave that has one; others state theirs in their own sources."""
+    return next((each.domains[0].first for each in enclaves if each.domains), 0)
+
+
+def _left(found: FoundKeystore, keystore: str, workspace: Workspace) -> Iterator[Diagnostic]:
+    """Yield a warning for each private key of an authority that is left where robots' files are taken from."""
+    for authority in found.authorities:
+        if authority.key_file:
+            own = workspace.shown(workspace.authority_key(authority.name))
+            message = f"is the private key of the authority {authority.name!r}, which {own} has now"
+            help_ = f"remove it once robots get their files from {workspace.shown(workspace.install)}; keep a backup"
+            where = Origin(f"{keystore}/{authority.key_file}")
+            yield Diagnostic("adopt-key-left", Severity.WARNING, message, where, help_)

@@ -170,7 +170,7 @@ class Run:
         """
         record, mark = (read_file(workspace.state / name, MAX_RECORD) for name in (RECORD, "running"))
         state = load_state(record, mark)
-        tree = Tree(known=file_index.load(workspace, sight) if sight else {})
+        tree = Tree(known=file_index.load(workspace, sight) if sight else {}, linked=workspace.install)
         return Inputs(workspace, tree, state, self.plugins, self.setting.environment, self.setting.now, self.tokens)
 
     def snapshot(self, workspace: Workspace) -> Inputs:

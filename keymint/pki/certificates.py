@@ -16,7 +16,7 @@ from comarmor.text import quoted
 from comarmor.values import dataclass
 from keymint.api import CertificateSpec
 from keymint.errors import KeymintError
-from keymint.pki import extensions, forms, keys
+from keymint.pki import distinguished_names, extensions, forms, keys
 from keymint.pki.distinguished_names import to_text
 
 _UNREADABLE = (
@@ -256,6 +256,38 @@ def certificate_satisfies(
         and {each.oid: (each.critical, each.value.public_bytes()) for each in certificate.extensions}
         == {oid: (critical, value.public_bytes()) for oid, (critical, value) in form.extensions.items()}
     )
+
+
+def certificate_fits(pem: bytes, spec: CertificateSpec, public_key: keys.PublicKey, issuer: x509.Certificate) -> bool:
+    """Return whether an identity's certificate of another tool is for what a specification asks for.
+
+    Its hash, serial number and extensions may be others than those that would be issued.
+
+    Args:
+        pem: the certificate.
+        spec: the specification.
+        public_key: the key to certify.
+        issuer: the issuer's current certificate.
+
+    Raises:
+        KeymintError: the specification's subject name is none.
+    """
+    certificate = load(pem)
+    return (
+        is_issued_by(certificate, issuer)
+        and certificate.public_key() == public_key
+        and certificate.subject == distinguished_names.parse(spec.subject_name, spec.origin)
+        and certificate.not_valid_before_utc == spec.validity.not_before
+        and certificate.not_valid_after_utc == spec.validity.not_after
+    )
+
+
+def is_same(pem: bytes, other: bytes) -> bool:
+    """Return whether two files have the same certificate, however they encode it; False if the first has none."""
+    try:
+        return load(pem) == load(other)
+    except KeymintError:
+        return False
 
 
 def can_sign_documents(certificate: x509.Certificate, where: Origin | None = None) -> Diagnostic | None:

@@ -181,7 +181,9 @@ def _plan_enclave(
     if blocking := [each for each in unreadable if _is_blocking(each, paths)]:
         kept = Step(STAGE, name, Action.KEPT, detail="not updated")
         return PackagePlan(name, kept, diagnostics=tuple(blocking), lifetimes=own)
-    files = {file: File(artifact.content, secret=artifact.secret) for file, artifact in artifacts.items()}
+    files = {
+        file: File(artifact.content, secret=artifact.secret, replaces_link=True) for file, artifact in artifacts.items()
+    }
     different = {
         file: item
         for file, item in files.items()

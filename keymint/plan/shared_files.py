@@ -56,7 +56,9 @@ def shared_steps(
         folders: dict[Path, dict[str, File]] = {}
         for relative, artifact in copies_of(session, session.plugins.build_type(name), enclaves).items():
             path = session.workspace.install / relative
-            folders.setdefault(path.parent, {})[path.name] = File(artifact.content, secret=artifact.secret)
+            folders.setdefault(path.parent, {})[path.name] = File(
+                artifact.content, secret=artifact.secret, replaces_link=True
+            )
         changes = [change for folder, files in folders.items() for change in changed(session.tree, folder, files)]
         if changes:
             existed = any(session.tree.read(folder / name) for folder, files in folders.items() for name in files)

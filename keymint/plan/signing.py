@@ -6,6 +6,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from cryptography import x509
+
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean
 from keymint.api import Artifact, EnclaveCredentials, Package
@@ -56,14 +58,10 @@ def sign(
     register = register_of(session)
     _require_generation(session, package, register)
     pem, public = key
-    certificate = existing.get(CERTIFICATE)
+    certificate = _going_on(package, public, issuer.certificate, existing.get(CERTIFICATE))
     warnings: Sequence[Diagnostic] = ()
-    if (
-        certificate is None
-        or not certificates.certificate_satisfies(
-            certificate, package.identity, public, issuer.certificate, authority=False
-        )
-        or register.is_revoked(issuer_of(issuer.certificate), certificates.load(certificate).serial_number)
+    if certificate is None or register.is_revoked(
+        issuer_of(issuer.certificate), certificates.load(certificate).serial_number
     ):
         issued = certificates.issue_identity(package.identity, public, issuer.issuer)
         certificate = issued.pem
@@ -91,6 +89,26 @@ def sign(
     loaded = certificates.load(certificate)
     entry = issued_certificate(package, loaded, issuer.certificate, digest_files(documents))
     return artifacts, entry, warnings
+
+
+def _going_on(
+    package: Package, public: keys.PublicKey, issuer: x509.Certificate, existing: bytes | None
+) -> bytes | None:
+    """Return the certificate that is still right; None if there is none.
+
+    Args:
+        package: the package.
+        public: the key of its subject.
+        issuer: the issuer's current certificate.
+        existing: the certificate in the enclave.
+    """
+    identity, taken_over = package.identity, package.issuance.certificate
+    if taken_over and certificates.certificate_fits(taken_over, identity, public, issuer):
+        same = existing is not None and certificates.is_same(existing, taken_over)
+        return existing if same else taken_over  # the file may encode it in another way
+    if existing is not None and certificates.certificate_satisfies(existing, identity, public, issuer, authority=False):
+        return existing
+    return None
 
 
 def _require_generation(session: Session, package: Package, register: Register) -> None:

@@ -42,7 +42,7 @@ class RosPackageType:
     """Source packages.
 
     Implements :class:`keymint.api.PackageType`, :class:`keymint.api.RuleLocator`, :class:`keymint.api.IssuanceFiles`
-    and :class:`keymint.api.OwnValidity`.
+    :class:`keymint.api.OwnValidity` and :class:`keymint.api.AdoptingPackageType`.
     """
 
     API = API_VERSION
@@ -55,6 +55,7 @@ class RosPackageType:
     load = lazy("keymint_ros.package:load")
     rule_places = lazy("keymint_ros.package:rule_places")
     with_validity = lazy("keymint_ros.create:with_validity")
+    adopted_sources = lazy("keymint_ros.adopted:adopted_sources")
     issuance = lazy("keymint_ros.issuance:issuance")
     with_issuance = lazy("keymint_ros.issuance:with_issuance")
 

@@ -59,6 +59,8 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
     # Start a day early: clocks may be slow, and some vendors read dates without zone as local time.
     start = request.now.replace(hour=0, minute=0, second=0, microsecond=0) - timedelta(days=1)
     issuer, signer = _ONE_AUTHORITY if distros.has_one_authority(request.distro, layout) else _TWO_AUTHORITIES
+    if request.authority:
+        issuer = signer = request.authority
     build_types = request.build_types or (BUILD_TYPE,)
     begin, duration = validity.starting(request.valid_for, request.now) if request.valid_for else ("", "")
     values = {

@@ -33,6 +33,7 @@ def _issuance(root: etree._Element) -> Issuance:
         generation=int(text(root.find("generation")) or "0"),
         renewed=None if renewed is None else validity.date(renewed),
         public_key=_public_key(root.find("public_key")),
+        certificate=_certificate(root.find("certificate")),
     )
 
 
@@ -40,6 +41,14 @@ def _public_key(element: etree._Element | None) -> bytes:
     if element is None:
         return b""
     return _canonical((text(element) or "").encode() + b"\n", place(element))
+
+
+def _certificate(element: etree._Element | None) -> bytes:
+    if element is None:
+        return b""
+    from keymint.pki import certificates  # noqa: PLC0415 - most packages have none, and it takes time to import
+
+    return certificates.to_pem(certificates.load((text(element) or "").encode() + b"\n", place(element)))
 
 
 def _canonical(pem: bytes, where: Origin | None = None) -> bytes:
@@ -70,6 +79,8 @@ def with_issuance(issued: Issuance) -> Mapping[str, bytes]:
         lines.append(f"  <renewed>{issued.renewed.astimezone(UTC):%Y-%m-%dT%H:%M:%SZ}</renewed>")
     if issued.public_key:
         lines.append(f"  <public_key>\n{_canonical(issued.public_key).decode().strip()}\n  </public_key>")
+    if issued.certificate:
+        lines.append(f"  <certificate>\n{issued.certificate.decode().strip()}\n  </certificate>")
     return {ISSUANCE: "\n".join((f'{_HEAD}<issuance format="2">', *lines, "</issuance>", "")).encode()}
 
 

@@ -38,7 +38,16 @@ from keymint.source_documents import (
     signer,
     text,
 )
-from keymint_ros import certificate, issuance, manifest, permissions, permissions_writer, placeholders, validity
+from keymint_ros import (
+    adopted,
+    certificate,
+    issuance,
+    manifest,
+    permissions,
+    permissions_writer,
+    placeholders,
+    validity,
+)
 from keymint_ros.manifest import MARKER, PackageManifest, PackagePart
 from keymint_ros.profile import base_of
 
@@ -301,6 +310,7 @@ def load(
         issuers=tuple(_issuers(profile, identity.issuer)),
         role=package_manifest.role,
         issuance=issued,
+        kept=adopted.kept(files),
     )
 
 

@@ -22,7 +22,7 @@ class DdsSecurity:
     :class:`keymint.api.GrantReader`,
     :class:`keymint.api.RevocationReader`, :class:`keymint.api.AuthorityChanges`,
     :class:`keymint.api.RemoteCompiler`, :class:`keymint.api.ProcessEnvironment`,
-    :class:`keymint.api.RemoteCompiler`, :class:`keymint.api.KeystoreReader`,
+    :class:`keymint.api.RemoteCompiler`, :class:`keymint.api.KeystoreReader`, :class:`keymint.api.KeptDocuments`,
     :class:`keymint.api.Prover` and :class:`keymint.api.RemoteProver`.
     """
 
@@ -55,6 +55,7 @@ class DdsSecurity:
     granted = lazy("keymint_ros2_dds.keystores.grants:granted")
 
     found = lazy("keymint_ros2_dds.keystores.found:found")
+    not_kept = lazy("keymint_ros2_dds.kept_documents:not_kept")
 
     endpoints = lazy("keymint_ros2_dds.lowering.endpoints:endpoints")
     actions = lazy("keymint_ros2_dds.lowering.endpoints:actions")

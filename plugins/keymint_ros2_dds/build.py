@@ -10,7 +10,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import BuildOptions, BuildResult, Package
 from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
-from keymint_ros2_dds import governance_warnings, token_key, vendor_limits
+from keymint_ros2_dds import governance_warnings, kept_documents, token_key, vendor_limits
 from keymint_ros2_dds.documents import governance_document
 from keymint_ros2_dds.domains import in_words, uncovered
 from keymint_ros2_dds.enclave_layout import GOVERNANCE, GOVERNANCE_XML, PERMISSIONS, PERMISSIONS_XML
@@ -32,7 +32,7 @@ def build(package: Package, options: BuildOptions) -> BuildResult:
     notes: list[Diagnostic] = []
     emitted, governance = None, b""
     try:
-        emitted = emit_by_kind(package, options)
+        emitted = kept_documents.emitted(package) or emit_by_kind(package, options)
         notes += emitted.diagnostics
     except KeymintError as error:
         errors += error.diagnostics
@@ -40,6 +40,7 @@ def build(package: Package, options: BuildOptions) -> BuildResult:
         governance, remarks = governance_document.build(
             settings_of(package).governance, package.subject, package.distro, allow_vendor_specific=lenient
         )
+        governance = kept_documents.governance(package, governance)
         notes += (*remarks, *governance_warnings.findings(package, emitted.lowered if emitted else None))
     except KeymintError as error:
         errors += error.diagnostics

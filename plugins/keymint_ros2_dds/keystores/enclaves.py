@@ -11,7 +11,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.api import DomainRange, FoundEnclave, KeySpec, KeystoreFiles, Validity
+from keymint.api import DomainRange, FoundEnclave, FoundGrant, KeySpec, KeystoreFiles, Validity
 from keymint.errors import KeymintError
 from keymint.pki import certificates, certification_path, keys, smime
 from keymint.pki.distinguished_names import MAX_COMMON_NAME, attributes, to_text
@@ -57,6 +57,7 @@ class _Enclave:
         self._certificate: x509.Certificate | None = None
         self._documents: dict[str, bytes] = {}
         self._grant: DocumentGrant | None = None
+        self._offset = 0
         self._domains: tuple[DomainRange, ...] = ()
         self._facts: dict[str, Any] = {"place": place.place, "links": 0}
 
@@ -73,6 +74,7 @@ class _Enclave:
             grant_validity=self._grant_validity(),
             domains=self._domains,
             documents=self._documents,
+            grant=self._found_grant(),
             facts=self._facts,
         )
 
@@ -200,13 +202,14 @@ class _Enclave:
         if not signed or not authority:
             return None
         try:
-            content = smime.verify(signed, authority, where=self._where(name))
+            document = smime.read(signed, authority, where=self._where(name))
         except KeymintError as error:
             yield from error.diagnostics
             return None
         self._facts["signatures"][kind] = True
-        self._documents[f"{kind}.xml"] = content
-        return content
+        self._documents[f"{kind}.xml"] = document.content
+        self._offset = document.lines_before
+        return document.content
 
     def _permissions(self, content: bytes | None) -> Iterator[Diagnostic]:
         self._facts |= {"grants": [], "same_text": None, "domains": []}
@@ -281,6 +284,12 @@ class _Enclave:
             message = f"grants in {in_words(lacking)}, but the governance is for {in_words(governed)}"
             help_ = "'ros2 security' takes both from ROS_DOMAIN_ID: sign the permissions again with that of the robots"
             yield self._error("adopt-domain", PERMISSIONS_P7S, message, help_)
+
+    def _found_grant(self) -> FoundGrant | None:
+        if self._grant is None:
+            return None
+        file = self._where(PERMISSIONS_P7S).file
+        return FoundGrant(self._documents[PERMISSIONS_XML], file, self._offset, self._grant.subject_name)
 
     def _grant_validity(self) -> Validity | None:
         grant = self._grant

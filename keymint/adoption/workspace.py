@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plan the workspace that a keystore of another tool becomes.
+
+The plan is carried on to the build and the installation that would follow. They must change nothing that the robots
+have; if they would, nothing is written.
+"""
+
+from __future__ import annotations
+
+import posixpath
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.values import dataclass
+from keymint.adoption.policy import AdoptedPolicy
+from keymint.api import (
+    AdoptedSources,
+    AdoptingPackageType,
+    Bootstrap,
+    BuildOptions,
+    DomainRange,
+    FoundEnclave,
+    FoundKeystore,
+    Issuance,
+    KeptDocuments,
+    KeystoreFiles,
+)
+from keymint.changes import Action, File, FolderChange, Plan, Step
+from keymint.errors import KeymintError
+from keymint.ir import SubjectRules
+from keymint.names import package_name
+from keymint.pki import certificates, public_keys
+from keymint.plan.authorities import plan_authorities
+from keymint.plan.authority_renewal import plan_import
+from keymint.plan.bootstrap import plan_init, refuse_unsupported
+from keymint.plan.build import BuildStage
+from keymint.plan.given_authority import GivenAuthority
+from keymint.plan.install import InstallStage
+from keymint.session import Inputs, Session
+from keymint.workspace import DEFAULTS
+
+STAGE = "adopt"
+
+
+@dataclass(frozen=True, slots=True)
+class Adoption:
+    """A keystore to take over.
+
+    Attributes:
+        build_type: name of the build type that reads it.
+        files: its files.
+        found: what it has.
+        policy: its policy.
+        profile_type: name of the type of the new profile.
+        request: the new profile.
+    """
+
+    build_type: str
+    files: KeystoreFiles
+    found: FoundKeystore
+    policy: AdoptedPolicy
+    profile_type: str
+    request: Bootstrap
+
+
+def plan_adoption(inputs: Inputs, adoption: Adoption) -> Plan:
+    """Plan the workspace, its build and its installation.
+
+    Args:
+        inputs: a workspace that does not exist yet.
+        adoption: what becomes of it.
+
+    Raises:
+        KeymintError: something cannot be taken over as it is; with all reasons.
+    """
+    profile = plan_init(inputs, adoption.profile_type, adoption.request)
+    profile = _then(profile, _profile_files(inputs, adoption))
+    session = inputs.after(profile).session()
+    refuse_unsupported(session)
+    plan = profile
+    for authority in adoption.found.authorities:
+        place = f"{adoption.files.folder}/{authority.file}"
+        given = GivenAuthority(
+            authority.certificate, place, authority.key, f"{adoption.files.folder}/{authority.key_file}"
+        )
+        plan = plan.then(plan_import(session, authority.name, given))
+        session = inputs.after(plan).session()  # whose profile has the certificate
+    sources = _sources(session, adoption)
+    plan, session = plan.then(sources), session.after(sources)
+    keystore = _keystore(session, adoption)
+    plan, session = plan.then(keystore), session.after(keystore)
+    names = [package_name(each.subject) for each in adoption.found.enclaves]
+    build = BuildStage(session, BuildOptions(), force=False, renew=False)
+    built = build.plan([build.package(name) for name in names])
+    _require_kept(session, adoption, built)
+    plan, session = plan.then(built), session.after(built)
+    minted, authorities = plan_authorities(session)
+    plan, session = plan.then(minted), session.after(minted)
+    install = InstallStage(session, authorities, prune=False)
+    installed = install.plan([install.package(name) for name in names])
+    _require_unchanged(session, adoption, installed)
+    return plan.then(installed)
+
+
+def _then(plan: Plan, changes: tuple[FolderChange, ...]) -> Plan:
+    """Return the plan of a new profile with other files in it; the marker stays the last file to be written."""
+    (step,) = plan.steps
+    *folders, root = step.changes
+    return replace(plan, steps=(replace(step, changes=(*folders, *changes, root)),))
+
+
+def _profile_files(inputs: Inputs, adoption: Adoption) -> tuple[FolderChange, ...]:
+    profile = inputs.workspace.profile
+    files = {profile / path: content for path, content in adoption.policy.files.items()}
+    files |= {profile / DEFAULTS / f"{part}.xml": content for part, content in adoption.found.defaults.items()}
+    return tuple(FolderChange(path.parent, {path.name: File(content)}) for path, content in files.items())
+
+
+# -- sources ------------------------------------------------------------------------------------------------------
+
+
+def _sources(session: Session, adoption: Adoption) -> Plan:
+    """Plan the source package and the private key of each enclave."""
+    package_type, issuance_files = session.package_type, session.issuance_files
+    if not isinstance(package_type, AdoptingPackageType) or issuance_files is None:
+        raise KeymintError(
+            f"packages of the type {session.profile.package_type!r} cannot describe what another tool made",
+            where=session.profile_marker(), help="use the profile type keymint_ros", code="adopt-unsupported",
+        )  # fmt: skip
+    own_domain = (DomainRange(adoption.request.domain, adoption.request.domain),)
+    steps = []
+    for enclave in adoption.found.enclaves:
+        name = package_name(enclave.subject)
+        key, validity, granted = enclave.key_spec, enclave.validity, enclave.grant_validity
+        if key is None or validity is None or granted is None:
+            raise _unusable(adoption, enclave)
+        sources = AdoptedSources(
+            rules=adoption.policy.rules.get(enclave.subject, SubjectRules(enclave.subject, ())),
+            subject_name="" if adoption.found.subject_format else enclave.subject_name,
+            validity=validity,
+            grant_validity=granted,
+            domains=() if enclave.domains == own_domain else enclave.domains,
+            key=key,
+            documents=enclave.documents,
+        )
+        certificate = certificates.load(enclave.certificate)
+        public = b"" if enclave.key else public_keys.to_pem(certificates.public_key(certificate))
+        decided = Issuance(public_key=public, certificate=certificates.to_pem(certificate))
+        files = {
+            **issuance_files.with_issuance(decided),
+            **package_type.adopted_sources(session.profile, sources),
+        }
+        changes = [FolderChange(session.workspace.src / name, {file: File(each) for file, each in files.items()})]
+        if enclave.key:
+            path = session.workspace.identity_key(name)
+            changes.append(FolderChange(path.parent, {path.name: File(enclave.key, secret=True)}, private=True))
+        steps.append(Step(STAGE, name, Action.CREATED, tuple(changes)))
+    return Plan(tuple(steps), session.state)
+
+
+def _unusable(adoption: Adoption, enclave: FoundEnclave) -> KeymintError:
+    return KeymintError(
+        f"the enclave {enclave.subject} has no usable certificate or permissions",
+        where=Origin(f"{adoption.files.folder}/{enclave.facts['place']}"),
+        help="'keymint adopt' without --apply says what is wrong", code="adopt-incomplete",
+    )  # fmt: skip
+
+
+# -- what the robots have -----------------------------------------------------------------------------------------
+
+
+def _keystore(session: Session, adoption: Adoption) -> Plan:
+    """Plan the copy of what the robots have, with its links; private keys are 0600 whatever their mode was."""
+    folders: dict[Path, dict[str, File]] = {}
+    for target, path in _copies(session, adoption).items():
+        file = adoption.files.files[path]
+        folders.setdefault(target.parent, {})[target.name] = File(
+            file.content,
+            secret=b"PRIVATE KEY-----" in file.content,
+            link=file.link if path in adoption.found.kept else "",
+        )
+    changes = tuple(FolderChange(folder, files) for folder, files in sorted(folders.items()))
+    return Plan((Step(STAGE, "", Action.CREATED, changes, "the keystore as it was found"),), session.state)
+
+
+def _copies(session: Session, adoption: Adoption) -> Mapping[Path, str]:
+    """Return the files that robots have: places in the install space, each with its path in the keystore."""
+    found, install = adoption.found, session.workspace.install
+    if found.kept:
+        return {install / path: path for path in found.kept}
+    return {
+        session.enclaves / package_name(enclave.subject) / name: path
+        for enclave in found.enclaves
+        for name, path in enclave.files.items()
+    }
+
+
+def _require_kept(session: Session, adoption: Adoption, built: Plan) -> None:
+    """Require that the build gives the documents that are signed.
+
+    Raises:
+        KeymintError: it does not; says why.
+    """
+    build_type: object = session.plugins.build_type(adoption.build_type)
+    errors: list[Diagnostic] = []
+    after = session.after(built)
+    for enclave in adoption.found.enclaves:
+        name = package_name(enclave.subject)
+        for document, content in enclave.documents.items():
+            if after.tree.read(session.workspace.build / name / document) == content:
+                continue
+            why = (
+                build_type.not_kept(after.package(name), document, content)
+                if isinstance(build_type, KeptDocuments)
+                else ""
+            )
+            message = f"cannot be kept as it is signed: {why or 'its rules cannot be written in the same way'}"
+            place = f"{adoption.files.folder}/{enclave.facts['place']}/{document}"
+            help_ = "sign it again with the tool that made it, without what is in the way"
+            errors.append(Diagnostic("adopt-not-kept", Severity.ERROR, message, Origin(place), help_, enclave.subject))
+    if errors:
+        raise KeymintError.of(errors)
+
+
+def _require_unchanged(session: Session, adoption: Adoption, installed: Plan) -> None:
+    """Require that the installation changes no file that the robots have.
+
+    Raises:
+        KeymintError: it would; names each such file.
+    """
+    copies = {str(target): path for target, path in _copies(session, adoption).items()}
+    errors = [
+        Diagnostic(
+            "adopt-not-kept", Severity.ERROR, "would be changed by 'keymint install', so it is not taken over",
+            Origin(f"{adoption.files.folder}/{copies[path]}"),
+            "make it what the other enclaves have, or leave the file out if nothing reads it",
+        )
+        for path in _changed(installed)
+        if path in copies
+    ]  # fmt: skip
+    if errors:
+        raise KeymintError.of(errors)
+
+
+def _changed(plan: Plan) -> Iterator[str]:
+    for change in plan.changes():
+        yield from (posixpath.join(change.folder, name) for name in (*change.written, *change.removed))

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The policy of a keystore that is taken over: that which the user names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from keymint.adoption.policy import AdoptedPolicy
+from keymint.api import ImportRequest, PolicyImporter
+from keymint.commands.options import PolicyOptions
+from keymint.commands.policies import Policies
+from keymint.commands.run import Run
+from keymint.plan.bootstrap import policy_path
+from keymint.plan.foreign_policies import foreign_policy
+from keymint.workspace import Workspace
+
+FOLDER = "comarmor.d"
+"""Folder of a new profile that has the policy."""
+
+
+def named_policy(
+    run: Run,
+    path: Path,
+    workspace: Workspace,
+    options: PolicyOptions,
+    subjects: Iterable[str],
+    accept: bool,
+    implicit: bool,
+) -> AdoptedPolicy:
+    """Return the policy that the user names: that of another tool is translated into the new profile.
+
+    Args:
+        run: the run.
+        path: file or folder.
+        workspace: the new workspace.
+        options: how to read it.
+        subjects: the subjects of the keystore.
+        accept: take a policy of another tool as it reads where that tool enforces something else.
+        implicit: a policy of another tool has the rules that this tool adds by itself.
+
+    Raises:
+        KeymintError: the policy is missing, has defects, or cannot be expressed.
+    """
+    policies, place = Policies(run, options), run.setting.cwd / path
+    library = policies.shipped()  # an unknown distribution is wrong usage, whatever the file is
+    foreign = foreign_policy(run.plugins, [place], options.policy_type) if place.is_file() else None
+    importer: object = None if foreign is None else run.plugins.policy_type(foreign.policy_type)
+    if isinstance(importer, PolicyImporter):
+        name = f"{FOLDER}/{path.name.removesuffix('.xml').removesuffix('.policy')}.xml"
+        shown = workspace.shown(workspace.profile / name)
+        imported = importer.translated(ImportRequest(place, shown, library, accept, implicit))
+        rules = {each.rules.subject: each.rules for each in imported.subjects}
+        return AdoptedPolicy(FOLDER, {name: imported.document}, rules, diagnostics=imported.diagnostics)
+    loaded = policies.at(place, str(path))
+    found = {subject: loaded.rules(subject) for subject in subjects}
+    rules = {subject: each for subject, each in found.items() if each is not None}
+    return AdoptedPolicy(policy_path(place, workspace.profile), {}, rules)

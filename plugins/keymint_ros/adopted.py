@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sources of a package whose certificate and documents another tool made: its dates, its name, and what is kept."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+
+from keymint.api import AdoptedSources, DomainRange, KeySpec, Validity, WorkspaceProfile
+from keymint_ros import bootstrap, permissions_writer
+from keymint_ros.manifest import MARKER
+from keymint_ros.profile import base_of
+
+PREFIX = "adopted."
+"""Prefix of the files of a package that are documents which another tool signed: ``adopted.permissions.xml``."""
+_SPECIAL = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;"})
+_IDENTITY = """\
+<?xml version="1.0" encoding="UTF-8"?>
+<!-- The certificate and the key of this package, as they were found in the keystore that was taken over. Values that
+     are left out come from package.defaults/. -->
+<package>
+  <identities>
+    <identity>
+      <cert>
+{cert}
+      </cert>
+      <key>
+{key}
+      </key>
+    </identity>
+  </identities>
+</package>
+"""
+
+
+def kept(files: Mapping[str, bytes]) -> Mapping[str, bytes]:
+    """Return the documents of a package that another tool signed, by the names of the unsigned documents."""
+    return {name.removeprefix(PREFIX): content for name, content in files.items() if name.startswith(PREFIX)}
+
+
+def adopted_sources(profile: WorkspaceProfile, sources: AdoptedSources) -> Mapping[str, bytes]:
+    """Return the files of a package: see :meth:`keymint.api.AdoptingPackageType.adopted_sources`."""
+    overrides = [_validity(sources.grant_validity)]
+    cert = [_validity(sources.validity)]
+    if sources.subject_name:
+        element = f"<subject_name>{sources.subject_name.translate(_SPECIAL)}</subject_name>"
+        overrides.insert(0, element)
+        cert.insert(0, element)
+    if sources.domains:
+        overrides.insert(0, _domains(sources.domains))
+    identity = _IDENTITY.format(cert="\n".join(f"        {each}" for each in cert), key=_key(sources.key))
+    documents = [name for each in profile.build_types for name in bootstrap.DOCUMENTS.get(each, ())]
+    return {
+        **{name: bootstrap.package_document(name) for name in documents},
+        "identities.xml": identity.encode(),
+        "permissions.xml": permissions_writer.render(sources.rules, base_of(profile), overrides=overrides),
+        **{f"{PREFIX}{name}": content for name, content in sources.documents.items()},
+        MARKER: bootstrap.package_manifest(profile.build_types),
+    }
+
+
+def _validity(validity: Validity) -> str:
+    begin, end = _date(validity.not_before), _date(validity.not_after)
+    return f"<validity><not_before>{begin}</not_before><not_after>{end}</not_after></validity>"
+
+
+def _domains(ranges: Sequence[DomainRange]) -> str:
+    ids = [
+        f"<id>{each.first}</id>"
+        if each.first == each.last
+        else f"<id_range><min>{each.first}</min><max>{each.last}</max></id_range>"
+        for each in ranges
+    ]
+    return f"<domains>{''.join(ids)}</domains>"
+
+
+def _key(key: KeySpec) -> str:
+    kind = (
+        f"<ec><curve>{key.curve}</curve></ec>"
+        if key.algorithm == "ec"
+        else f"<rsa><key_size>{key.size}</key_size></rsa>"
+    )
+    return (
+        f"        <asymmetric_type>{kind}</asymmetric_type>\n"
+        "        <encryption_algorithm>NoEncryption</encryption_algorithm>\n"
+        "        <password_env></password_env>"
+    )
+
+
+def _date(moment: datetime) -> str:
+    return f"{moment.astimezone(UTC):%Y-%m-%dT%H:%M:%S}"

@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint adopt --apply``: the workspace has what the robots have, and the next installation changes nothing."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from tests import sros2_keystore
+
+from .test_adopt import POLICY, made, snapshot
+
+
+@pytest.fixture(autouse=True)
+def policy_of_sros2(tmp_path: Path) -> Path:
+    path = tmp_path / "policy.xml"
+    path.write_text(POLICY)
+    return path
+
+
+def files(folder: Path, *parts: str) -> Mapping[str, tuple[str, bytes]]:
+    """Return the files and links below some folders, without modes."""
+    found = snapshot(folder)
+    return {
+        path: (link, content)
+        for path, (link, _, content) in found.items()
+        if (content or link) and (not parts or path.startswith(parts))
+    }
+
+
+def complete(outcome) -> str:
+    assert outcome.code == 0, outcome.err
+    return outcome.out
+
+
+@pytest.mark.parametrize(
+    "form", [{}, {"two": True, "domain": 7}, {"zone": True, "graph": True}], ids=["one authority", "two", "zone"]
+)
+def test_build_and_install_change_nothing(keymint, tmp_path: Path, form: Mapping[str, object]) -> None:
+    keystore = made(tmp_path / "ks", **form)
+    before = snapshot(keystore)
+    assert "equal to the policy" in complete(keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws"))
+    assert snapshot(keystore) == before
+    robots = files(keystore, "enclaves/", "public/")
+    assert files(tmp_path / "ws/install", "enclaves/", "public/") == robots
+    after = snapshot(tmp_path / "ws/install")
+    complete(keymint("create", "--all", "-w", "ws"))
+    complete(keymint("build", "-w", "ws"))
+    complete(keymint("install", "-w", "ws"))
+    complete(keymint("build", "-f", "-w", "ws"))
+    complete(keymint("install", "-w", "ws"))
+    assert snapshot(tmp_path / "ws/install") == after
+    assert keymint("prove", "-w", "ws").code == 0
+
+
+def test_secrets_are_private_wherever_they_are(keymint, tmp_path: Path) -> None:
+    sros2_keystore.make(tmp_path / "ks", POLICY)  # all files are 0644, as SROS2 leaves them
+    outcome = keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws")
+    assert outcome.code == 0
+    assert "ks/private/ca.key.pem: warning: is the private key of the authority 'ca', which ws/private/ca.key.pem" in (
+        outcome.err
+    )
+    keys = sorted((tmp_path / "ws").rglob("*key.pem"))
+    assert [str(key.relative_to(tmp_path / "ws")) for key in keys] == [
+        "install/enclaves/robot1/listener/key.pem", "install/enclaves/talker/key.pem", "private/ca.key.pem",
+        "private/identities/robot1/listener/key.pem", "private/identities/talker/key.pem",
+    ]  # fmt: skip
+    assert {key.stat().st_mode & 0o777 for key in keys} == {0o600}
+    for key in (tmp_path / "ks").rglob("*key.pem"):
+        assert key.read_text() not in outcome.out + outcome.err
+
+
+def test_the_register_knows_what_was_issued(keymint, tmp_path: Path) -> None:
+    made(tmp_path / "ks")
+    complete(keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws"))
+    issued = keymint("issued", "-w", "ws", "--json").document["result"]["certificates"]
+    assert sorted(each["subject"] for each in issued) == ["/robot1/listener", "/talker"]
+    assert keymint("revoke", "talker", "--reason", "key-compromise", "-w", "ws").code == 0
+
+
+@pytest.mark.parametrize("layout", ["rti", "flat"])
+def test_other_layouts(keymint, tmp_path: Path, layout: str) -> None:
+    made(tmp_path / "ks", layout=layout)
+    implicit = ("--no-implicit",) if layout == "flat" else ()
+    complete(keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws", *implicit))
+    after = snapshot(tmp_path / "ws/install")
+    signed = {content for path, (_, content) in files(tmp_path / "ks").items() if path.endswith(".p7s")}
+    assert {content for path, (_, content) in files(tmp_path / "ws/install").items() if path.endswith(".p7s")} == signed
+    complete(keymint("build", "-w", "ws"))
+    complete(keymint("install", "-w", "ws"))
+    assert snapshot(tmp_path / "ws/install") == after
+
+
+def test_keys_that_are_elsewhere_stay_there(keymint, tmp_path: Path) -> None:
+    keystore = made(tmp_path / "ks")
+    shutil.rmtree(keystore / "private")
+    (keystore / "enclaves/talker/key.pem").unlink()
+    complete(keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws"))
+    assert not (tmp_path / "ws/private/ca.key.pem").exists()
+    assert files(tmp_path / "ws/install", "enclaves/") == files(keystore, "enclaves/")
+    complete(keymint("build", "-w", "ws"))
+    complete(keymint("install", "-w", "ws"))
+    assert files(tmp_path / "ws/install", "enclaves/") == files(keystore, "enclaves/")
+    outcome = keymint("renew", "talker", "-w", "ws", "--json")
+    assert outcome.code == 1
+    assert "authority-key-missing" in {each["code"] for each in outcome.document["diagnostics"]}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "relation", "words"),
+    [
+        ("</topics>", "<topic>more</topic></topics>", "narrower", "does not permit publish 'rt/more'"),
+        ("<topic>chatter</topic>", "<topic>chat</topic>", "different", "'rt/chat'"),
+        ('<services reply="ALLOW"><service>~/get_parameters</service></services>', "", "wider", "permits"),
+    ],
+)  # fmt: skip
+def test_a_policy_that_says_something_else(
+    keymint, tmp_path: Path, old: str, new: str, relation: str, words: str
+) -> None:
+    made(tmp_path / "ks")
+    (tmp_path / "policy.xml").write_text(POLICY.replace(old, new, 1))
+    outcome = keymint("adopt", "ks", "policy.xml", "--json")
+    assert outcome.code == 3
+    assert outcome.document["result"]["enclaves"][1]["policy"]["relation"] == relation
+    assert outcome.document["result"]["enclaves"][0]["policy"]["relation"] == "equal"
+    refused = keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws")
+    assert refused.code == 1
+    assert f"talker/permissions.p7s: error: is {relation} in comparison with the policy" in refused.err
+    assert words in refused.err
+    assert not (tmp_path / "ws").exists()
+
+
+def test_a_policy_in_comarmor(keymint, tmp_path: Path) -> None:
+    made(tmp_path / "ks")
+    complete(keymint("import", "policy.xml", "-o", "comarmor.d"))
+    complete(keymint("adopt", "ks", "comarmor.d", "--apply", "-w", "ws"))
+    assert "../comarmor.d" in (tmp_path / "ws/profile/policies.xml").read_text().replace("../../", "../")
+    complete(keymint("install", "-w", "ws"))
+
+
+def test_what_is_in_the_way_is_an_error_and_nothing_is_written(keymint, tmp_path: Path) -> None:
+    keystore = made(tmp_path / "ks", domain=5, governance_domain=0)
+    before = snapshot(keystore)
+    for arguments in (["-w", "ws"], ["-w", "ks/ws"]):
+        outcome = keymint("adopt", "ks", "policy.xml", "--apply", *arguments)
+        assert outcome.code == 1
+        assert "in domain 5, but the governance is for domain 0" in outcome.err
+    assert not (tmp_path / "ws").exists()
+    assert snapshot(keystore) == before
+
+
+def test_a_workspace_is_not_overwritten_and_lies_beside_the_keystore(keymint, tmp_path: Path) -> None:
+    made(tmp_path / "ks")
+    outcome = keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ks")
+    assert "the workspace would lie in the keystore" in outcome.err
+    complete(keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws"))
+    before = snapshot(tmp_path / "ws")
+    outcome = keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws")
+    assert (outcome.code, "there is a workspace already" in outcome.err) == (1, True)
+    assert snapshot(tmp_path / "ws") == before
+
+
+def test_a_dry_run_writes_nothing(keymint, tmp_path: Path) -> None:
+    made(tmp_path / "ks")
+    complete(keymint("adopt", "ks", "policy.xml", "--apply", "--dry-run", "-w", "ws"))
+    assert not (tmp_path / "ws").exists()
+
+
+def test_a_changed_policy_replaces_only_what_it_changes(keymint, tmp_path: Path) -> None:
+    made(tmp_path / "ks")
+    complete(keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws"))
+    before = files(tmp_path / "ws/install")
+    policy = tmp_path / "ws/profile/comarmor.d/policy.xml"
+    policy.write_text(policy.read_text().replace("/chatter", "/chat", 1))
+    for verb in (("create", "--all"), ("build",), ("install",)):
+        complete(keymint(*verb, "-w", "ws"))
+    after = files(tmp_path / "ws/install")
+    assert {path for path in after if after[path] != before[path]} == {
+        "enclaves/talker/permissions.p7s", "enclaves/talker/permissions.xml",
+    }  # fmt: skip
+
+
+def test_a_new_governance_replaces_links(keymint, tmp_path: Path) -> None:
+    made(tmp_path / "ks")
+    complete(keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws"))
+    governance = tmp_path / "ws/profile/package.defaults/governance.xml"
+    governance.write_text(governance.read_text().replace("<rtps_protection_kind>SIGN", "<rtps_protection_kind>ENCRYPT"))
+    complete(keymint("build", "-w", "ws"))
+    complete(keymint("install", "-w", "ws"))
+    enclave = tmp_path / "ws/install/enclaves/talker"
+    assert not (enclave / "governance.p7s").is_symlink()
+    assert (enclave / "identity_ca.cert.pem").is_symlink()
+    assert (enclave / "governance.p7s").read_bytes() == (tmp_path / "ws/install/enclaves/governance.p7s").read_bytes()
+    assert keymint("check", "-w", "ws", "--json").document["exit_code"] in {0, 3}
+
+
+def test_a_link_to_a_private_key_is_not_followed(keymint, tmp_path: Path) -> None:
+    made(tmp_path / "ks")
+    complete(keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws"))
+    link = tmp_path / "ws/install/enclaves/talker/identity_ca.cert.pem"
+    link.unlink()
+    link.symlink_to("../robot1/listener/key.pem")
+    outcome = keymint("install", "-w", "ws")
+    assert (outcome.code, "is a symbolic link" in outcome.err) == (1, True)
+
+
+def test_a_new_key_replaces_the_certificate_and_the_permissions(keymint, tmp_path: Path) -> None:
+    made(tmp_path / "ks")
+    complete(keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws"))
+    before = files(tmp_path / "ws/install")
+    assert keymint("renew", "--rekey", "talker", "-w", "ws").code == 3  # the authority ends before the new certificate
+    after = files(tmp_path / "ws/install")
+    assert {path for path in before if after[path] != before[path]} == {
+        "enclaves/talker/cert.pem", "enclaves/talker/key.pem", "enclaves/talker/permissions.p7s",
+        "enclaves/talker/permissions.xml",
+    }  # fmt: skip
