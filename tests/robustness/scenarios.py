@@ -202,6 +202,9 @@ def require_whole_files(workspace: Path) -> int:
             etree.fromstring(smime.verify(content, authority.read_bytes()))
         elif path.suffix == ".xml":
             etree.fromstring(content)
+        elif path.parent == workspace / "install" and path.stem == "keystore":
+            assert b"ROS_SECURITY_STRATEGY" in content, path  # of its last variable
+            assert content.endswith(b"\n"), path
         elif path == workspace / "install" / ".gitignore":
             assert content.endswith(b"\n*\n")
         else:
