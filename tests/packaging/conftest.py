@@ -145,6 +145,14 @@ def new_environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Ca
     return make
 
 
+@pytest.fixture(scope="session")
+def installed(wheel: Path, new_environment: Callable[..., Environment]) -> Environment:
+    """Return an environment with the wheel, and nothing else; who changes it changes it back."""
+    environment = new_environment()
+    environment.install(wheel)
+    return environment
+
+
 def dependencies(wheel: Path) -> set[str]:
     """Return the names of the declared dependencies of a wheel, without extras."""
     with zipfile.ZipFile(wheel) as archive:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import os
 import re
 import shlex
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -32,18 +31,19 @@ def test_no_text_suggests_installing_keymint_from_an_index() -> None:
 
 
 @pytest.mark.xdist_group("packaging")
-def test_the_command_for_pictures_names_the_environment(
-    wheel: Path, new_environment: Callable[..., Environment]
-) -> None:
-    environment = new_environment()
-    environment.install(wheel)
+def test_the_command_for_pictures_names_the_environment(installed: Environment, tmp_path: Path) -> None:
     policy = CHECKOUT / "examples" / "talker_listener"
-    assert uses(environment, policy) == ["uv", "pip", "install", "--python", f"{environment.python}", "resvg-py"]
-    (environment.site_packages / "pip").mkdir()
-    (environment.site_packages / "pip" / "__init__.py").touch()
-    assert uses(environment, policy) == [f"{environment.python}", "-m", "pip", "install", "resvg-py"]
-    (environment.folder / "pipx_metadata.json").touch()
-    assert uses(environment, policy) == ["pipx", "inject", environment.folder.name, "resvg-py"]
+    assert uses(installed, policy) == ["uv", "pip", "install", "--python", f"{installed.python}", "resvg-py"]
+    pip, pipx = installed.site_packages / "pip", installed.folder / "pipx_metadata.json"
+    try:
+        pip.mkdir()
+        (pip / "__init__.py").touch()
+        assert uses(installed, policy) == [f"{installed.python}", "-m", "pip", "install", "resvg-py"]
+        pipx.touch()
+        assert uses(installed, policy) == ["pipx", "inject", installed.folder.name, "resvg-py"]
+    finally:
+        pip.rename(tmp_path / "pip")
+        pipx.unlink(missing_ok=True)
 
 
 def uses(environment: Environment, policy: Path) -> list[str]:

@@ -165,13 +165,9 @@ def test_a_changed_policy_is_signed_again(environment: Environment, tmp_path: Pa
     assert b'"/chat"' in after["access.json.p7s"]
 
 
-def test_without_the_plugin_its_packages_are_an_error(
-    wheel: Path, workspace: Path, new_environment: Callable[..., Environment], tmp_path: Path
-) -> None:
-    bare = new_environment()
-    bare.install(wheel)
+def test_without_the_plugin_its_packages_are_an_error(installed: Environment, workspace: Path, tmp_path: Path) -> None:
     copy = shutil.copytree(workspace, tmp_path / "ws", symlinks=True)
-    said = bare.keymint("build", "-w", copy, code=1)
+    said = installed.keymint("build", "-w", copy, code=1)
     assert f"no build type '{THEIRS}' is installed" in said
 
 

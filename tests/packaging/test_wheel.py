@@ -7,6 +7,7 @@ import tarfile
 import tomllib
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from email import message_from_bytes
 from pathlib import Path
 
@@ -102,31 +103,21 @@ def test_the_source_distribution_contains_everything_that_make_test_needs(projec
     assert {"Makefile", "requirements.lock", "LICENSE", "README.md", "CONTRIBUTING.md"} <= names
 
 
-def from_source(environment: Environment, project: Path, dist: Path) -> None:
-    environment.install(next(dist.glob("*.tar.gz")))
-
-
-def from_wheel(environment: Environment, project: Path, dist: Path) -> None:
-    environment.install(next((dist / "direct").glob("*.whl")))
-
-
-def editable(environment: Environment, project: Path, dist: Path) -> None:
-    environment.install("--editable", project)
-
-
-@pytest.mark.parametrize(
-    ("install", "tools"), [(from_wheel, ()), (from_source, ("hatchling",)), (editable, ("hatchling",))]
-)
+@pytest.mark.parametrize("kind", ["wheel", "source", "editable"])
 def test_an_installation_works_elsewhere(
-    install: Callable[[Environment, Path, Path], None],
-    tools: tuple[str, ...],
+    kind: str,
     project: Path,
     dist: Path,
+    installed: Environment,
     new_environment: Callable[..., Environment],
+    tmp_path: Path,
 ) -> None:
-    environment = new_environment(*tools)
+    environment = replace(installed if kind == "wheel" else new_environment("hatchling"), cwd=tmp_path)
     before = tree(project)
-    install(environment, project, dist)
+    if kind == "source":
+        environment.install(next(dist.glob("*.tar.gz")))
+    if kind == "editable":
+        environment.install("--editable", project)
     assert tree(project) == before
     environment.pip("check")
     (environment.cwd / "policy.xml").write_text(POLICY)
@@ -139,14 +130,16 @@ def test_an_installation_works_elsewhere(
     assert "no findings" in environment.keymint("check", "-w", "ws")
     script = "".join(f"import {module}; print({module}.__file__)\n" for module in PACKAGES)
     places = run([environment.python, "-P", "-c", script], environment.cwd).stdout.split()
-    installed = {project, project / "plugins"} if install is editable else {environment.site_packages}
+    installed = {project, project / "plugins"} if kind == "editable" else {environment.site_packages}
     assert {Path(place).parent.parent for place in places} == installed
 
 
-def test_an_incomplete_installation_is_reported(wheel: Path, new_environment: Callable[..., Environment]) -> None:
-    environment = new_environment()
-    environment.install(wheel)
-    (environment.site_packages / "keymint_ros/_data/schemas").rename(environment.cwd / "gone")
-    (environment.cwd / "policy.xml").write_text(POLICY)
-    said = environment.keymint("provision", "policy.xml", "-w", "ws", code=1)
+def test_an_incomplete_installation_is_reported(installed: Environment, tmp_path: Path) -> None:
+    schemas = installed.site_packages / "keymint_ros/_data/schemas"
+    (tmp_path / "policy.xml").write_text(POLICY)
+    schemas.rename(schemas.with_name("gone"))
+    try:
+        said = installed.keymint("provision", "policy.xml", "-w", "ws", code=1, cwd=tmp_path)
+    finally:
+        schemas.with_name("gone").rename(schemas)
     assert "lacks the schemas of keymint_ros; reinstall Keymint from its checkout or wheel" in said
