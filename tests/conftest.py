@@ -9,7 +9,7 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,8 @@ from typing import Any
 import hypothesis
 import pytest
 
-from keymint import cli
+from keymint import cli, plugins
+from keymint.plugins import PluginInfo
 from tests.softhsm import SoftHsm, opened
 
 # Machines are noisy, so an example has no deadline. Where CI is set, hypothesis uses its own profile for it (no
@@ -36,7 +37,7 @@ NOW = 1_800_000_000
 """2027-01-15T08:00:00Z, the clock of the tests, as ``SOURCE_DATE_EPOCH``."""
 
 
-LONGEST = ("robustness", "real")
+LONGEST = ("robustness", "real", "packaging", "executors")
 """Folders of the tests that take longest. They start first, so that no processor is idle at the end."""
 
 
@@ -75,6 +76,31 @@ def plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SOURCE_DATE_EPOCH", str(NOW))
     for name in ("ROS_DISTRO", "AMENT_PREFIX_PATH", "KEYMINT_TRACEBACK", "KEYMINT_PKCS11_PIN", "KEYMINT_PKCS11_MODULE"):
         monkeypatch.delenv(name, raising=False)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def read_once() -> Iterator[None]:
+    """Let the runs in this process read the entry points of a distribution once, unless its files change."""
+    read, known = plugins.entries_of, {}
+
+    def entries_of(metadata: str) -> tuple[PluginInfo, ...]:
+        key = (metadata, *(file_status(f"{metadata}/{file}") for file in ("entry_points.txt", "METADATA")))
+        if key not in known:
+            known[key] = tuple(read(metadata))
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plugins, "entries_of", entries_of)
+        yield
+
+
+def file_status(path: str) -> tuple[int, int, int] | None:
+    """Return what tells whether a file changed; None if there is none."""
+    try:
+        found = Path(path).stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_size, found.st_mtime_ns
 
 
 @pytest.fixture

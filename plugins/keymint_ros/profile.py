@@ -292,7 +292,7 @@ def with_policy(files: Mapping[str, bytes], policy: str) -> Mapping[str, bytes]:
     policies = _read_policies(content, path.path)
     if not others and [each.path for each in policies] == [policy]:
         return {}
-    if others or len(policies) != 1 or content != bootstrap.policies(policies[0].path):
+    if others or len(policies) != 1 or content != _as_written(policies[0].path):
         raise KeymintError(
             f"not replacing the profile's policies by {policy!r}: they were edited by hand",
             where=Origin(path.path, policies[0].line),
@@ -300,6 +300,14 @@ def with_policy(files: Mapping[str, bytes], policy: str) -> Mapping[str, bytes]:
             code="policies-edited",
         )
     return {path.path: bootstrap.policies(policy)}
+
+
+def _as_written(policy: str) -> bytes:
+    """Return the list that Keymint writes of a policy; empty if it would not write a path like this."""
+    try:
+        return bootstrap.policies(policy)
+    except KeymintError:
+        return b""
 
 
 def settings(profile: WorkspaceProfile) -> Mapping[str, str]:

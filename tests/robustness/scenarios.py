@@ -130,7 +130,7 @@ SCENARIOS: Mapping[str, Scenario] = {
     "exchange": Scenario((_nothing,), _reached(()), _replace(*END)),
     "prune": Scenario((_nothing, _change_policy), _remove_packages, PRUNE),
 }
-RARE = frozenset({"rekey", "distribute", "end", "stage"})
+RARE = frozenset({"renew", "rekey", "distribute", "end", "stage"})
 """Scenarios that only the tests of all calls have: they write what others write, too."""
 KEYS_MOVE = frozenset({REISSUE[-1], END[-1]})
 """Words of runs in which a private key takes the place of another one."""

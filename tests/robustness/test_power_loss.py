@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from keymint import group_commit
-from tests.effort import tries
+from tests.effort import FULL, tries
 
 from . import scenarios
 from .power_loss import Crash, Image, Recorder, Recording, crashes, image, write_image
@@ -26,7 +26,16 @@ from .scenarios import PROVISION, SCENARIOS, Scenario
 Keymint = Callable[..., Any]
 
 
-@pytest.fixture(params=["one by one", "whole file system"])
+WAYS = ("one by one", "whole file system")
+CASES = [
+    pytest.param(name, way, id=f"{way}-{name}")
+    for at, name in enumerate(SCENARIOS)
+    for way in (WAYS if FULL else WAYS[at % 2 :][:1])
+]
+"""Each scenario, synchronised in both ways; the sample has each in one of them, in turn."""
+
+
+@pytest.fixture
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Synchronise one by one, as for few files, or the whole file system at once."""
     if request.param == "whole file system":
@@ -76,7 +85,7 @@ def recorded(scenario: Scenario, run: Path, keymint: Keymint) -> tuple[Recording
     return recording, old, State.of(run / "ws")
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize(("name", "way"), CASES, indirect=["way"])
 def test_a_loss_of_power_loses_nothing_and_the_next_run_converges(
     name: str, way: None, memory: Path, keymint: Keymint
 ) -> None:

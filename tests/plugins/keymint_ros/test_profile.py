@@ -42,6 +42,14 @@ def test_a_profile_gets_another_policy(workspace: Workspace) -> None:
     }
 
 
+def test_a_path_that_keymint_would_not_write_was_edited(workspace: Workspace) -> None:
+    edited = workspace.edit("profile/policies.xml", ">comarmor.d<", ">comarmor\u009bd<")
+    with pytest.raises(KeymintError) as caught:
+        profile_type.with_policy(edited.profile, "other")
+    (diagnostic,) = caught.value.diagnostics
+    assert (diagnostic.code, diagnostic.where and diagnostic.where.file) == ("policies-edited", "policies.xml")
+
+
 def test_policies_that_were_edited_are_not_replaced(workspace: Workspace) -> None:
     edited = workspace.edit("profile/policies.xml", "</policies>", "<!-- mine --></policies>")
     with pytest.raises(KeymintError) as error:
