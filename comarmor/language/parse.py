@@ -240,7 +240,7 @@ class _PolicyParser:
                 )
                 continue
             name = literal(expression.text)
-            if name is not None and (expected := _expected_of_name(name)):
+            if name is not None and (expected := expected_of_name(name)):
                 self.refuse(
                     f"{quoted(name)} is not a legal name of a subject", expression.where, "subject-name", expected
                 )
@@ -340,8 +340,8 @@ def _unique(expressions: list[Attachment]) -> tuple[Attachment, ...]:
     return tuple(first.values())
 
 
-def _expected_of_name(name: str) -> str:
-    """Return what a name violates of the form of enclaves' names, which become paths; empty for a legal name."""
+def expected_of_name(name: str) -> str:
+    """Return what a subject's name violates of the form of enclaves' names, which become paths; empty if legal."""
     if len(name) > _LONGEST_NAME or max(map(len, name.split("/"))) > _LONGEST_SEGMENT:
         return f"at most {_LONGEST_NAME} characters, and {_LONGEST_SEGMENT} between two '/'"
     if not is_fully_qualified(name):

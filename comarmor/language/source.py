@@ -125,19 +125,22 @@ def load_tree(
     return reader.result(tuple(reader.root(name) for name in roots))
 
 
-def read_document(content: bytes, name: str, library: Path, *, limits: Limits = LIMITS) -> PolicyFiles:
+def read_document(
+    content: bytes, name: str, library: Path, library_shown: Path | None = None, *, limits: Limits = LIMITS
+) -> PolicyFiles:
     """Read a policy that is not a file yet, whose includes are files of the library.
 
     Args:
         content: the document.
         name: path of the file that it will be, as the user would type it.
         library: the folder of the included files.
+        library_shown: path of the library in origins, if it differs from where the library is read.
         limits: limits of files and includes.
 
     Raises:
         ComArmorError: as of :func:`load_tree`.
     """
-    folder = SandboxedFolder(library.resolve(), str(library))
+    folder = SandboxedFolder(library.resolve(), str(library_shown or library))
     reader = _PolicyReader(folder, folder, limits)
     # The document itself lies nowhere, but its includes are relative to the library's folder.
     document = replace(reader.complete(parse(content, name, limits=limits), folder, "-", ()), name=name)

@@ -96,6 +96,7 @@ class Bootstrap:
         valid_for: length of the validity of packages' certificates and grants, an ISO 8601 duration such as ``P90D``;
             empty for that of the profile type.
         authority: name of the one authority that issues identities and signs documents; empty for those of the layout.
+        policy_type: the plugin that loads the policy; empty for that of the profile type.
     """
 
     name: str
@@ -108,6 +109,7 @@ class Bootstrap:
     build_types: tuple[str, ...] = ()
     valid_for: str = ""
     authority: str = ""
+    policy_type: str = ""
 
 
 class ProfileType(Protocol):

@@ -20,6 +20,7 @@ from keymint.errors import KeymintError
 from keymint.output.report import Report
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.bootstrap import plan_init, policy_path, refuse_unsupported
+from keymint.plan.foreign_policies import foreign_policy
 from keymint.session import Inputs
 from keymint.workspace import PROFILE_MARKER, Workspace
 
@@ -95,7 +96,14 @@ def bootstrap_request(run: Run, workspace: Workspace, policy: Path | None, profi
         now=run.setting.now,
         build_types=build_types_of(run.plugins, profile.transports),
         valid_for=profile.valid_for or "",
+        policy_type=_policy_type(run, run.setting.cwd / policy) if policy else "",
     )
+
+
+def _policy_type(run: Run, policy: Path) -> str:
+    """Return the plugin for a policy that it recognises, and that need not be imported; empty for the usual one."""
+    foreign = None if policy.is_dir() or policy.suffix == ".xml" else foreign_policy(run.plugins, [policy], "")
+    return foreign.policy_type if foreign and not foreign.imported else ""
 
 
 def refuse_contradiction(run: Run, workspace: Workspace, given: ProfileOptions, policy: Path | None = None) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
-from keymint.api import PolicyType, RecognisedPolicy
+from keymint.api import PolicyImporter, PolicyType, RecognisedPolicy
 from keymint.errors import KeymintError
 from keymint.plugins import Plugins
 
@@ -21,22 +21,28 @@ class ForeignPolicy:
         path: the file.
         policy_type: name of the policy type.
         noun: what its files are called, with its article.
+        imported: its type translates it; else it is used as it is.
     """
 
     path: Path
     policy_type: str
     noun: str
+    imported: bool
 
-    def refusal(self, shown: str) -> KeymintError:
-        """Return the error that the file must be imported first.
+    def refusal(self, shown: str, profile: str = "") -> KeymintError:
+        """Return the error that the file must be imported first, or that its type must be named.
 
         Args:
             shown: its path as the user would type it.
+            profile: path of the document that names the type of the policy, if a workspace has the file.
         """
-        return KeymintError(
-            f"this is {self.noun}", where=Origin(shown), help=f"keymint import {shown} -o comarmor.d",
-            code="policy-foreign",
-        )  # fmt: skip
+        if self.imported:
+            help_ = f"keymint import {shown} -o comarmor.d"
+        elif profile:
+            help_ = f"write <policy_type>{self.policy_type}</policy_type> into {profile}, or make a new workspace"
+        else:
+            help_ = "'keymint lint', 'keymint query' and 'keymint provision' read it"
+        return KeymintError(f"this is {self.noun}", where=Origin(shown), help=help_, code="policy-foreign")
 
 
 def foreign_policy(plugins: Plugins, paths: Iterable[Path], expected: str) -> ForeignPolicy | None:
@@ -55,7 +61,7 @@ def foreign_policy(plugins: Plugins, paths: Iterable[Path], expected: str) -> Fo
     for path in (file for each in paths for file in _files(each)):
         for name, policy_type in known.items():
             if policy_type.recognises(path):
-                return ForeignPolicy(path, name, policy_type.NOUN)
+                return ForeignPolicy(path, name, policy_type.NOUN, isinstance(policy_type, PolicyImporter))
     return None
 
 

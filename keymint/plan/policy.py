@@ -99,7 +99,7 @@ def _load(session: Session, folders: PackageFolders) -> LoadedPolicy:
         foreign = foreign_policy(session.plugins, paths, profile.policy_type)
         if foreign is None:
             raise
-        raise foreign.refusal(session.workspace.shown(foreign.path)) from error
+        raise foreign.refusal(session.workspace.shown(foreign.path), str(session.profile_marker())) from error
 
 
 def lazy_policy(session: Session) -> LoadedPolicy:

@@ -23,6 +23,8 @@ _LAYOUTS = dict.fromkeys(("sros2", "flat"))
 _TWO_AUTHORITIES, _ONE_AUTHORITY = ("identity_ca", "permissions_ca"), ("ca", "ca")
 """Issuer of identities and signer of permissions; Ardent and Bouncy have one ``ca.cert.pem`` for both."""
 SUBJECT_NAMES = {"unique": "OU={unique},CN={common_name}", "sros2": "CN={subject}"}
+POLICY_TYPE = "keymint_ros2_comarmor"
+"""The policy type of a profile that names none."""
 _MAX_DOMAIN = 230
 """Cyclone DDS rejects documents with a larger domain id."""
 _AUTHORITY_YEARS = 10
@@ -68,6 +70,7 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
         "distro": request.distro,
         "domain": request.domain,
         "layout": layout,
+        "policy_type": request.policy_type or POLICY_TYPE,
         "build_types": () if build_types == (BUILD_TYPE,) else build_types,
         "dds": _DDS in build_types,
         "authorities": tuple(dict.fromkeys((issuer, signer))),

@@ -37,7 +37,6 @@ MANIFEST = "keymint_profile.xml"
 NAME = "keymint_ros"
 LIBRARY = "comarmor.d"
 
-_POLICY_TYPE = "keymint_ros2_comarmor"
 _AUTHORITY_DEFAULTS = "profile.defaults/authorities.xml"
 _GRANT_DEFAULTS = "package.defaults/permissions.xml"
 _IDENTITY_DEFAULTS = "package.defaults/identities.xml"
@@ -96,7 +95,7 @@ def _manifest(root: etree._Element) -> _ProfileManifest:
         policies=tuple(
             _path(item.find("policy_path"), item, "policies.xml") for item in root.iterfind("policies/policy")
         ),
-        policy_type=exports.get("policy_type") or _POLICY_TYPE,
+        policy_type=exports.get("policy_type") or bootstrap.POLICY_TYPE,
         package_type=exports.get("package_type") or NAME,
         build_types=manifest.build_types(root.findall("export/build_type")) or (BUILD_TYPE,),
         layout=exports.get("layout") or "sros2",

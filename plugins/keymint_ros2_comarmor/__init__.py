@@ -3,97 +3,21 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+
+from keymint_comarmor.loaded import ComArmorPolicy
 
 import comarmor
 import comarmor.language.source
-from comarmor.language.decide import Ruling
-from comarmor.rules import Effect, Expectation
-from comarmor.values import dataclass
-from comarmor.xml.package_folders import PackageFolders, ShippedFile
-from keymint.api import (
-    API_VERSION,
-    AppliedProfile,
-    LearnedPolicy,
-    LoadedPolicy,
-    PolicyDecision,
-    PolicyOfRules,
-    PolicySource,
-    PolicyStructure,
-)
+from comarmor.rules import Expectation
+from comarmor.xml.package_folders import PackageFolders
+from keymint.api import API_VERSION, LearnedPolicy, LoadedPolicy, PolicyOfRules, PolicySource
 from keymint.errors import KeymintError
-from keymint.graph import Edge, Graph
+from keymint.graph import Graph
 from keymint.ir import SubjectRules
 
 __all__ = ["ComArmorPolicyType", "policy_type"]
-
-
-@dataclass(frozen=True, slots=True)
-class ComArmorPolicy:
-    """A loaded ComArmor policy, as :class:`keymint.api.LoadedPolicy`."""
-
-    policy: comarmor.Policy
-
-    @property
-    def seen(self) -> Mapping[Path, bytes]:
-        """Every path that loading looked at, with its fingerprint."""
-        return self.policy.seen
-
-    @property
-    def shipped(self) -> tuple[ShippedFile, ...]:
-        """See :attr:`keymint.api.PolicyWithPackages.shipped`."""
-        return self.policy.shipped
-
-    def subjects(self) -> tuple[str, ...]:
-        """Return, sorted, the subjects that the policy names exactly."""
-        return self.policy.subjects()
-
-    def rules(self, subject: str) -> SubjectRules | None:
-        """Return the rules of a subject, or None when no profile applies to it."""
-        if not self.policy.applicable(subject):
-            return None
-        return SubjectRules(subject, self.policy.rules(subject))
-
-    def rules_digest(self, subject: str) -> str | None:
-        """See :meth:`keymint.api.DigestedPolicy.rules_digest`."""
-        return self.policy.rules_digest(subject)
-
-    def profiles(self, subject: str) -> tuple[AppliedProfile, ...]:
-        """Return the profiles that apply to a subject, outer ones first."""
-        return tuple(
-            AppliedProfile(profile.name, profile.where, profile.audit) for profile in self.policy.applicable(subject)
-        )
-
-    def structure(self) -> PolicyStructure:
-        """Return the structure of the policy."""
-        from keymint_ros2_comarmor.structure import structure  # noqa: PLC0415 - few verbs need it
-
-        return structure(self.policy)
-
-    def decide(self, edge: Edge) -> PolicyDecision:
-        """See :meth:`keymint.api.LoadedPolicy.decide`."""
-        requested = edge.object
-        row = self.policy.row(edge.subject, requested.kind, edge.permission)
-        return _decision(row.ruling(requested.name, requested.partitions))
-
-    def about(self, subjects: Collection[str]) -> ComArmorPolicy:
-        """See :meth:`keymint.api.DivisiblePolicy.about`."""
-        applicable = {id(profile) for subject in subjects for profile in self.policy.applicable(subject)}
-        return ComArmorPolicy(comarmor.Policy(tuple(each for each in self.policy.profiles if id(each) in applicable)))
-
-    def allowed(self, subject: str, kind: str, permission: str, names: Iterable[str]) -> bytes:
-        """See :meth:`keymint.api.RowPolicy.allowed`."""
-        return self.policy.row(subject, kind, permission).allowed(names)
-
-
-@functools.lru_cache(maxsize=1024)
-def _decision(ruling: Ruling) -> PolicyDecision:
-    """Return the decision of a ruling, which most requests share with others."""
-    where = ruling.rules[0].origin if ruling.rules else None
-    audit = any(rule.audit for rule in ruling.rules)
-    return PolicyDecision(ruling.effect is Effect.ALLOW, where, ruling.reason, audit)
 
 
 class ComArmorPolicyType:

@@ -20,8 +20,8 @@ from .conftest import Environment, run
 pytestmark = pytest.mark.xdist_group("packaging")
 
 PACKAGES = {
-    "comarmor", "keymint", "keymint_ros", "keymint_ros2_comarmor", "keymint_ros2_dds", "keymint_ros2_sros2",
-    "keymint_ros2_zenoh", "keymint_xacml",
+    "comarmor", "keymint", "keymint_comarmor", "keymint_ros", "keymint_ros2_comarmor", "keymint_ros2_dds",
+    "keymint_ros2_sros2", "keymint_ros2_table", "keymint_ros2_zenoh", "keymint_xacml",
 }  # fmt: skip
 DIST_INFO = f"keymint_tools-{keymint.__version__}.dist-info"
 POLICY = """<?xml version="1.0"?>

@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Make a policy of the rows of tables: a profile for each expression of subjects, and a rule for each row."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import field, replace
+from pathlib import Path
+from types import MappingProxyType
+from xml.sax.saxutils import quoteattr  # nosec - writes
+
+from keymint_comarmor.loaded import ComArmorPolicy
+
+import comarmor
+from comarmor.errors import ComArmorError, Diagnostic, Origin
+from comarmor.language import attachments
+from comarmor.language.attachments import Placeholder, TunableReference
+from comarmor.language.parse import expected_of_name, parse
+from comarmor.language.source import read_document
+from comarmor.language.syntax import Attachment, Inclusion, Profile, ProfileRule
+from comarmor.patterns.expression import literal
+from comarmor.rules import PERMISSIONS, Effect
+from comarmor.text import did_you_mean, quoted
+from comarmor.values import dataclass
+from comarmor.xml.reader import XINCLUDE
+from keymint.api import PolicySource
+from keymint.errors import KeymintError
+from keymint_ros2_table.files import read
+from keymint_ros2_table.rows import Row
+
+INCLUDE = "include"
+"""The kind of a row whose object is a file of the policy library; its rules are those of the subjects."""
+_AUDIT = {"": False, "0": False, "1": True, "false": False, "true": True}
+_MOST_DIAGNOSTICS = 100
+_MOST_CHARACTERS = 32 * 2**20
+"""The most characters of all expressions."""
+_Part = ProfileRule | Inclusion
+
+
+def load(
+    sources: Sequence[PolicySource], library: Path | None = None, library_shown: Path | None = None
+) -> ComArmorPolicy:
+    """Load tables as one policy; see :meth:`keymint.api.PolicyType.load`.
+
+    Raises:
+        KeymintError: with ``file:row`` of each defect, and the source of the row.
+    """
+    maker = _PolicyMaker(library, library_shown)
+    for source in sources:
+        if not source.path.exists():
+            raise KeymintError(
+                f"the policy '{source.path}' does not exist", where=source.origin,
+                help="name a CSV file or an SQLite database", code="policy-missing",
+            )  # fmt: skip
+        maker.add(source.path)
+    return ComArmorPolicy(maker.policy())
+
+
+@dataclass(slots=True)
+class _PolicyMaker:
+    """Collects the rules of rows by subject, and every defect.
+
+    Attributes:
+        library: folder of the policy library.
+        library_shown: its path in origins.
+        seen: fingerprints of all files.
+        subjects: the subjects of each profile, by their expression.
+        parts: the rules of each profile.
+        diagnostics: the defects.
+        included: the rules of files of the library.
+        characters: those of the expressions so far.
+    """
+
+    library: Path | None
+    library_shown: Path | None
+    seen: dict[Path, bytes] = field(default_factory=dict)
+    subjects: dict[str, Attachment] = field(default_factory=dict)
+    parts: dict[str, list[_Part]] = field(default_factory=dict)
+    diagnostics: list[Diagnostic] = field(default_factory=list)
+    included: dict[str, tuple[_Part, ...]] = field(default_factory=dict)
+    characters: int = 0
+
+    def add(self, path: Path) -> None:
+        """Add the rules of a table."""
+        try:
+            table = read(path)
+            self.seen |= table.seen
+            for row in table.rows:
+                self._collect(row)
+        except ComArmorError as error:
+            self.diagnostics += error.diagnostics
+
+    def _collect(self, row: Row | ComArmorError) -> None:
+        """Collect the rules of a row, or its defects.
+
+        Raises:
+            ComArmorError: with the last one of too many.
+        """
+        try:
+            if isinstance(row, ComArmorError):
+                raise row
+            subject = self._subject(row)
+            self.parts.setdefault(subject, []).extend(self._of(row))
+        except ComArmorError as error:
+            if len(self.diagnostics) >= _MOST_DIAGNOSTICS or any(
+                each.code == "table-limit" for each in error.diagnostics
+            ):
+                raise
+            self.diagnostics += error.diagnostics
+
+    def policy(self) -> comarmor.Policy:
+        """Return the policy.
+
+        Raises:
+            KeymintError: the defects.
+        """
+        if self.diagnostics:
+            raise KeymintError.of(self.diagnostics)
+        profiles = (
+            Profile(text, False, (subject,), (), tuple(self.parts[text]), subject.where)
+            for text, subject in self.subjects.items()
+        )
+        return comarmor.Policy(tuple(profiles), seen=MappingProxyType(self.seen))
+
+    def _subject(self, row: Row) -> str:
+        """Return the expression of a row's subjects."""
+        if row.subject not in self.subjects:
+            subject = self._expression("subject", row.subject, row.where)
+            if subject.value:
+                raise ComArmorError(
+                    "the subject cannot contain {name} or {namespace}", where=row.where, help="use a wildcard",
+                    code="brace",
+                )  # fmt: skip
+            name = literal(subject.text)
+            if name is not None and (expected := expected_of_name(name)):
+                raise ComArmorError(
+                    f"{quoted(name)} is not a legal name of a subject", where=row.where, help=expected,
+                    code="subject-name",
+                )  # fmt: skip
+            self.subjects[row.subject] = replace(subject, where=row.origin)
+        return row.subject
+
+    def _of(self, row: Row) -> tuple[_Part, ...]:
+        """Return the rules of a row."""
+        if row.kind == INCLUDE:
+            return self._include(row)
+        if row.kind not in PERMISSIONS:
+            raise _unknown("kind", row.kind, (*PERMISSIONS, INCLUDE), row.where)
+        if row.permission not in PERMISSIONS[row.kind]:
+            raise _unknown(f"permission of {row.kind}", row.permission, PERMISSIONS[row.kind], row.where)
+        if row.qualifier not in tuple(Effect):
+            raise _unknown("qualifier", row.qualifier, tuple(Effect), row.where)
+        if row.audit.lower() not in _AUDIT:
+            raise _unknown("value of audit", row.audit, ("0", "1", "false", "true"), row.where)
+        name = replace(self._expression("object", row.object, row.where), where=row.origin)
+        audit = _AUDIT[row.audit.lower()]
+        return (ProfileRule(Effect(row.qualifier), row.kind, (row.permission,), (name,), (), audit, row.origin),)
+
+    def _expression(self, column: str, text: str, where: Origin) -> Attachment:
+        if not text:
+            raise ComArmorError(f"the {column} is empty", where=where, help="for any name write *", code="expression")
+        if not text.isprintable():
+            raise ComArmorError(
+                f"the {column} has characters that cannot be printed: {quoted(text)}", where=where, code="expression"
+            )
+        self.characters += len(text)
+        if self.characters > _MOST_CHARACTERS:
+            raise KeymintError(
+                f"the expressions have more than the {_MOST_CHARACTERS:,} characters allowed", where=where,
+                code="table-limit",
+            )  # fmt: skip
+        try:
+            pieces = attachments.parse(text)
+        except ComArmorError as error:
+            raise ComArmorError.of(replace(each, where=where) for each in error.diagnostics) from None
+        value = tuple(piece for piece in pieces if not isinstance(piece, TunableReference))
+        if len(value) != len(pieces):
+            raise ComArmorError(
+                f"the {column} cannot contain a tunable: {quoted(text)}", where=where,
+                help=f"a table has none; write a row for each value, or {' or '.join(Placeholder)}", code="brace",
+            )  # fmt: skip
+        return Attachment.of(value, where)
+
+    def _include(self, row: Row) -> tuple[_Part, ...]:
+        """Return the rules of a file of the library, which the row includes."""
+        if row.permission or row.qualifier or _AUDIT.get(row.audit.lower(), True):
+            raise ComArmorError(
+                "a row that includes a file has no permission, qualifier or audit", where=row.where,
+                help="leave them empty: the file has its own", code="table-value",
+            )  # fmt: skip
+        if row.object not in self.included:
+            self.included[row.object] = self._of_library(row)
+        return tuple(_moved(part, row.origin) for part in self.included[row.object])
+
+    def _of_library(self, row: Row) -> tuple[_Part, ...]:
+        if self.library is None:
+            raise ComArmorError("there is no policy library to include from", where=row.where, code="include-missing")
+        document = (
+            f'<profiles xmlns:xi="{XINCLUDE}"><profile name="p"><attachment>*</attachment>'
+            f'<xi:include href={quoteattr(row.object)} parse="xml"/></profile></profiles>'
+        )
+        try:
+            policy = parse(read_document(document.encode(), row.where.file, self.library, self.library_shown))
+        except ComArmorError as error:
+            raise ComArmorError.of(_placed_at(each, row.where) for each in error.diagnostics) from None
+        self.seen |= policy.seen
+        return policy.profiles[0].parts
+
+
+def _moved(part: _Part, where: Origin) -> _Part:
+    """Return rules of an included file as a row includes them: the last place of each chain is the row."""
+    if isinstance(part, Inclusion):
+        return Inclusion(part.rules, (*part.chain[:-1], where))
+    names = tuple(replace(each, where=_included(each.where, where)) for each in part.attachments)
+    return replace(part, attachments=names, where=_included(part.where, where))
+
+
+def _placed_at(diagnostic: Diagnostic, where: Origin) -> Diagnostic:
+    """Return a defect of an included file as a row includes it, or of the include itself as one of the row."""
+    inner = diagnostic.where
+    return replace(diagnostic, where=_included(inner, where) if inner and inner.chain else where)
+
+
+def _included(inner: Origin, where: Origin) -> Origin:
+    return Origin(inner.file, inner.line, (*inner.chain[:-1], where), inner.column)
+
+
+def _unknown(what: str, value: str, known: Sequence[str], where: Origin) -> ComArmorError:
+    return ComArmorError(
+        f"{quoted(value)} is no {what}" if value else f"the {what} is missing",
+        where=where,
+        help=did_you_mean(value, known, f"expected {', '.join(known)}"),
+        code="table-value",
+    )

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Read the rows of the table or view ``rule`` of an SQLite database.
+
+The database is a copy in memory of bytes that were read once, so nothing is locked, written or attached. Its views are
+code of others: they may only read and compute, must end, and must give the same rows for the same bytes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sqlite3  # noqa: TID251 - in memory only: reads bytes
+from collections.abc import Iterator, Sequence
+
+from comarmor.errors import ComArmorError, Origin
+from comarmor.language.attachments import strip
+from comarmor.text import did_you_mean, quoted
+from keymint_ros2_table.rows import COLUMNS, MOST_ROWS, Row, column_order, placed
+
+NAME = "rule"
+MAGIC = b"SQLite format 3\0"
+_WRITE_AHEAD, _ROLLBACK = b"\2\2", b"\1\1"
+"""The bytes 18 and 19 of a file: versions of its format for writing and reading (SQLite, "Database File Format")."""
+_HIDDEN = 1
+"""What ``PRAGMA table_xinfo`` says about a column of a virtual table that ``*`` does not name."""
+_LONGEST_VALUE = 2**20
+_STEPS_BETWEEN, _MOST_CHECKS = 100_000, 5_000
+"""Instructions of SQLite's machine between two checks, and the most checks: some seconds."""
+_CHANGING = frozenset((
+    "random", "randomblob", "date", "time", "datetime", "julianday", "strftime", "unixepoch", "timediff",
+    "current_date", "current_time", "current_timestamp", "changes", "total_changes", "last_insert_rowid",
+    "load_extension", "fts3_tokenizer",
+))  # fmt: skip
+"""Functions whose results depend on more than the database, or that load code."""
+_TYPES = {type(None): "NULL", int: "INTEGER", float: "REAL", bytes: "BLOB", str: "TEXT"}
+_READING = frozenset((sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE))
+
+
+def rows_of(content: bytes, file: str) -> Iterator[Row | ComArmorError]:
+    """Yield the rows; the error of a row in place of it.
+
+    Args:
+        content: the database.
+        file: its path as the user would type it.
+
+    Raises:
+        ComArmorError: the database has no such table or view, or cannot be read.
+    """
+    where = Origin(file)
+    if content[18:20] == _WRITE_AHEAD:  # a database in memory has no write-ahead log
+        content = content[:18] + _ROLLBACK + content[20:]
+    guard = _Guard()
+    with contextlib.closing(sqlite3.connect(":memory:", isolation_level=None)) as database:
+        try:
+            database.deserialize(content)
+            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST_VALUE)
+            database.text_factory = lambda data: data.decode("utf-8", "surrogateescape")
+            database.execute("PRAGMA trusted_schema = OFF")
+            if database.execute("PRAGMA quick_check(1)").fetchone() != ("ok",):
+                raise ComArmorError("the database is damaged", where=where, code="table-query")
+            header = [
+                name for _, name, *_, hidden in database.execute(f"PRAGMA table_xinfo({NAME})") if hidden != _HIDDEN
+            ]
+            if not header:
+                raise _missing(database, where)
+            order = column_order(header, where)
+            database.set_authorizer(guard.authorize)
+            database.set_progress_handler(guard.progress, _STEPS_BETWEEN)
+            chosen = ", ".join(name if at >= 0 else "NULL" for name, at in zip(COLUMNS, order, strict=True))
+            for number, values in enumerate(database.execute(f"SELECT {chosen} FROM {NAME}"), 1):  # noqa: S608 - constants
+                if number > MOST_ROWS:
+                    raise ComArmorError(
+                        f"{NAME} has more than the {MOST_ROWS:,} rows allowed", where=where, code="table-limit"
+                    )
+                yield _row(values, file, number)
+        except sqlite3.Error as error:
+            raise guard.refusal(error, where) from None
+
+
+class _Guard:
+    """Says what a query may do, and ends one that takes too long."""
+
+    def __init__(self) -> None:
+        self.refused = ""
+        self.checks = 0
+
+    def authorize(self, action: int, first: str | None, second: str | None, *_: object) -> int:
+        """Allow reading and computing; see ``sqlite3_set_authorizer``."""
+        if action in _READING and not (action == sqlite3.SQLITE_FUNCTION and (second or "").lower() in _CHANGING):
+            return sqlite3.SQLITE_OK
+        self.refused = f"the function {second}" if action == sqlite3.SQLITE_FUNCTION else (first or "a statement")
+        return sqlite3.SQLITE_DENY
+
+    def progress(self) -> bool:
+        """Return whether the query must end."""
+        self.checks += 1
+        return self.checks > _MOST_CHECKS
+
+    def refusal(self, error: sqlite3.Error, where: Origin) -> ComArmorError:
+        """Return the error for one of SQLite."""
+        if self.refused:
+            return ComArmorError(
+                f"{NAME} uses {quoted(self.refused)}, which is not allowed: its rows must depend on the database alone",
+                where=where, help="write what it computes into a table", code="table-query",
+            )  # fmt: skip
+        if self.checks > _MOST_CHECKS:
+            return ComArmorError(
+                f"{NAME} takes too long to compute", where=where, help="write what it computes into a table",
+                code="table-limit",
+            )  # fmt: skip
+        return ComArmorError(f"the database cannot be read: {error}", where=where, code="table-query")
+
+
+def _missing(database: sqlite3.Connection, where: Origin) -> ComArmorError:
+    names = [
+        str(name) for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type IN ('table', 'view')")
+    ]
+    return ComArmorError(
+        f"the database has no table or view {NAME}", where=where, code="table-header",
+        help=did_you_mean(NAME, names, f"create a view {NAME}({', '.join(COLUMNS)})"),
+    )  # fmt: skip
+
+
+def _row(values: Sequence[object], file: str, number: int) -> Row | ComArmorError:
+    audit, source = values[5], values[6]
+    try:
+        where = placed(file, number, strip(source) if isinstance(source, str) else "")
+        if not isinstance(source, str | None):
+            raise _type_error("source", source, where)
+        if not isinstance(audit, str | int | None):
+            raise _type_error("audit", audit, where)
+        texts = []
+        for name, value in zip(COLUMNS, values[:5], strict=False):
+            if not isinstance(value, str):
+                raise _type_error(name, value, where)
+            texts.append(strip(value))
+    except ComArmorError as error:
+        return error
+    # The column tells rows of one source apart where a line would; it is not shown.
+    origin = Origin(where.file, 0, (), number) if source else where
+    return Row.of([*texts, "" if audit is None else strip(str(audit))], where, origin)
+
+
+def _type_error(column: str, value: object, where: Origin) -> ComArmorError:
+    found = _TYPES[type(value)]
+    return ComArmorError(f"{column} is {found}, expected TEXT", where=where, code="table-value")
