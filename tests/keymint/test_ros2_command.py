@@ -166,7 +166,7 @@ def test_the_shim_says_that_keymint_is_missing(tmp_path: Path) -> None:
         [sys.executable, "-c", code], cwd=SHIM, env={"PATH": str(tmp_path)}, capture_output=True, text=True, check=False
     )
     assert done.stderr.splitlines()[-1] == (
-        "RuntimeError: cannot run keymint: No such file or directory; install it, e.g. by 'pipx install keymint-tools'"
+        "RuntimeError: cannot run keymint: No such file or directory; install it, e.g. by 'pipx install .' in a checkout"
     )
 
 

@@ -39,5 +39,5 @@ class KeymintCommand:
         try:
             os.execvpe(command[0], command, environment)  # noqa: S606 - there is no shell in between
         except OSError as error:
-            hint = "install it, e.g. by 'pipx install keymint-tools'"
+            hint = "install it, e.g. by 'pipx install .' in a checkout"
             raise RuntimeError(f"cannot run keymint: {error.strerror}; {hint}") from None
