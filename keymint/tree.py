@@ -6,7 +6,6 @@ Stages plan against this view, so that one run can plan all of them before its f
 
 from __future__ import annotations
 
-import errno
 import os
 import stat
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -14,73 +13,12 @@ from dataclasses import field
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
+from keymint.file_reading import MAX_FILE, REGISTER, linked_file, lstat, read_file, unreadable
 from keymint.state import digest
 
-MAX_FILE = 16 * 1024 * 1024
-"""Largest file that is read, in bytes; far more than any document, certificate or key."""
-REGISTER = "register.sqlite3"
-"""Name of the register of issued certificates, which has some hundred bytes for each."""
-MAX_REGISTER = 64 * MAX_FILE
-"""Largest register that is read, in bytes."""
-
-
-def read_file(path: Path | str, most: int | None = None) -> bytes | None:
-    """Return the bytes of a regular file, or None if there is none.
-
-    Args:
-        path: the file.
-        most: largest size in bytes; by default :data:`MAX_REGISTER` for the register, else :data:`MAX_FILE`.
-
-    Raises:
-        KeymintError: the path is a symbolic link or no regular file, is too large, or cannot be read.
-    """
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
-    except (FileNotFoundError, NotADirectoryError):
-        return None
-    except OSError as error:
-        if error.errno == errno.ELOOP:
-            raise KeymintError(
-                "is a symbolic link, which is refused here",
-                where=Origin(str(path)),
-                help="replace it by the file itself",
-                code="symlink-refused",
-            ) from error
-        raise unreadable(path, error) from error
-    try:
-        status = os.fstat(descriptor)
-        if not stat.S_ISREG(status.st_mode):
-            raise KeymintError("is not a regular file", where=Origin(str(path)), code="file-kind")
-        if most is None:
-            most = MAX_REGISTER if str(path).endswith(REGISTER) else MAX_FILE
-        if status.st_size > most:
-            raise KeymintError(
-                f"has {status.st_size} bytes, {most} are the most",
-                where=Origin(str(path)),
-                code="file-size",
-            )
-        chunks = [os.read(descriptor, status.st_size + 1)]
-        while len(chunks[0]) != status.st_size and (chunk := os.read(descriptor, status.st_size + 1)):
-            chunks.append(chunk)
-        return b"".join(chunks)
-    except OSError as error:
-        raise unreadable(path, error) from error
-    finally:
-        os.close(descriptor)
-
-
-def unreadable(path: Path | str, error: OSError) -> KeymintError:
-    """Return the error for a file that cannot be read."""
-    return KeymintError(
-        f"cannot be read: {os.strerror(error.errno or 0)}",
-        where=Origin(str(path)),
-        help="check its owner and mode",
-        code="file-unreadable",
-    )
-
+__all__ = ["MAX_FILE", "REGISTER", "Content", "File", "HeldError", "HeldFile", "Tree", "read_file", "unreadable"]
 
 _Read = TypeVar("_Read", bytes | None, dict[str, bool])
 
@@ -141,13 +79,13 @@ class _Disk:
         return self._statuses[path]
 
     def _status(self, path: str) -> os.stat_result | None:
-        found = _lstat(path)
+        found = lstat(path)
         is_link = found is not None and stat.S_ISLNK(found.st_mode)
-        return _lstat(linked_file(path, self.linked) or path) if is_link else found
+        return lstat(linked_file(path, self.linked) or path) if is_link else found
 
     def hold(self, folder: str, suffix: str) -> None:
         """Read everything below a folder, so that the disk is not accessed again."""
-        self._statuses[folder] = _lstat(folder)
+        self._statuses[folder] = lstat(folder)
         waiting = [folder]
         while waiting:
             inner = waiting.pop()
@@ -187,35 +125,6 @@ class _Disk:
             return {}
         except OSError as error:
             raise unreadable(folder, error) from error
-
-
-def _lstat(path: str) -> os.stat_result | None:
-    try:
-        return os.lstat(path)
-    except (OSError, ValueError):
-        return None
-
-
-def linked_file(path: str, folder: str) -> str:
-    """Return the regular file that a relative symbolic link in a folder leads to, if that is in the folder; else empty.
-
-    It must be readable by everyone: else a link could make the content of a private key look like a public file.
-
-    Args:
-        path: absolute path of the link.
-        folder: absolute path of the folder; empty to follow no link.
-    """
-    if not folder or not path.startswith(f"{folder}/"):
-        return ""
-    try:
-        relative = not os.readlink(path).startswith("/")  # noqa: PTH115 - of a text
-        real = os.path.realpath(path, strict=True)
-    except OSError:
-        return ""
-    status = _lstat(real)
-    inside = real.startswith(f"{os.path.realpath(folder)}/")
-    public = status is not None and stat.S_ISREG(status.st_mode) and status.st_mode & stat.S_IROTH
-    return real if relative and inside and public else ""
 
 
 def _or_raise(result: _Read | KeymintError) -> _Read:

@@ -36,11 +36,13 @@ class LearnedKeystore:
     Attributes:
         document: the policy.
         granted: what the document of each enclave grants.
+        subjects: the rules of each subject, as the policy gives them.
         diagnostics: what was left out because it has no effect, and what is wrong with the keystore, as warnings.
     """
 
     document: bytes = field(repr=False)
     granted: tuple[GrantedRules, ...]
+    subjects: tuple[SubjectRules, ...]
     diagnostics: tuple[Diagnostic, ...]
 
 
@@ -100,7 +102,8 @@ def learned_from(plugins: Plugins, files: KeystoreFiles, found: FoundKeystore, l
     policy = writer.policy_of([each.rules for each in granted], learning.name, _NOTE)
     if unproven := list(_unproven(reader, granted, policy.subjects, learning)):
         raise KeymintError.of(unproven)
-    return LearnedKeystore(policy.document, tuple(granted), (*_warnings(found), *_left_out(granted)))
+    diagnostics = (*_warnings(found), *_left_out(granted))
+    return LearnedKeystore(policy.document, tuple(granted), policy.subjects, diagnostics)
 
 
 def _unproven(

@@ -15,7 +15,7 @@ from keymint.adoption.reading import found_in
 from keymint.adoption.workspace import Adoption, plan_adoption
 from keymint.api import Bootstrap, DocumentComparer, FoundEnclave, FoundKeystore, KeystoreFiles
 from keymint.changes import Plan
-from keymint.commands.adopted_policy import named_policy
+from keymint.commands.adopted_policy import SECONDS, learned_policy, named_policy
 from keymint.commands.options import DEFAULT_PROFILE_TYPE, PATH, PluginOption, PolicyOptions
 from keymint.commands.proof_diagnostics import effort_of
 from keymint.commands.run import Run
@@ -26,7 +26,6 @@ from keymint.output.report import Report, findings_exit
 from keymint.session import Inputs
 from keymint.workspace import Workspace
 
-_SECONDS = 60.0
 _OLD = "eloquent"
 """The distribution of a keystore in the layout before Foxy, if none is named."""
 
@@ -62,6 +61,7 @@ def adopt(
     \b
     keymint adopt demo_keystore policy.xml                      reads both, and writes nothing
     keymint adopt demo_keystore policy.xml --apply -w my_ws     makes a workspace; KEYSTORE stays as it is
+    keymint adopt demo_keystore --apply -w my_ws                the same with a policy that is made from what is signed
 
     For each enclave: whether its certificate, key and signed documents belong together, how they compare with POLICY,
     until when they are good, and who can read its key. No link is followed that leads out of KEYSTORE.
@@ -81,7 +81,11 @@ def adopt(
     result = as_json(found, {each.subject: each.as_json() for each in comparisons})
     if not applied:
         return Report(run.verb, None, (), found.diagnostics, result, findings_exit(found.diagnostics))
-    adoption = _adoption(workspace, files, found, own, build_type_name, profile_type, chosen or "jazzy", run)
+    _refuse(run, files, found, workspace)
+    if own is None:
+        own = learned_policy(run, build_type_name, files, found, workspace, options)
+        found = replace(found, diagnostics=(*found.diagnostics, *own.diagnostics))
+    adoption = _adoption(workspace, files, found, own, build_type_name, profile_type, chosen or "jazzy")
     left = tuple(_left(found, str(keystore), workspace))
     notes = [each for each in found.diagnostics if each.severity is not Severity.ERROR]
 
@@ -104,15 +108,31 @@ def _policy(
     if not isinstance(build_type, DocumentComparer):
         return own, ()
     distro = options.distro or "jazzy"
-    go_on = effort_of(run, seconds=_SECONDS).deadline()
+    go_on = effort_of(run, seconds=SECONDS).deadline()
     return own, compared(build_type, found.enclaves, own.rules, distro, go_on)
 
 
 def _adoption(
-    workspace: Workspace, files: KeystoreFiles, found: FoundKeystore, policy: AdoptedPolicy | None,
-    build_type: str, profile_type: str, distro: str, run: Run,
+    workspace: Workspace, files: KeystoreFiles, found: FoundKeystore, policy: AdoptedPolicy,
+    build_type: str, profile_type: str, distro: str,
 ) -> Adoption:  # fmt: skip
-    """Return what is taken over.
+    """Return what is taken over."""
+    roles = {each.name for each in found.authorities}
+    request = Bootstrap(
+        name=workspace.root.name or "workspace",
+        policy=policy.path,
+        distro=distro,
+        domain=_domain(found.enclaves),
+        layout=found.layout,
+        subject_format=found.subject_format or "unique",
+        now=files.now,
+        authority=found.authorities[0].name if len(roles) == 1 else "",
+    )
+    return Adoption(build_type, files, found, policy, profile_type, request)
+
+
+def _refuse(run: Run, files: KeystoreFiles, found: FoundKeystore, workspace: Workspace) -> None:
+    """Refuse to take over what is not sound, or into a place that is taken.
 
     Raises:
         KeymintError: something is in the way; with all of it.
@@ -131,20 +151,6 @@ def _adoption(
             "the workspace would lie in the keystore, or the keystore in its install space",
             where=Origin(workspace.shown(workspace.root)), help="name a folder beside it with -w", code="space-overlap",
         )  # fmt: skip
-    if policy is None:
-        raise KeymintError("a policy is needed", help="name a POLICY", code="adopt-policy")
-    roles = {each.name for each in found.authorities}
-    request = Bootstrap(
-        name=workspace.root.name or "workspace",
-        policy=policy.path,
-        distro=distro,
-        domain=_domain(found.enclaves),
-        layout=found.layout,
-        subject_format=found.subject_format or "unique",
-        now=files.now,
-        authority=found.authorities[0].name if len(roles) == 1 else "",
-    )
-    return Adoption(build_type, files, found, policy, profile_type, request)
 
 
 def _domain(enclaves: Sequence[FoundEnclave]) -> int:

@@ -1,20 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The policy of a keystore that is taken over: that which the user names."""
+"""The policy of a keystore that is taken over: that which the user names, or one that is learned from it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
 
+from keymint.adoption.learning import Learning, learned_from
 from keymint.adoption.policy import AdoptedPolicy
-from keymint.api import ImportRequest, PolicyImporter
+from keymint.api import FoundKeystore, ImportRequest, KeystoreFiles, PolicyImporter
 from keymint.commands.options import PolicyOptions
 from keymint.commands.policies import Policies
+from keymint.commands.proof_diagnostics import effort_of
 from keymint.commands.run import Run
 from keymint.plan.bootstrap import policy_path
 from keymint.plan.foreign_policies import foreign_policy
 from keymint.workspace import Workspace
 
+STATES, SECONDS = 50_000, 60.0
+"""States that one comparison may visit, and seconds for an enclave."""
 FOLDER = "comarmor.d"
 """Folder of a new profile that has the policy."""
 
@@ -56,3 +60,30 @@ def named_policy(
     found = {subject: loaded.rules(subject) for subject in subjects}
     rules = {subject: each for subject, each in found.items() if each is not None}
     return AdoptedPolicy(policy_path(place, workspace.profile), {}, rules)
+
+
+def learned_policy(
+    run: Run, build_type: str, files: KeystoreFiles, found: FoundKeystore, workspace: Workspace, options: PolicyOptions
+) -> AdoptedPolicy:
+    """Return a policy that is proven to mean what is signed.
+
+    Args:
+        run: the run.
+        build_type: name of the build type that reads the keystore.
+        files: the files of the keystore.
+        found: what it has.
+        workspace: the new workspace.
+        options: how to write the policy.
+
+    Raises:
+        KeymintError: no policy can say what a document grants, or the proof fails.
+    """
+    name = f"{FOLDER}/adopted.xml"
+    effort = effort_of(run, STATES, SECONDS)
+    shown = workspace.shown(workspace.profile / name)
+    learning = Learning(
+        build_type, options.policy_type, Policies(run, options).distro, shown, effort.states, effort.deadline
+    )
+    learned = learned_from(run.plugins, files, found, learning)
+    rules = {each.subject: each for each in learned.subjects}
+    return AdoptedPolicy(FOLDER, {name: learned.document}, rules, learned=True, diagnostics=learned.diagnostics)

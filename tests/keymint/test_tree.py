@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from keymint import tree as module
 from keymint.errors import KeymintError
 from keymint.tree import Tree, read_file
 
@@ -48,7 +47,7 @@ def test_what_is_no_regular_file_is_refused_without_waiting(tmp_path: Path) -> N
 
 
 def test_an_endless_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "MAX_FILE", 100)
+    monkeypatch.setattr("keymint.file_reading.MAX_FILE", 100)
     (tmp_path / "file").write_bytes(b"x" * 101)
     assert code_of(tmp_path / "file") == "file-size"
 
@@ -154,7 +153,7 @@ def test_what_is_held_is_as_it_was_whatever_becomes_of_it(tmp_path: Path) -> Non
 
 
 def test_what_cannot_be_held_is_reported_when_it_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("keymint.tree.MAX_FILE", 10)
+    monkeypatch.setattr("keymint.file_reading.MAX_FILE", 10)
     (tmp_path / "large.xml").write_bytes(b"x" * 11)
     (tmp_path / "small.xml").write_bytes(b"x")
     tree = Tree()

@@ -56,6 +56,17 @@ def test_build_and_install_change_nothing(keymint, tmp_path: Path, form: Mapping
     assert keymint("prove", "-w", "ws").code == 0
 
 
+def test_without_a_policy_one_is_made_from_what_is_signed(keymint, tmp_path: Path) -> None:
+    keystore = made(tmp_path / "ks")
+    complete(keymint("adopt", "ks", "--apply", "-w", "ws"))
+    robots = files(keystore, "enclaves/", "public/")
+    complete(keymint("create", "--all", "-w", "ws"))
+    complete(keymint("build", "-w", "ws"))
+    complete(keymint("install", "-w", "ws"))
+    assert files(tmp_path / "ws/install", "enclaves/", "public/") == robots
+    assert keymint("diff", "policy.xml", "ws/profile/comarmor.d/adopted.xml").out.startswith("equivalent")
+
+
 def test_secrets_are_private_wherever_they_are(keymint, tmp_path: Path) -> None:
     sros2_keystore.make(tmp_path / "ks", POLICY)  # all files are 0644, as SROS2 leaves them
     outcome = keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws")
