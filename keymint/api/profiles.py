@@ -9,7 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from comarmor.errors import Origin
+from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint.api.building import BuildType
 from keymint.api.certificates import Authority, AuthorityIssuance
@@ -285,6 +285,19 @@ class PackageType(Protocol):
 
         Raises:
             KeymintError: with ``file:line`` of each defect.
+        """
+
+
+@runtime_checkable
+class FormerRules(Protocol):
+    """Optional capability of a package type: compares documents of former versions before they are replaced."""
+
+    def former_rules(self, rules: SubjectRules, files: Mapping[str, bytes]) -> Sequence[Diagnostic]:
+        """Return what documents that will be replaced say and the rules do not, or the other way, as warnings.
+
+        Args:
+            rules: the policy's rules for the subject.
+            files: the package's files by name; may have defects.
         """
 
 

@@ -8,7 +8,16 @@ from dataclasses import replace
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import did_you_mean
-from keymint.api import DigestedPolicy, InfrastructurePackage, Issuance, IssuanceFiles, LoadedPolicy, OwnValidity, Role
+from keymint.api import (
+    DigestedPolicy,
+    FormerRules,
+    InfrastructurePackage,
+    Issuance,
+    IssuanceFiles,
+    LoadedPolicy,
+    OwnValidity,
+    Role,
+)
 from keymint.changes import Action, File, Plan, Step, changed
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
@@ -159,7 +168,15 @@ class CreateStage:
         action = (Action.UPDATED if known else Action.CREATED) if changes else Action.UNCHANGED
         step = Step(STAGE, name, action, changes)
         outputs |= _outputs({file: new_file.digest for file, new_file in written.items()})
-        return PackagePlan(name, step, Stamp(self._inputs, outputs, context=context), unnamed if known else (), errors)
+        found = (*(unnamed if known else ()), *self._former(rules, files if changes else {}))
+        return PackagePlan(name, step, Stamp(self._inputs, outputs, context=context), found, errors)
+
+    def _former(self, rules: SubjectRules, files: Mapping[str, bytes]) -> tuple[Diagnostic, ...]:
+        """Return what is said about documents of former versions that are replaced."""
+        package_type = self._package_type
+        if not files or not isinstance(package_type, FormerRules):
+            return ()
+        return tuple(placed(each, self._session.workspace.src) for each in package_type.former_rules(rules, files))
 
     def _with_validity(self, rules: SubjectRules, files: Mapping[str, bytes]) -> Mapping[str, bytes]:
         """Return the files of a package that change so that it has the requested validity."""

@@ -41,8 +41,8 @@ class RosProfileType:
 class RosPackageType:
     """Source packages.
 
-    Implements :class:`keymint.api.PackageType`, :class:`keymint.api.RuleLocator`, :class:`keymint.api.IssuanceFiles`
-    :class:`keymint.api.OwnValidity` and :class:`keymint.api.AdoptingPackageType`.
+    Implements :class:`keymint.api.PackageType`, :class:`keymint.api.RuleLocator`, :class:`keymint.api.IssuanceFiles`,
+    :class:`keymint.api.FormerRules`, :class:`keymint.api.OwnValidity` and :class:`keymint.api.AdoptingPackageType`.
     """
 
     API = API_VERSION
@@ -53,6 +53,7 @@ class RosPackageType:
     create_infrastructure = lazy("keymint_ros.create:create_infrastructure")
     role = lazy("keymint_ros.manifest:role")
     load = lazy("keymint_ros.package:load")
+    former_rules = lazy("keymint_ros.create:former_rules")
     rule_places = lazy("keymint_ros.package:rule_places")
     with_validity = lazy("keymint_ros.create:with_validity")
     adopted_sources = lazy("keymint_ros.adopted:adopted_sources")

@@ -6,12 +6,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 
-from comarmor.errors import Origin
+from comarmor.errors import Diagnostic, Origin
 from keymint.api import Role, WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.source_documents import Reader, normal_path
-from keymint_ros import bootstrap, manifest, permissions, permissions_writer, validity
+from keymint_ros import bootstrap, manifest, permissions, permissions_of_2018, permissions_writer, validity
 from keymint_ros.manifest import MARKER
 from keymint_ros.permissions import Grant
 from keymint_ros.profile import base_of
@@ -25,14 +25,31 @@ def create(
 ) -> Mapping[str, bytes]:
     """Return the files to write for a package: see :meth:`keymint.api.PackageType.create`."""
     name = rules.subject.removeprefix("/")
-    path = "permissions.xml"
+    path = _permissions_path(existing, name)
     files: dict[str, bytes] = {}
-    if MARKER in existing:
-        part = manifest.read(existing[MARKER], f"{name}/{MARKER}").permissions
-        path = normal_path(part.path, Origin(f"{name}/{MARKER}", part.line))
-    else:
+    if MARKER not in existing:
         files = _new(bootstrap.package_manifest(profile.build_types), profile.build_types, existing)
     return {**files, **_permissions(profile, rules, path, existing, force=force)}
+
+
+def former_rules(rules: SubjectRules, files: Mapping[str, bytes]) -> Sequence[Diagnostic]:
+    """Return what permissions of 2018 say differently: see :meth:`keymint.api.FormerRules.former_rules`."""
+    name = rules.subject.removeprefix("/")
+    try:
+        path = _permissions_path(files, name)
+        permissions.read(files.get(path, b""), f"{name}/{path}", rules.subject)
+    except KeymintError as error:
+        if error.diagnostics[0].code == permissions.OLD_FORMAT:
+            return permissions_of_2018.differences(files[path], f"{name}/{path}", rules)
+    return ()
+
+
+def _permissions_path(files: Mapping[str, bytes], name: str) -> str:
+    """Return the path of the permissions in a package, as its manifest gives it."""
+    if MARKER not in files:
+        return "permissions.xml"
+    part = manifest.read(files[MARKER], f"{name}/{MARKER}").permissions
+    return normal_path(part.path, Origin(f"{name}/{MARKER}", part.line))
 
 
 def create_infrastructure(

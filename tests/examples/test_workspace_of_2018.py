@@ -57,6 +57,7 @@ def test_every_element_of_then_loads_and_openssl_verifies(keymint, tmp_path: Pat
     for name in PACKAGES:
         verified(ws / "install" / "enclaves" / name)
     assert keymint("check", "-w", ws).code == 0
+    assert not keymint("create", "--all", "-w", ws).err
 
     root, identity, permissions = (
         x509.load_pem_x509_certificate((ws / "public" / f"{name}.cert.pem").read_bytes())
@@ -74,13 +75,28 @@ def test_every_element_of_then_loads_and_openssl_verifies(keymint, tmp_path: Pat
     assert keymint("build", "-w", ws).out.startswith("nothing to do")
 
 
+def test_what_the_former_permissions_said_and_the_policy_does_not(keymint, tmp_path: Path) -> None:
+    ws = tmp_path / "ws"
+    write(ws)
+    outcome = keymint("create", "talker", "-w", ws)
+    assert outcome.code == 0
+    lost, gained = outcome.err.splitlines()
+    assert lost.startswith(
+        "ws/src/talker/permissions.xml:2: warning: the permissions of 2018 said ALLOW ros_publish '/anything', which "
+        "the policy does not say (they are kept as permissions.xml.2018;"
+    )
+    assert "did not say ALLOW ros_publish '/chatter' and 1 more, which the policy says" in gained
+
+
 def test_the_published_workspace_as_it_is(keymint, reference: Path, tmp_path: Path) -> None:
     ws = tmp_path / "ws"
     shutil.copytree(reference / "ppac" / "keymint_ws", ws, copy_function=shutil.copyfile)
     subprocess.run(["chmod", "-R", "u+w", ws], check=True)
     before = own_files(ws)
+    created = keymint("create", "--all", "-w", ws, env=IN_2018)
     provisioned(keymint, ws, IN_2018)
     assert own_files(ws) == before
+    assert created.err == ""
     for name in ("talker", "listener"):
         verified(ws / "install" / "enclaves" / name, IN_2018["SOURCE_DATE_EPOCH"])
     outcome = keymint("check", "-w", ws, "--json", env=IN_2018)
