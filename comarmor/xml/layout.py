@@ -8,6 +8,7 @@ White space between elements means nothing in the formats that are laid out here
 from __future__ import annotations
 
 import unicodedata
+from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import field
 from xml.parsers import expat  # nosec - only documents that comarmor.xml.reader accepts, which refuses every DOCTYPE
@@ -16,6 +17,7 @@ from comarmor.values import dataclass
 
 _INDENT = 2
 _REFERENCES = {"&": "&amp;", "<": "&lt;", ">": "&gt;"}
+_BYTE_ORDER_MARKS = (BOM_UTF8, BOM_UTF16_LE, BOM_UTF16_BE)
 _UNSEEN = frozenset(("Cc", "Cf", "Zl", "Zp", "Zs"))
 """General categories of characters that a reader of the document does not see, or cannot tell from a space."""
 
@@ -114,6 +116,7 @@ class _Builder:
     def __init__(self, layout: Layout) -> None:
         self.layout = layout
         self.open = [Element("", {}, 0)]
+        self.has_mark = False
         self.between: list[str] = []
         """The text since the last tag, comment or processing instruction."""
         self.parser = expat.ParserCreate()
@@ -128,6 +131,7 @@ class _Builder:
         self.parser.DefaultHandler = self.outside
 
     def built(self, content: bytes) -> Element:
+        self.has_mark = content.startswith(_BYTE_ORDER_MARKS)
         self.parser.Parse(content, True)
         return self.open[0]
 
@@ -156,7 +160,8 @@ class _Builder:
         self.open.pop()
 
     def markup(self, source: str) -> None:
-        self.open[-1].children.append(Markup(source, self.gap(), self.parser.CurrentColumnNumber))
+        is_after_mark = self.has_mark and self.parser.CurrentLineNumber == 1  # expat counts it as a column
+        self.open[-1].children.append(Markup(source, self.gap(), self.parser.CurrentColumnNumber - is_after_mark))
 
 
 class _Printer:
