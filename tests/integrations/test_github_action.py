@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 import yaml
@@ -65,11 +68,16 @@ class Project:
         git(self.origin, "merge", "-q", "--no-ff", "-m", "merge", "change")
         return {"pull_request": {"number": 7, "base": {"sha": base}, "head": {"sha": head}}}
 
-    def run(self, event: dict, api: Api | None = None, branch: str = "merged", **inputs: str) -> Job:
+    def checkout(self, branch: str) -> Path:
+        """Return a new checkout of one commit, as actions/checkout makes it."""
         self.jobs += 1
         checkout = self.folder / f"checkout{self.jobs}"
         source = f"file://{self.origin}"
         git(self.folder, "clone", "-q", "--depth=1", "--branch", branch, source, str(checkout))
+        return checkout
+
+    def run(self, event: dict, api: Api | None = None, **inputs: str) -> Job:
+        checkout = self.checkout("merged")
         given = {name.replace("_", "-"): value for name, value in inputs.items()}
         job = run_action(checkout, self.folder / f"temp{self.jobs}", api, event=event, inputs=given)
         assert TOKEN not in job.log
@@ -98,9 +106,12 @@ def test_a_pull_request_gets_one_comment_that_is_updated(tmp_path: Path, api: Ap
     assert job.outputs["gains"] == "true"
     assert Path(job.outputs["workspace"], "install/enclaves/talker/permissions.p7s").is_file()
     assert json.loads(Path(job.outputs["sarif"]).read_text())["version"] == "2.1.0"
-    event = project.propose(policy=POLICY + "\n")
-    job = project.run(event, api, fail_on_gains="true", format="false")
-    assert job.code == 0, job.log
+    # A second run finds something, and updates the comment.
+    event = project.propose(policy=POLICY.replace("  <profile", "\t<profile"))
+    job = project.run(event, api, fail_on_gains="true")
+    assert job.code == 1
+    assert "::warning file=comarmor.d/p.xml,line=4::the file is not in canonical form" in job.log
+    assert "| canonical form | **failed**, 1 finding |" in job.summary
     assert job.outputs["gains"] == "false"
     assert len(api.comments) == 101
     assert "**Equivalent**" in mine["body"]
@@ -119,22 +130,12 @@ def test_what_somebody_names_files_is_no_command(tmp_path: Path, api: Api) -> No
     assert all(
         re.match(r"::(warning|error) (?=file=a`)[^:,]*%3A%3Aerror%3A%3Ax[^:]*,line=\d+::", each) for each in commands
     )
+    assert "| canonical form | passed, 1 finding |" in job.summary
     comment = api.comments[-1]["body"]
     rows = [line for line in comment.splitlines() if "@team" in line and line.startswith("|")]
     assert rows
     spans = r"(?<!`)(`+)(?!`).*?(?<!`)\1(?!`)"  # code spans of CommonMark
     assert all("@team" not in re.sub(spans, "", row) for row in rows)
-
-
-def test_findings_fail_the_job_unless_they_may_not(tmp_path: Path) -> None:
-    project = Project(tmp_path)
-    project.commit(policy=POLICY.replace("  <profile", "\t<profile"))
-    job = project.run({}, branch="main")
-    assert job.code == 1
-    assert "::warning file=comarmor.d/p.xml,line=4::the file is not in canonical form" in job.log
-    assert "| canonical form | **failed**, 1 finding |" in job.summary
-    assert "| provision | passed |" in job.summary
-    assert job.outputs["gains"] == ""
 
 
 def test_a_policy_that_cannot_be_read(tmp_path: Path, api: Api) -> None:
@@ -148,26 +149,58 @@ def test_a_policy_that_cannot_be_read(tmp_path: Path, api: Api) -> None:
     assert job.outputs["sarif"] == ""
 
 
-def test_a_new_policy_and_a_fork_that_may_not_comment(tmp_path: Path, api: Api) -> None:
-    api.status = 403
+@pytest.fixture
+def action(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The script of the action, as a module."""
+    monkeypatch.syspath_prepend(str(CHECKOUT / "integrations/github"))
+    for name in ("run", "workflow", "pull_request"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    return importlib.import_module("run")
+
+
+def changes(action: ModuleType, project: Project, event: dict, patch: pytest.MonkeyPatch) -> tuple[int, str]:
+    """Return what the action says about a pull request, without its other steps."""
+    checkout = project.checkout("merged")
+    patch.chdir(checkout)
+    (project.folder / "event.json").write_text(json.dumps(event))
+    found = action.PullRequest.of_event(str(project.folder / "event.json"))
+    return action.difference(action.Inputs.of({}), found, checkout)
+
+
+def test_a_policy_that_is_new(action: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     project = Project(tmp_path)
     project.commit(README="nothing yet")
     event = project.propose(policy=POLICY)
-    job = project.run(event, api)
-    assert job.code == 0, job.log
-    assert "::warning::the comment was not written: the token may not comment (HTTP 403)" in job.log
-    assert job.summary.startswith("### Access control: a new policy\n")
-    assert "2 subjects gain" in job.summary
-    assert job.outputs["gains"] == "true"
+    code, text = changes(action, project, event, monkeypatch)
+    assert code == 3
+    assert text.startswith("### Access control: a new policy\n\n2 subjects gain, none lose.\n")
 
 
-def test_a_base_that_cannot_be_read(tmp_path: Path) -> None:
+def test_a_base_that_is_not_there_or_cannot_be_read(
+    action: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     project = Project(tmp_path)
     project.commit(policy="<profiles>")
     event = project.propose(policy=POLICY)
-    job = project.run(event, comment="false")
-    assert (job.code, job.outputs["gains"]) == (0, "unknown")
-    assert "The policy was not compared with that of the base." in job.summary
+    code, text = changes(action, project, event, monkeypatch)
+    assert code == 1
+    assert text.startswith("The policy was not compared with that of the base.\n\n```text\n")
+    assert "not well-formed XML" in text
+    missing = {"pull_request": {"number": 7, "base": {"sha": "0" * 40}, "head": {"sha": "1" * 40}}}
+    code, text = changes(action, project, missing, monkeypatch)
+    assert code == 1
+    assert text.startswith("The policy was not compared: the base of the pull request is not there.")
+
+
+def test_a_fork_may_not_comment(
+    action: ModuleType, tmp_path: Path, api: Api, capsys: pytest.CaptureFixture[str]
+) -> None:
+    api.status = 403
+    environment = {"GITHUB_API_URL": api.address, "GITHUB_REPOSITORY": "o/r", "INPUT_TOKEN": TOKEN}
+    action.comment(action.Inputs.of({}), action.PullRequest(7, "0" * 40, "1" * 40), "text", environment)
+    shown = capsys.readouterr().out
+    assert shown.startswith("::warning::the comment was not written: the token may not comment (HTTP 403)")
+    assert TOKEN not in shown
 
 
 @pytest.mark.parametrize(
