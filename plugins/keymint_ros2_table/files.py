@@ -15,6 +15,7 @@ from keymint_ros2_table.rows import Row
 
 _MOST_CSV, _MOST_SQLITE = 16 * 2**20, 64 * 2**20
 """Bytes of a file."""
+_CSV = ".csv"
 _LOG, _JOURNAL = "-wal", "-journal"
 """Suffixes of the files beside a database that have changes which are not in it, or which must be undone."""
 _FIRST_LINE = 4096
@@ -75,13 +76,13 @@ def read(path: Path) -> Table:
 
 
 def recognises(path: Path) -> bool:
-    """Tell whether a file is a table of rules, valid or not."""
+    """Tell whether a file is a table of rules, valid or not; whatever is called ``*.csv`` is meant as one."""
     try:
         real = path.resolve(strict=True)
         begin = read_bounded(real.parent, real, _FIRST_LINE)
     except (OSError, RuntimeError, ValueError):
         return False
-    if begin.startswith(sqlite_rows.MAGIC):
+    if begin.startswith(sqlite_rows.MAGIC) or path.suffix.lower() == _CSV:
         return True
     first = begin.decode("utf-8-sig", "replace").lstrip("\r\n").splitlines()[:1]
     return csv_rows.is_header("".join(first))

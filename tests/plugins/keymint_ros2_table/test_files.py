@@ -71,5 +71,7 @@ def test_what_is_recognised(tmp_path: Path) -> None:
     (tmp_path / "policy.xml").write_text("<profiles/>")
     os.mkfifo(tmp_path / "fifo")
     assert files.recognises(csv_file(tmp_path))
+    assert files.recognises(csv_file(tmp_path).rename(tmp_path / "rules"))
+    assert files.recognises(csv_file(tmp_path, header="a,b\n"))
     assert files.recognises(database(tmp_path, SELECT))
     assert not any(files.recognises(tmp_path / name) for name in ("policy.xml", "fifo", "missing", "."))
