@@ -128,6 +128,16 @@ def test_the_defaults_that_were_linked_are_those_of_the_profile_also_after_a_mov
     verified(ws / "install" / "enclaves" / "listener")
 
 
+def test_defaults_that_are_linked_inside_the_workspace_are_those_of_the_package(keymint, tmp_path: Path) -> None:
+    ws = tmp_path / "ws"
+    write(ws, link=str(ws / "shared"))
+    shutil.copytree(ws / "profile" / "package.defaults", ws / "shared")
+    edited(ws, "shared/identities.xml", "2033", "2031")
+    provisioned(keymint, ws)
+    certificate = x509.load_pem_x509_certificate((ws / "install/enclaves/talker/cert.pem").read_bytes())
+    assert certificate.not_valid_after_utc.year == 2031
+
+
 @pytest.mark.parametrize(("target", "what"), [("other.defaults", "outside the workspace"), ("lost", "no folder")])
 def test_defaults_that_are_linked_from_elsewhere_are_refused(keymint, tmp_path: Path, target: str, what: str) -> None:
     ws, other = tmp_path / "ws", tmp_path / "other.defaults"
