@@ -22,9 +22,10 @@ _WRITE_AHEAD, _ROLLBACK = b"\2\2", b"\1\1"
 """The bytes 18 and 19 of a file: versions of its format for writing and reading (SQLite, "Database File Format")."""
 _HIDDEN = 1
 """What ``PRAGMA table_xinfo`` says about a column of a virtual table that ``*`` does not name."""
-_LONGEST_VALUE = 2**20
-_STEPS_BETWEEN, _MOST_CHECKS = 100_000, 5_000
+_STEPS_BETWEEN, _MOST_CHECKS = 100_000, 1_000
 """Instructions of SQLite's machine between two checks, and the most checks: some seconds."""
+_MOST_MEMORY = 2**31
+"""Bytes that SQLite may use in this process: twice what the largest register of certificates needs."""
 _CHANGING = frozenset((
     "random", "randomblob", "date", "time", "datetime", "julianday", "strftime", "unixepoch", "timediff",
     "current_date", "current_time", "current_timestamp", "changes", "total_changes", "last_insert_rowid",
@@ -52,7 +53,8 @@ def rows_of(content: bytes, file: str) -> Iterator[Row | ComArmorError]:
     with contextlib.closing(sqlite3.connect(":memory:", isolation_level=None)) as database:
         try:
             database.deserialize(content)
-            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST_VALUE)
+            database.execute(f"PRAGMA hard_heap_limit = {_MOST_MEMORY}")
+            database.execute("PRAGMA temp_store = MEMORY")  # nothing is written, also not what a query sorts
             database.text_factory = lambda data: data.decode("utf-8", "surrogateescape")
             database.execute("PRAGMA trusted_schema = OFF")
             if database.execute("PRAGMA quick_check(1)").fetchone() != ("ok",):
@@ -72,6 +74,8 @@ def rows_of(content: bytes, file: str) -> Iterator[Row | ComArmorError]:
                         f"{NAME} has more than the {MOST_ROWS:,} rows allowed", where=where, code="table-limit"
                     )
                 yield _row(values, file, number)
+        except MemoryError:
+            raise _too_much("needs too much memory", where) from None
         except sqlite3.Error as error:
             raise guard.refusal(error, where) from None
 
@@ -103,11 +107,13 @@ class _Guard:
                 where=where, help="write what it computes into a table", code="table-query",
             )  # fmt: skip
         if self.checks > _MOST_CHECKS:
-            return ComArmorError(
-                f"{NAME} takes too long to compute", where=where, help="write what it computes into a table",
-                code="table-limit",
-            )  # fmt: skip
+            return _too_much("takes too long to compute", where)
         return ComArmorError(f"the database cannot be read: {error}", where=where, code="table-query")
+
+
+def _too_much(what: str, where: Origin) -> ComArmorError:
+    help_ = "write what it computes into a table"
+    return ComArmorError(f"{NAME} {what}", where=where, help=help_, code="table-limit")
 
 
 def _missing(database: sqlite3.Connection, where: Origin) -> ComArmorError:

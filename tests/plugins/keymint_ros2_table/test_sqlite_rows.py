@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import sqlite3
+import subprocess
+import sys
 from contextlib import closing
 from pathlib import Path
 
@@ -125,3 +127,17 @@ def test_a_database_that_was_used_with_a_write_ahead_log(tmp_path: Path) -> None
     path = database(tmp_path, SELECT.format("'/x'"), "PRAGMA journal_mode = WAL")
     assert path.read_bytes()[18:20] == b"\2\2"
     assert len(rows(path)) == 1
+
+
+def test_a_view_may_not_take_all_memory(tmp_path: Path) -> None:
+    """In a process of its own, because SQLite has one limit for a process."""
+    endless = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n)"
+    path = database(tmp_path, f"{endless} {SELECT.format('zeroblob(1000000) || i')} FROM n ORDER BY 4")
+    code = (
+        "import sys; from pathlib import Path; from keymint_ros2_table import sqlite_rows as rows\n"
+        "rows._MOST_MEMORY = 2**25\n"
+        "try:\n    list(rows.rows_of(Path(sys.argv[1]).read_bytes(), 't.db'))\n"
+        "except Exception as error:\n    print(error)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("t.db: rule needs too much memory")
