@@ -72,7 +72,8 @@ class Store:
             os.close(lock)
 
     def _lock(self, root: str, on_wait: Callable[[], None]) -> None:
-        self._locks.enter_context(folder_lock(Path(root), fcntl.LOCK_EX, on_wait))
+        with reported(root):
+            self._locks.enter_context(folder_lock(Path(root), fcntl.LOCK_EX, on_wait))
 
     def lock_missing(self, on_wait: Callable[[], None]) -> bool:
         """Create the private folders that were missing when :meth:`locked` was entered, and lock them.

@@ -7,6 +7,7 @@ Readers hold them only while they read their inputs into memory. All take the lo
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 from collections.abc import Callable, Iterator
@@ -15,6 +16,8 @@ from time import sleep  # noqa: TID251 - waits, and does not tell the time
 
 LOCK = "lock"
 """Name of the lock file in the folder of records; writers take it with :meth:`keymint.store.Store.locked`."""
+_UNSUPPORTED = frozenset({errno.EBADF, errno.EINVAL, errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP})
+"""What file systems say that lock no folders; see flock(2), "NFS details"."""
 
 
 @contextlib.contextmanager
@@ -53,12 +56,15 @@ def folder_lock(folder: Path, operation: int, on_wait: Callable[[], None]) -> It
 
     Args:
         folder: the folder; if it does not exist, cannot be opened, or its file system locks no folders (e.g. NFS, to
-            write), it is not locked.
+            write), it is not locked. To read, no other failure matters either.
         operation: ``LOCK_SH`` to read, ``LOCK_EX`` to write.
         on_wait: called once before waiting for another process that holds the lock.
 
     Yields:
         Whether the lock is held.
+
+    Raises:
+        OSError: it cannot be locked to write.
     """
     try:
         opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
@@ -69,7 +75,9 @@ def folder_lock(folder: Path, operation: int, on_wait: Callable[[], None]) -> It
     try:
         try:
             wait_for_lock(opened, operation, on_wait)
-        except OSError:
+        except OSError as error:
+            if operation == fcntl.LOCK_EX and error.errno not in _UNSUPPORTED:
+                raise
             locked = False
         yield locked
     finally:

@@ -121,3 +121,14 @@ def test_what_cannot_be_locked_is_not(tmp_path: Path, monkeypatch: pytest.Monkey
         monkeypatch.setattr(fcntl, "flock", refuse)
     with folder_lock(folder, fcntl.LOCK_EX, never) as held:
         assert not held
+
+
+def test_a_failure_to_lock_matters_to_a_writer_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_arguments: object) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(fcntl, "flock", fail)
+    with folder_lock(tmp_path, fcntl.LOCK_SH, never) as held:
+        assert not held
+    with pytest.raises(OSError, match="Input/output error"), folder_lock(tmp_path, fcntl.LOCK_EX, never):
+        pass

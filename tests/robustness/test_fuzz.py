@@ -37,15 +37,16 @@ from keymint.session import Inputs
 from keymint.state import State
 from keymint.tree import Tree
 from keymint.workspace import Workspace
+from tests.effort import tries
 
 from . import mutation
 from .memory import in_memory
 
-POLICIES = 4000
+POLICIES = 6600
 """Number of mutated policies to load and evaluate."""
-DOCUMENTS = 5400
+DOCUMENTS = tries(3000, 5400)
 """Number of mutated workspace documents that all stages plan with."""
-COMMANDS = 600
+COMMANDS = tries(400, 600)
 """Number of mutated files of any kind to run the command line on."""
 SECONDS = 10
 """Seconds that no case may exceed, even on a busy machine."""

@@ -33,6 +33,8 @@ CRITICAL = frozenset({"renameat", "renameat2", "rmdir", "unlink"})
 """The calls that change the visible files."""
 IN_ORDER = 5
 """Number of calls of one kind to disturb, evenly spread over the run."""
+KILLED = 3
+"""The same for the runs that are killed, of which there are many kinds; each begins at another call."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -110,8 +112,14 @@ def _prepared(name: str, folder: Path, keymint: Keymint) -> Prepared:
     )
 
 
-def chosen(points: Sequence[Point], most: int = IN_ORDER) -> list[Point]:
-    """Return the calls to disturb: for each kind of call, some spread over the run."""
+def chosen(points: Sequence[Point], most: int, first: int = 0) -> list[Point]:
+    """Return the calls to disturb: for each kind of call, some spread over the run.
+
+    Args:
+        points: all calls.
+        most: how many calls of a kind that changes the visible files.
+        first: which ones, in rotation.
+    """
     if FULL:
         return list(points)
     kept: list[Point] = []
@@ -119,7 +127,7 @@ def chosen(points: Sequence[Point], most: int = IN_ORDER) -> list[Point]:
         of_kind = [point for point in points if point.call == call]
         limit = most if call in CRITICAL else max(1, most // 4)
         step = max(1, -(-len(of_kind) // limit))
-        kept += [*of_kind[::step], of_kind[-1]]
+        kept += [*of_kind[first % step :: step], of_kind[-1]]
     return sorted(set(kept), key=points.index)
 
 
@@ -195,7 +203,8 @@ def test_a_run_killed_at_any_call_converges(name: str, prepare: Prepare, memory:
     def killed(ended: Ended, _point: Point) -> None:
         assert ended.code == -9
 
-    disturb(prepared, "signal=SIGKILL", chosen(prepared.traced.points), memory, keymint, killed)
+    points = chosen(prepared.traced.points, KILLED, [*SCENARIOS].index(name))
+    disturb(prepared, "signal=SIGKILL", points, memory, keymint, killed)
 
 
 @pytest.mark.parametrize("name", [of_scenario("fresh"), of_scenario("update")])
