@@ -191,6 +191,9 @@ class _PackageLoader:
         else:
             spec = certificate.complete(own, defaults, self.values)
         named_at = certificate.issuer(own, defaults)[1] if own.issuer or defaults.issuer else where
+        part = self.manifest.identities
+        if part.issuer and (own is defaults or own.issuer is None):
+            spec, named_at = replace(spec, issuer=part.issuer), Origin(self.file(MARKER), part.line)
         known_authority(spec.issuer, self.authorities, named_at, "issues the certificate")
         return spec
 

@@ -53,6 +53,23 @@ def test_a_single_authority_need_not_be_named(workspace: Workspace) -> None:
     assert alone.grant.issuer == "identity_ca"
 
 
+def test_the_manifest_may_name_the_issuer_of_the_certificate(workspace: Workspace) -> None:
+    identities = "<identities><issuer_name>permissions_ca</issuer_name></identities></package>"
+    named = workspace.edit(_MANIFEST, "</package>", identities)
+    assert workspace.load().identity.issuer == "identity_ca"
+    assert named.load().identity.issuer == "permissions_ca"
+    own = named.edit(
+        "identities.xml", "<identity/>", "<identity><cert><issuer_name>identity_ca</issuer_name></cert></identity>"
+    )
+    assert own.load().identity.issuer == "identity_ca"
+    unknown = workspace.edit(_MANIFEST, "</package>", identities.replace("permissions_ca", "permissions"))
+    with pytest.raises(KeymintError) as error:
+        unknown.load()
+    (diagnostic,) = error.value.diagnostics
+    assert str(diagnostic.where).startswith("src/robot1/talker/keymint_package.xml:")
+    assert diagnostic.help == "did you mean 'permissions_ca'?"
+
+
 def test_the_defects_of_all_documents_are_reported_at_once(workspace: Workspace) -> None:
     broken = (
         workspace.edit("identities.xml", "<identity/>", "<identty/>")
