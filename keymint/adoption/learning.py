@@ -6,12 +6,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import field, replace
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.values import dataclass
 from keymint.api import (
     ComparisonTask,
     Counterexample,
     DocumentComparer,
+    FoundEnclave,
     FoundKeystore,
     GrantedRules,
     GrantReader,
@@ -21,6 +22,7 @@ from keymint.api import (
 )
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
+from keymint.names import package_name
 from keymint.plugins import Plugins
 
 _REFUSED = frozenset(("adopt-authorities", "adopt-doubled"))
@@ -94,6 +96,7 @@ def learned_from(plugins: Plugins, files: KeystoreFiles, found: FoundKeystore, l
     errors: list[Diagnostic] = []
     for enclave in found.enclaves:
         try:
+            _check_name(files, enclave)
             granted.append(reader.granted(files, enclave, learning.distro))
         except KeymintError as error:
             errors += (replace(each, subject=enclave.subject) for each in error.diagnostics)
@@ -104,6 +107,15 @@ def learned_from(plugins: Plugins, files: KeystoreFiles, found: FoundKeystore, l
         raise KeymintError.of(unproven)
     diagnostics = (*_warnings(found), *_left_out(granted))
     return LearnedKeystore(policy.document, tuple(granted), policy.subjects, diagnostics)
+
+
+def _check_name(files: KeystoreFiles, enclave: FoundEnclave) -> None:
+    """Raise an error at the place of an enclave whose path no policy can name."""
+    try:
+        package_name(enclave.subject)
+    except KeymintError as error:
+        where = Origin(f"{files.folder}/{enclave.facts['place']}")
+        raise KeymintError.of(replace(each, where=where) for each in error.diagnostics) from None
 
 
 def _unproven(

@@ -15,6 +15,7 @@ from comarmor.patterns.glob import EVERYTHING, Glob
 from comarmor.patterns.matching import matches
 from comarmor.patterns.printing import canonical
 from comarmor.patterns.relations import covers, disjoint
+from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.patterns.tokens import PatternError
 from comarmor.rules import Effect, Rule
 from comarmor.text import quoted
@@ -36,6 +37,8 @@ from keymint_ros2_dds.reading import signed_permissions
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, DocumentRule, PermissionsDocument
 
 _CODE = "learn-unsayable"
+STEPS = 4_000_000
+"""Steps that finding out which denials matter may take (:mod:`comarmor.patterns.steps`)."""
 
 
 def granted(keystore: KeystoreFiles, enclave: FoundEnclave, distro: str) -> GrantedRules:
@@ -79,8 +82,14 @@ def rules_of(
     domains, applying = _applying(document, grant)
     steps = list(_steps(document, grant, applying))
     named = not have_partitions([grant])
-    rules = _rules(_unordered(document, steps, named=named), distro, named=named)
-    return tuple(rules), domains, findings
+    try:
+        with step_limit(STEPS):
+            rules = tuple(_rules(_unordered(document, steps, named=named), distro, named=named))
+    except StepLimitError as error:
+        message = f"its rules overlap in too many ways: not decided in {error.steps:,} steps"
+        where = document.place(grant.line)
+        raise KeymintError(message, where=where, help="put denials before what is allowed", code=_CODE) from None
+    return rules, domains, findings
 
 
 def _path(keystore: KeystoreFiles, enclave: FoundEnclave, name: str) -> str:
@@ -213,12 +222,13 @@ def _unordered(document: PermissionsDocument, steps: Sequence[_Step], *, named: 
     allowed = [(number, each) for number, each in enumerate(steps) if each.effect is Effect.ALLOW]
     for number, step in enumerate(steps):
         if step.effect is Effect.DENY:
-            same = [(at, each) for at, each in allowed if each.action is step.action and _overlap(each, step)]
-            before = [each for at, each in same if at < number]
-            if before and (len(before) == len(same) or any(_covers(each, step, named=named) for each in before)):
-                continue  # nothing that follows allows any of it, or all of it is allowed before
-            if before:
+            before = [each for at, each in allowed if at < number and _overlap(each, step)]
+            if before and any(_covers(each, step, named=named) for each in before):
+                continue  # all of it is allowed before
+            if before and any(at > number and _overlap(each, step) for at, each in allowed):
                 raise _denied_after(document, step, before[0])
+            if before:
+                continue  # nothing that follows allows any of it
         yield step, document.place(step.line)
 
 
@@ -232,6 +242,8 @@ def _denied_after(document: PermissionsDocument, step: _Step, allowing: _Step) -
 
 
 def _overlap(allowing: _Step, denying: _Step) -> bool:
+    if allowing.action is not denying.action:
+        return False
     own = allowing.partitions or ((),)
     shared = not denying.partitions or any(not disjoint(a, b) for a in own for b in denying.partitions)
     return shared and not disjoint(allowing.topic, denying.topic)

@@ -162,6 +162,12 @@ def test_what_no_policy_can_say_is_an_error_at_its_line(keymint, keystore, tmp_p
     assert found == [("learn-unsayable", f"ks/enclaves/listener/permissions.p7s:{line}")]
 
 
+def test_a_path_that_no_policy_can_name(keymint, keystore, tmp_path: Path) -> None:
+    keystore(POLICY.replace('"/listener"', '"/a b"'))
+    found = errors(keymint("learn", "--from-keystore", "ks", "-o", "p.xml", "--json"), tmp_path)
+    assert found == [("name-illegal", "ks/enclaves/a b:0")]
+
+
 def test_grants_without_effect_are_warnings(keymint, keystore, tmp_path: Path) -> None:
     twice = POLICY.replace(
         "</profiles></enclave>\n</enclaves>",

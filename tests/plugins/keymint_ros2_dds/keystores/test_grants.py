@@ -9,6 +9,7 @@ import pytest
 from keymint_ros2_dds import build_type
 from keymint_ros2_dds.compiling.compile import compile_rules
 from keymint_ros2_dds.documents import permissions_document
+from keymint_ros2_dds.keystores import grants
 from keymint_ros2_dds.keystores.grants import rules_of
 from keymint_ros2_dds.reading import signed_permissions
 from keymint_ros2_dds.rule_packages import package_of
@@ -23,9 +24,9 @@ from tests.effort import tries
 from tests.plugins.keymint_ros2_dds.proving.test_relation import CHATTER, allow, document, part
 
 
-def learned(grants: str, distro: str = "jazzy") -> tuple[Rule, ...]:
+def learned(document_grants: str, distro: str = "jazzy") -> tuple[Rule, ...]:
     """Return the rules of a document, which are proven to mean the same."""
-    content = f"<dds><permissions>{grants}</permissions></dds>".encode()
+    content = f"<dds><permissions>{document_grants}</permissions></dds>".encode()
     return learned_of(content, "CN=/a", "/a", distro)
 
 
@@ -104,7 +105,7 @@ def test_domains_are_those_in_which_anything_is_permitted() -> None:
 
 
 @pytest.mark.parametrize(
-    ("grants", "reason"),
+    ("text", "reason"),
     [
         (document(allow(part("publish", "rt/[ab]")), allow(part("publish", "rt/[bc]"), tag="deny_rule"),
                   allow(part("publish", "rt/*"))), "d.p7s:14: denies to publish 'rt/[b-c]', but line 14 before it"),
@@ -117,10 +118,17 @@ def test_domains_are_those_in_which_anything_is_permitted() -> None:
         (CHATTER + document(allow(part("publish", "rt/y")), dates=(2031, 2040)), "another grant from 2031-01-01 on"),
     ],
 )  # fmt: skip
-def test_what_no_policy_can_say(grants: str, reason: str) -> None:
+def test_what_no_policy_can_say(text: str, reason: str) -> None:
     with pytest.raises(KeymintError) as caught:
-        learned(grants)
+        learned(text)
     assert reason in str(caught.value)
+
+
+def test_what_takes_too_long_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grants, "STEPS", 3)
+    wide = [allow(part("publish", f"rt/*{each}*")) for each in "abcdef"]
+    with pytest.raises(KeymintError, match="overlap in too many ways"):
+        learned(document(*wide, allow(part("publish", "rt/*x*"), tag="deny_rule"), *wide))
 
 
 def test_grants_that_never_apply_are_warnings() -> None:
