@@ -55,6 +55,7 @@ VERBS: Mapping[str, str] = {
     "authority": "Show, renew, replace, import or export the certificate authorities.",
     "provision": "Run init, create, build and install in one step, e.g. in CI.",
     "adopt": "Examine a keystore that another tool made, and take it over.",
+    "harden": "Mend what a keystore that was taken over lacks, step by step, each with its cost.",
     "sign": "Certify keys that robots made.",
     "bundle": "Write installed enclaves into signed files for robots.",
     "request": "Ask for a certificate, on the robot: its key never leaves it.",

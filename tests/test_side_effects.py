@@ -70,6 +70,7 @@ READING_VERBS = (
     ("status", "-w", "ws"),
     ("env", "talker", "-w", "ws"),
     ("adopt", "ws/install"),
+    ("harden", "-w", "ws"),
     ("learn", "--from-keystore", "ws/install"),
     ("authority", "show", "-w", "ws"),
     ("revoke", "talker", "--reason", "superseded", "-w", "ws"),

@@ -76,6 +76,8 @@ from keymint.api.keystores import FoundAuthority as FoundAuthority
 from keymint.api.keystores import FoundEnclave as FoundEnclave
 from keymint.api.keystores import FoundGrant as FoundGrant
 from keymint.api.keystores import FoundKeystore as FoundKeystore
+from keymint.api.keystores import HardenedPackageType as HardenedPackageType
+from keymint.api.keystores import HardenedProfileType as HardenedProfileType
 from keymint.api.keystores import KeptDocuments as KeptDocuments
 from keymint.api.keystores import KeystoreFile as KeystoreFile
 from keymint.api.keystores import KeystoreFiles as KeystoreFiles

@@ -177,6 +177,40 @@ class AdoptingPackageType(Protocol):
 
 
 @runtime_checkable
+class HardenedPackageType(Protocol):
+    """Optional capability of a package type: gives a subject a name that no other name is taken for."""
+
+    def with_unique_name(self, profile: WorkspaceProfile, name: str, files: Mapping[str, bytes]) -> Mapping[str, bytes]:
+        """Return the files of a package that change, by name, so that its subject name has a second, unique RDN.
+
+        Args:
+            profile: the profile of the workspace.
+            name: the package.
+            files: its files by name.
+
+        Raises:
+            KeymintError: its owner wrote them in another way.
+        """
+
+
+@runtime_checkable
+class HardenedProfileType(Protocol):
+    """Optional capability of a profile type: gives the signature of documents to an authority of its own."""
+
+    def with_own_signer(self, profile: WorkspaceProfile, former: str, name: str) -> Mapping[str, bytes]:
+        """Return the files of a profile that change, by path, so that a new authority signs the documents.
+
+        Args:
+            profile: the profile.
+            former: the authority that signs them now.
+            name: name of the new authority.
+
+        Raises:
+            KeymintError: its owner wrote them in another way.
+        """
+
+
+@runtime_checkable
 class KeystoreReader(Protocol):
     """Optional capability of a build type: reads keystores that other tools made."""
 

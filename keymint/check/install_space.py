@@ -27,13 +27,14 @@ def outside_enclaves(session: Session, known: Collection[str]) -> Iterator[Diagn
     expected = _copies(session, names)
     own_scripts = environment.scripts(session, build_types_in_use(session))
     entries = list(session.tree.walk(workspace.install, skipped=""))
+    targets = {session.tree.follows(path) for path, is_folder in entries if not is_folder}
     folders = [path for path, is_folder in entries if is_folder]
     empty = [folder for folder in folders if not session.tree.names(folder)]  # an error if one cannot be read
     for path, is_folder in entries:
         if is_folder or path.rpartition("/")[0] in enclaves:
             continue
         relative = path.removeprefix(f"{workspace.install}/")
-        if relative in known or relative == gitignore.NAME:
+        if relative in known or relative == gitignore.NAME or path in targets:
             continue
         if relative in own_scripts:
             yield from _script(session, path, own_scripts[relative])

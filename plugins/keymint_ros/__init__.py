@@ -34,6 +34,7 @@ class RosProfileType:
     load = lazy("keymint_ros.profile:load")
     with_policy = lazy("keymint_ros.profile:with_policy")
     settings = lazy("keymint_ros.profile:settings")
+    with_own_signer = lazy("keymint_ros.hardening:with_own_signer")
     with_authority_issuance = lazy("keymint_ros.authority_issuance:with_authority_issuance")
     with_packages = lazy("keymint_ros.packages_lock:with_packages")
 
@@ -56,6 +57,7 @@ class RosPackageType:
     former_rules = lazy("keymint_ros.create:former_rules")
     rule_places = lazy("keymint_ros.package:rule_places")
     with_validity = lazy("keymint_ros.create:with_validity")
+    with_unique_name = lazy("keymint_ros.hardening:with_unique_name")
     adopted_sources = lazy("keymint_ros.adopted:adopted_sources")
     issuance = lazy("keymint_ros.issuance:issuance")
     with_issuance = lazy("keymint_ros.issuance:with_issuance")

@@ -137,7 +137,7 @@ def _lacking(
         message = (
             "issues identities and signs permissions: on old vendors, any identity can sign permissions for itself"
         )
-        help_ = "CVE-2023-24010; a second authority ends it, docs/sros2.md"
+        help_ = "CVE-2023-24010; 'keymint harden authority' makes a second one afterwards"
         yield Diagnostic("adopt-one-authority", Severity.NOTE, message, where, help_)
     lacks = [
         name
@@ -147,7 +147,7 @@ def _lacking(
     if lacks:
         message = f"lacks {' and '.join(lacks)} (RFC 5280, 4.2.1)"
         yield Diagnostic(
-            "adopt-extensions", Severity.NOTE, message, where, "'keymint authority renew' adds them, docs/sros2.md"
+            "adopt-extensions", Severity.NOTE, message, where, "'keymint harden identifiers' adds them afterwards"
         )
 
 

@@ -58,6 +58,7 @@ CALLS = {
     "transports": ["transports"],
     "completion": ["completion", "bash"],
     "adopt": ["adopt", "keystore"],
+    "harden": ["harden", "-w", "ws"],
     "request": ["request", "talker", "--folder", "ws/install"],
     "sign": ["sign", "talker.request.pem", "-w", "ws"],
     "accept": ["accept", "talker.bundle", "--folder", "ws/install"],

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint harden``: mend what a keystore that was taken over lacks, one step at a time."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import click
+
+from comarmor.text import first_few
+from keymint.changes import Plan
+from keymint.commands.authority_change import issued_again, require_flag_day
+from keymint.commands.options import complete_package, flag_day_option
+from keymint.commands.reissue import reissued
+from keymint.commands.run import Run
+from keymint.commands.verb import verb
+from keymint.errors import KeymintError
+from keymint.output.report import Report
+from keymint.plan.authority_renewal import plan_renewal
+from keymint.plan.hardening import OpenStep, Weakness, all_installed, open_steps, plan_authority, plan_names
+from keymint.session import Inputs, Session
+
+_SHOWN = 5
+_SIGNER = "permissions_ca"
+
+
+@verb(dry_run=True)
+@click.argument("step", type=click.Choice([str(each) for each in Weakness]), required=False)
+@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
+@click.option("--apply", "applied", is_flag=True, help="Do the step; without it, its cost is said and nothing changes.")
+@flag_day_option
+def harden(run: Run, step: str | None, names: tuple[str, ...], applied: bool, flag_day: bool) -> Report:
+    """Say which steps are open and what each costs; do one of them with --apply.
+
+    \b
+    authority      a second authority signs documents: the one that issues identities cannot any more
+    identifiers    the certificates of authorities get key identifiers and the right to sign revocation lists
+    names          a unique RDN in the subject names of the packages NAME [all]
+
+    Private keys in the workspace are 0600 already; on robots that is 'chmod 600'.
+    """
+    workspace = run.workspace()
+    session = run.snapshot(workspace).session()
+    steps = open_steps(session)
+    chosen = [each for each in steps if step in {None, str(each.step)}]
+    for each in chosen:
+        run.console.line(f"{each.step}: {first_few(each.concerns, _SHOWN)}: {each.cost}")
+    if not chosen:
+        run.console.line(f"{step}: nothing to do" if step else "nothing to do: no step is open")
+    result = {"steps": [{**asdict(each), "step": str(each.step), "concerns": list(each.concerns)} for each in steps]}
+    if not applied or not chosen:
+        return Report(run.verb, workspace, (), (), result, dry_run=run.dry_run)
+    if step is None:
+        raise click.UsageError("--apply needs a STEP: each has a cost of its own.")
+    if names and step != Weakness.NAMES:
+        raise click.UsageError(f"the step {step!r} concerns all packages; name none.")
+    wanted = run.names(run.snapshot(workspace), names) if names else chosen[0].concerns
+
+    def make_plan(inputs: Inputs) -> Plan:
+        session = inputs.session()
+        match step:
+            case Weakness.NAMES:
+                only = tuple(name for name in wanted if name in chosen[0].concerns)
+                return reissued(run, session, plan_names(session, only), only)
+            case Weakness.AUTHORITY:
+                return _authority(run, session, chosen[0], accepted=flag_day)
+            case _:
+                return _identifiers(run, session, chosen[0], accepted=flag_day)
+
+    done = run.carry_out(workspace, make_plan)
+    return Report(run.verb, workspace, done.steps, done.diagnostics, result, done.exit_code, dry_run=done.dry_run)
+
+
+def _authority(run: Run, session: Session, step: OpenStep, *, accepted: bool) -> Plan:
+    """Return the plan of a second authority, and of all that it signs.
+
+    Raises:
+        KeymintError: the user does not accept that all robots restart together.
+    """
+    _require(step, accepted=accepted)
+    first = plan_authority(session, step.concerns[0], _SIGNER)
+    after = session.after(first).session()
+    return first.then(reissued(run, after, Plan((), after.state), all_installed(after)))
+
+
+def _identifiers(run: Run, session: Session, step: OpenStep, *, accepted: bool) -> Plan:
+    """Return the plan of the authorities' certificates, and of all that follows.
+
+    Raises:
+        KeymintError: a key is elsewhere, or the user does not accept that all robots restart together.
+    """
+    plan = Plan((), session.state)
+    for name in step.concerns:
+        require_flag_day(session, name, accepted=accepted)
+        renewal = plan_renewal(session, name)
+        plan = plan.then(issued_again(run, session, renewal, name))
+        session = session.after(plan).session()
+    return plan
+
+
+def _require(step: OpenStep, *, accepted: bool) -> None:
+    if step.flag_day and not accepted:
+        raise KeymintError(
+            f"this is {step.cost}",
+            help="plan a common restart of all robots and say --flag-day",
+            code="authority-flag-day",
+        )

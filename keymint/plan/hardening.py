@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a keystore of another tool lacks, and the steps that mend it: each is planned alone, since each has its cost."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import StrEnum
+
+from comarmor.errors import Origin
+from comarmor.values import dataclass
+from keymint.api import HardenedPackageType, HardenedProfileType
+from keymint.changes import Action, File, Plan, Step, changed
+from keymint.errors import KeymintError
+from keymint.pki import adoption
+from keymint.pki.distinguished_names import parse, unique_suffix
+from keymint.plan.authority_files import read_files
+from keymint.plan.authority_uses import uses
+from keymint.plan.enclaves import installed
+from keymint.session import Session
+
+STAGE = "harden"
+
+
+class Weakness(StrEnum):
+    """What a step mends."""
+
+    NAMES = "names"
+    """Subject names have no RDN that is unique to the subject."""
+    AUTHORITY = "authority"
+    """One authority issues identities and signs documents."""
+    IDENTIFIERS = "identifiers"
+    """The certificate of an authority lacks its key identifier or the permission to sign revocation lists."""
+
+
+@dataclass(frozen=True, slots=True)
+class OpenStep:
+    """A step that is open.
+
+    Attributes:
+        step: what it mends.
+        concerns: packages or authorities.
+        flag_day: all enclaves change at one restart.
+        cost: what it costs, in words.
+    """
+
+    step: Weakness
+    concerns: tuple[str, ...]
+    flag_day: bool
+    cost: str
+
+
+def open_steps(session: Session) -> tuple[OpenStep, ...]:
+    """Return the steps that are open, in the order in which they cost least.
+
+    Raises:
+        KeymintError: a package has defects.
+    """
+    found = []
+    if both := _signing_issuers(session):
+        cost = "a flag day: all documents are signed again, and all robots restart together with the new keystore"
+        found.append(OpenStep(Weakness.AUTHORITY, both, flag_day=True, cost=cost))
+    if lacking := _lacking(session):
+        signs = {name for name in lacking if any(each.signs for each in uses(session).get(name, ()))}
+        cost = "nothing restarts: robots with the old and with the new certificate of the authority work together"
+        if signs:
+            cost = f"a flag day, since {', '.join(sorted(signs))} signs documents: all robots restart together"
+        if signs and both:
+            cost += f"; none after '{Weakness.AUTHORITY}'"
+        found.append(OpenStep(Weakness.IDENTIFIERS, lacking, flag_day=bool(signs), cost=cost))
+    if plain := tuple(name for name in session.packages() if not _is_unique(session, name)):
+        cost = "each enclave gets a new certificate and new permissions: copy it, and restart its nodes; others go on"
+        found.append(OpenStep(Weakness.NAMES, plain, flag_day=False, cost=cost))
+    return tuple(found)
+
+
+def _signing_issuers(session: Session) -> tuple[str, ...]:
+    """Return the authorities that issue identities and sign documents."""
+    found = uses(session)
+    return tuple(
+        name
+        for name, of_name in sorted(found.items())
+        if any(each.signs for each in of_name) and any(not each.signs for each in of_name)
+    )
+
+
+def _lacking(session: Session) -> tuple[str, ...]:
+    """Return the authorities whose certificate lacks something that it would have from Keymint."""
+    found = []
+    for authority in session.profile.authorities:
+        files = read_files(session, authority, tuple)
+        where = Origin(files.certificate_file)
+        if files.certificate is not None and any(adoption.lacking(files.certificate, authority.name, where)):
+            found.append(authority.name)
+    return tuple(found)
+
+
+def _is_unique(session: Session, name: str) -> bool:
+    package = session.package(name)
+    suffix = unique_suffix(package.subject, package.issuance.generation)
+    return any(each.value == suffix for each in parse(package.identity.subject_name, package.identity.origin))
+
+
+def plan_names(session: Session, names: Sequence[str]) -> Plan:
+    """Plan a unique RDN in the subject names of some packages; their sources change only.
+
+    Raises:
+        KeymintError: the sources are written in another way than Keymint writes them.
+    """
+    package_type = session.package_type
+    if not isinstance(package_type, HardenedPackageType):
+        raise _unsupported(session, f"packages of the type {session.profile.package_type!r}")
+    steps = []
+    for name in names:
+        new = package_type.with_unique_name(session.profile, name, session.package_files(name))
+        files = {file: File(content) for file, content in new.items()}
+        changes = changed(session.tree, session.workspace.src / name, files)
+        steps.append(Step(STAGE, name, Action.UPDATED if changes else Action.UNCHANGED, changes, "unique subject name"))
+    return Plan(tuple(steps), session.state)
+
+
+def plan_authority(session: Session, former: str, name: str) -> Plan:
+    """Plan another authority for the signature of documents; the profile changes only.
+
+    Raises:
+        KeymintError: the profile is written in another way than Keymint writes it, or has such an authority.
+    """
+    profile = session.profile
+    profile_type: object = session.plugins.profile_type(profile.profile_type)
+    if not isinstance(profile_type, HardenedProfileType):
+        raise _unsupported(session, f"profiles of the type {profile.profile_type!r}")
+    if name in {each.name for each in profile.authorities}:
+        raise KeymintError(
+            f"the profile has an authority {name!r} already", where=session.profile_marker(),
+            help="give it another name with --name", code="authority-exists",
+        )  # fmt: skip
+    root = session.workspace.profile
+    paths = {root / path: content for path, content in profile_type.with_own_signer(profile, former, name).items()}
+    changes = tuple(
+        change
+        for path, content in paths.items()
+        for change in changed(session.tree, path.parent, {path.name: File(content)})
+    )
+    return Plan((Step(STAGE, "", Action.UPDATED, changes, f"{name} signs in place of {former}"),), session.state)
+
+
+def all_installed(session: Session) -> tuple[str, ...]:
+    """Return the packages whose enclaves are installed."""
+    return tuple(name for name in installed(session) if name in set(session.packages()))
+
+
+def _unsupported(session: Session, what: str) -> KeymintError:
+    return KeymintError(
+        f"{what} cannot be changed by Keymint", where=session.profile_marker(), help="change them by hand",
+        code="harden-unsupported",
+    )  # fmt: skip

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Edit profiles and packages that were taken over: a unique subject name, and an authority of its own for signatures.
+
+Only the elements that change are edited, as text, so that comments and all else stay. What a person wrote in another
+way than Keymint does is an error that says what to write.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+
+from comarmor.errors import Origin
+from keymint.api import WorkspaceProfile
+from keymint.errors import KeymintError
+from keymint.source_documents import normal_path
+from keymint_ros import manifest
+from keymint_ros.bootstrap import SUBJECT_NAMES
+from keymint_ros.manifest import MARKER
+from keymint_ros.profile import base_of
+
+_NAME = re.compile(r"<subject_name>[^<]*</subject_name>")
+_VALIDITY = re.compile(r"^([ \t]*)<validity>", re.MULTILINE)
+_AUTHORITIES = "authorities.xml"
+_SIGNED = ("package.defaults/permissions.xml", "package.defaults/governance.xml")
+_AUTHORITY = """\
+    <authority name="{name}">
+      <cert>
+        <issuer_name></issuer_name>
+      </cert>
+    </authority>
+"""
+_Edit = Callable[[str], "str | None"]
+
+
+def with_unique_name(profile: WorkspaceProfile, name: str, files: Mapping[str, bytes]) -> Mapping[str, bytes]:
+    """Return the files that change: see :meth:`keymint.api.HardenedPackageType.with_unique_name`."""
+    del profile
+    own = manifest.read(files[MARKER], f"{name}/{MARKER}")
+    element = f"<subject_name>{SUBJECT_NAMES['unique']}</subject_name>"
+
+    def edit(text: str) -> str | None:
+        if _NAME.search(text):
+            return _NAME.sub(element, text, count=1)
+        before = _VALIDITY.search(text)
+        return before and f"{text[: before.start()]}{before[1]}{element}\n{text[before.start() :]}"
+
+    changed: dict[str, bytes] = {}
+    for part in (own.identities, own.permissions):
+        path = normal_path(part.path, Origin(f"{name}/{MARKER}", part.line))
+        changed |= _edited(files, path, f"{name}/{path}", edit, f"write {element} into it")
+    return changed
+
+
+def with_own_signer(profile: WorkspaceProfile, former: str, name: str) -> Mapping[str, bytes]:
+    """Return the files that change: see :meth:`keymint.api.HardenedProfileType.with_own_signer`."""
+    base = base_of(profile)
+    element = re.compile(rf"<issuer_name>\s*{re.escape(former)}\s*</issuer_name>")
+    wanted = f"<issuer_name>{name}</issuer_name>"
+    changed = _edited(
+        profile.files, _AUTHORITIES, base + _AUTHORITIES, lambda text: _with_authority(text, name),
+        f'add <authority name="{name}"> to it',
+    )  # fmt: skip
+    for path in _SIGNED:
+        changed |= _edited(
+            profile.files, path, base + path,
+            lambda text: element.sub(wanted, text, count=1) if element.search(text) else None, f"write {wanted}",
+        )  # fmt: skip
+    return changed
+
+
+def _with_authority(text: str, name: str) -> str | None:
+    head, end, tail = text.rpartition("  </authorities>")
+    return f"{head}{_AUTHORITY.format(name=name)}{end}{tail}" if end else None
+
+
+def _edited(files: Mapping[str, bytes], path: str, shown: str, edit: _Edit, help_: str) -> dict[str, bytes]:
+    """Return a file after an edit.
+
+    Raises:
+        KeymintError: there is no such file, or it is written in another way than Keymint writes it.
+    """
+    content = files.get(path)
+    edited = None if content is None else edit(content.decode())
+    if edited is None:
+        raise KeymintError(
+            "is written in a way that Keymint does not edit", where=Origin(shown), help=help_, code="harden-by-hand"
+        )
+    return {path: edited.encode()}
