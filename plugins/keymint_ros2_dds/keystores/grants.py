@@ -219,16 +219,17 @@ def _unordered(document: PermissionsDocument, steps: Sequence[_Step], *, named: 
     Raises:
         KeymintError: a denial would deny what an earlier step allows.
     """
-    allowed = [(number, each) for number, each in enumerate(steps) if each.effect is Effect.ALLOW]
+    allowed: list[_Step] = []
     for number, step in enumerate(steps):
-        if step.effect is Effect.DENY:
-            before = [each for at, each in allowed if at < number and _overlap(each, step)]
-            if before and any(_covers(each, step, named=named) for each in before):
-                continue  # all of it is allowed before
-            if before and any(at > number and _overlap(each, step) for at, each in allowed):
+        if step.effect is Effect.ALLOW:
+            allowed.append(step)
+        elif before := [each for each in allowed if _overlap(each, step)]:
+            later = (each for each in steps[number:] if each.effect is Effect.ALLOW)
+            if not any(_covers(each, step, named=named) for each in before) and any(
+                _overlap(each, step) for each in later
+            ):
                 raise _denied_after(document, step, before[0])
-            if before:
-                continue  # nothing that follows allows any of it
+            continue  # all of it is allowed before, or nothing that follows allows any of it
         yield step, document.place(step.line)
 
 
