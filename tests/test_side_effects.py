@@ -169,7 +169,9 @@ def test_verbs_that_read_see_only_their_snapshot(run: tuple[list[int], list[Even
         and not Path(event.path).is_relative_to(CHECKOUT)
     }
     assert seen == set()
-    assert any(event.module == "keymint/tree.py" and event.kind == "read" for event in run[1] if event.step >= first)
+    assert any(
+        event.module == "keymint/file_reading.py" and event.kind == "read" for event in run[1] if event.step >= first
+    )
 
 
 def test_a_module_that_writes_is_seen(tmp_path: Path) -> None:

@@ -197,13 +197,15 @@ class HardenedPackageType(Protocol):
 class HardenedProfileType(Protocol):
     """Optional capability of a profile type: gives the signature of documents to an authority of its own."""
 
-    def with_own_signer(self, profile: WorkspaceProfile, former: str, name: str) -> Mapping[str, bytes]:
+    SIGNER: str
+    """Name of that authority."""
+
+    def with_own_signer(self, profile: WorkspaceProfile, former: str) -> Mapping[str, bytes]:
         """Return the files of a profile that change, by path, so that a new authority signs the documents.
 
         Args:
             profile: the profile.
             former: the authority that signs them now.
-            name: name of the new authority.
 
         Raises:
             KeymintError: its owner wrote them in another way.

@@ -21,7 +21,6 @@ from keymint.plan.hardening import OpenStep, Weakness, all_installed, open_steps
 from keymint.session import Inputs, Session
 
 _SHOWN = 5
-_SIGNER = "permissions_ca"
 
 
 @verb(dry_run=True)
@@ -78,7 +77,7 @@ def _authority(run: Run, session: Session, step: OpenStep, *, accepted: bool) ->
         KeymintError: the user does not accept that all robots restart together.
     """
     _require(step, accepted=accepted)
-    first = plan_authority(session, step.concerns[0], _SIGNER)
+    first = plan_authority(session, step.concerns[0])
     after = session.after(first).session()
     return first.then(reissued(run, after, Plan((), after.state), all_installed(after)))
 

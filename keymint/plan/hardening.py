@@ -118,7 +118,7 @@ def plan_names(session: Session, names: Sequence[str]) -> Plan:
     return Plan(tuple(steps), session.state)
 
 
-def plan_authority(session: Session, former: str, name: str) -> Plan:
+def plan_authority(session: Session, former: str) -> Plan:
     """Plan another authority for the signature of documents; the profile changes only.
 
     Raises:
@@ -128,13 +128,14 @@ def plan_authority(session: Session, former: str, name: str) -> Plan:
     profile_type: object = session.plugins.profile_type(profile.profile_type)
     if not isinstance(profile_type, HardenedProfileType):
         raise _unsupported(session, f"profiles of the type {profile.profile_type!r}")
+    name = profile_type.SIGNER
     if name in {each.name for each in profile.authorities}:
         raise KeymintError(
             f"the profile has an authority {name!r} already", where=session.profile_marker(),
-            help="give it another name with --name", code="authority-exists",
+            help="rename that authority, or name it as the signer in package.defaults/", code="authority-exists",
         )  # fmt: skip
     root = session.workspace.profile
-    paths = {root / path: content for path, content in profile_type.with_own_signer(profile, former, name).items()}
+    paths = {root / path: content for path, content in profile_type.with_own_signer(profile, former).items()}
     changes = tuple(
         change
         for path, content in paths.items()

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from keymint.api import API_VERSION
 from keymint.api.lazy import lazy
-from keymint_ros.manifest import BUILD_TYPE, ISSUANCE, MARKER
+from keymint_ros.manifest import BUILD_TYPE, ISSUANCE, MARKER, SIGNER
 
 __all__ = ["RosPackageType", "RosProfileType", "package_type", "profile_type"]
 
@@ -27,6 +27,8 @@ class RosProfileType:
         "subject-format": ("package.defaults/permissions.xml", "package.defaults/identities.xml"),
         "valid-for": ("package.defaults/permissions.xml", "package.defaults/identities.xml"),
     }
+
+    SIGNER = SIGNER
 
     bootstrap = lazy("keymint_ros.bootstrap:bootstrap")
     library = lazy("keymint_ros.distros:library")

@@ -16,7 +16,7 @@ from keymint.errors import KeymintError
 from keymint.source_documents import normal_path
 from keymint_ros import manifest
 from keymint_ros.bootstrap import SUBJECT_NAMES
-from keymint_ros.manifest import MARKER
+from keymint_ros.manifest import MARKER, SIGNER
 from keymint_ros.profile import base_of
 
 _NAME = re.compile(r"<subject_name>[^<]*</subject_name>")
@@ -52,9 +52,9 @@ def with_unique_name(profile: WorkspaceProfile, name: str, files: Mapping[str, b
     return changed
 
 
-def with_own_signer(profile: WorkspaceProfile, former: str, name: str) -> Mapping[str, bytes]:
+def with_own_signer(profile: WorkspaceProfile, former: str) -> Mapping[str, bytes]:
     """Return the files that change: see :meth:`keymint.api.HardenedProfileType.with_own_signer`."""
-    base = base_of(profile)
+    base, name = base_of(profile), SIGNER
     element = re.compile(rf"<issuer_name>\s*{re.escape(former)}\s*</issuer_name>")
     wanted = f"<issuer_name>{name}</issuer_name>"
     changed = _edited(

@@ -19,6 +19,8 @@ MARKER = "keymint_package.xml"
 ISSUANCE = "issuance.xml"
 """What an authority decided about the certificate of the package; see :mod:`keymint_ros.issuance`."""
 BUILD_TYPE = "keymint_ros2_dds"
+SIGNER = "permissions_ca"
+"""Name of the authority that signs documents, where one alone does."""
 
 
 @dataclass(frozen=True, slots=True)
