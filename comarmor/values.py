@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Dataclasses that are made in a quarter of the time: a short run spends most of its time on imports, with 150 of them.
 
-:func:`dataclasses.dataclass` generates and compiles each method of each class. Here only ``__init__`` is generated; the
-other methods are functions over the values of the fields.
+:func:`dataclasses.dataclass` generates and compiles each method of each class. Here only ``__init__`` is generated,
+for the first object; the other methods are functions over the values of the fields.
 """
 
 from __future__ import annotations
@@ -38,10 +38,12 @@ __all__ = ["dataclass"]
 
 
 def _made(given: type, *, frozen: bool, slots: bool, eq: bool, order: bool) -> Any:
+    if not given.__doc__:  # or the library inspects the signature to make one
+        given.__doc__ = given.__name__
     cls: Any = dataclasses.dataclass(init=False, repr=False, eq=False, slots=slots)(given)
     fields = dataclasses.fields(cls)
     own = vars(given)
-    new: dict[str, Any] = {"__init__": _init(cls, fields, frozen=frozen), "__repr__": _repr}
+    new: dict[str, Any] = {"__init__": _first_init(cls, fields, frozen=frozen), "__repr__": _repr}
     if eq:
         new |= _comparison(_values([field.name for field in fields if field.compare]), order=order)
         new["__hash__"] = None
@@ -54,6 +56,16 @@ def _made(given: type, *, frozen: bool, slots: bool, eq: bool, order: bool) -> A
         if own.get(name) is None:  # a class that defines __eq__ has a __hash__ of None
             setattr(cls, name, method)
     return cls
+
+
+def _first_init(cls: Any, fields: tuple[dataclasses.Field[Any], ...], *, frozen: bool) -> Callable[..., None]:
+    """Return a method that makes ``__init__`` for the first object: a run makes objects of few of its classes."""
+
+    def __init__(self: Any, /, *arguments: Any, **named: Any) -> None:  # noqa: N807
+        cls.__init__ = _init(cls, fields, frozen=frozen)
+        cls.__init__(self, *arguments, **named)
+
+    return __init__
 
 
 def _init(cls: Any, fields: tuple[dataclasses.Field[Any], ...], *, frozen: bool) -> Callable[..., None]:

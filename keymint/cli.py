@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import functools
-import gc
 import io
 import os
 import re
@@ -146,7 +145,6 @@ def _run(given: Sequence[str], out: Output, err: Output) -> int:
 
 
 def _carried_out(given: Sequence[str]) -> int:
-    gc.set_threshold(50_000, 20, 50)  # a run creates many objects, few of them in cycles
     os.umask(0o022)  # secrets are 0600 and public files 0644, whatever the user's umask
     if not sys.warnoptions:  # warnings of libraries are for programmers, not for users
         warnings.simplefilter("ignore")

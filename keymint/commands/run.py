@@ -249,7 +249,7 @@ class Run:
             KeymintError: the user named a cluster that cannot be used.
         """
         if not self.has_cluster:
-            from keymint.executors import Processes  # noqa: PLC0415 - few runs need it
+            from keymint.executors.processes import Processes  # noqa: PLC0415 - few runs need it
 
             yield Processes(self.plugins, self.jobs)
             return

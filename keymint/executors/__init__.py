@@ -5,6 +5,6 @@ What runs there is a function of a module, ``(plugins, task) -> result``, where 
 secrets. Keys, signatures and files stay in the process that the user started.
 """
 
-from keymint.executors.pool import Pool, Processes
+from keymint.executors.pool import Pool
 
-__all__ = ["Pool", "Processes"]
+__all__ = ["Pool"]
