@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
 from functools import lru_cache
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING
 
 from comarmor.data import locate
 from comarmor.text import did_you_mean
@@ -15,9 +14,7 @@ from keymint.api import Bootstrap, Role
 from keymint.errors import ExitCode, KeymintError
 from keymint_ros import distros, validity
 from keymint_ros.manifest import BUILD_TYPE
-
-if TYPE_CHECKING:
-    import jinja2
+from keymint_ros.templates import escaped, filled
 
 _LAYOUTS = dict.fromkeys(("sros2", "flat"))
 _TWO_AUTHORITIES, _ONE_AUTHORITY = ("identity_ca", "permissions_ca"), ("ca", "ca")
@@ -33,7 +30,6 @@ _EXAMPLE = "comarmor.d"
 
 _PROFILE = (
     "keymint_profile.xml",
-    "authorities.xml",
     "profile.defaults/authorities.xml",
     "package.defaults/permissions.xml",
     "package.defaults/identities.xml",
@@ -43,6 +39,8 @@ _DEFAULTS = {_DDS: ("package.defaults/governance.xml",), _ZENOH: ("package.defau
 """By build type: the defaults of the parts that it reads."""
 DOCUMENTS = {_DDS: ("governance.xml",)}
 """By build type: documents of a new package that show how to override these defaults."""
+
+_BUILT_BY = "<!-- What builds new packages: a build type for each transport. Each package names its own. -->"
 
 
 def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
@@ -65,26 +63,33 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
         issuer = signer = request.authority
     build_types = request.build_types or (BUILD_TYPE,)
     begin, duration = validity.starting(request.valid_for, request.now) if request.valid_for else ("", "")
+    dds = _DDS in build_types
+    not_before = f"<not_before>{begin or _date(start)}</not_before>"
+    end = _date(start + timedelta(days=365 * _PACKAGE_YEARS))
+    not_after = f"<duration>{escaped(duration)}</duration>" if duration else f"<not_after>{end}</not_after>"
+    subject_name = SUBJECT_NAMES[request.subject_format]
     values = {
         "name": request.name,
         "distro": request.distro,
         "domain": request.domain,
         "layout": layout,
         "policy_type": request.policy_type or POLICY_TYPE,
-        "build_types": () if build_types == (BUILD_TYPE,) else build_types,
-        "dds": _DDS in build_types,
-        "authorities": tuple(dict.fromkeys((issuer, signer))),
+        "build_types": () if build_types == (BUILD_TYPE,) else (_BUILT_BY, *_elements(build_types)),
+        "reader": "DDS vendor" if dds else "transport",
+        "transport_names": "DDS topics" if dds else "names of the transport",
+        "why_unique": ", since DDS vendors confuse some names" if dds else "",
+        "authorities": tuple(line for each in dict.fromkeys((issuer, signer)) for line in _authority(each)),
         "issuer": issuer,
         "signer": signer,
-        "subject_name": SUBJECT_NAMES[request.subject_format],
+        "subject_name": subject_name,
         "not_before": _date(start),
-        "package_not_before": begin or _date(start),
-        "package_duration": duration,
         "authority_not_after": _date(start + timedelta(days=365 * _AUTHORITY_YEARS)),
-        "package_not_after": _date(start + timedelta(days=365 * _PACKAGE_YEARS)),
+        "package_validity": (not_before, not_after),
+        "grant": (*_grant(subject_name), f"  {not_before}", f"  {not_after}", "</validity>") if dds else (),
     }
     defaults = [path for build_type in build_types for path in _DEFAULTS.get(build_type, ())]
-    files = {path: _render(f"profile/{path}.j2", **values) for path in (*_PROFILE, *defaults)}
+    files = {path: filled(f"profile/{path}", **values) for path in (*_PROFILE, *defaults)}
+    files["authorities.xml"] = filled(f"profile/authorities.{'one' if issuer == signer else 'two'}.xml", **values)
     files["policies.xml"] = policies(request.policy or _EXAMPLE)
     fragments = distros.library(request.distro)
     files |= {
@@ -112,14 +117,15 @@ def policies(path: str) -> bytes:
         KeymintError: the path is not one line of printable text.
     """
     _check_line("path of the policy", path)
-    return _render("profile/policies.xml.j2", name=PurePosixPath(path).stem or "policy", path=path)
+    return filled("profile/policies.xml", name=PurePosixPath(path).stem or "policy", path=path)
 
 
 @lru_cache
 def package_manifest(build_types: tuple[str, ...], role: Role = Role.SUBJECT) -> bytes:
     """Return the ``keymint_package.xml`` of a new package with these build types."""
-    values = {"build_types": build_types, "role": role, "dds": _DDS in build_types}
-    return _render("package/keymint_package.xml.j2", **values)
+    of_subject = "dds" if _DDS in build_types else "subject"
+    template = of_subject if role is Role.SUBJECT else "infrastructure"
+    return filled(f"package/keymint_package.{template}.xml", build_types=_elements(build_types))
 
 
 @lru_cache
@@ -128,22 +134,19 @@ def package_document(name: str) -> bytes:
     return (locate("keymint_ros", "templates") / "package" / name).read_bytes()
 
 
-def _render(template: str, **values: object) -> bytes:
-    return _environment().get_template(template).render(values).encode()
+def _elements(build_types: Sequence[str]) -> tuple[str, ...]:
+    return tuple(f"<build_type>{escaped(each)}</build_type>" for each in build_types)
 
 
-@lru_cache(maxsize=1)
-def _environment() -> jinja2.Environment:
-    import jinja2  # noqa: PLC0415 - only needed to write new files
+def _authority(name: str) -> tuple[str, ...]:
+    cert = ("  <cert>", "    <issuer_name></issuer_name>", "  </cert>")
+    return (f'<authority name="{escaped(name)}">', *cert, "</authority>")
 
-    return jinja2.Environment(
-        loader=jinja2.FileSystemLoader(locate("keymint_ros", "templates")),
-        undefined=jinja2.StrictUndefined,
-        autoescape=True,
-        keep_trailing_newline=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+
+def _grant(subject_name: str) -> tuple[str, ...]:
+    """Return the first lines of what only a grant of DDS has."""
+    why = "<!-- Must be the subject name of the identity: DDS selects the grant by it. -->"
+    return why, f"<subject_name>{escaped(subject_name)}</subject_name>", "<validity>"
 
 
 def _date(date: datetime) -> str:
