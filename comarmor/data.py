@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from importlib.resources import files
+from importlib import import_module
 from pathlib import Path
 
 
@@ -23,9 +23,14 @@ def locate(package: str, kind: str) -> Path:
     Raises:
         FileNotFoundError: the installation is damaged.
     """
-    for folder in (Path(str(files(package))) / "_data" / kind, Path(str(files("comarmor"))).parent / kind / package):
+    for folder in (_folder(package) / "_data" / kind, _folder("comarmor").parent / kind / package):
         if folder.is_dir():
             return folder
     raise FileNotFoundError(
         f"the installation lacks the {kind} of {package}; reinstall Keymint from its checkout or wheel"
     )
+
+
+def _folder(package: str) -> Path:
+    # importlib.resources also finds packages in archives, and takes longer to load than to use.
+    return Path(import_module(package).__path__[0])

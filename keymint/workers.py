@@ -14,7 +14,6 @@ import itertools
 import os
 import pickle
 import threading
-import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
@@ -206,6 +205,8 @@ def _work(
         except KeymintError as error:
             _send(pipe, _REFUSED, error.diagnostics, error.exit_code)
         except Exception as error:  # noqa: BLE001 - the parent reports it
+            import traceback  # noqa: PLC0415 - few runs need it
+
             _send(pipe, _CRASHED, f"{type(error).__name__}: {error}", traceback.format_exc())
 
 

@@ -16,7 +16,7 @@ from keymint.plugins import Plugins
 
 
 class Processes:
-    """Implements :class:`keymint.executors.Pool` with processes that are forked for each call, if there is more than one task.
+    """Implements :class:`keymint.executors.Pool` with processes, forked for each call with more than one task.
 
     Args:
         plugins: the installed plugins.

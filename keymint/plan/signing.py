@@ -59,12 +59,15 @@ def sign(
     _require_generation(session, package, register)
     pem, public = key
     certificate = _going_on(package, public, issuer.certificate, existing.get(CERTIFICATE))
+    loaded = certificates.load(certificate) if certificate is not None else None
     warnings: Sequence[Diagnostic] = ()
-    if certificate is None or register.is_revoked(
-        issuer_of(issuer.certificate), certificates.load(certificate).serial_number
+    if (
+        certificate is None
+        or loaded is None
+        or register.is_revoked(issuer_of(issuer.certificate), loaded.serial_number)
     ):
         issued = certificates.issue_identity(package.identity, public, issuer.issuer)
-        certificate = issued.pem
+        certificate, loaded = issued.pem, issued.certificate
         warnings = [replace(warning, subject=package.subject) for warning in issued.diagnostics]
     artifacts: dict[str, Artifact] = {}
     writers: dict[str, str] = {}
@@ -86,7 +89,6 @@ def sign(
         if conflicts := two_writers(session, package, writers, name, own, different):
             raise KeymintError.of(conflicts)
         artifacts |= own
-    loaded = certificates.load(certificate)
     entry = issued_certificate(package, loaded, issuer.certificate, digest_files(documents))
     return artifacts, entry, warnings
 
