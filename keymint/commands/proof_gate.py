@@ -69,6 +69,7 @@ def proven(
         replace(diagnostic, help=_with_remedy(diagnostic.help, of_vendors=diagnostic.subject in of_vendors))
         for diagnostic in diagnostics
         if diagnostic.code != NO_PROVER
+        and not (diagnostic.subject in of_vendors and _goes_on(session, diagnostic.subject))
     ]
     if refused:
         edits = _refused_edits(session, plan, {each.subject for each in refused})
@@ -114,6 +115,15 @@ def _refused_edits(session: Session, plan: Plan, subjects: Collection[str]) -> l
             help_ = f"change the policy instead; '{command}' discards the edit"
             edits[where] = Diagnostic(HAND_EDITED, Severity.ERROR, message, where, help_, subject)
     return list(edits.values())
+
+
+def _goes_on(session: Session, subject: str) -> bool:
+    """Tell whether a subject goes on with all documents that another tool signed: nothing new is signed for it."""
+    name = subject.removeprefix("/")
+    kept = session.package(name).kept
+    return bool(kept) and all(
+        session.tree.read(session.workspace.build / name / document) == content for document, content in kept.items()
+    )
 
 
 def _holds(enclave: EnclaveProof, standards: Collection[str]) -> bool:

@@ -56,6 +56,25 @@ def test_build_and_install_change_nothing(keymint, tmp_path: Path, form: Mapping
     assert keymint("prove", "-w", "ws").code == 0
 
 
+def test_what_vendors_read_differently_stays_and_is_said(keymint, tmp_path: Path) -> None:
+    """Cyclone DDS denies both directions of a topic of which one is denied: robots live with it already."""
+    policy = POLICY.replace('publish="ALLOW"', 'publish="ALLOW" subscribe="DENY"', 1)
+    (tmp_path / "policy.xml").write_text(policy)
+    sros2_keystore.make(tmp_path / "ks", policy)
+    complete(keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws"))
+    complete(keymint("build", "-w", "ws"))
+    outcome = keymint("install", "-w", "ws")
+    assert outcome.code == 0
+    assert "warning: /talker: the document does not permit it to publish 'rt/chatter'" in outcome.err
+    assert files(tmp_path / "ws/install", "enclaves/") == files(tmp_path / "ks", "enclaves/")
+    new = tmp_path / "ws/profile/comarmor.d/policy.xml"
+    new.write_text(new.read_text().replace("/talker/get_parameters", "/talker/other"))
+    complete(keymint("create", "--all", "-w", "ws"))
+    complete(keymint("build", "-w", "ws"))
+    complete(keymint("install", "-w", "ws"))  # what is signed again means the same to all vendors
+    assert keymint("prove", "-w", "ws").code == 0
+
+
 def test_without_a_policy_one_is_made_from_what_is_signed(keymint, tmp_path: Path) -> None:
     keystore = made(tmp_path / "ks")
     complete(keymint("adopt", "ks", "--apply", "-w", "ws"))
