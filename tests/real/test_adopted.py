@@ -31,9 +31,7 @@ POLICY = """<policy version="0.2.0"><enclaves>
 <enclave path="/listener"><profiles><profile ns="/" node="listener">
   <topics subscribe="ALLOW"><topic>x</topic></topics></profile></profiles></enclave>
 </enclaves></policy>"""
-SECOND = """    <authority name="permissions_ca"><cert><issuer_name></issuer_name></cert></authority>
-  </authorities>"""
-STEPS = ("sros2", "adopted", "named", "two", "identifiers")
+STEPS = ("sros2", "adopted", "one name", "names", "authority", "identifiers")
 
 
 @pytest.fixture(scope="module")
@@ -51,15 +49,13 @@ def stages(tmp_path_factory: pytest.TempPathFactory) -> Stages:
 
     keymint("adopt", folder / "stages/sros2", folder / "policy.xml", "--apply", "-w", workspace)
     keep("adopted")
-    defaults = workspace / "profile/package.defaults"
-    for name in ("identities", "permissions"):
-        change(defaults / f"{name}.xml", "CN={subject}<", "OU={unique},CN={subject}<")
-    keep("named")
-    change(workspace / "profile/authorities.xml", "  </authorities>", SECOND)
-    for name in ("governance", "permissions"):
-        change(defaults / f"{name}.xml", "<issuer_name>ca<", "<issuer_name>permissions_ca<")
-    keep("two")
-    keymint("authority", "renew", "ca", "-w", workspace)
+    keymint("harden", "names", "talker", "--apply", "-w", workspace)
+    keep("one name")
+    keymint("harden", "names", "--apply", "-w", workspace)
+    keep("names")
+    keymint("harden", "authority", "--apply", "--flag-day", "-w", workspace)
+    keep("authority")
+    keymint("harden", "identifiers", "--apply", "-w", workspace)
     keymint("renew", "talker", "-w", workspace)
     keep("identifiers")
     return Stages(folder / "stages", workspace)
@@ -71,12 +67,6 @@ def keymint(*arguments: object) -> None:
         for name in ("SOURCE_DATE_EPOCH", "ROS_DISTRO"):
             patch.delenv(name, raising=False)
         assert cli.main([str(argument) for argument in arguments]) == 0
-
-
-def change(path: Path, old: str, new: str) -> None:
-    text = path.read_text()
-    assert text.count(old) == 1
-    path.write_text(text.replace(old, new))
 
 
 def files(root: Path) -> dict[str, bytes | str]:
@@ -113,13 +103,13 @@ def test_each_step_hardens_what_it_says(stages: Stages) -> None:
     assert not any((enclaves[step] / "key.pem").stat().st_mode & 0o077 for step in STEPS[1:])
     names = {step: certificate(enclaves[step] / "cert.pem").subject.rfc4514_string() for step in STEPS}
     assert names["adopted"] == "CN=/talker"
-    assert names["named"].startswith("CN=/talker,OU=")
-    one = {step: same_authority(enclaves[step]) for step in STEPS}
-    assert one == {"sros2": True, "adopted": True, "named": True, "two": False, "identifiers": False}
+    assert names["one name"].startswith("CN=/talker,OU=")
+    assert certificate(stages("one name", "/listener") / "cert.pem").subject.rfc4514_string() == "CN=/listener"
+    assert [step for step in STEPS if not same_authority(enclaves[step])] == ["authority", "identifiers"]
     own, authority = (certificate(enclaves["identifiers"] / name) for name in ("cert.pem", "identity_ca.cert.pem"))
     assert has(authority, SubjectKeyIdentifier)
     assert has(own, AuthorityKeyIdentifier)
-    earlier = certificate(enclaves["two"] / "identity_ca.cert.pem")
+    earlier = certificate(enclaves["authority"] / "identity_ca.cert.pem")
     assert not has(earlier, SubjectKeyIdentifier)
     assert authority.public_key() == earlier.public_key()
 
@@ -133,7 +123,7 @@ def test_talker_and_listener_exchange_after_each_step(stages: Stages, system: Sy
     assert hears(system, stages(step, "/listener"), stages(step, "/talker"))
 
 
-@pytest.mark.parametrize(("listener", "talker"), [("sros2", "named"), ("named", "sros2"), ("two", "identifiers")])
+@pytest.mark.parametrize(("listener", "talker"), [("sros2", "names"), ("names", "sros2"), ("authority", "identifiers")])
 def test_these_steps_are_deployed_enclave_by_enclave(
     stages: Stages, system: System, listener: str, talker: str
 ) -> None:
@@ -141,4 +131,4 @@ def test_these_steps_are_deployed_enclave_by_enclave(
 
 
 def test_a_second_authority_is_a_flag_day(stages: Stages, system: System) -> None:
-    assert not hears(system, stages("named", "/listener"), stages("two", "/talker"))
+    assert not hears(system, stages("names", "/listener"), stages("authority", "/talker"))
