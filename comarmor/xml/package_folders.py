@@ -119,6 +119,11 @@ class InstalledPackages:
         """The prefixes, without empty entries and repetitions."""
         return tuple(dict.fromkeys(filter(None, self.environment.get(SEARCH_PATH, "").split(os.pathsep))))
 
+    @property
+    def relative_prefixes(self) -> tuple[str, ...]:
+        """Those of the prefixes that are relative paths."""
+        return tuple(prefix for prefix in self.prefixes if not _is_absolute(prefix))
+
     def folder(self, package: str, where: Origin) -> SandboxedFolder:
         """See :class:`PackageFolders`."""
         prefix = self._prefix(package, where)

@@ -32,6 +32,7 @@ class Inputs:
     policy: str
     workspace: str
     distro: str
+    accept_packages: tuple[str, ...]
     sarif: str
     format: bool
     fail_on_findings: bool
@@ -60,6 +61,7 @@ class Inputs:
             policy=policy,
             workspace=environment.get("INPUT_WORKSPACE") or str(Path(temporary, "keymint-workspace")),
             distro=environment.get("INPUT_DISTRO", ""),
+            accept_packages=tuple(environment.get("INPUT_ACCEPT_PACKAGES", "").split()),
             sarif=environment.get("INPUT_SARIF") or str(Path(temporary, "keymint-lint.sarif")),
             format=flag("FORMAT", "true"),
             fail_on_findings=flag("FAIL_ON_FINDINGS", "true"),
@@ -146,7 +148,8 @@ def steps(inputs: Inputs) -> Iterator[Step]:
     tests = keymint("tests", "test", *distro, of_policy=policy)
     if [each["code"] for each in tests.diagnostics] != ["tests-none"]:
         yield tests
-    provision = keymint("provision", "provision", "-w", inputs.workspace, *distro, of_policy=policy)
+    accepted = [f"--accept-package={each}" for each in inputs.accept_packages]
+    provision = keymint("provision", "provision", "-w", inputs.workspace, *distro, *accepted, of_policy=policy)
     yield provision
     if provision.passed(with_findings=False):
         yield keymint("check of the keystore", "check", "-w", inputs.workspace)

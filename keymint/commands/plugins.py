@@ -6,8 +6,9 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from comarmor.errors import Diagnostic
-from comarmor.xml.package_folders import InstalledPackages, ShippingPackage
+from comarmor.errors import Diagnostic, Severity
+from comarmor.text import quoted
+from comarmor.xml.package_folders import SEARCH_PATH, InstalledPackages, ShippingPackage
 from comarmor.xml.sandboxed_paths import path_text
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
@@ -38,7 +39,8 @@ def plugins(run: Run) -> Report:
             for info, usable in listed
         ],
     )
-    shipping = tuple(InstalledPackages(run.setting.environment).shipping())
+    installed = InstalledPackages(run.setting.environment)
+    shipping = tuple(installed.shipping())
     if shipping:
         run.console.line("")
         run.console.table(["PACKAGE", "SHIPS", "HIDDEN BY", "FROM"], [_row(run, each) for each in shipping])
@@ -46,7 +48,8 @@ def plugins(run: Run) -> Report:
         "plugins": [asdict(info) | {"usable": usable} for info, usable in listed],
         "packages": [_document(each) for each in shipping],
     }
-    return Report(run.verb, None, (), diagnostics, result, ExitCode.FAILURE if diagnostics else ExitCode.DONE)
+    exit_code = ExitCode.FAILURE if diagnostics else ExitCode.DONE
+    return Report(run.verb, None, (), [*diagnostics, *map(_relative, installed.relative_prefixes)], result, exit_code)
 
 
 def _row(run: Run, package: ShippingPackage) -> list[str]:
@@ -61,3 +64,11 @@ def _document(package: ShippingPackage) -> dict[str, Any]:
         "files": None if package.files is None else list(map(path_text, package.files)),
         "hidden_by": package.hidden_by or None,
     }
+
+
+def _relative(prefix: str) -> Diagnostic:
+    message = f"{SEARCH_PATH} has the relative path {quoted(prefix, 200)}: what packages ship is not looked up there"
+    help_ = (
+        "write an absolute path; policies that include what a package ships there, or in a later prefix, are refused"
+    )
+    return Diagnostic("package-prefix", Severity.WARNING, message, None, help_)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import json
 import re
@@ -18,6 +19,7 @@ import yaml
 
 from tests.conftest import CHECKOUT
 from tests.integrations.github import ACTION, BOT, TOKEN, Api, Job, git, run_action, served
+from tests.ros_packages import HREF, PACKAGE, fragment, including, ship, topic
 
 POLICY = (CHECKOUT / "examples/talker_listener/talker_listener.xml").read_text()
 WIDER = POLICY.replace("<attachment>/chatter</attachment>", "<attachment>/chatter*</attachment>")
@@ -274,3 +276,13 @@ def test_the_page_about_ci_describes_the_action() -> None:
     assert set(steps[-1]["with"]) <= set(ACTION["inputs"])
     rows = re.findall(r"^\| (`[\w-]+`(?:, `[\w-]+`)*) \|", page, re.MULTILINE)
     assert {name for row in rows for name in re.findall(r"[\w-]+", row)} == set(ACTION["inputs"])
+
+
+def test_what_ros_packages_ship_is_accepted_by_its_digest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shipped = ship(tmp_path / "prefix", {"controller.xml": fragment(topic("/cmd_vel"))}) / "controller.xml"
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "prefix"))
+    project = Project(tmp_path / "project")
+    project.commit(policy=including(HREF))
+    value = hashlib.sha256(f"{hashlib.sha256(shipped.read_bytes()).hexdigest()}  {shipped.name}\n".encode()).hexdigest()
+    job = project.run({}, branch="main", format="false", accept_packages=f"\n {PACKAGE}={value}\n")
+    assert job.code == 0, job.log  # nothing is provisioned without it

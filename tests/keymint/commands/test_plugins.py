@@ -19,6 +19,7 @@ def test_what_packages_ship(keymint, tmp_path: Path) -> None:
     env = {"AMENT_PREFIX_PATH": f"{tmp_path}/over:relative::{tmp_path}/none:{tmp_path}/under"}
     outcome = keymint("plugins", env=env)
     assert outcome.code == 0
+    assert "warning: AMENT_PREFIX_PATH has the relative path 'relative'" in outcome.err
     table = outcome.out.rpartition("\n\n")[2].splitlines()
     assert [" ".join(line.split()) for line in table] == [
         "PACKAGE SHIPS HIDDEN BY FROM",
