@@ -283,6 +283,7 @@ def test_what_ros_packages_ship_is_accepted_by_its_digest(tmp_path: Path, monkey
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "prefix"))
     project = Project(tmp_path / "project")
     project.commit(policy=including(HREF))
+    git(project.origin, "branch", "merged")
     value = hashlib.sha256(f"{hashlib.sha256(shipped.read_bytes()).hexdigest()}  {shipped.name}\n".encode()).hexdigest()
-    job = project.run({}, branch="main", format="false", accept_packages=f"\n {PACKAGE}={value}\n")
+    job = project.run({}, format="false", accept_packages=f"\n {PACKAGE}={value}\n")
     assert job.code == 0, job.log  # nothing is provisioned without it
