@@ -22,3 +22,8 @@ def is_segment(text: str) -> bool:
 def is_fully_qualified(name: str) -> bool:
     """Whether a text is a legal fully qualified ROS name, e.g. ``/robot1/talker``."""
     return _FULLY_QUALIFIED.fullmatch(name) is not None
+
+
+def is_subject(name: str) -> bool:
+    """Whether a text is a legal name of a subject: a fully qualified name, or ``/``, the root enclave."""
+    return name == "/" or is_fully_qualified(name)

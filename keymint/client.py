@@ -30,7 +30,7 @@ from keymint.changes import Plan
 from keymint.commands.reissue import reissued
 from keymint.commands.run import Run
 from keymint.errors import KeymintError
-from keymint.names import package_name
+from keymint.names import package_name, subject_of
 from keymint.output.console import Streams
 from keymint.output.report import Report
 from keymint.plan.create import CreateStage
@@ -75,7 +75,7 @@ class Client:
         self._policy: tuple[str, LoadedPolicy | None] = ("", None)
         run = self._run("client")
         self._workspace = run.workspace()
-        self._enclaves = run.inputs(self._workspace).session().enclaves
+        self._session = run.inputs(self._workspace).session()
 
     def provision(self, subject: str, *, prove: bool = True) -> Enclave:
         """Create, build, sign, prove and install the enclave of a subject that a profile of the policy applies to.
@@ -104,7 +104,7 @@ class Client:
         enclave = self._enclave(run.carry_out(self._workspace, make_plan), name)
         if not enclave.folder.is_dir():
             raise KeymintError(
-                f"the certificate of /{name} was revoked, so nothing is issued for its key",
+                f"the certificate of {subject_of(name)} was revoked, so nothing is issued for its key",
                 help=f"'keymint renew --rekey {name}' makes a new key",
                 code="identity-revoked",
             )
@@ -190,11 +190,11 @@ class Client:
 
     def _enclave(self, report: Report, name: str) -> Enclave:
         steps = [step for step in report.steps if step.package == name and step.stage == "install"]
-        own = tuple(each for each in report.diagnostics if each.subject in {f"/{name}", ""})
+        own = tuple(each for each in report.diagnostics if each.subject in {subject_of(name), ""})
         if failures := [each for each in own if each.severity is Severity.ERROR]:
             raise KeymintError.of(failures)
         changed = any(step.writes() for step in steps)
-        return Enclave(f"/{name}", self._enclaves / name, self._workspace.install, changed, own)
+        return Enclave(subject_of(name), self._session.enclave(name), self._workspace.install, changed, own)
 
     def _loaded(self, session: Session) -> LoadedPolicy:
         """Return the policy, which is loaded again if one of its files changed."""

@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, NoReturn
 
 from comarmor.errors import Origin
-from comarmor.ros_names import is_fully_qualified
+from comarmor.ros_names import is_fully_qualified, is_subject
 from comarmor.rules import KIND_OF, PERMISSIONS
 from comarmor.text import did_you_mean
 from keymint.errors import KeymintError
@@ -30,7 +30,12 @@ Path = tuple[str | int, ...]
 
 
 def legal_subject(name: str) -> bool:
-    """Whether a subject may have a name: a fully qualified ROS name of limited length."""
+    """Whether a subject may have a name: a fully qualified ROS name of limited length, or ``/``, the root enclave."""
+    return len(name) <= MAX_NAME and is_subject(name)
+
+
+def legal_node(name: str) -> bool:
+    """Whether a node may have a name: a fully qualified ROS name of limited length."""
     return len(name) <= MAX_NAME and is_fully_qualified(name)
 
 

@@ -21,15 +21,31 @@ RESERVED = "KEYMINT_IGNORE"
 _LISTED = 8
 """Names in one line of text; ``--json`` has all."""
 _EXAMPLE = "a name is '/' and segments, e.g. /robot1/talker"
+ROOT = "root-enclave"
+"""Package name of the root enclave, whose subject is ``/``; no other subject can have it, because of its ``-``."""
+
+
+def subject_of(name: str) -> str:
+    """Return the subject of a package: ``/robot1/arm`` for ``robot1/arm``, ``/`` for the root enclave."""
+    return "/" if name == ROOT else f"/{name}"
+
+
+def name_of(subject: str) -> str:
+    """Return the package name of a subject: the inverse of :func:`subject_of`; the name is not checked."""
+    return ROOT if subject == "/" else subject.removeprefix("/")
 
 
 def package_name(text: str) -> str:
     """Return the package name for a name that a user typed: ``robot1/arm`` for ``/robot1/arm`` or ``robot1/arm``.
 
+    The root enclave is ``/``, or the name of its package.
+
     Raises:
         KeymintError: the text is not a legal name; the message names the illegal part.
     """
-    name = text.removeprefix("/").rstrip("/") if text != "/" else ""
+    if text in {"/", ROOT}:
+        return ROOT
+    name = text.removeprefix("/").rstrip("/")
     if not name:
         raise KeymintError(f"{text!r} is not a name", help=_EXAMPLE, code="name-illegal")
     if len(name) > MAX_NAME:
@@ -61,7 +77,7 @@ def package_name(text: str) -> str:
 def listed(names: Sequence[str]) -> str:
     """Return the subjects of some packages in one line: ``/a, /b``; of many packages the first, and how many more."""
     more = len(names) - _LISTED
-    return ", ".join(f"/{name}" for name in names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
+    return ", ".join(subject_of(name) for name in names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def refuse_case_collisions(names: Iterable[str]) -> None:

@@ -26,6 +26,7 @@ from keymint.api import (
 )
 from keymint.changes import Plan
 from keymint.errors import KeymintError
+from keymint.names import ROOT
 from keymint.pki.tokens import Tokens
 from keymint.plugins import Plugins
 from keymint.state import State, digest, digest_files
@@ -168,6 +169,14 @@ class Session(Inputs):
     def enclaves(self) -> Path:
         """The folder that contains the enclaves; errors as :attr:`layouts`."""
         return self.once("enclaves", lambda: self.workspace.install / self.layouts[0].enclaves)
+
+    def enclave(self, name: str) -> Path:
+        """Return the folder of an enclave; that of the root enclave contains all others. Errors as :attr:`layouts`."""
+        return Path(self.enclave_folder(name))
+
+    def enclave_folder(self, name: str) -> str:
+        """Return :meth:`enclave` as a text."""
+        return str(self.enclaves) if name == ROOT else f"{self.enclaves}/{name}"
 
     @property
     def package_type(self) -> PackageType:

@@ -17,7 +17,7 @@ from comarmor.language.source import INCLUDE, PolicyFile, PolicyFiles
 from comarmor.language.syntax import Attachment, Inclusion, Profile, ProfileRule
 from comarmor.language.tunables import MOST_CHARACTERS, ExpansionBudget, TunableScope
 from comarmor.patterns.expression import literal
-from comarmor.ros_names import is_fully_qualified
+from comarmor.ros_names import is_subject
 from comarmor.rules import PERMISSIONS, Effect
 from comarmor.text import quoted
 from comarmor.values import dataclass
@@ -344,7 +344,7 @@ def expected_of_name(name: str) -> str:
     """Return what a subject's name violates of the form of enclaves' names, which become paths; empty if legal."""
     if len(name) > _LONGEST_NAME or max(map(len, name.split("/"))) > _LONGEST_SEGMENT:
         return f"at most {_LONGEST_NAME} characters, and {_LONGEST_SEGMENT} between two '/'"
-    if not is_fully_qualified(name):
+    if not is_subject(name):
         return (
             "expected '/' and segments of letters, digits and '_' that do not begin with a digit, e.g. /robot1/talker"
         )

@@ -191,7 +191,7 @@ def _copies(session: Session, adoption: Adoption) -> Mapping[Path, str]:
     if found.kept:
         return {install / path: path for path in found.kept}
     return {
-        session.enclaves / package_name(enclave.subject) / name: path
+        session.enclave(package_name(enclave.subject)) / name: path
         for enclave in found.enclaves
         for name, path in enclave.files.items()
     }

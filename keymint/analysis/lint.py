@@ -26,6 +26,8 @@ from keymint.analysis.redundant_rules import (
     can_name_exist,
     within_bounds,
 )
+from keymint.analysis.root_names import CODES as ROOT_CODES
+from keymint.analysis.root_names import root_names
 from keymint.analysis.subject_patterns import can_exist, pattern_examples, profile_subjects, rules_of, structure
 from keymint.api import LoadedPolicy, PolicyStructure
 from keymint.ir import Rule
@@ -41,6 +43,7 @@ CODES: Mapping[str, str] = {
     "tunable-unused": "A tunable is declared but never used.",
     "name-similar": "A name is similar to one that would fit: a likely typo.",
     **SLIPS,
+    **ROOT_CODES,
     "lint-unknown": "A check was not completed within its limit of steps.",
 }
 """Diagnostic codes of ``keymint lint`` with their descriptions."""
@@ -67,7 +70,8 @@ def lint(policy: LoadedPolicy) -> list[Diagnostic]:
         for reason in given_up
     ]
     findings += similar_names({subject: subjects[subject] for subject in named if subject in subjects}, attachments)
-    findings += (*similar_subjects(written), *attachment_mistakes(written)) if written else ()
+    if written:
+        findings += (*similar_subjects(written), *attachment_mistakes(written), *root_names(policy, written))
     return sorted_diagnostics(findings)
 
 

@@ -18,7 +18,7 @@ from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.relations import TooComplexError, intersection
 from comarmor.patterns.steps import StepLimitError, cached, spend, step_limit
 from comarmor.patterns.tokens import Charset, Star
-from comarmor.ros_names import is_fully_qualified
+from comarmor.ros_names import is_fully_qualified, is_subject
 from comarmor.text import did_you_mean
 from keymint.analysis.rule_lists import allow_only, find_permitted, pattern_text
 from keymint.api import LoadedPolicy, PolicyStructure, StructuredPolicy, WrittenProfile, WrittenRule
@@ -93,7 +93,7 @@ def _filled_legally(pattern: Glob) -> str | None:
     """Return a legal name that a pattern matches, with the same text for all its wildcards, or None."""
     name = literal(pattern)
     if name is not None:
-        return name if is_fully_qualified(name) else None
+        return name if is_subject(name) else None
     candidates = (_filled(pattern, each) for each in _FILLINGS)
     return next((name for name in candidates if is_fully_qualified(name) and matches(pattern, name)), None)
 

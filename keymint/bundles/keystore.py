@@ -16,6 +16,7 @@ from keymint.bundles.acceptance import Acceptance, Pending, Present
 from keymint.bundles.bundle import CERTIFICATE, KEY, certificates_of_authorities, fingerprint
 from keymint.changes import File, FolderChange
 from keymint.errors import KeymintError
+from keymint.names import ROOT
 from keymint.tree import Tree
 
 RECORDS = ".keymint"
@@ -50,7 +51,7 @@ class Keystore:
             enclaves: the folder of all enclaves below the keystore; empty for the keystore itself.
             name: name of the enclave's package.
         """
-        return self._root / enclaves / name
+        return self._root / enclaves if name == ROOT else self._root / enclaves / name
 
     def present(self, enclaves: str, name: str) -> Present:
         """Return what the keystore has; arguments as for :meth:`folder`.
@@ -64,7 +65,8 @@ class Keystore:
 
     def installed(self, name: str) -> Mapping[str, bytes]:
         """Return the files of an enclave in whatever layout; empty if the keystore does not have it."""
-        return next(filter(None, (self._files(self.folder(each, name)) for each in ENCLAVES)), {})
+        layouts = (each for each in ENCLAVES if each or name != ROOT)
+        return next(filter(None, (self._files(self.folder(each, name)) for each in layouts)), {})
 
     def _files(self, folder: Path) -> Mapping[str, bytes]:
         names = [name for name, is_folder in self._tree.names(folder) if not is_folder and not name.startswith(".")]

@@ -17,7 +17,7 @@ from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.bundles import container
 from keymint.errors import KeymintError
-from keymint.names import package_name
+from keymint.names import name_of, package_name, subject_of
 
 FORMAT = "keymint-bundle"
 VERSION = 1
@@ -61,7 +61,7 @@ class Manifest:
     @property
     def name(self) -> str:
         """The name of the enclave's package."""
-        return self.enclave.removeprefix("/")
+        return name_of(self.enclave)
 
 
 def dump(manifest: Manifest) -> bytes:
@@ -132,8 +132,10 @@ def _manifest(values: Mapping[str, Any]) -> Manifest:
     Raises:
         ValueError: a value is not legal. Other errors: there is no such value, or it has another type.
     """
-    enclave = f"/{_legal_name(values['enclave'])}"
+    enclave = subject_of(_legal_name(values["enclave"]))
     folder = values["folder"]
+    if folder == "" and enclave == "/":  # the root enclave has no place there
+        raise ValueError
     if folder != "" and (not container.NAME.fullmatch(folder) or "." in folder):
         raise ValueError
     files = {name: _digest(value) for name, value in values["files"].items()}

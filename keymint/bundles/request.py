@@ -24,7 +24,7 @@ from comarmor.errors import Origin
 from comarmor.text import quoted
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
-from keymint.names import package_name
+from keymint.names import package_name, subject_of
 from keymint.pki import certificates, cms, der, keys
 
 MAX_BYTES = 1 << 16
@@ -135,7 +135,7 @@ def _usable(key: object, where: Origin) -> keys.PublicKey:
 def _name(claimed: object, where: Origin) -> str:
     text = claimed if isinstance(claimed, str) else ""
     try:
-        return f"/{package_name(text)}"
+        return subject_of(package_name(text))
     except KeymintError:
         raise _invalid(f"claims the name {quoted(text, 80)}, which no enclave can have", where) from None
 

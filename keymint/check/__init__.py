@@ -22,6 +22,7 @@ from keymint.check.git_exposure import git_exposure
 from keymint.check.install_space import outside_enclaves
 from keymint.check.shared_documents import check_shared
 from keymint.errors import KeymintError
+from keymint.names import subject_of
 from keymint.plan import identity_keys
 from keymint.plan.enclaves import enclave_files, not_installed, unaccounted
 from keymint.plan.identity_keys import Keyring
@@ -86,10 +87,10 @@ def _absent(session: Session, name: str) -> Diagnostic:
     """Return the finding on a package without an enclave."""
     reason = withdrawn(session).get(name)
     if reason is None:
-        return not_installed(name, session.workspace.shown(session.enclaves / name))
-    message = f"the certificate of /{name} was revoked ({reason}), and its enclave removed"
+        return not_installed(name, session.workspace.shown(session.enclave_folder(name)))
+    message = f"the certificate of {subject_of(name)} was revoked ({reason}), and its enclave removed"
     help_ = f"'keymint renew --rekey {name}' makes a new key and certificate"
-    return Diagnostic("identity-revoked", Severity.NOTE, message, None, help_, f"/{name}")
+    return Diagnostic("identity-revoked", Severity.NOTE, message, None, help_, subject_of(name))
 
 
 def _renderer(session: Session, names: Sequence[str]) -> Callable[[str], object]:
@@ -103,7 +104,7 @@ def _renderer(session: Session, names: Sequence[str]) -> Callable[[str], object]
         policy = None
 
     def render(name: str) -> None:
-        rules = policy.rules(f"/{name}") if policy else None
+        rules = policy.rules(subject_of(name)) if policy else None
         if rules:
             session.package_type.create(session.profile, rules, {}, force=False)
 

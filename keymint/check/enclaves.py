@@ -11,10 +11,12 @@ from keymint.api import BuildOptions, BuildResult, BuildType, Inspection, Packag
 from keymint.changes import file_mode
 from keymint.check.file_status import linked_twice, modes
 from keymint.errors import KeymintError
+from keymint.names import subject_of
 from keymint.pki import keys
 from keymint.plan import identity_keys, install
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.build_types import build_types_of
+from keymint.plan.enclaves import files_in
 from keymint.plan.private_keys import key_defects
 from keymint.session import Session
 from keymint.state import digest
@@ -40,7 +42,7 @@ def inspections(session: Session, package: Package, files: Mapping[str, bytes], 
                 package=package,
                 documents=built.documents,
                 files={file: content for file, content in files.items() if file in own},
-                folder=session.workspace.shown(session.enclaves / package.name),
+                folder=session.workspace.shown(session.enclave_folder(package.name)),
                 layout=session.profile.layout,
                 chains={role.role: chains.get(role.name, b"") for role in build_type.authorities(package)},
                 now=session.now,
@@ -67,7 +69,7 @@ def unexpected(session: Session, package: Package, files: Iterable[str]) -> Iter
     layout = session.profile.layout
     known = frozenset[str]().union(*(each.files(layout) for each in build_types_of(session, package).values()))
     for file in sorted({*files} - known):
-        where = Origin(session.workspace.shown(session.enclaves / package.name / file))
+        where = Origin(session.workspace.shown(session.enclave(package.name) / file))
         message = f"does not belong to the layout {layout!r}"
         yield Diagnostic("file-unexpected", Severity.WARNING, message, where, "remove it", package.subject)
 
@@ -82,7 +84,7 @@ def identity_key(
         package: the package.
         keyring: the known keys of all subjects and authorities.
     """
-    path, subject = session.workspace.identity_key(package.name), f"/{package.name}"
+    path, subject = session.workspace.identity_key(package.name), subject_of(package.name)
     fingerprint = ""
     try:
         pem = session.tree.read(path)
@@ -111,30 +113,29 @@ def _link(session: Session, name: str, path: str) -> Diagnostic:
     if session.package(name).kept:
         help_ = f"copy what it leads to as well ('cp -L', 'rsync -L'), or {help_}"
     severity = Severity.NOTE if session.package(name).kept else Severity.ERROR
-    return Diagnostic("file-link", severity, message, Origin(session.workspace.shown(path)), help_, f"/{name}")
+    return Diagnostic("file-link", severity, message, Origin(session.workspace.shown(path)), help_, subject_of(name))
 
 
 def on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterator[Diagnostic]:
     """Check modes, links and recorded digests of one enclave."""
-    folder = f"{session.enclaves}/{name}"
+    folder = session.enclave_folder(name)
     stamp = session.state.stamp(install.STAGE, name)
     secret = stamp.secret if stamp else ("key.pem",)
-    yield from modes(session, folder, 0o700, f"/{name}")
-    for file, is_folder in session.tree.names(folder):
-        if not is_folder:
-            yield from modes(session, f"{folder}/{file}", file_mode(secret=file in secret), f"/{name}")
-            if session.tree.follows(f"{folder}/{file}"):
-                yield _link(session, name, f"{folder}/{file}")
-            if file in secret:
-                yield from linked_twice(session, f"{folder}/{file}", f"/{name}")
+    yield from modes(session, folder, 0o700, subject_of(name))
+    for file in files_in(session, name):
+        yield from modes(session, f"{folder}/{file}", file_mode(secret=file in secret), subject_of(name))
+        if session.tree.follows(f"{folder}/{file}"):
+            yield _link(session, name, f"{folder}/{file}")
+        if file in secret:
+            yield from linked_twice(session, f"{folder}/{file}", subject_of(name))
     if stamp is None:
         yield Diagnostic(
             "record-missing",
             Severity.NOTE,
-            f"there is no record of what was installed as /{name}",
+            f"there is no record of what was installed as {subject_of(name)}",
             None,
             "'keymint install' makes one",
-            f"/{name}",
+            subject_of(name),
         )
         return
     for file, value in stamp.outputs.items():
@@ -145,5 +146,5 @@ def on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterator
                 "was changed after it was installed",
                 Origin(session.workspace.shown(f"{folder}/{file}")),
                 f"'keymint install {name}' restores it",
-                f"/{name}",
+                subject_of(name),
             )

@@ -8,8 +8,9 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Artifact
 from keymint.check.file_status import modes
+from keymint.names import ROOT, subject_of
 from keymint.plan import environment, gitignore
-from keymint.plan.enclaves import enclave_files, installed
+from keymint.plan.enclaves import enclave_files, files_in, installed
 from keymint.plan.shared_files import build_types_in_use, copies_of
 from keymint.session import Session
 from keymint.workspace import packages
@@ -23,7 +24,8 @@ def outside_enclaves(session: Session, known: Collection[str]) -> Iterator[Diagn
         known: files that are checked elsewhere, by path relative to the install space.
     """
     workspace, names = session.workspace, installed(session)
-    enclaves = {f"{session.enclaves}/{name}" for name in names}
+    enclaves = {session.enclave_folder(name) for name in names if name != ROOT}
+    own = {f"{session.enclave_folder(ROOT)}/{file}" for file in files_in(session, ROOT)} if ROOT in names else ()
     expected = _copies(session, names)
     own_scripts = environment.scripts(session, build_types_in_use(session))
     entries = list(session.tree.walk(workspace.install, skipped=""))
@@ -31,7 +33,7 @@ def outside_enclaves(session: Session, known: Collection[str]) -> Iterator[Diagn
     folders = [path for path, is_folder in entries if is_folder]
     empty = [folder for folder in folders if not session.tree.names(folder)]  # an error if one cannot be read
     for path, is_folder in entries:
-        if is_folder or path.rpartition("/")[0] in enclaves:
+        if is_folder or path in own or path.rpartition("/")[0] in enclaves:
             continue
         relative = path.removeprefix(f"{workspace.install}/")
         if relative in known or relative == gitignore.NAME or path in targets:
@@ -91,7 +93,7 @@ def _copies(session: Session, names: Iterable[str]) -> Mapping[str, bytes]:
     expected: dict[str, bytes] = {}
     sources = set(packages(session.tree, session.workspace.src))
     artifacts = {
-        f"/{name}": {file: Artifact(content) for file, content in enclave_files(session, name)[0].items()}
+        subject_of(name): {file: Artifact(content) for file, content in enclave_files(session, name)[0].items()}
         for name in names
         if name in sources or sources.isdisjoint(names)  # if all are hidden or orphaned, they still need the copies
     }

@@ -53,7 +53,7 @@ def of_enclave(session: Session, package: Package, files: Mapping[str, bytes]) -
     in_force = enclave_lists(session).get(package.identity.issuer)
     if not in_force:
         return
-    folder, layout = session.workspace.shown(session.enclaves / package.name), session.profile.layout
+    folder, layout = session.workspace.shown(session.enclave_folder(package.name)), session.profile.layout
     help_ = f"'keymint install {package.name}' writes it; then deploy and restart the enclave"
     for file, artifact in revocation_files(build_types_of(session, package).values(), package.distro, layout, in_force):
         if files.get(file) != artifact.content:

@@ -25,6 +25,7 @@ from keymint.commands.run import Run
 from keymint.commands.user_files import read_input
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
+from keymint.names import subject_of
 from keymint.output.report import Report
 from keymint.plan.build import BuildStage
 from keymint.plan.policy import load_policy
@@ -91,7 +92,7 @@ class Hinted:
             return ()
         from keymint.hints import unknown_subjects  # noqa: PLC0415 - few builds have hints
 
-        return tuple(unknown_subjects(self.options.hints, [f"/{name}" for name in names], self.hints))
+        return tuple(unknown_subjects(self.options.hints, [subject_of(name) for name in names], self.hints))
 
 
 def build_options(run: Run, given: DocumentOptions) -> Hinted:

@@ -22,7 +22,7 @@ from keymint.commands.run import Run
 from keymint.commands.second_keystore import session_ahead
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
-from keymint.names import package_name
+from keymint.names import package_name, subject_of
 from keymint.output.report import Report
 from keymint.plan.authorities import MintedAuthority, plan_authorities
 from keymint.plan.bundles import MadeBundle, plan_bundles
@@ -82,8 +82,8 @@ def _in_force(session: Session, names: Iterable[str]) -> Mapping[str, MintedAuth
     for name in names:
         if plan.writes() or not (is_current(after, name, chains) or _would_stay(install.package(name))):
             raise KeymintError(
-                f"the enclave /{name} is not installed as its sources and authorities are now",
-                where=Origin(session.workspace.shown(session.enclaves / name)),
+                f"the enclave {subject_of(name)} is not installed as its sources and authorities are now",
+                where=Origin(session.workspace.shown(session.enclave_folder(name))),
                 help=f"run 'keymint build {name}' and 'keymint install {name}' first",
                 code="not-installed",
             )
@@ -131,7 +131,7 @@ def _chosen(session: Session, given: tuple[str, ...]) -> tuple[str, ...]:
     there = frozenset(installed(session))
     for each in given:
         if SPECIAL.search(each):
-            found = [name for name in known if name in there and matches(parse(each), f"/{name}")]
+            found = [name for name in known if name in there and matches(parse(each), subject_of(name))]
         else:
             name = package_name(each)
             found = [name] if name in known else []
@@ -139,7 +139,7 @@ def _chosen(session: Session, given: tuple[str, ...]) -> tuple[str, ...]:
             which = "no installed package" if SPECIAL.search(each) else "no package"
             raise KeymintError(
                 f"{which} is called {each!r} in {session.workspace.shown(session.workspace.src)}",
-                help=did_you_mean(each, [f"/{name}" for name in known], "'keymint status' lists them"),
+                help=did_you_mean(each, [subject_of(name) for name in known], "'keymint status' lists them"),
                 code="package-unknown",
             )
         chosen.update(dict.fromkeys(found))

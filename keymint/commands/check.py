@@ -16,6 +16,7 @@ from keymint.commands.options import complete_package
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
+from keymint.names import subject_of
 from keymint.output.report import Report, findings_exit, folded
 from keymint.plan.policy import lazy_policy
 from keymint.plan.policy_drift import uncreated
@@ -50,7 +51,7 @@ def check(run: Run, names: tuple[str, ...], within: timedelta) -> Report:
         workspace,
         (),
         findings,
-        {"checked": [f"/{name}" for name in chosen]},
+        {"checked": [subject_of(name) for name in chosen]},
         findings_exit(findings),
     )
 

@@ -15,6 +15,7 @@ from keymint.commands.reissue import reissued
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
+from keymint.names import subject_of
 from keymint.output.report import Report
 from keymint.pki import revocation_lists
 from keymint.plan.register import complete_register, register_change
@@ -73,7 +74,9 @@ def crl(run: Run, refresh: bool, rebuild: bool, valid_for: timedelta | None) -> 
 def _shown(run: Run, session: Session, done: Report | None = None) -> Report:
     """Show the lists, after what was done."""
     register = complete_register(session)
-    subjects = {each.serial: f"/{each.name}" for each in register.certificates.values() if each.revoked and each.name}
+    subjects = {
+        each.serial: subject_of(each.name) for each in register.certificates.values() if each.revoked and each.name
+    }
     rows: list[dict[str, Any]] = []
     cells: list[list[str]] = []
     for name, content in lists(session).items():

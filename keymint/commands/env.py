@@ -11,7 +11,7 @@ from keymint.commands.options import complete_package
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
-from keymint.names import package_name
+from keymint.names import package_name, subject_of
 from keymint.output.report import Report
 from keymint.plan.enclaves import installed
 from keymint.plan.environment import enclave_environment
@@ -37,7 +37,7 @@ def env(run: Run, enclave: str, shell: str) -> Report:
     name = _installed(session, enclave)
     values = enclave_environment(session, name)
     run.console.document(exports(values, shell).encode(errors="surrogateescape"))
-    result = {"enclave": f"/{name}", "variables": dict(values)}
+    result = {"enclave": subject_of(name), "variables": dict(values)}
     return Report(run.verb, workspace, (), (), result)
 
 
@@ -53,12 +53,12 @@ def _installed(session: Session, typed: str) -> str:
     where = Origin(session.workspace.shown(session.enclaves))
     if name in session.packages():
         raise KeymintError(
-            f"the enclave /{name} is not installed", where=where, help=f"run 'keymint install {name}'",
+            f"the enclave {subject_of(name)} is not installed", where=where, help=f"run 'keymint install {name}'",
             code="not-installed",
         )  # fmt: skip
     raise KeymintError(
-        f"there is no enclave /{name}",
+        f"there is no enclave {subject_of(name)}",
         where=where,
-        help=did_you_mean(f"/{name}", [f"/{each}" for each in known], "'keymint status' lists them"),
+        help=did_you_mean(subject_of(name), [subject_of(each) for each in known], "'keymint status' lists them"),
         code="enclave-unknown",
     )

@@ -9,7 +9,7 @@ from keymint.commands.options import complete_package
 from keymint.commands.revoke import document
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
-from keymint.names import package_name
+from keymint.names import package_name, subject_of
 from keymint.output.report import Report
 from keymint.plan.register import complete_register
 
@@ -33,7 +33,7 @@ def issued(run: Run, names: tuple[str, ...], revoked: bool) -> Report:
     ]
     cells = [
         [
-            f"/{each.name}" if each.name else "-",
+            subject_of(each.name) if each.name else "-",
             str(each.generation),
             f"{each.serial:x}",
             f"{each.not_after:%Y-%m-%d}",

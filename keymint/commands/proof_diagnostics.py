@@ -10,6 +10,7 @@ from comarmor.errors import Diagnostic, Severity
 from keymint.api import Claim, Counterexample, Proof
 from keymint.commands.run import Run
 from keymint.graph import Edge
+from keymint.names import name_of
 from keymint.plan import terms
 from keymint.plan.proof_results import EnclaveProof, ProofEffort, ProofResults
 
@@ -26,7 +27,7 @@ def merged_packages(diagnostics: Iterable[Diagnostic], shown: Callable[[str], st
     """
     groups: dict[tuple[str, str, str], list[Diagnostic]] = {}
     for diagnostic in diagnostics:
-        folder = shown(diagnostic.subject.removeprefix("/"))
+        folder = shown(name_of(diagnostic.subject))
         text = diagnostic.message.removeprefix(diagnostic.subject).replace(f"{folder}/", "")
         place = str(diagnostic.where).removeprefix(f"{folder}/") if diagnostic.where else ""
         groups.setdefault((diagnostic.code, text, place), []).append(diagnostic)

@@ -13,6 +13,7 @@ from keymint.changes import Plan
 from keymint.commands.proof_diagnostics import dated_of, diagnostics_of, effort_of, merged_packages
 from keymint.commands.run import Run
 from keymint.errors import ExitCode, KeymintError
+from keymint.names import name_of
 from keymint.plan.proof_results import EnclaveProof
 from keymint.plan.prove import NO_PROVER, ProofStage
 from keymint.plan.shared_install import HAND_EDITED
@@ -100,7 +101,7 @@ def _refused_edits(session: Session, plan: Plan, subjects: Collection[str]) -> l
             help_ = "change the policy instead; 'keymint build -f' discards the edit"
             edits[edit.where] = Diagnostic(HAND_EDITED, Severity.ERROR, message, edit.where, help_)
     for subject in sorted(filter(None, subjects)):
-        name = subject.removeprefix("/")
+        name = name_of(subject)
         package = session.package(name)
         built = [
             diagnostic.where

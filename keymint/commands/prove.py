@@ -79,7 +79,7 @@ def prove(
     unrecorded = run.keep(inputs, results.state) if pool.trusted else ()
 
     def folder(name: str) -> str:
-        return workspace.shown(session.enclaves / name)
+        return workspace.shown(session.enclave_folder(name))
 
     claims = [claim for enclave in results.all for claim in enclave.claims]
     _summary(run, results)

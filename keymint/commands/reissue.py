@@ -12,6 +12,7 @@ from keymint.api import BuildOptions, LoadedPolicy, Role
 from keymint.changes import Plan
 from keymint.commands.proof_gate import proof_stage, proven
 from keymint.commands.run import Run
+from keymint.names import name_of
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.authority_files import is_bundled
 from keymint.plan.build import BuildStage, is_current, options_as_built
@@ -105,4 +106,4 @@ def superseded(session: Session, installed: Plan, *, asked: bool) -> tuple[str, 
     if not asked and not session.profile.revoke_superseded:
         return ()
     found = (each for each in installed.diagnostics if each.code == RIGHTS_OUTLIVE)
-    return tuple(dict.fromkeys(each.subject.removeprefix("/") for each in found))
+    return tuple(dict.fromkeys(name_of(each.subject) for each in found))

@@ -20,7 +20,7 @@ from keymint.commands.reissue import reissued
 from keymint.commands.run import Run, exit_code_of
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
-from keymint.names import listed
+from keymint.names import listed, subject_of
 from keymint.output.report import Report
 from keymint.plan.enclaves import INSTALLED
 from keymint.plan.issuance import issuance_of, plan_issuance
@@ -228,14 +228,15 @@ def _lines(run: Run, renewal: _Renewal) -> Sequence[str]:
     """Return what was done and why, what to restart, and what is next."""
     would = "would renew" if run.dry_run else "renewed"
     lines = [
-        f"{would} /{each.due.name}: {_why(each.due)}; now in force until {_date(each.now)}" for each in renewal.renewed
+        f"{would} {subject_of(each.due.name)}: {_why(each.due)}; now in force until {_date(each.now)}"
+        for each in renewal.renewed
     ]
     lines += [
-        f"/{each.due.name} stays as it is: a renewal would give it the dates that it has; "
+        f"{subject_of(each.due.name)} stays as it is: a renewal would give it the dates that it has; "
         f"in force until {_date(each.now)}"
         for each in renewal.unchanged
     ]
-    lines += [f"waits for a signature: /{each.name}: {_why(each)}" for each in renewal.waiting]
+    lines += [f"waits for a signature: {subject_of(each.name)}: {_why(each)}" for each in renewal.waiting]
     if not renewal.waiting:
         lines += [f"{would} the revocation list of {each.name}: {_why(each)}" for each in renewal.schedule.lists]
     own = {each.due.name for each in renewal.renewed}
@@ -279,18 +280,22 @@ def _result(renewal: _Renewal) -> dict[str, Any]:
     return {
         "renewed": [
             {
-                "subject": f"/{each.due.name}",
+                "subject": subject_of(each.due.name),
                 **due_document(each.due),
                 "until": each.now.isoformat() if each.now else None,
                 "key_elsewhere": each.elsewhere,
             }
             for each in renewal.renewed
         ],
-        "unchanged": [f"/{each.due.name}" for each in renewal.unchanged],
-        "waiting": [{"subject": f"/{each.name}", **due_document(each)} for each in renewal.waiting],
+        "unchanged": [subject_of(each.due.name) for each in renewal.unchanged],
+        "waiting": [{"subject": subject_of(each.name), **due_document(each)} for each in renewal.waiting],
         "lists": [{"authority": each.name, **due_document(each)} for each in renewal.schedule.lists],
         "authorities_due": [
-            {"authority": each.name, "ends": each.end.isoformat(), "subjects": [f"/{name}" for name in each.packages]}
+            {
+                "authority": each.name,
+                "ends": each.end.isoformat(),
+                "subjects": [subject_of(name) for name in each.packages],
+            }
             for each in renewal.schedule.authorities
         ],
         "next": {"subject": f"/{following.name}", **due_document(following)} if following else None,

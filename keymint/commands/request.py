@@ -23,7 +23,7 @@ from keymint.commands.run import Run
 from keymint.commands.user_files import show_written, write_outputs
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
-from keymint.names import package_name
+from keymint.names import package_name, subject_of
 from keymint.output.report import Report
 from keymint.pins import VARIABLE as PIN_VARIABLE
 from keymint.pki import certificates, keys
@@ -92,7 +92,7 @@ def request(
             there = keystore.read()
         elif rekey and not uri and (waiting := there.pending(name)) is not None and not waiting.key:
             raise KeymintError(
-                f"a request of /{name} for the key that it has waits for its answer",
+                f"a request of {subject_of(name)} for the key that it has waits for its answer",
                 where=Origin(keystore.typed),
                 help="carry it to the authority, or say --discard as well",
                 code="request-waits",
@@ -103,11 +103,11 @@ def request(
     show_written(run, target, written)
     vouched = asked.signer or asked.fingerprint == _certified(there, keystore, name)
     run.console.line(f"fingerprint of the key: {asked.fingerprint}")
-    told = "" if vouched else f" --fingerprint /{name}={asked.fingerprint}"
+    told = "" if vouched else f" --fingerprint {subject_of(name)}={asked.fingerprint}"
     run.console.line(f"at the authority:       keymint sign {target.name}{told}")
     run.console.line("with its answer:        keymint accept BUNDLE")
     result = {
-        "enclave": f"/{name}", "fingerprint": asked.fingerprint, "signed_by_current_key": bool(vouched),
+        "enclave": subject_of(name), "fingerprint": asked.fingerprint, "signed_by_current_key": bool(vouched),
         "file": str(target), "written": written, "keystore": keystore.typed,
     }  # fmt: skip
     return Report(run.verb, result=result)
@@ -136,16 +136,20 @@ def _made(run: Run, there: Keystore, keystore: RobotKeystore, name: str, *, reke
         KeymintError: the key or the certificate that the enclave has cannot be used; it has another key than the one to
             ask for, and nobody said that it gets a new one; or those of :class:`keymint.pki.tokens.Tokens`.
     """
-    files, nonce, claimed = there.installed(name), secrets.token_hex(requests.NONCE_BYTES), common_name(f"/{name}")
+    files, nonce, claimed = (
+        there.installed(name),
+        secrets.token_hex(requests.NONCE_BYTES),
+        common_name(subject_of(name)),
+    )
     place = f"{keystore.typed}/…/{name}"
     present = keys.from_pem(files[KEY], None, Origin(f"{place}/{KEY}")) if KEY in files else None
     token = _in_token(run, kind) if kind.uri else None
     certified = _certified(there, keystore, name)
     if certified and not rekey and (present is None if token is None else keys.fingerprint(token) != certified):
         raise KeymintError(
-            f"the key of /{name} is in no file of the keystore"
+            f"the key of {subject_of(name)} is in no file of the keystore"
             if token is None
-            else f"the token has another key than /{name} has",
+            else f"the token has another key than {subject_of(name)} has",
             where=Origin(keystore.typed),
             help="name it with --pkcs11 if it lies in a token, or get a new one with --rekey",
             code="key-elsewhere",

@@ -13,7 +13,7 @@ from keymint.commands.options import complete_package, prove_option
 from keymint.commands.reissue import reissued
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
-from keymint.names import listed, package_name
+from keymint.names import listed, package_name, subject_of
 from keymint.output.report import Report
 from keymint.plan.enclaves import INSTALLED
 from keymint.plan.revoking import Revoking, plan_revocation, require_revoked
@@ -60,7 +60,7 @@ def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report
     say = run.console.line
     for each in revoking.certificates:
         word = "would revoke" if run.dry_run else "revoked  "
-        say(f"{word} /{each.name} serial {each.serial:x}, generation {each.generation}, {reason}")
+        say(f"{word} {subject_of(each.name)} serial {each.serial:x}, generation {each.generation}, {reason}")
     if peers:
         say(
             f"deploy and restart {counted(len(peers), 'enclave')}: {listed(peers)}; a node that runs keeps its "
@@ -81,8 +81,8 @@ def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report
         say(f"nothing is issued for {listed(revoking.packages)} until 'keymint renew --rekey'")
     return Report(
         report.verb, report.workspace, report.steps, report.diagnostics,
-        {"revoked": [document(each) for each in revoking.certificates], "restart": [f"/{name}" for name in peers],
-         "shared": shared, "issued_again": [f"/{name}" for name in names_again]},
+        {"revoked": [document(each) for each in revoking.certificates], "restart": [subject_of(name) for name in peers],
+         "shared": shared, "issued_again": [subject_of(name) for name in names_again]},
         report.exit_code, dry_run=report.dry_run,
     )  # fmt: skip
 
@@ -101,7 +101,7 @@ def document(each: IssuedCertificate) -> dict[str, Any]:
     return {
         "serial": f"{each.serial:x}",
         "authority": each.authority,
-        "subject": f"/{each.name}" if each.name else None,
+        "subject": subject_of(each.name) if each.name else None,
         "generation": each.generation,
         "not_before": each.not_before.isoformat(),
         "not_after": each.not_after.isoformat(),

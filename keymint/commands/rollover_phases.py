@@ -16,6 +16,7 @@ from keymint.commands.reissue import reissued
 from keymint.commands.run import Run
 from keymint.commands.second_keystore import dropped_keystore, exchanged_keystore, staged_keystore
 from keymint.errors import KeymintError
+from keymint.names import subject_of
 from keymint.pki import certificates
 from keymint.plan import install, rollover
 from keymint.plan.authority_files import trusted_chains
@@ -179,8 +180,8 @@ def _require_current(session: Session, name: str, names: Sequence[str], what: st
     stale = [each for each in names if not install.is_current(session, each, chains)]
     if stale:
         raise KeymintError(
-            f"{what} is not complete: {counted(len(stale), 'enclave')} not up to date, e.g. /{stale[0]}",
-            where=Origin(session.workspace.shown(session.enclaves / stale[0])),
+            f"{what} is not complete: {counted(len(stale), 'enclave')} not up to date, e.g. {subject_of(stale[0])}",
+            where=Origin(session.workspace.shown(session.enclave_folder(stale[0]))),
             help=f"'keymint build' and 'keymint install' complete it, or 'keymint authority replace {name}'; then copy "
             "the keystore to all robots",
             code="rollover-incomplete",

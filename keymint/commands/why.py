@@ -16,6 +16,7 @@ from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode
 from keymint.graph import LABELLED
+from keymint.names import name_of
 from keymint.output.json import decision_json, edge_json, place_json, verdict_json
 from keymint.output.mismatches import (
     document_reason,
@@ -83,7 +84,7 @@ def _strange(session: Session, explanation: Explanation) -> tuple[Diagnostic, ..
     """Return diagnostics on authorities in the enclave that are not the workspace's."""
     if not (explanation.installed and explanation.packaged):
         return ()
-    return differences(session, (explanation.edge.subject.removeprefix("/"),))
+    return differences(session, (name_of(explanation.edge.subject),))
 
 
 def _mismatches(explanation: Explanation, granted: Sequence[DomainRange]) -> list[Diagnostic]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import datetime
 
+from keymint.names import subject_of
 from keymint.output.openmetrics import Gauge, Sample, moments
 from keymint.plan.renewal import CERTIFICATE, LIST, PERMISSIONS, authority_ends, authority_renewals
 from keymint.session import Session
@@ -26,7 +27,12 @@ def gauges(session: Session, rows: Sequence[PackageRow]) -> tuple[Gauge, ...]:
     due = authority_renewals(session, terms)
 
     def of_enclaves(what: str) -> list[tuple[dict[str, str], datetime]]:
-        return [({"subject": f"/{each.name}"}, term.last) for each in terms for term in each.terms if term.what == what]
+        return [
+            ({"subject": subject_of(each.name)}, term.last)
+            for each in terms
+            for term in each.terms
+            if term.what == what
+        ]
 
     stale = tuple(
         Sample(float(bool(row.stale)), {"subject": f"/{row.package}"}) for row in rows if row.terms is not None

@@ -9,6 +9,7 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted
 from keymint.graph import Edge, EdgeOutcome
 from keymint.ir import Rule
+from keymint.names import name_of
 from keymint.output.junit import JUnitCase, JUnitFailure, JUnitSuite
 from keymint.output.sarif import SarifResult
 from keymint.verify.mismatch import Comparison, Mismatch
@@ -80,7 +81,7 @@ def rule_text(rule: Rule) -> str:
 
 def remedy(mismatch: Mismatch) -> str:
     """Return how to fix a mismatch."""
-    name = mismatch.edge.subject.removeprefix("/")
+    name = name_of(mismatch.edge.subject)
     much = "more" if mismatch.error is EdgeOutcome.FALSE_POSITIVE else "less"
     return (
         f"the enclave permits {much} than the policy; rebuild it: "

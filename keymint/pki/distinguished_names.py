@@ -113,6 +113,18 @@ def to_text(name: x509.Name) -> str:
     return ",".join(f"{kind}={_escape(value)}" for kind, value in attributes(name))
 
 
+def common_name_first(text: str) -> str:
+    """Return a name whose common name comes first, in certificate order; else the order stays.
+
+    Args:
+        text: a name as :func:`parse` reads it.
+
+    Raises:
+        KeymintError: the text is not a name.
+    """
+    return to_text(x509.Name(sorted(parse(text), key=lambda part: part.oid != NameOID.COMMON_NAME)))
+
+
 def common_name(subject: str, generation: int = 0) -> str:
     """Return the common name of a subject: its name, or its last segments if that exceeds a limit.
 

@@ -11,6 +11,7 @@ from comarmor.errors import Diagnostic, Origin
 from keymint.api import BuildOptions, BuildResult, Package
 from keymint.changes import Action, DocumentSize, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
+from keymint.names import subject_of
 from keymint.plan import identity_keys, lifetimes, shared_documents
 from keymint.plan.build_types import BUILD, build_types_of, inputs_digest, two_writers
 from keymint.plan.stage import PackagePlan, recorded, steps_of
@@ -113,7 +114,7 @@ def _plan_package(
     renew: bool,
 ) -> PackagePlan:
     folder = session.workspace.build / name
-    options = options_of(options, f"/{name}")
+    options = options_of(options, subject_of(name))
     options_digest = digest(repr(options))
     stamp = session.state.stamp(STAGE, name)
     same = stamp is not None and stamp.context == options_digest and is_current(session, name)

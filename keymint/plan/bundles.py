@@ -18,6 +18,7 @@ from keymint.bundles.manifest import Manifest
 from keymint.bundles.request import Request
 from keymint.changes import Plan
 from keymint.errors import KeymintError
+from keymint.names import subject_of
 from keymint.pki import certificates, keys
 from keymint.plan.authorities import MintedAuthority
 from keymint.plan.build_types import build_types_of
@@ -68,7 +69,7 @@ def plan_bundles(
             files = _staged_files(source, name) if source else _installed_files(session, name)
             made.append(_bundle(source or session, name, request, files, register.bundles[name], authorities))
         except KeymintError as error:
-            errors += [replace(each, subject=each.subject or f"/{name}") for each in error.diagnostics]
+            errors += [replace(each, subject=each.subject or subject_of(name)) for each in error.diagnostics]
     if errors:
         raise KeymintError.of(dict.fromkeys(errors))
     return Plan((), session.state, first=register_change(session, register)), tuple(made)
@@ -94,13 +95,13 @@ def _bundle(
     number: int,
     authorities: Mapping[str, MintedAuthority],
 ) -> MadeBundle:
-    package, folder = session.package(name), session.enclaves / name
+    package, folder = session.package(name), session.enclave(name)
     contents = {file: session.tree.read(folder / file) for file in names}
     # The robot has the key that it asks a certificate for.
     files = {file: data for file, data in contents.items() if data is not None and not (request and file == KEY)}
     if CERTIFICATE not in files:
         raise KeymintError(
-            f"the enclave /{name} is not installed",
+            f"the enclave {subject_of(name)} is not installed",
             where=Origin(session.workspace.shown(folder)),
             help=f"run 'keymint install {name}'",
             code="not-installed",
@@ -126,7 +127,7 @@ def _bundle(
         bundles.read(content, Origin(session.workspace.shown(folder)))
     except KeymintError as error:  # e.g. the enclave was installed with an authority that was replaced since
         raise KeymintError(
-            f"no robot would take a bundle of /{name}: {error.diagnostics[0].message}",
+            f"no robot would take a bundle of {subject_of(name)}: {error.diagnostics[0].message}",
             where=error.diagnostics[0].where,
             help=f"run 'keymint install {name}', which issues its certificate by the authority in force",
             code="bundle-unusable",

@@ -21,7 +21,7 @@ from keymint.api import (
 from keymint.changes import Action, File, Plan, Step, changed
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
-from keymint.names import refuse_case_collisions, refuse_reserved
+from keymint.names import ROOT, refuse_case_collisions, refuse_reserved, subject_of
 from keymint.plan.policy import package_of, record_policy
 from keymint.plan.stage import PackagePlan, recorded, steps_of
 from keymint.session import Session
@@ -75,14 +75,24 @@ def refuse_named(policy: LoadedPolicy, infrastructure: Mapping[str, tuple[Infras
     """
     subjects = set(policy.subjects())
     for name, (package, _) in infrastructure.items():
-        if f"/{name}" in subjects:
-            profiles = policy.profiles(f"/{name}")
+        if subject_of(name) in subjects:
+            profiles = policy.profiles(subject_of(name))
             raise KeymintError(
-                f"the policy names /{name}, which is {package.title} and no subject of the policy",
+                f"the policy names {subject_of(name)}, which is {package.title} and no subject of the policy",
                 where=profiles[-1].where if profiles else None,
                 help="rename the subject, or give the package of the transport another name in the profile",
                 code="infrastructure-named",
             )
+
+
+def _no_place_for_root(session: Session) -> KeymintError:
+    layout = session.profile.layout
+    return KeymintError(
+        f"the layout {layout!r} has no place for the root enclave '/': enclaves lie at the top of the install space",
+        where=session.profile_marker(),
+        help="name the nodes as subjects, or use another layout",
+        code="root-enclave",
+    )
 
 
 class CreateStage:
@@ -122,6 +132,8 @@ class CreateStage:
         reserved = [each for layout in session.layouts for each in layout.reserved]
         for name in (*subjects, *infrastructure):
             refuse_reserved(name, reserved)
+        if ROOT in subjects and not all(layout.enclaves for layout in session.layouts):
+            raise _no_place_for_root(session)
         return tuple(subjects)
 
     def plan(self, planned: Sequence[PackagePlan]) -> Plan:
@@ -146,16 +158,16 @@ class CreateStage:
         is_kept = stamp is not None and stamp.outputs == outputs and not force and not self._valid_for
         if stamp and is_kept and stamp.inputs == self._inputs:
             return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED))
-        context = self._rules_digest(f"/{name}")
+        context = self._rules_digest(subject_of(name))
         if stamp and is_kept and context and stamp.context == context:  # other subjects have other rules now
             return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED), replace(stamp, inputs=self._inputs))
         files = session.package_files(name) if digests else {}
         known = name in self.existing
-        rules = self._policy.rules(f"/{name}")
+        rules = self._policy.rules(subject_of(name))
         unnamed: tuple[Diagnostic, ...] = ()
         if rules is None:
             unnamed = (_nothing_applies(name, self._policy, known=known),)
-            rules = SubjectRules(f"/{name}", ())
+            rules = SubjectRules(subject_of(name), ())
         errors = () if known else unnamed
         try:
             new = self._package_type.create(session.profile, rules, files, force=force)
@@ -244,17 +256,17 @@ def _nothing_applies(name: str, policy: LoadedPolicy, *, known: bool) -> Diagnos
         return Diagnostic(
             "subject-unnamed",
             Severity.WARNING,
-            f"no profile of the policy applies to /{name} any more: it is left without permissions",
+            f"no profile of the policy applies to {subject_of(name)} any more: it is left without permissions",
             None,
             f"remove src/{name}, or name it in the policy",
-            f"/{name}",
+            subject_of(name),
         )
-    hint = did_you_mean(f"/{name}", policy.subjects(), "attach a profile to it")
+    hint = did_you_mean(subject_of(name), policy.subjects(), "attach a profile to it")
     return Diagnostic(
         "subject-unknown",
         Severity.ERROR,
-        f"no profile of the policy applies to /{name}",
+        f"no profile of the policy applies to {subject_of(name)}",
         None,
         hint,
-        f"/{name}",
+        subject_of(name),
     )

@@ -44,7 +44,7 @@ def plan_distribution(before: Session, session: Session, omitted: Collection[str
     for name in installed(session):
         if name in omitted:
             continue
-        folder = session.enclaves / name
+        folder = session.enclave(name)
         build_types = recorded_build_types(session, name)
         possible = {authority: _files(session, build_types, content) for authority, content in in_force.items()}
         if len(possible) == 1 and not any(_different(session, folder, files) for files in possible.values()):

@@ -11,6 +11,7 @@ from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.errors import KeymintError
+from keymint.names import ROOT, subject_of
 from keymint.pki import certificates
 from keymint.session import Inputs, Session
 from keymint.workspace import hidden_by
@@ -27,11 +28,12 @@ def installed(session: Session) -> tuple[str, ...]:
 
 def _installed(session: Session) -> tuple[str, ...]:
     names: list[str] = []
+    has_root = session.enclaves != session.workspace.install
 
     def search(folder: str, name: str) -> None:
         entries = session.tree.names(folder)
-        if name and any(entry in {KEY, CERTIFICATE} for entry, is_folder in entries if not is_folder):
-            names.append(name)
+        if (name or has_root) and any(entry in {KEY, CERTIFICATE} for entry, is_folder in entries if not is_folder):
+            names.append(name or ROOT)
         for entry, is_folder in entries:
             if is_folder and not entry.startswith("."):
                 search(f"{folder}/{entry}", f"{name}/{entry}" if name else entry)
@@ -55,13 +57,15 @@ def unaccounted(session: Session) -> Iterator[Diagnostic]:
     for name, marker in _unknown(session):
         if marker is None:
             code, where = "enclave-orphaned", None
-            message = f"the enclave /{name} is installed, but has no source package"
+            message = f"the enclave {subject_of(name)} is installed, but has no source package"
             help_ = "'keymint install --prune' removes it"
         else:
             code, where = "enclave-ignored", Origin(session.workspace.shown(marker))
-            message = f"hides the source package of the installed enclave /{name}, which is not checked or updated"
+            message = (
+                f"hides the source package of the installed enclave {subject_of(name)}, which is not checked or updated"
+            )
             help_ = "remove this file, or the enclave"
-        yield Diagnostic(code, Severity.WARNING, message, where, help_, f"/{name}")
+        yield Diagnostic(code, Severity.WARNING, message, where, help_, subject_of(name))
 
 
 def _unknown(session: Session) -> Iterator[tuple[str, Path | None]]:
@@ -88,25 +92,48 @@ def require_sources(inputs: Inputs) -> None:
         )
 
 
+def files_in(session: Session, name: str) -> tuple[str, ...]:
+    """Return the names of the files of an enclave, sorted.
+
+    The folder of the root enclave has those that all enclaves share as well: there, a file is the enclave's if a build
+    type has one of that name, and a certificate or a key shows that there is an enclave.
+
+    Raises:
+        KeymintError: the folder cannot be read.
+    """
+    found = tuple(file for file, is_folder in session.tree.names(session.enclave_folder(name)) if not is_folder)
+    if name != ROOT:
+        return found
+    if KEY not in found and CERTIFICATE not in found:
+        return ()
+    known = session.once("names of files", lambda: _known_names(session))
+    return tuple(file for file in found if file in known)
+
+
+def _known_names(session: Session) -> frozenset[str]:
+    """Return the names of the files that any installed build type puts into enclaves."""
+    infos = (info for info in session.plugins.infos if info.group == "keymint.build_types")
+    build_types = (session.plugins.build_type(info.name) for info in infos)
+    return frozenset(file for each in build_types for file in each.files(session.profile.layout))
+
+
 def enclave_files(session: Session, name: str) -> tuple[dict[str, bytes], tuple[Diagnostic, ...]]:
     """Return the files of a package's enclave by name, and a finding for each that cannot be read."""
     files: dict[str, bytes] = {}
     unreadable: list[Diagnostic] = []
-    folder = f"{session.enclaves}/{name}"
+    folder = session.enclave_folder(name)
     try:
-        entries = session.tree.names(folder)
+        entries = files_in(session, name)
     except KeymintError as error:
-        return {}, tuple(replace(each, subject=f"/{name}") for each in error.diagnostics)
-    for file, is_folder in entries:
-        if is_folder:
-            continue
+        return {}, tuple(replace(each, subject=subject_of(name)) for each in error.diagnostics)
+    for file in entries:
         path = f"{folder}/{file}"
         try:
             content = session.tree.read(path)
         except KeymintError as error:
             where = Origin(session.workspace.shown(path))
             unreadable += (
-                replace(each, where=where, help=each.help or "remove it", subject=f"/{name}")
+                replace(each, where=where, help=each.help or "remove it", subject=subject_of(name))
                 for each in error.diagnostics
             )
             continue
@@ -120,10 +147,9 @@ def enclave_digests(session: Session, name: str) -> dict[str, str] | None:
 
     The result is None if a file cannot be read.
     """
-    folder = f"{session.enclaves}/{name}"
+    folder = session.enclave_folder(name)
     try:
-        names = [file for file, is_folder in session.tree.names(folder) if not is_folder]
-        found = {file: session.tree.digest(f"{folder}/{file}") for file in names}
+        found = {file: session.tree.digest(f"{folder}/{file}") for file in files_in(session, name)}
     except KeymintError:
         return None
     return {file: value for file, value in found.items() if value is not None}
@@ -131,8 +157,8 @@ def enclave_digests(session: Session, name: str) -> dict[str, str] | None:
 
 def not_installed(name: str, folder: str) -> Diagnostic:
     """Return the finding on a package without an enclave; the folder is the missing one as messages show it."""
-    message, help_ = f"the enclave /{name} is not installed", f"run 'keymint install {name}'"
-    return Diagnostic("enclave-missing", Severity.ERROR, message, Origin(folder), help_, f"/{name}")
+    message, help_ = f"the enclave {subject_of(name)} is not installed", f"run 'keymint install {name}'"
+    return Diagnostic("enclave-missing", Severity.ERROR, message, Origin(folder), help_, subject_of(name))
 
 
 def deployed_authorities(session: Session) -> tuple[x509.Certificate, ...]:
@@ -142,15 +168,15 @@ def deployed_authorities(session: Session) -> tuple[x509.Certificate, ...]:
     """
     contents: dict[bytes, None] = {}
     for name in installed(session):
-        for entry, is_folder in session.tree.names(session.enclaves / name):
+        for entry, is_folder in session.tree.names(session.enclave(name)):
             if not is_folder and entry.endswith(".pem") and entry not in {CERTIFICATE, KEY}:
-                contents[session.tree.try_read(session.enclaves / name / entry) or b""] = None
+                contents[session.tree.try_read(session.enclave(name) / entry) or b""] = None
     return tuple(dict.fromkeys(certificate for pem in contents for certificate in _certificates(pem)))
 
 
 def installed_certificate(session: Session, name: str) -> x509.Certificate | None:
     """Return the identity certificate of an installed enclave, or None if there is no readable one."""
-    pem = session.tree.try_read(f"{session.enclaves}/{name}/{CERTIFICATE}")
+    pem = session.tree.try_read(f"{session.enclave_folder(name)}/{CERTIFICATE}")
     return next(_certificates(pem or b""), None)
 
 

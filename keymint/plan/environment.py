@@ -9,8 +9,9 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import EnvironmentVariable, ProcessEnvironment
 from keymint.changes import Action, File, Step, changed
 from keymint.errors import KeymintError
+from keymint.names import subject_of
 from keymint.plan.build_types import recorded_build_types
-from keymint.plan.enclaves import INSTALLED
+from keymint.plan.enclaves import INSTALLED, files_in
 from keymint.session import Session
 from keymint.shells import MARK, SHELLS, resolved, script
 
@@ -80,12 +81,12 @@ def enclave_environment(session: Session, name: str) -> Mapping[str, str]:
         name: an installed package.
     """
     distro, layout = session.profile.distro, session.profile.layout
-    files = [file for file, is_folder in session.tree.names(session.enclaves / name) if not is_folder]
+    files = files_in(session, name)
     variables: dict[str, EnvironmentVariable] = {}
     for each in recorded_build_types(session, name):
         build_type = session.plugins.build_type(each, session.package_marker(name))
         if isinstance(build_type, ProcessEnvironment):
-            found = build_type.enclave_variables(distro, layout, f"/{name}", files)
+            found = build_type.enclave_variables(distro, layout, subject_of(name), files)
             variables |= {variable.name: variable for variable in found}
     return resolved(variables.values(), session.workspace.install)
 

@@ -15,6 +15,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Package
 from keymint.changes import File, FolderChange
 from keymint.errors import KeymintError
+from keymint.names import subject_of
 from keymint.pki import certificates, keys, public_keys
 from keymint.plan import key_record
 from keymint.plan.enclaves import INSTALLED, KEY, installed, installed_certificate
@@ -70,7 +71,7 @@ def refuse_elsewhere(session: Session, name: str) -> None:
     """
     if issuance_of(session, name).public_key or session.package(name).identity.key.uri:
         raise KeymintError(
-            f"the private key of /{name} is not here, so no other one is made for it",
+            f"the private key of {subject_of(name)} is not here, so no other one is made for it",
             where=place_of(session, name),
             help="run 'keymint request' on the machine that is to have the key, then 'keymint sign' here",
             code="key-elsewhere",
@@ -143,7 +144,7 @@ def restore_or_mint(session: Session, package: Package, path: Path) -> tuple[Fol
     known = known_fingerprint(session, package.name)
     if not known:
         return mint(session, package, path)
-    pem = session.tree.try_read(session.enclaves / package.name / KEY) or b""
+    pem = session.tree.try_read(session.enclave(package.name) / KEY) or b""
     try:
         secret = password(package.identity.key, session.environment, package.identity.origin)
         there = keys.fingerprint(keys.from_pem(pem, secret)) if pem else ""
@@ -151,7 +152,7 @@ def restore_or_mint(session: Session, package: Package, path: Path) -> tuple[Fol
         there = ""
     if there != known:
         raise KeymintError(
-            f"the private key of /{package.name} is missing",
+            f"the private key of {subject_of(package.name)} is missing",
             where=Origin(session.workspace.shown(path)),
             help=f"restore it from a backup, or mint a new one with {_new(package.name)}",
             code="key-missing",
@@ -210,7 +211,7 @@ class Keyring:
         known = known_fingerprint(self._session, name)
         if known and known != fingerprint:
             raise KeymintError(
-                f"is not the private key that /{name} had: it was replaced",
+                f"is not the private key that {subject_of(name)} had: it was replaced",
                 where=self._place(path),
                 help=_remedy(name),
                 code="key-replaced",
@@ -238,7 +239,7 @@ class Keyring:
         others = [other for other in self._owners.get(fingerprint, ()) if other != name]
         if owner or others:
             raise KeymintError(
-                f"the public key of /{name} is that of {owner or f'/{others[0]}'}",
+                f"the public key of {subject_of(name)} is that of {owner or subject_of(others[0])}",
                 where=where,
                 help="make a new key with 'keymint request' on the machine of this subject, then run 'keymint sign'",
                 code="key-of-authority" if owner else "key-shared",
@@ -268,13 +269,13 @@ def shared_keys(inputs: Inputs, fingerprints: Mapping[str, str]) -> Iterator[Dia
         other = owners.setdefault(fingerprint, name)
         if other != name:
             where = Origin(inputs.workspace.shown(inputs.workspace.identity_key(name)))
-            yield from (replace(each, subject=f"/{name}") for each in _shared(name, other, where).diagnostics)
+            yield from (replace(each, subject=subject_of(name)) for each in _shared(name, other, where).diagnostics)
 
 
 def _shared(name: str, other: str, shown: Origin) -> KeymintError:
     """Return the error for two subjects that have the same key."""
     return KeymintError(
-        f"is the private key of /{other} as well, so that each could act as the other",
+        f"is the private key of {subject_of(other)} as well, so that each could act as the other",
         where=shown,
         help=f"mint a new one with {_new(name)}",
         code="key-shared",

@@ -8,9 +8,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.values import dataclass
 from keymint.api import Artifact, Package, Succession
 from keymint.changes import Action, File, FolderChange, Plan, Step, file_mode
 from keymint.errors import KeymintError
+from keymint.names import ROOT, subject_of
 from keymint.pki import certificates, keys
 from keymint.plan import authority_files, build, identity_keys, key_record, lifetimes, revocation
 from keymint.plan.authorities import MintedAuthority
@@ -19,6 +21,7 @@ from keymint.plan.enclaves import (
     CERTIFICATE,
     INSTALLED,
     enclave_files,
+    files_in,
     installed,
     orphans,
     require_sources,
@@ -27,7 +30,7 @@ from keymint.plan.enclaves import (
 from keymint.plan.environment import plan_scripts
 from keymint.plan.identity_keys import Keyring
 from keymint.plan.register import complete_register, register_change, register_of, require_free_serials
-from keymint.plan.shared_files import build_types_in_use, shared_steps
+from keymint.plan.shared_files import ChangedEnclaves, build_types_in_use, shared_copies, shared_steps
 from keymint.plan.shared_install import HAND_EDITED, OUTDATED, plan_shared_install
 from keymint.plan.signing import sign
 from keymint.plan.stage import PackagePlan, recorded, steps_of
@@ -82,9 +85,9 @@ class InstallStage:
         removed = orphans(session) if prune else ()
         shared = plan_shared_install(session, [each.name for each in planned], self._authorities, removed)
         withdrawn = {each.name: each.withdrawn for each in planned if each.withdrawn}
-        leaving = {*removed, *withdrawn}
-        build_types = build_types_in_use(session, changed, leaving)
-        copies = shared_steps(session, changed, build_types, leaving)
+        leaving = Leaving(changed, frozenset((*removed, *withdrawn)))
+        build_types = build_types_in_use(session, changed, leaving.removed)
+        copies = shared_steps(session, changed, build_types, leaving.removed)
         scripts, foreign = plan_scripts(session, build_types)
         steps = [*shared.steps, *copies, *scripts, *steps_of(planned)]
         diagnostics = [*(diagnostic for each in planned for diagnostic in each.diagnostics), *foreign]
@@ -95,11 +98,11 @@ class InstallStage:
         state = recorded(session.state, STAGE, planned, (*removed, *shared.removed, *withdrawn))
         state = state.updated(STAGE, shared.stamps)
         for name, reason in withdrawn.items():
-            steps.append(withdraw(session, name, reason))
+            steps.append(withdraw(session, name, reason, leaving))
         if prune:
             require_sources(session)
             diagnostics += _still_good(session, removed)
-            steps += [_prune(session, name) for name in removed]
+            steps += [_prune(session, name, leaving) for name in removed]
             state = key_record.forget(state, key_record.IDENTITIES, removed)
         return Plan(tuple(steps), state, tuple(diagnostics), _register(session, planned))
 
@@ -113,10 +116,10 @@ def _still_good(session: Session, removed: Sequence[str]) -> Iterator[Diagnostic
         yield Diagnostic(
             "certificate-in-force",
             Severity.WARNING,
-            f"the certificate of the removed enclave /{name} stays good until {shown(end)}{others}",
+            f"the certificate of the removed enclave {subject_of(name)} stays good until {shown(end)}{others}",
             None,
             f"'keymint revoke {name} --reason retired' ends it",
-            f"/{name}" if len(ends) == 1 else "",
+            subject_of(name) if len(ends) == 1 else "",
         )
 
 
@@ -148,11 +151,11 @@ def _plan_enclave(
             code="not-built",
             where=Origin(workspace.shown(workspace.build / name)),
         )
-    status = session.tree.status(f"{session.enclaves}/{name}")
+    status = session.tree.status(session.enclave_folder(name))
     if status is not None and stat.S_ISLNK(status.st_mode):
         raise KeymintError(
             "is a symbolic link, which is refused: an enclave must be a folder",
-            where=Origin(workspace.shown(session.enclaves / name)),
+            where=Origin(workspace.shown(session.enclave_folder(name))),
             help="remove the link",
             code="symlink-refused",
         )
@@ -160,7 +163,7 @@ def _plan_enclave(
     if stamp is not None and _has_outputs(session, name, stamp, inputs):
         own = lifetimes.recalled(session, name, stamp)
         return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED), lifetimes=own)
-    package, folder = session.package(name), session.enclaves / name
+    package, folder = session.package(name), session.enclave(name)
     own = lifetimes.lifetimes(package)
     if identity_keys.is_awaited(package):
         return _awaiting(package)
@@ -240,7 +243,7 @@ def _outliving(
                 Severity.WARNING,
                 f"the signed rights that are replaced allow more, e.g. to {found.example}, and their holder may "
                 f"present them until {shown(found.until)}",
-                Origin(session.workspace.shown(session.enclaves / package.name)),
+                Origin(session.workspace.shown(session.enclave_folder(package.name))),
                 f"'keymint revoke {package.name} --reason superseded' ends them; so does --revoke-superseded",
                 package.subject,
             )
@@ -272,7 +275,7 @@ def _outdated(inputs: Inputs, names: Sequence[str]) -> Sequence[Diagnostic]:
             "is stale; signing the existing build" + ("" if one else f" [{len(names)} packages]"),
             Origin(inputs.workspace.shown(inputs.workspace.build / name)),
             f"'keymint build {name}' rebuilds it" if one else "'keymint build' rebuilds all stale packages",
-            f"/{name}" if one else "",
+            subject_of(name) if one else "",
         ),
     )
 
@@ -286,7 +289,7 @@ def _edits(inputs: Inputs, name: str, documents: Mapping[str, bytes]) -> Sequenc
             "was edited by hand; signing the edited document",
             Origin(inputs.workspace.shown(inputs.workspace.build / name / file)),
             f"'keymint build -f {name}' discards the edit",
-            f"/{name}",
+            subject_of(name),
         )
         for file, content in documents.items()
         if not inputs.state.wrote(build.STAGE, name, file, content)
@@ -307,7 +310,7 @@ def is_current(session: Session, name: str, chains: Mapping[str, bytes]) -> bool
 
 def _has_outputs(session: Session, name: str, stamp: Stamp, inputs: str | None) -> bool:
     """Tell whether an enclave was made from these inputs, and is as it was made."""
-    folder = f"{session.enclaves}/{name}"
+    folder = session.enclave_folder(name)
     try:
         return stamp.inputs == inputs and all(
             session.tree.digest(f"{folder}/{file}") == value
@@ -342,22 +345,41 @@ def _has_mode(inputs: Inputs, path: str, *, secret: bool) -> bool:
     return status is None or stat.S_IMODE(status.st_mode) & 0o777 == file_mode(secret=secret)
 
 
-def withdraw(session: Session, name: str, reason: str) -> Step:
+@dataclass(frozen=True, slots=True)
+class Leaving:
+    """The enclaves that a run removes.
+
+    Attributes:
+        changed: build types and files of each enclave that changes, by package.
+        removed: the packages whose enclaves are removed.
+    """
+
+    changed: ChangedEnclaves
+    removed: frozenset[str]
+
+
+def withdraw(session: Session, name: str, reason: str, leaving: Leaving) -> Step:
     """Return the step for a subject whose key must not be certified again: no robot may get its enclave.
 
     Args:
         session: the workspace and its profile.
         name: the package.
         reason: why its certificate was revoked.
+        leaving: the enclaves that the run removes, this one included.
     """
     if name in installed(session):
-        return replace(_prune(session, name), detail=f"revoked: {reason}")
+        return replace(_prune(session, name, leaving), detail=f"revoked: {reason}")
     return Step(STAGE, name, Action.KEPT, detail=f"revoked: {reason}; 'keymint renew --rekey {name}' makes a new key")
 
 
-def _prune(session: Session, name: str) -> Step:
-    folder = session.enclaves / name
-    files = [entry for entry, is_folder in session.tree.names(folder) if not is_folder]
+def _prune(session: Session, name: str, leaving: Leaving) -> Step:
+    folder = session.enclave(name)
+    files = files_in(session, name)
+    if name == ROOT:  # its folder keeps what the other enclaves share
+        build_types = build_types_in_use(session, leaving.changed, leaving.removed)
+        copies = shared_copies(session, leaving.changed, build_types, leaving.removed)
+        shared = {session.workspace.install / path for of_type in copies for path in of_type}
+        files = tuple(file for file in files if folder / file not in shared)
     # The certificate goes last, so that what a killed run leaves is still recognised as an enclave.
     ordered = tuple(sorted(files, key=lambda entry: entry == CERTIFICATE))
     return Step(STAGE, name, Action.REMOVED, (FolderChange(folder, removed=ordered),))

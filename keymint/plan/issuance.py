@@ -10,6 +10,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Issuance
 from keymint.changes import Action, File, Plan, Step, changed
 from keymint.errors import KeymintError
+from keymint.names import subject_of
 from keymint.session import Session
 from keymint.state import digest
 
@@ -74,7 +75,7 @@ def plan_issuance(session: Session, stage: str, new: Mapping[str, Issuance], det
 def _defects(session: Session, name: str, new: Issuance) -> list[Diagnostic]:
     """Return why the authority must not decide this about a package."""
     before = issuance_of(session, name)
-    subject, where = f"/{name}", place_of(session, name)
+    subject, where = subject_of(name), place_of(session, name)
     if new.generation < before.generation:
         message = f"has generation {before.generation}, and would fall to {new.generation}"
         return [Diagnostic("generation-falls", Severity.ERROR, message, where, "never lower a generation", subject)]

@@ -17,6 +17,7 @@ from functools import lru_cache
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.values import dataclass
 from keymint.api import Authority, Package, Validity
+from keymint.names import subject_of
 from keymint.plan.terms import shown
 from keymint.session import Session
 from keymint.state import Stamp
@@ -83,7 +84,7 @@ def findings(by_package: Mapping[str, Iterable[Lifetime]], session: Session) -> 
         if of_package not in known:
             used.update(dict.fromkeys(above for each in of_package for above in _above(each.issuer, authorities)))
             known[of_package] = [found for each in of_package for found in _of(each, authorities, session.now)]
-        warnings += (replace(warning, subject=f"/{name}") for warning in known[of_package])
+        warnings += (replace(warning, subject=subject_of(name)) for warning in known[of_package])
     for name in used:
         spec = authorities[name].certificate
         own = _lifetime("authority", spec.validity, spec.issuer, spec.origin)

@@ -9,6 +9,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import counted, first_few
 from keymint.api import LoadedPolicy
 from keymint.errors import KeymintError
+from keymint.names import subject_of
 from keymint.plan.create import stale
 from keymint.plan.policy import is_recorded, is_unchanged, load_policy, package_of, recorded_subjects
 from keymint.session import Inputs, Session
@@ -37,7 +38,7 @@ def policy_changed(session: Session) -> tuple[Diagnostic, ...]:
         return (Diagnostic(CHANGED, Severity.WARNING, message, None, "fix it, then run 'keymint create --all'"),)
     if not names:
         return ()
-    shown = first_few([f"/{name}" for name in names], _SHOWN)
+    shown = first_few([subject_of(name) for name in names], _SHOWN)
     message = f"{counted(len(names), 'source package')} out of date with the policy: {shown}"
     return (Diagnostic(CHANGED, Severity.WARNING, message, None, "run 'keymint create --all'"),)
 
@@ -68,7 +69,7 @@ def uncreated(inputs: Inputs, policy: LoadedPolicy, known: Sequence[str]) -> tup
     missing = [name for name in missing if not known or hidden_by(inputs.tree, src, name) is None]
     if not missing:
         return ()
-    shown = first_few([f"/{name}" for name in missing], _SHOWN)
+    shown = first_few([subject_of(name) for name in missing], _SHOWN)
     subjects = "a subject that has" if len(missing) == 1 else f"{len(missing)} subjects that have"
     marker = hidden_by(inputs.tree, src, missing[0])
     return (

@@ -28,6 +28,7 @@ from keymint.api import (
 from keymint.errors import KeymintError
 from keymint.executors import Pool
 from keymint.ir import SubjectRules
+from keymint.names import name_of, subject_of
 from keymint.plan import authority_evidence, proof_record, terms
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.build_types import build_types_of, inputs_digest, issuers_of, suffixes_read
@@ -157,22 +158,22 @@ class ProofStage:
         if digests is None:
             files, unread = enclave_files(session, name)
             if defects := self._of_enclave(name, unread):
-                return PackageProof(name, EnclaveProof(f"/{name}", (), diagnostics=defects), refuted=True)
+                return PackageProof(name, EnclaveProof(subject_of(name), (), diagnostics=defects), refuted=True)
             digests = {file: digest(content) for file, content in files.items()}
         if self._contradictions and (
             contradictions := authority_evidence.contradictions_for(
                 self._contradictions, issuers_of(session, session.package(name))
             )
         ):
-            return PackageProof(name, EnclaveProof(f"/{name}", (), diagnostics=contradictions))
+            return PackageProof(name, EnclaveProof(subject_of(name), (), diagnostics=contradictions))
         stamp, folder = session.state.stamp(STAGE, name), self._shown(name)
         current = stamp is not None and stamp.inputs == self._inputs_digest(name, digests, stamp.build_types)
         cached = proof_record.load(stamp, folder) if stamp and current else None
-        if stamp and cached and self._same_rules(stamp, [f"/{name}"]):
+        if stamp and cached and self._same_rules(stamp, [subject_of(name)]):
             claims, validity = cached
             # The cache does not depend on the clock: whether documents are in force is checked at each run.
-            proof = EnclaveProof(f"/{name}", claims, cached=True, terms=validity)
-            return PackageProof(name, proof, stamp.build_types, self._of_policy(stamp, [f"/{name}"]))
+            proof = EnclaveProof(subject_of(name), claims, cached=True, terms=validity)
+            return PackageProof(name, proof, stamp.build_types, self._of_policy(stamp, [subject_of(name)]))
         package = session.package(name)
         files = enclave_files(session, name)[0] if files is None else files
         build_types = tuple(build_types_of(session, package)) if files else ()
@@ -192,7 +193,7 @@ class ProofStage:
         session, key, folder = self._session, record_key(name), self._shared.folder
         enclaves = self._shared.enclaves(name)
         inputs = self._shared.inputs_digest(names, enclaves, name, self._chains_digest)
-        stamp, subjects = session.state.stamp(STAGE, key), [f"/{each}" for each in names]
+        stamp, subjects = session.state.stamp(STAGE, key), [subject_of(each) for each in names]
         cached = proof_record.load(stamp, folder) if stamp and stamp.inputs == inputs else None
         if stamp and cached and self._same_rules(stamp, subjects):
             proof = EnclaveProof("", cached[0], cached=True, build_type=name)
@@ -266,8 +267,7 @@ class ProofStage:
     def _shown(self, name: str) -> str:
         """Return the path of an enclave's files in messages, as the user would type it."""
         workspace = self._session.workspace
-        folder = workspace.build if self._unsigned else self._session.enclaves
-        return workspace.shown(f"{folder}/{name}")
+        return workspace.shown(workspace.build / name if self._unsigned else self._session.enclave(name))
 
     def _proof(self, package: Package, rules: SubjectRules, files: Mapping[str, bytes], folder: str) -> EnclaveProof:
         subject = package.subject
@@ -337,5 +337,5 @@ class ProofStage:
 
     def _rules(self, subject: str) -> SubjectRules:
         """Return the policy's rules for a subject; none for infrastructure, even if a profile is for every subject."""
-        of_subject = self._session.role(subject.removeprefix("/")) is Role.SUBJECT
+        of_subject = self._session.role(name_of(subject)) is Role.SUBJECT
         return (self._policy.rules(subject) if of_subject else None) or SubjectRules(subject, ())

@@ -12,6 +12,7 @@ from comarmor.errors import Origin
 from keymint.api import Package
 from keymint.changes import File, FolderChange
 from keymint.errors import KeymintError
+from keymint.names import subject_of
 from keymint.pki import certificates, keys, revocation_lists
 from keymint.plan import authority_files
 from keymint.plan.enclaves import installed, installed_certificate
@@ -190,7 +191,8 @@ def require_free_serials(register: Register, issued: Iterable[IssuedCertificate]
             each.name, each.key, each.not_before, each.not_after,
         ):  # fmt: skip
             raise KeymintError(
-                f"the serial number {each.serial} of /{each.name} was given to a certificate of /{other.name} before",
+                f"the serial number {each.serial} of {subject_of(each.name)} was given to a certificate of "
+                f"{subject_of(other.name)} before",
                 help="leave <serial_number> empty for a random one",
                 code="serial-taken",
             )

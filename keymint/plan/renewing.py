@@ -10,6 +10,7 @@ from comarmor.values import dataclass
 from keymint.api import BuildOptions
 from keymint.changes import FolderChange, Plan
 from keymint.errors import KeymintError
+from keymint.names import name_of, subject_of
 from keymint.plan import authorities, build
 from keymint.plan.enclaves import installed
 from keymint.plan.issuance import issuance_of, place_of
@@ -66,8 +67,8 @@ def chosen(session: Session, names: Iterable[str], *, rekey: bool) -> Chosen:
 def _request(session: Session, name: str) -> Diagnostic:
     return Diagnostic(
         "request-needed", Severity.WARNING,
-        f"the private key of /{name} is not here, so a new one must be made where it is",
-        place_of(session, name), "run 'keymint request' there, then 'keymint sign' here", f"/{name}",
+        f"the private key of {subject_of(name)} is not here, so a new one must be made where it is",
+        place_of(session, name), "run 'keymint request' there, then 'keymint sign' here", subject_of(name),
     )  # fmt: skip
 
 
@@ -80,15 +81,16 @@ def _require_certified(session: Session, name: str, there: Collection[str], *, r
     if reason := register_of(session).withdrawn(name):
         if not rekey:
             raise KeymintError(
-                f"the certificate of /{name} was revoked ({reason}), and nothing is issued for its key again",
+                f"the certificate of {subject_of(name)} was revoked ({reason}), and nothing is issued for its key "
+                "again",
                 where=place_of(session, name),
                 help=f"'keymint renew --rekey {name}' makes a new key",
                 code="key-barred",
             )
     elif name not in there:
         raise KeymintError(
-            f"the enclave /{name} is not installed, so there is nothing to renew",
-            where=Origin(session.workspace.shown(session.enclaves / name)),
+            f"the enclave {subject_of(name)} is not installed, so there is nothing to renew",
+            where=Origin(session.workspace.shown(session.enclave_folder(name))),
             help=f"run 'keymint build {name}' and 'keymint install {name}'",
             code="enclave-missing",
         )
@@ -107,7 +109,8 @@ def _require_same(session: Session, name: str) -> Mapping[str, Stamp]:
         raise KeymintError.of(planned.errors)
     if planned.step and any(_is_other(session, name, change) for change in planned.step.changes):
         raise KeymintError(
-            f"the sources of /{name} changed since its documents were built, and a renewal changes nothing but dates",
+            f"the sources of {subject_of(name)} changed since its documents were built, and a renewal changes "
+            "nothing but dates",
             where=Origin(session.workspace.shown(session.workspace.src / name)),
             help=f"run 'keymint build {name}' and 'keymint install {name}' first",
             code="sources-changed",
@@ -150,7 +153,7 @@ def packages_of(session: Session, diagnostics: Sequence[Diagnostic], names: Coll
     """Return those of some packages that diagnostics are about: by their subject, or by the place in a space."""
     workspace = session.workspace
     spaces = [f"{workspace.shown(space)}/" for space in (workspace.src, workspace.build, session.enclaves)]
-    found = {each.subject.removeprefix("/") for each in diagnostics if each.subject}
+    found = {name_of(each.subject) for each in diagnostics if each.subject}
     for each in diagnostics:
         for space in spaces:
             if each.where is not None and each.where.file.startswith(space):

@@ -17,6 +17,7 @@ from keymint.api import Package
 from keymint.bundles.request import Request
 from keymint.changes import Plan
 from keymint.errors import KeymintError
+from keymint.names import subject_of
 from keymint.pki import certificates, keys, public_keys
 from keymint.pki.distinguished_names import common_name
 from keymint.plan.authority_files import trusted_chains
@@ -72,10 +73,14 @@ def plan_requests(
         try:
             name = _package(session, each, fingerprints)
             if name in requests:
-                raise _refused(f"is for /{name}, as another request is", each, "sign the later one", "request-twice")
+                raise _refused(
+                    f"is for {subject_of(name)}, as another request is", each, "sign the later one", "request-twice"
+                )
             _require_certifiable(session, session.package(name), each, keyring)
             if (other := owners.setdefault(each.request.fingerprint, name)) != name:
-                raise _refused(f"has the key that /{other} asks a certificate for", each, _AGAIN, "key-shared")
+                raise _refused(
+                    f"has the key that {subject_of(other)} asks a certificate for", each, _AGAIN, "key-shared"
+                )
         except KeymintError as error:
             errors += error.diagnostics
             continue
@@ -96,12 +101,14 @@ _AGAIN = "make a new key on the robot: 'keymint request --rekey', with --discard
 def _package(session: Session, given: Given, fingerprints: Mapping[str, str]) -> str:
     """Return the package that a request is for, which somebody or its own key must confirm."""
     request = given.request
-    named = [name for name in session.packages() if common_name(f"/{name}") == request.common_name]
+    named = [name for name in session.packages() if common_name(subject_of(name)) == request.common_name]
     if not named:
         raise _refused(
             f"is for {request.common_name}, and no package has that name",
             given,
-            did_you_mean(request.common_name, [f"/{name}" for name in session.packages()], "'keymint create' makes it"),
+            did_you_mean(
+                request.common_name, [subject_of(name) for name in session.packages()], "'keymint create' makes it"
+            ),
             "request-unknown",
         )
     if confirmed := [name for name in named if fingerprints.get(name) == request.fingerprint]:
@@ -118,9 +125,9 @@ def _package(session: Session, given: Given, fingerprints: Mapping[str, str]) ->
     if not own:
         why = ", and the key that signs it is not the one that the package has" if request.signer else ""
         raise _refused(
-            f"nobody confirms that its key is that of /{named[0]}{why}",
+            f"nobody confirms that its key is that of {subject_of(named[0])}{why}",
             given,
-            f"read the fingerprint at the robot and give it: --fingerprint /{named[0]}=…",
+            f"read the fingerprint at the robot and give it: --fingerprint {subject_of(named[0])}=…",
             "request-unconfirmed",
         )
     return own[0]
@@ -169,7 +176,9 @@ def _require_unknown(session: Session, name: str, given: Given) -> None:
     for other in session.packages():
         public = issuance_of(session, other).public_key if other != name else b""
         if public == given.request.public_key:
-            raise _refused(f"has the key of /{other}, so that each could act as the other", given, _AGAIN, "key-shared")
+            raise _refused(
+                f"has the key of {subject_of(other)}, so that each could act as the other", given, _AGAIN, "key-shared"
+            )
     for issued in register_of(session).certificates.values():
         if issued.key == given.request.fingerprint and issued.name not in {"", name}:
             raise _refused(f"has a key that was certified for /{issued.name} before", given, _AGAIN, "key-shared")

@@ -12,8 +12,9 @@ from comarmor.values import dataclass
 from keymint.api import RevocationReader
 from keymint.changes import Action, Plan, Step
 from keymint.errors import KeymintError
+from keymint.names import subject_of
 from keymint.plan.enclaves import INSTALLED, installed
-from keymint.plan.install import withdraw
+from keymint.plan.install import Leaving, withdraw
 from keymint.plan.issuance import issuance_of, plan_issuance
 from keymint.plan.register import complete_register, register_change
 from keymint.register.register import SUPERSEDED, IssuedCertificate, Register
@@ -69,7 +70,8 @@ def plan_revocation(session: Session, names: Sequence[str], reason: str) -> Revo
     plan = Plan((), session.state, first=register_change(session, after))
     plan = plan.then(plan_issuance(session, STAGE, issuances, f"{reason}, new generation"))
     orphans = [name for name in names if name not in with_sources]
-    steps = [withdraw(session, name, reason) for name in orphans if name in installed(session)]
+    leaving = Leaving({}, frozenset(orphans))
+    steps = [withdraw(session, name, reason, leaving) for name in orphans if name in installed(session)]
     steps += [Step(STAGE, name, Action.UPDATED, detail=reason) for name in orphans if name not in installed(session)]
     plan = plan.then(Plan(tuple(steps), plan.state.updated(INSTALLED, {}, orphans)))
     return Revoking(plan, certificates, tuple(packages), tuple(_limits(session, certificates, packages, reason)))
@@ -80,7 +82,7 @@ def _require_known(session: Session, register: Register, name: str) -> None:
         return
     known = sorted({each.name for each in register.certificates.values() if each.name})
     raise KeymintError(
-        f"/{name} never had a certificate here",
+        f"{subject_of(name)} never had a certificate here",
         where=session.package_marker(name) if name in session.packages() else None,
         help=did_you_mean(name, known, "'keymint issued' lists the certificates"),
         code="package-unknown" if name not in session.packages() else "certificate-none",
@@ -104,9 +106,10 @@ def require_revoked(session: Session, names: Sequence[str], reason: str) -> None
         if last.revoked and last.reason == reason:
             continue
         if last.revoked:
-            message = f"the last certificate of /{name} was revoked on {last.revoked:%Y-%m-%d} already ({last.reason})"
+            when = f"{last.revoked:%Y-%m-%d}"
+            message = f"the last certificate of {subject_of(name)} was revoked on {when} already ({last.reason})"
         else:
-            message = f"the last certificate of /{name} expired on {last.not_after:%Y-%m-%d}"
+            message = f"the last certificate of {subject_of(name)} expired on {last.not_after:%Y-%m-%d}"
         raise KeymintError(message, help="'keymint issued' lists the certificates", code="nothing-to-revoke")
 
 

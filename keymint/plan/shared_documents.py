@@ -17,6 +17,7 @@ from comarmor.values import dataclass
 from keymint.api import BuildOptions, BuildResult, BuildType, Package, SharedDocuments
 from keymint.changes import Action, File, FolderChange, Step
 from keymint.errors import KeymintError
+from keymint.names import subject_of
 from keymint.plan.build_types import BUILD, build_types_of, inputs_digest, shared_builder
 from keymint.session import Session
 from keymint.state import Stamp, digest
@@ -114,7 +115,9 @@ def _blocked(session: Session, build_types: Sequence[str], broken: Iterable[tupl
     diagnostics: list[Diagnostic] = []
     for name, error in broken:
         of_types = ", ".join(build_types)
-        message = f"the sources of /{name} have defects, so the shared documents of {of_types} cannot be built"
+        message = (
+            f"the sources of {subject_of(name)} have defects, so the shared documents of {of_types} cannot be built"
+        )
         help_ = "fix it: they hold the rights of all packages"
         where = session.package_marker(name)
         diagnostics += (Diagnostic("shared-blocked", Severity.ERROR, message, where, help_), *error.diagnostics)

@@ -9,6 +9,7 @@ from pathlib import Path
 from keymint.api import Artifact, BuildType
 from keymint.changes import Action, File, Step, changed
 from keymint.errors import KeymintError
+from keymint.names import subject_of
 from keymint.plan.build_types import recorded_build_types
 from keymint.plan.enclaves import INSTALLED, installed
 from keymint.session import Session
@@ -41,20 +42,10 @@ def shared_steps(
         build_types: the build types of all enclaves; see :func:`build_types_in_use`.
         removed: enclaves that are removed, and so are no example for the others.
     """
-    kept = [name for name in installed(session) if name not in removed]
-    copied = {file for name in build_types for file in session.plugins.build_type(name).COPIED}
-    enclaves: dict[str, Mapping[str, Artifact]] = {}
-    contents: dict[str | None, Artifact | None] = {None: None}  # enclaves usually have the same files
-    for name in sorted({*changed_enclaves, *kept}):
-        if name in changed_enclaves:
-            enclaves[f"/{name}"] = changed_enclaves[name][1]
-            continue
-        existing = {file: _artifact(session, f"{session.enclaves}/{name}/{file}", contents) for file in copied}
-        enclaves[f"/{name}"] = {file: each for file, each in existing.items() if each and each.content}
     steps = []
-    for name in build_types:
+    for copies in shared_copies(session, changed_enclaves, build_types, removed):
         folders: dict[Path, dict[str, File]] = {}
-        for relative, artifact in copies_of(session, session.plugins.build_type(name), enclaves).items():
+        for relative, artifact in copies.items():
             path = session.workspace.install / relative
             folders.setdefault(path.parent, {})[path.name] = File(
                 artifact.content, secret=artifact.secret, replaces_link=True
@@ -65,6 +56,23 @@ def shared_steps(
             action = Action.UPDATED if existed else Action.CREATED
             steps.append(Step(INSTALLED, "", action, tuple(changes), "shared by all enclaves"))
     return steps
+
+
+def shared_copies(
+    session: Session, changed_enclaves: ChangedEnclaves, build_types: Collection[str], removed: Collection[str] = ()
+) -> list[Mapping[str, Artifact]]:
+    """Return the shared files of each build type by path relative to the install space, as :func:`shared_steps`."""
+    kept = [name for name in installed(session) if name not in removed]
+    copied = {file for name in build_types for file in session.plugins.build_type(name).COPIED}
+    enclaves: dict[str, Mapping[str, Artifact]] = {}
+    contents: dict[str | None, Artifact | None] = {None: None}  # enclaves usually have the same files
+    for name in sorted({*changed_enclaves, *kept}):
+        if name in changed_enclaves:
+            enclaves[subject_of(name)] = changed_enclaves[name][1]
+            continue
+        existing = {file: _artifact(session, f"{session.enclave_folder(name)}/{file}", contents) for file in copied}
+        enclaves[subject_of(name)] = {file: each for file, each in existing.items() if each and each.content}
+    return [copies_of(session, session.plugins.build_type(name), enclaves) for name in build_types]
 
 
 def _artifact(session: Session, path: str, contents: dict[str | None, Artifact | None]) -> Artifact | None:

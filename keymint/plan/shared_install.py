@@ -15,6 +15,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import AuthorityRole, BuildOptions, BuildType, Package, SharedCredentials, SharedDocuments
 from keymint.changes import Action, File, Step, file_mode
 from keymint.errors import KeymintError
+from keymint.names import subject_of
 from keymint.plan.authorities import MintedAuthority
 from keymint.plan.enclaves import INSTALLED
 from keymint.plan.shared_documents import (
@@ -250,7 +251,7 @@ def _outdated(session: Session, documents: Iterable[str]) -> Diagnostic:
 
 def _outdated_removal(session: Session, documents: Iterable[str], orphans: Sequence[str]) -> KeymintError:
     return KeymintError(
-        f"is stale, and may still have the rights of /{orphans[0]}, whose enclave is to be removed",
+        f"is stale, and may still have the rights of {subject_of(orphans[0])}, whose enclave is to be removed",
         where=next(iter(_places(session, documents)), None),
         help="run 'keymint build' first",
         code=OUTDATED,

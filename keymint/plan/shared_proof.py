@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 
 from keymint import __version__
 from keymint.errors import KeymintError
+from keymint.names import subject_of
 from keymint.plan.enclaves import INSTALLED, enclave_files, installed
 from keymint.plan.shared_documents import Users, record_key, shared_folder, sources_digest, users
 from keymint.plan.shared_install import shared_files
@@ -73,7 +74,7 @@ class SharedReader:
         for name in self.users[build_type]:
             files, _ = enclave_files(self._session, name)  # unreadable ones are findings on the enclave
             if files:
-                found[f"/{name}"] = {file: content for file, content in files.items() if file in own}
+                found[subject_of(name)] = {file: content for file, content in files.items() if file in own}
         return found
 
     def inputs_digest(

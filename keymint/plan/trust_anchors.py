@@ -86,7 +86,7 @@ def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...
             continue
         issuers = issuers_of(session, package)
         findings += authority_evidence.contradictions_for(contradictions, issuers)
-        folder = session.workspace.shown(session.enclaves / name)
+        folder = session.workspace.shown(session.enclave_folder(name))
         for build_type, prover in build_types_of(session, package).items():
             if isinstance(prover, Prover):
                 anchors = anchors_of(session, package, build_types_of(session, package)[build_type], chains)

@@ -17,6 +17,7 @@ from keymint.api import ActionMapping, BuildType, Enclave, LoadedPolicy, NameMap
 from keymint.errors import KeymintError
 from keymint.graph import LABELLED, Column, Edge, Graph, Object, column
 from keymint.ir import SubjectRules
+from keymint.names import subject_of
 from keymint.plan.enclaves import installed
 from keymint.session import Inputs, Session
 from keymint.verify import probes
@@ -122,7 +123,7 @@ def installed_scopes(session: Session, names: Sequence[str]) -> InstalledScopes:
     there = set(installed(session))
     missing = [name for name in names if name in chosen and name not in there]
     if missing:
-        shown = ", ".join(f"/{name}" for name in missing[:5]) + (" …" if len(missing) > 5 else "")  # noqa: PLR2004
+        shown = ", ".join(subject_of(name) for name in missing[:5]) + (" …" if len(missing) > 5 else "")  # noqa: PLR2004
         raise KeymintError(
             f"no enclave of {shown} is installed",
             help="run 'keymint build' and 'keymint install'",
@@ -134,8 +135,8 @@ def installed_scopes(session: Session, names: Sequence[str]) -> InstalledScopes:
     return InstalledScopes(
         {name: _scope(session, name, packages, enclaves) for name in build_types_of(chosen.values())},
         dict(sorted(enclaves.items())),
-        frozenset(session.enclaves / name for name in there.difference(chosen)),
-        frozenset(session.enclaves / name for name in there.intersection(infrastructure)),
+        frozenset(session.enclave(name) for name in there.difference(chosen)),
+        frozenset(session.enclave(name) for name in there.intersection(infrastructure)),
     )
 
 
@@ -146,7 +147,7 @@ def build_types_of(packages: Collection[Package]) -> tuple[str, ...]:
 
 def enclave_of(session: Session, package: Package) -> Enclave:
     """Return the installed enclave of a package."""
-    return Enclave(package.subject, session.enclaves / package.name, package.distro, session.workspace.install)
+    return Enclave(package.subject, session.enclave(package.name), package.distro, session.workspace.install)
 
 
 def _scope(

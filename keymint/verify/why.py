@@ -27,6 +27,7 @@ from keymint.api import (
 from keymint.errors import ExitCode, KeymintError
 from keymint.graph import LABELLED, Edge, Object
 from keymint.ir import Rule
+from keymint.names import name_of
 from keymint.plan.enclaves import installed
 from keymint.session import Session
 from keymint.verify.compare import label_enclave
@@ -180,7 +181,7 @@ def explain(
     matching = matching_rules(rules, (edge, *meanings))
     near = None if matching else nearest(rules, edge)
     subjects = policy.subjects()
-    is_installed = edge.subject.removeprefix("/") in installed(session)
+    is_installed = name_of(edge.subject) in installed(session)
     asked = {name: group for name, group in transports.items() if name in views}
     return Explanation(
         edge=edge,
@@ -253,8 +254,8 @@ def _labels(
     find_models: Callable[[str], Mapping[str, Transport]],
 ) -> Mapping[str, Mismatch]:
     """Return the decisions of transports on copies of the enclave."""
-    install, name = session.workspace.install, edge.subject.removeprefix("/")
-    enclave = Enclave(edge.subject, session.enclaves / name, session.profile.distro, install)
+    install, name = session.workspace.install, name_of(edge.subject)
+    enclave = Enclave(edge.subject, session.enclave(name), session.profile.distro, install)
     there = installed(session)
     infrastructure = {each.name for each in package.infrastructure} if package else ()
     labels: dict[str, Mismatch] = {}
@@ -263,8 +264,8 @@ def _labels(
         install,
         {edge.subject: enclave},
         [each for group in asked.values() for each in group.values()],
-        [session.enclaves / each for each in there],
-        [session.enclaves / each for each in there if each in infrastructure],
+        [session.enclave(each) for each in there],
+        [session.enclave(each) for each in there if each in infrastructure],
     ) as copies:
         for build_type, group in asked.items():
             readers = copies.read_by(group)
@@ -282,7 +283,7 @@ def _models(
 
 
 def _source_package(session: Session, subject: str) -> Package | None:
-    name = subject.removeprefix("/")
+    name = name_of(subject)
     if name not in packages(session.tree, session.workspace.src):
         return None
     package = session.package(name)

@@ -10,6 +10,7 @@ from comarmor.errors import Diagnostic, Origin
 from keymint.api import Role, WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
+from keymint.names import name_of
 from keymint.source_documents import Reader, normal_path
 from keymint_ros import bootstrap, manifest, permissions, permissions_of_2018, permissions_writer, validity
 from keymint_ros.manifest import MARKER
@@ -24,7 +25,7 @@ def create(
     profile: WorkspaceProfile, rules: SubjectRules, existing: Mapping[str, bytes], *, force: bool
 ) -> Mapping[str, bytes]:
     """Return the files to write for a package: see :meth:`keymint.api.PackageType.create`."""
-    name = rules.subject.removeprefix("/")
+    name = name_of(rules.subject)
     path = _permissions_path(existing, name)
     files: dict[str, bytes] = {}
     if MARKER not in existing:
@@ -34,7 +35,7 @@ def create(
 
 def former_rules(rules: SubjectRules, files: Mapping[str, bytes]) -> Sequence[Diagnostic]:
     """Return what permissions of 2018 say differently: see :meth:`keymint.api.FormerRules.former_rules`."""
-    name = rules.subject.removeprefix("/")
+    name = name_of(rules.subject)
     try:
         path = _permissions_path(files, name)
         permissions.read(files.get(path, b""), f"{name}/{path}", rules.subject)
@@ -84,7 +85,7 @@ def _permissions(
         return {path: new}
     if current == new:
         return {}
-    file = f"{rules.subject.removeprefix('/')}/{path}"
+    file = f"{name_of(rules.subject)}/{path}"
     try:
         grant = permissions.read(current, file, rules.subject)
     except KeymintError as error:
@@ -128,7 +129,7 @@ def with_validity(
     profile: WorkspaceProfile, rules: SubjectRules, files: Mapping[str, bytes], valid_for: str, now: datetime
 ) -> Mapping[str, bytes]:
     """Return the files that change: see :meth:`keymint.api.OwnValidity.with_validity`."""
-    name = rules.subject.removeprefix("/")
+    name = name_of(rules.subject)
     marker = f"{name}/{MARKER}"
     own = manifest.read(files[MARKER], marker)
     begin, duration = validity.starting(valid_for, now)

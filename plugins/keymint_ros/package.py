@@ -28,6 +28,7 @@ from keymint.api import (
 )
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
+from keymint.names import subject_of
 from keymint.source_documents import (
     DEFAULT_DOMAINS,
     Reader,
@@ -199,7 +200,7 @@ class _PackageLoader:
 
     def grant(self) -> Grant:
         """Return the grant of the subject; infrastructure needs no document for it, since its grant has no rules."""
-        subject = f"/{self.name}"
+        subject = subject_of(self.name)
         if self.manifest.role is Role.INFRASTRUCTURE and self.files.get(self.manifest.permissions.path) is None:
             return self._grant_of(SubjectRules(subject, ()))
         file, content = self.own(
@@ -273,7 +274,7 @@ def load(
             help=f"write <name>{last}</name> or leave it out, or move the folder",
             code="name-mismatch",
         )
-    subject = f"/{name}"
+    subject = subject_of(name)
     plugins = {each: build_types(each, Origin(file)) for each in package_manifest.build_types}
     diagnostics: list[Diagnostic] = []
     issued = _attempt(partial(issuance.issuance, folder, files), diagnostics) or Issuance()
@@ -356,7 +357,7 @@ def rule_places(name: str, folder: str, files: Mapping[str, bytes]) -> tuple[Ori
     marker = f"{folder}/{MARKER}"
     part = manifest.read(file_in(files, MARKER, Origin(folder), "package"), marker).permissions
     path = normal_path(part.path, Origin(marker, part.line))
-    grant = permissions.read(files.get(path, b""), f"{folder}/{path}", f"/{name}")
+    grant = permissions.read(files.get(path, b""), f"{folder}/{path}", subject_of(name))
     return tuple(Origin(f"{folder}/{path}", place.line) for place in grant.places)
 
 

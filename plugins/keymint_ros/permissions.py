@@ -29,6 +29,7 @@ from comarmor.xml.includes import PACKAGE
 from comarmor.xml.reader import line
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
+from keymint.names import name_of
 from keymint.source_documents import Reader, domains, place
 from keymint_ros import placeholders, validity
 
@@ -125,7 +126,7 @@ def read(content: bytes, name: str, subject: str) -> Grant:
     raise KeymintError(
         "these permissions are in the format of 2018",
         where=old,
-        help=f"'keymint create {subject.removeprefix('/')}' recreates them from the policy",
+        help=f"'keymint create {name_of(subject)}' recreates them from the policy",
         code=OLD_FORMAT,
     )
 

@@ -44,8 +44,20 @@ def read(element: etree._Element | None, known: Collection[str]) -> str | None:
 
 
 def expand(name: str, values: Mapping[str, str]) -> str:
-    """Replace each placeholder of a name that :func:`read` returned by its value."""
-    return _BRACES.sub(lambda match: values[match.group(1)], name)
+    """Replace each placeholder of a name that :func:`read` returned by its value.
+
+    In the name of the root enclave ``/``, the common name comes first if a placeholder gives it: a grant has the RDNs
+    the other way round, and Cyclone DDS finds none for a name in which a ``,`` follows the ``/``.
+    """
+    expanded = _BRACES.sub(lambda match: values[match.group(1)], name)
+    if values.get("common_name") != "/" or expanded == name:
+        return expanded
+    from keymint.pki import distinguished_names  # noqa: PLC0415 - as in of_subject
+
+    try:
+        return distinguished_names.common_name_first(expanded)
+    except KeymintError:
+        return expanded  # reported where the certificate is made
 
 
 def of_subject(subject: str, generation: int = 0, *, in_common_name: bool = False) -> Mapping[str, str]:

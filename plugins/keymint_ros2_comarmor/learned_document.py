@@ -12,6 +12,7 @@ from comarmor.language.source import INCLUDE
 from comarmor.language.syntax import Attachment, Profile, ProfileRule
 from comarmor.patterns.printing import escape
 from comarmor.xml.reader import XINCLUDE
+from keymint.names import name_of
 from keymint_ros2_comarmor.learned_rules import NOWHERE, CommonPart, Need, fold, literal
 
 _ANY_SUBJECT = "*"
@@ -32,7 +33,7 @@ def document(needs: Mapping[str, set[Need]], parts: Sequence[CommonPart], folder
     for subject, own_needs in needs.items():
         covered = {need for part in parts for need in part.covered.get(subject, ())}
         rules = fold(map(literal, own_needs - covered))
-        profile = _profile(subject.removeprefix("/"), escape(subject), rules)
+        profile = _profile(name_of(subject), escape(subject), rules)
         root.append(profile)
         for part in reversed(parts):
             if subject in part.subjects:
@@ -71,7 +72,7 @@ def profiles(subjects: Mapping[str, tuple[ProfileRule, ...]], note: str = "") ->
     """
     root = etree.Element("profiles")
     for subject, rules in subjects.items():
-        root.append(_profile(subject.removeprefix("/"), escape(subject), rules))
+        root.append(_profile(name_of(subject), escape(subject), rules))
     return _noted(root, note)
 
 

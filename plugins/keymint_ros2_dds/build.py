@@ -27,6 +27,7 @@ def build(package: Package, options: BuildOptions) -> BuildResult:
     lenient = options.allow_vendor_specific
     checks = [*_check(package), *vendor_limits.check_key(package.identity.key, package, allow_vendor_specific=lenient)]
     checks += token_key.check(package, allow_vendor_specific=lenient)
+    checks += vendor_limits.check_root_name(package, allow_vendor_specific=lenient)
     checks += vendor_limits.check_issuers(package)
     errors: list[Diagnostic] = []
     notes: list[Diagnostic] = []

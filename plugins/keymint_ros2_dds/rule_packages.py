@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from comarmor.errors import Origin
 from keymint.api import CertificateSpec, DomainRange, Grant, KeySpec, Package, Validity
 from keymint.ir import SubjectRules
+from keymint.names import name_of
 from keymint_ros2_dds.settings import BUILD_TYPE, DdsSettings, DomainRule, Governance
 
 _VALIDITY = Validity(datetime(2000, 1, 1, tzinfo=UTC), datetime(2001, 1, 1, tzinfo=UTC))
@@ -23,7 +24,7 @@ def package_of(rules: SubjectRules, distro: str) -> Package:
     origin = Origin(subject)
     common_name = f"CN={subject}"
     return Package(
-        name=subject.removeprefix("/"),
+        name=name_of(subject),
         subject=subject,
         distro=distro,
         identity=CertificateSpec(

@@ -59,11 +59,26 @@ def render(name: x509.Name, where: Origin | None = None) -> str:
     escaped = ((kind, _ESCAPED.sub(r"\\\g<0>", value)) for kind, value in reversed(attributes))
     shown = ",".join(f"{kind}={value}" for kind, value in escaped)
     tokens = sum(1 for token in re.split(r"[,/]", shown) if token)
+    if has_empty_part(shown):
+        raise KeymintError(
+            f"Cyclone DDS refuses the subject name {shown}: nothing stands between two of its separators ',' and '/'",
+            where=where,
+            help="put a CN that ends with '/' first in the certificate: CN=/,OU=x1, which is OU=x1,CN=/ in the grant",
+            code="portability-subject-name",
+        )
     if tokens > MAX_TOKENS:
         raise _not_portable(
             f"has {tokens} parts between ',' and '/', the maximum is {MAX_TOKENS}: {shown[:60]}…", where
         )
     return shown
+
+
+def has_empty_part(text: str) -> bool:
+    """Tell whether a name has an empty part before its end, between ``,``, ``/`` and ``|``.
+
+    Cyclone DDS 0.10.2 finds no grant for such an identity ("Subject name is invalid").
+    """
+    return "" in re.split(r"[,/|]", text)[:-1]
 
 
 def parse_rendered(text: str) -> x509.Name:

@@ -10,7 +10,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.rules import Effect
 from keymint.api import KeySpec, Package
 from keymint.errors import KeymintError
-from keymint.pki import keys
+from keymint.pki import distinguished_names, keys
 from keymint_ros2_dds.lowering.lower import Lowered
 
 TIGHT = 45_000
@@ -36,6 +36,31 @@ def check_key(key: KeySpec, package: Package, *, allow_vendor_specific: bool) ->
             f"the identity's key is {name}; Cyclone DDS accepts RSA with 2048 bits and SECP256R1 only",
             package.identity.origin,
             "use SECP256R1, or build with --allow-vendor-specific",
+            package.subject,
+        )
+
+
+def check_root_name(package: Package, *, allow_vendor_specific: bool) -> Iterator[Diagnostic]:
+    """Yield an error if the root enclave has no name but ``CN=/``, whose only part occurs in the name of every grant.
+
+    Cyclone DDS requires only that the grant has all parts of the identity (``ac_check_subjects_are_equal`` in its
+    ``access_control_utils.c``), so the root enclave could use the signed permissions of any other one.
+    """
+    if package.subject != "/":
+        return
+    try:
+        parts = tuple(distinguished_names.attributes(distinguished_names.parse(package.identity.subject_name)))
+    except KeymintError:
+        return  # reported with the name
+    if parts == (("CN", "/"),):
+        yield Diagnostic(
+            "portability-root-name",
+            Severity.WARNING if allow_vendor_specific else Severity.ERROR,
+            f"the root enclave is named {package.identity.subject_name!r} alone: on Cyclone DDS that identity can use "
+            "the permissions of every other enclave",
+            package.identity.origin,
+            "write <subject_name>CN={common_name},OU={unique}</subject_name> for certificate and permissions, or use "
+            "the subject format 'unique'; where only Fast DDS runs, build with --allow-vendor-specific",
             package.subject,
         )
 

@@ -13,6 +13,7 @@ from comarmor.language.formatting import formatted
 from comarmor.patterns.printing import escape
 from comarmor.rules import PERMISSIONS, Effect
 from comarmor.xml.reader import XINCLUDE
+from keymint.names import name_of
 from keymint_ros2_sros2.common_files import Atom, atoms, common_files
 from keymint_ros2_sros2.names import as_read, expression
 from keymint_ros2_sros2.parse import NEW
@@ -47,7 +48,7 @@ def document(
 
 def _profile(enclaves: Sequence[Enclave], library: Path, *, graph: bool, policy: SourcePolicy) -> etree._Element:
     path = enclaves[0].path
-    profile = etree.Element("profile", name=path.removeprefix("/"))
+    profile = etree.Element("profile", name=name_of(path))
     etree.SubElement(profile, "attachment").text = escape(path)
     own = atoms([rule for rule in rules_of(policy, enclaves, implicit=False) if rule.origin.chain])
     shared = common_files(library, path, own | _GRAPH if graph else own)

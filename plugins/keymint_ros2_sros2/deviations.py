@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from comarmor.errors import Diagnostic, Severity
-from comarmor.ros_names import is_fully_qualified
+from comarmor.ros_names import is_subject
 from comarmor.text import quoted
 from comarmor.values import dataclass
 from keymint_ros2_sros2.names import as_read, enforced
@@ -64,10 +64,9 @@ def _doubled(policy: SourcePolicy) -> Iterator[Deviation]:
 
 
 def _of_path(enclave: Enclave) -> Iterator[Deviation]:
-    if is_fully_qualified(enclave.path) and _is_short(enclave.path):
+    if is_subject(enclave.path) and _is_short(enclave.path):
         return
-    what = "the root enclave '/' is not supported" if enclave.path == "/" else "not a path of an enclave"
-    message = f"{quoted(enclave.path)}: {what}"
+    message = f"{quoted(enclave.path)}: not a path of an enclave"
     help_ = (
         "expected '/' and segments of letters, digits and '_' that do not begin with a digit, without wildcards;"
         f" at most {_LONGEST_PATH:,} characters, and {_LONGEST_SEGMENT} between two '/'"

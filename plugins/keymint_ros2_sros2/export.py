@@ -12,7 +12,7 @@ from lxml import etree
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.language import render
-from comarmor.ros_names import is_fully_qualified
+from comarmor.ros_names import is_subject
 from comarmor.rules import Effect, Rule
 from comarmor.text import quoted
 from comarmor.values import dataclass
@@ -26,6 +26,8 @@ from keymint_ros2_sros2.syntax import PERMISSIONS, Enclave, Entry, Node, NodeGro
 
 _LONGEST = 64
 """Characters of a common name (RFC 5280, ub-common-name); SROS2 puts the path there."""
+_ROOT_NODE = "root"
+"""Name of the node that has the rules of the root enclave, whose path has no last part. It decides nothing."""
 
 
 def exported(subjects: Sequence[SubjectRules], *, lossy: bool = False) -> ExportedPolicy:
@@ -72,7 +74,7 @@ class _Exporter:
         """Return the enclave of a subject, with one node of the same name, and with full names."""
         path = subject.subject
         where = subject.rules[0].origin if subject.rules else Origin("policy.xml")
-        if not is_fully_qualified(path) or len(path) > _LONGEST:
+        if not is_subject(path) or len(path) > _LONGEST:
             message = f"the subject {quoted(path)} is no path of an enclave of at most {_LONGEST} characters"
             self.errors.append(Diagnostic("sros2-path", Severity.ERROR, message, where, "rename it", path))
         lists: list[RuleList] = []
@@ -104,7 +106,7 @@ class _Exporter:
             self.warnings.append(Diagnostic("sros2-graph", Severity.WARNING, message, where, help_, path))
         self.kept[path] = SubjectRules(path, tuple(kept))
         parent, _, name = path.rpartition("/")
-        node = Node(parent or "/", name, tuple(lists), where)
+        node = Node(parent or "/", name or _ROOT_NODE, tuple(lists), where)
         return Enclave(path, (NodeGroup((node,), where),), where)
 
     def _services(self, subject: SubjectRules) -> Mapping[tuple[Effect, str, str], tuple[Said, ...]]:

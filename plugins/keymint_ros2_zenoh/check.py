@@ -10,6 +10,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import quoted
 from keymint.api import Inspection, SharedInspection
 from keymint.errors import KeymintError
+from keymint.names import name_of
 from keymint.pki import certificates
 from keymint_ros2_zenoh import signature as signatures
 from keymint_ros2_zenoh.authority_roles import ACCESS
@@ -123,7 +124,7 @@ def _subjects(inspection: SharedInspection, configuration: Configuration, file: 
         if shown not in {None, name}:
             message = f"the certificate of {subject} has the common name {quoted(shown or '')}, not {quoted(name)}"
             place = Origin(f"{inspection.folder}/enclaves{subject}/{CERTIFICATE}")
-            help_ = f"'keymint install {subject.removeprefix('/')}' writes it again"
+            help_ = f"'keymint install {name_of(subject)}' writes it again"
             yield Diagnostic("zenoh-common-name", Severity.ERROR, message, place, help_, subject)
 
 

@@ -18,7 +18,7 @@ from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
 from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
 from keymint_ros2_zenoh.documents.configuration import Configuration, Tls
-from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, ENCLAVES, IDENTITY_CA, KEY
+from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, enclave_folder
 from keymint_ros2_zenoh.lowering.key_rule import KeyRule
 from keymint_ros2_zenoh.messages import Flow, Message, Permission
 from keymint_ros2_zenoh.settings import Router, in_endpoint, is_router, settings_of
@@ -189,7 +189,7 @@ def _rule(name: str, rule: KeyRule) -> AclRule:
 
 def _path(package: Package, file: str) -> str:
     """Return the absolute path on the robot of a file in a package's enclave."""
-    return f"{settings_of(package).keystore}/{ENCLAVES}/{package.name}/{file}"
+    return f"{enclave_folder(settings_of(package).keystore, package.subject)}/{file}"
 
 
 def enclaves_of(packages: Iterable[Package]) -> list[Package]:

@@ -23,3 +23,8 @@ SIGNATURE = f"{ROUTER}.p7s"
 def files(layout: str) -> frozenset[str]:
     """Return the names of all files that may lie in an enclave; see :meth:`keymint.api.BuildType.files`."""
     return frozenset((CERTIFICATE, KEY, IDENTITY_CA, SESSION)) if layout in LAYOUTS else frozenset()
+
+
+def enclave_folder(keystore: str, subject: str) -> str:
+    """Return the folder of an enclave in a keystore; that of the root enclave ``/`` contains all others."""
+    return f"{keystore}/{ENCLAVES}{subject.rstrip('/')}"

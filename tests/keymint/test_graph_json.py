@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from comarmor.rules import KIND_OF
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Graph, Object
-from keymint.graph_json import dump, legal_subject, load, merge
+from keymint.graph_json import dump, legal_node, legal_subject, load, merge
 from tests.conftest import CHECKOUT
 
 SCHEMA = json.loads((CHECKOUT / "schemas/keymint/graph.schema.json").read_text())
@@ -126,6 +126,12 @@ def test_anything_else_is_refused_in_words(content: bytes) -> None:
     assert caught.value.diagnostics[0].where
 
 
-@pytest.mark.parametrize("name", ["", "/", "a", "/a/", "//a", "/1", "/a-b", "/a\n", "/é"])
+@pytest.mark.parametrize("name", ["", "//", "a", "/a/", "//a", "/1", "/a-b", "/a\n", "/é"])
 def test_what_is_no_subject(name: str) -> None:
     assert not legal_subject(name)
+    assert not legal_node(name)
+
+
+def test_the_root_enclave_is_a_subject_and_no_node() -> None:
+    assert legal_subject("/")
+    assert not legal_node("/")

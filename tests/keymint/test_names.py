@@ -8,7 +8,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from keymint.errors import KeymintError
-from keymint.names import MAX_NAME, MAX_SEGMENT, listed, package_name, refuse_case_collisions, refuse_reserved
+from keymint.names import (
+    MAX_NAME,
+    MAX_SEGMENT,
+    ROOT,
+    listed,
+    name_of,
+    package_name,
+    refuse_case_collisions,
+    refuse_reserved,
+    subject_of,
+)
 
 SEGMENTS = st.from_regex(r"[A-Za-z_][A-Za-z0-9_]{0,30}", fullmatch=True)
 NAMES = st.lists(SEGMENTS, min_size=1, max_size=6).map("/".join)
@@ -19,6 +29,19 @@ def test_a_legal_name_is_itself_with_or_without_its_slash(name: str) -> None:
     assert package_name(name) == name
     assert package_name(f"/{name}") == name
     assert package_name(f"/{name}/") == name
+
+
+@given(NAMES)
+def test_subjects_and_packages_name_each_other(name: str) -> None:
+    assert name_of(subject_of(name)) == name
+    assert package_name(subject_of(name)) == name
+
+
+def test_the_package_of_the_root_enclave_has_a_name_that_no_subject_has() -> None:
+    assert (subject_of(ROOT), name_of("/"), package_name("/"), package_name(ROOT)) == ("/", ROOT, ROOT, ROOT)
+    for text in (f"/{ROOT}", f"{ROOT}/a", f"a/{ROOT}", f"{ROOT}/"):
+        with pytest.raises(KeymintError, match="is not a legal name"):
+            package_name(text)
 
 
 @given(st.text(max_size=60))
@@ -40,7 +63,6 @@ def test_whatever_is_accepted_is_a_relative_path_without_a_step_upward(text: str
     "text",
     [
         "",
-        "/",
         "//",
         "//etc",
         "..",

@@ -27,7 +27,12 @@ def same_name(grant: str, identity: str) -> bool:
 
 
 def parts_occur(grant: str, identity: str) -> bool:
-    """Compare as Cyclone DDS: split at ``,``, ``/`` and ``|``; the grant must have every part of the identity."""
+    """Compare as Cyclone DDS: split at ``,``, ``/`` and ``|``; the grant must have every part of the identity.
+
+    An identity with an empty part before its end has no grant: ``CN=/,OU=4f``, but not ``OU=4f,CN=/``.
+    """
+    if subject_name_text.has_empty_part(identity):
+        return False
     identity_parts, grant_parts = _parts(identity), _parts(grant)
     most = max(len(identity_parts), len(grant_parts))
     return most <= subject_name_text.MAX_TOKENS and set(identity_parts) <= set(grant_parts)

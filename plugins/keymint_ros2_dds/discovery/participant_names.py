@@ -23,7 +23,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import first_few
 from keymint.errors import ExitCode, KeymintError
-from keymint.graph_json import legal_subject
+from keymint.graph_json import legal_node
 from keymint_ros2_dds.discovery.capture import DiscoveredEndpoint, DiscoveredParticipant
 from keymint_ros2_dds.discovery.ros_entities import ros_name
 
@@ -117,20 +117,20 @@ def _announced(
     """Return how a participant announces its name, and the name; or None."""
     fields = _fields(participant.user_data)
     enclave = fields.get("enclave", "")
-    if legal_subject(enclave):
+    if legal_node(enclave):
         return "the enclave in its user data", enclave
     node = f"{fields.get('namespace', '/').rstrip('/')}/{fields.get('name', '')}"
-    if legal_subject(node):
+    if legal_node(node):
         return "node and namespace in its user data", node
     name = participant.name if participant.name.startswith("/") else f"/{participant.name}"
-    if legal_subject(name):
+    if legal_node(name):
         full_names = [
             node
             for node in (*serves.get(participant.guid, ()), *meets.get(participant.guid, ()))
             if node.endswith(name)
         ]
         return "the participant's name", full_names[0] if len(set(full_names)) == 1 else name
-    served = [node for node in serves.get(participant.guid, ()) if legal_subject(node)]
+    served = [node for node in serves.get(participant.guid, ()) if legal_node(node)]
     if len(served) == 1:
         return "the node whose parameters it serves", served[0]
     return None
@@ -150,7 +150,7 @@ def _given(participants: Sequence[DiscoveredParticipant], given: Mapping[str, st
             raise _refused(
                 f"{typed!r} is not a GUID", "8 to 32 hexadecimal digits, as 'keymint discover -v' shows them"
             )
-        if not legal_subject(name):
+        if not legal_node(name):
             raise _refused(f"{name!r} is not the name of a subject", "a name is '/' and segments, e.g. /robot1/talker")
         for participant in participants:
             if participant.guid.startswith(guid):

@@ -13,6 +13,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import DomainRange, FoundEnclave, FoundGrant, KeySpec, KeystoreFiles, Validity
 from keymint.errors import KeymintError
+from keymint.names import name_of
 from keymint.pki import certificates, certification_path, keys, smime
 from keymint.pki.distinguished_names import MAX_COMMON_NAME, attributes, to_text
 from keymint_ros2_dds.domains import in_words, merged, uncovered
@@ -323,7 +324,7 @@ def exposure(keystore: KeystoreFiles, path: str, where: Origin, subject: str) ->
     mode = keystore.files[path].mode
     if mode & 0o077:
         message = f"is a private key with mode {mode:04o}: others could read it, so it counts as exposed"
-        end = f"'keymint renew --rekey {subject.removeprefix('/')}'" if subject else "'keymint authority replace'"
+        end = f"'keymint renew --rekey {name_of(subject)}'" if subject else "'keymint authority replace'"
         help_ = f"chmod 600, here and on the robot; {end} ends it if someone may have copied it"
         yield Diagnostic("adopt-key-exposed", Severity.WARNING, message, where, help_)
 

@@ -14,7 +14,7 @@ from comarmor.values import dataclass
 from keymint.api import Package
 from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.emission import ROUTER_SETTINGS, SESSION_SETTINGS
-from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, ENCLAVES, IDENTITY_CA, KEY
+from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, enclave_folder
 from keymint_ros2_zenoh.messages import Permission
 from keymint_ros2_zenoh.settings import settings_of
 
@@ -138,7 +138,7 @@ def _links(check: _Checker, found: Configuration) -> Iterator[Shortcoming]:
 
 def _paths(check: _Checker, found: Configuration, package: Package, *, connects: bool) -> Iterator[Shortcoming]:
     """Yield the files that are not those of the enclave, to which all other claims refer."""
-    folder = f"{settings_of(package).keystore}/{ENCLAVES}/{package.name}"
+    folder = enclave_folder(settings_of(package).keystore, package.subject)
     side = "connect" if connects else "listen"
     tls = found.tls
     named = {

@@ -169,7 +169,7 @@ def test_lines_are_right_in_long_files(refused, write) -> None:
     "name",
     [
         "talker",
-        "/",
+        "//",
         "//a",
         "/a/",
         "/a//b",

@@ -13,6 +13,7 @@ import pytest
 from comarmor.errors import Origin
 from keymint.bundles.manifest import Manifest, dump, load
 from keymint.errors import KeymintError
+from keymint.names import ROOT
 from tests.conftest import CHECKOUT
 
 WHERE = Origin("talker.bundle")
@@ -51,6 +52,14 @@ def test_what_is_written_is_read() -> None:
     jsonschema.validate(VALUES, SCHEMA)
 
 
+def test_the_root_enclave_has_no_place_at_the_top_of_a_keystore() -> None:
+    root = {**VALUES, "enclave": "/"}
+    assert load(encoded(root), WHERE).name == "root-enclave"
+    jsonschema.validate(root, SCHEMA)
+    for other in ({**root, "folder": ""}, {**root, "enclave": ROOT}, {**root, "enclave": f"/{ROOT}"}):
+        assert code(encoded(other)) == "bundle-manifest"
+
+
 def test_other_forms_of_the_same_json_are_refused() -> None:
     assert encoded(VALUES) == dump(MANIFEST)
     content = dump(MANIFEST)
@@ -71,7 +80,7 @@ def test_other_forms_of_the_same_json_are_refused() -> None:
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("enclave", "robot/talker"), ("enclave", "/../x"), ("enclave", "/"), ("enclave", 7), ("enclave", "/a/"),
+        ("enclave", "robot/talker"), ("enclave", "/../x"), ("enclave", 7), ("enclave", "/a/"),
         ("folder", ".."), ("folder", "a/b"), ("folder", "/etc"), ("folder", ".keymint"), ("folder", None),
         ("key", "0" * 63), ("key", "G" * 64), ("authority", ""), ("authority", []),
         ("generation", -1), ("generation", 1.5), ("generation", True), ("generation", 1 << 53),

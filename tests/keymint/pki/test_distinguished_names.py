@@ -112,3 +112,16 @@ def test_unique_suffixes_are_deterministic_and_differ() -> None:
     assert distinguished_names.unique_suffix("/robot") == distinguished_names.unique_suffix("/robot")
     assert distinguished_names.unique_suffix("/robot") != distinguished_names.unique_suffix("/robot/camera")
     assert len(distinguished_names.unique_suffix("/robot")) == 32
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("OU=x,CN=/", "CN=/,OU=x"),
+        (r"O=Acme\, Inc,OU=x,CN=/,C=US", r"CN=/,O=Acme\, Inc,OU=x,C=US"),
+        ("CN=/,OU=x", "CN=/,OU=x"),
+        ("O=x,OU=y", "O=x,OU=y"),
+    ],
+)
+def test_the_common_name_first(name: str, expected: str) -> None:
+    assert distinguished_names.common_name_first(name) == expected

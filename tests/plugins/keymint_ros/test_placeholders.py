@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import pytest
+from keymint_ros import placeholders
 
 from .workspaces import Workspace, diagnostic_of
 
@@ -49,3 +50,18 @@ def test_an_unknown_placeholder_of_a_package_is_reported(
     diagnostic = diagnostic_of(edited.load, f"src/robot1/talker/{path}")
     assert diagnostic.code == "placeholder-unknown"
     assert hint in diagnostic.help
+
+
+@pytest.mark.parametrize(
+    ("template", "expected"),
+    [
+        ("OU={unique},CN={common_name}", "CN=/,OU={unique}"),
+        ("O=a,CN={subject},OU={unique}", "CN=/,O=a,OU={unique}"),
+        ("OU={unique},CN=root", "CN=root,OU={unique}"),
+        ("OU=x,CN=/", "OU=x,CN=/"),
+        ("OU=x,CN={name}", "OU=x,CN="),
+    ],
+)
+def test_the_root_enclave_has_its_common_name_first_if_placeholders_give_it(template: str, expected: str) -> None:
+    values = placeholders.of_subject("/")
+    assert placeholders.expand(template, values) == expected.format(**values)

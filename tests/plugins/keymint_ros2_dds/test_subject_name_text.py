@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -34,7 +35,7 @@ def test_what_is_rendered_for_dds_is_read_back(pairs: list[tuple[str, str]]) -> 
     try:
         text = subject_name_text.render(name)
     except KeymintError as error:
-        assert "parts between" in str(error)  # noqa: PT017 - the one refusal that these names can meet
+        assert re.search("parts between|nothing stands between", str(error))  # noqa: PT017 - what these names can meet
         return
     assert text == ",".join(f"{kind}={value}" for kind, value in reversed(pairs))
     assert subject_name_text.parse_rendered(text) == name
@@ -118,3 +119,13 @@ def test_the_name_of_a_grant_is_that_of_the_parsed_name(common: str, unit: str) 
     text = f"{unit}CN={common}"
     expected = outcome(lambda: subject_name_text.render(distinguished_names.parse(text)))
     assert outcome(lambda: subject_name_text.of(package(name=text).grant)) == expected
+
+
+@pytest.mark.parametrize("name", ["OU=x1,CN=/", "OU=x1,CN=/a//b", "OU=x1,CN=/a/"])
+def test_a_name_in_which_cyclone_dds_finds_an_empty_part_is_refused(name: str) -> None:
+    with pytest.raises(KeymintError, match="nothing stands between two of its separators"):
+        subject_name_text.of(package(name=name).grant)
+
+
+def test_the_root_enclave_has_its_common_name_last_in_a_grant() -> None:
+    assert subject_name_text.of(package(name="CN=/,OU=x1").grant) == "OU=x1,CN=/"

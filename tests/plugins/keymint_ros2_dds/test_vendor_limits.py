@@ -74,3 +74,20 @@ def test_a_large_document_is_a_warning_that_says_why():
     (found,) = build(CHATTER, many).diagnostics
     assert (found.code, found.severity, found.where.line) == ("size-permissions", Severity.WARNING, 21)
     assert "ALLOW ros_topic" in found.message
+
+
+@pytest.mark.parametrize(
+    ("subject", "name", "accepted"),
+    [
+        ("/", "CN=/", False),
+        ("/", "CN=/,OU=x1", True),
+        ("/", "CN=root", True),
+        ("/talker", "CN=/talker", True),
+    ],
+)
+def test_the_root_enclave_needs_a_name_of_its_own(subject: str, name: str, accepted: bool) -> None:
+    loaded = package(CHATTER, subject=subject, name=name)
+    found = list(vendor_limits.check_root_name(loaded, allow_vendor_specific=False))
+    assert [each.code for each in found] == ([] if accepted else ["portability-root-name"])
+    lenient = vendor_limits.check_root_name(loaded, allow_vendor_specific=True)
+    assert [each.severity for each in lenient] == ([] if accepted else [Severity.WARNING])

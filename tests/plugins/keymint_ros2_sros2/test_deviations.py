@@ -33,7 +33,7 @@ PROFILES = '<profiles><profile ns="/" node="n"/></profiles>'
         ([enclave("/" + "a" * 256, "")], "sros2-path", False),
         ([enclave("/a" * 513, "")], "sros2-path", False),
         ([enclave("/../a", "")], "sros2-path", False),
-        ([enclave("/", "")], "sros2-path", False),
+        ([enclave("//", "")], "sros2-path", False),
     ],
 )
 def test_found(write, enclaves: list[str], code: str, acceptable: bool) -> None:

@@ -52,3 +52,18 @@ def test_cyclone_dds_takes_a_longer_name_for_a_shorter_one(rdns: list[str], more
 def test_cyclone_dds_has_room_for_twenty_parts() -> None:
     for count, fits in ((20, True), (21, False)):
         assert parts_occur(",".join(f"CN=p{number}" for number in range(count)), "CN=p0") is fits
+
+
+@pytest.mark.parametrize(
+    ("name", "known"),
+    [("CN=/", True), ("OU=4f,CN=/", True), ("CN=/,OU=4f", False), ("CN=/a//b,OU=4f", False), ("CN=/a/,OU=4f", False)],
+)
+def test_cyclone_dds_finds_no_grant_for_a_name_with_an_empty_part(name: str, known: bool) -> None:
+    """Measured with Cyclone DDS 0.10.2: "Subject name is invalid"."""
+    assert parts_occur(name, name) is known
+    assert same_text(name, name)
+
+
+def test_on_cyclone_dds_the_root_enclave_may_take_any_grant_unless_it_has_a_name_of_its_own() -> None:
+    assert parts_occur("CN=/robot/camera", "CN=/")
+    assert not parts_occur("CN=/robot/camera,OU=4f", "OU=5a,CN=/")
