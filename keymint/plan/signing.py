@@ -58,14 +58,11 @@ def sign(
     register = register_of(session)
     _require_generation(session, package, register)
     pem, public = key
-    certificate = _going_on(package, public, issuer.certificate, existing.get(CERTIFICATE))
-    loaded = certificates.load(certificate) if certificate is not None else None
+    certificate = _going_on(package, public, issuer.certificate, existing.get(CERTIFICATE), register)
     warnings: Sequence[Diagnostic] = ()
-    if (
-        certificate is None
-        or loaded is None
-        or register.is_revoked(issuer_of(issuer.certificate), loaded.serial_number)
-    ):
+    if certificate is not None:
+        loaded = certificates.load(certificate)
+    else:
         issued = certificates.issue_identity(package.identity, public, issuer.issuer)
         certificate, loaded = issued.pem, issued.certificate
         warnings = [replace(warning, subject=package.subject) for warning in issued.diagnostics]
@@ -94,23 +91,26 @@ def sign(
 
 
 def _going_on(
-    package: Package, public: keys.PublicKey, issuer: x509.Certificate, existing: bytes | None
+    package: Package, public: keys.PublicKey, issuer: x509.Certificate, existing: bytes | None, register: Register
 ) -> bytes | None:
-    """Return the certificate that is still right; None if there is none.
+    """Return the certificate that is still right, and not revoked; None if there is none.
 
     Args:
         package: the package.
         public: the key of its subject.
         issuer: the issuer's current certificate.
         existing: the certificate in the enclave.
+        register: the register of certificates.
     """
     identity, taken_over = package.identity, package.issuance.certificate
+    found: list[bytes] = []
     if taken_over and certificates.certificate_fits(taken_over, identity, public, issuer):
         same = existing is not None and certificates.is_same(existing, taken_over)
-        return existing if same else taken_over  # the file may encode it in another way
+        found.append(existing if same and existing else taken_over)  # the file may encode it in another way
     if existing is not None and certificates.certificate_satisfies(existing, identity, public, issuer, authority=False):
-        return existing
-    return None
+        found.append(existing)
+    name = issuer_of(issuer)
+    return next((each for each in found if not register.is_revoked(name, certificates.load(each).serial_number)), None)
 
 
 def _require_generation(session: Session, package: Package, register: Register) -> None:

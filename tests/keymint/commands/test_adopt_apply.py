@@ -247,3 +247,18 @@ def test_a_new_key_replaces_the_certificate_and_the_permissions(keymint, tmp_pat
         "enclaves/talker/cert.pem", "enclaves/talker/key.pem", "enclaves/talker/permissions.p7s",
         "enclaves/talker/permissions.xml",
     }  # fmt: skip
+
+
+def test_a_revoked_certificate_does_not_come_back(keymint, tmp_path: Path) -> None:
+    made(tmp_path / "ks")
+    complete(keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws"))
+    taken_over = files(tmp_path / "ws/install")["enclaves/talker/cert.pem"]
+    assert keymint("revoke", "talker", "--reason", "superseded", "-w", "ws").code == 0
+    revoked = files(tmp_path / "ws/install")
+    assert revoked["enclaves/talker/cert.pem"] != taken_over
+    complete(keymint("build", "-f", "-w", "ws"))
+    complete(keymint("install", "-w", "ws"))
+    assert files(tmp_path / "ws/install") == revoked
+    shutil.rmtree(tmp_path / "ws/.keymint")  # without the record everything is planned again
+    complete(keymint("install", "-w", "ws"))
+    assert files(tmp_path / "ws/install") == revoked
