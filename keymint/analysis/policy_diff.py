@@ -5,9 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from comarmor.patterns.expression import matches
 from comarmor.values import dataclass
 from keymint.analysis.pattern_diff import pattern_differences
 from keymint.analysis.query_budget import QueryBudget
+from keymint.analysis.root_names import ROOT_ENCLAVE
 from keymint.analysis.rule_diff import PermissionChange, rule_changes, unknown_change
 from keymint.analysis.rule_lists import SEPARATOR, pattern_text
 from keymint.analysis.subject_patterns import structure
@@ -65,6 +67,11 @@ def diff_policies(old: LoadedPolicy, new: LoadedPolicy, budget: QueryBudget | No
             reported.add((like, difference))
             each = _of_subject(old, new, difference, like, budget)
             changed += [each] if each else []
+    # Patterns are compared by the names of nodes, which the root enclave does not have.
+    patterns = {each.like for each in changed if each.like}
+    if ROOT_ENCLAVE not in named and not any(matches(like, ROOT_ENCLAVE) for like in patterns):
+        each = _of_subject(old, new, ROOT_ENCLAVE, "", budget)
+        changed += [each] if each else []
     return changed
 
 

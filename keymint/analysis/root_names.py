@@ -10,17 +10,17 @@ from keymint.analysis.findings import quoted_list, warning
 from keymint.analysis.subject_patterns import rules_of
 from keymint.api import LoadedPolicy, PolicyStructure
 
-ROOT = "/"
+ROOT_ENCLAVE = "/"
 CODES = {"root-name": "A rule of the root enclave depends on the name of the subject."}
 """Diagnostic codes of this module with their descriptions."""
 
 
 def root_names(policy: LoadedPolicy, written: PolicyStructure) -> Iterator[Diagnostic]:
     """Yield a warning for each rule of the root enclave that contains ``{name}`` or ``{namespace}``."""
-    if ROOT not in policy.subjects():
+    if ROOT_ENCLAVE not in policy.subjects():
         return
     depends = {each.rule.origin.spot for each in written.clauses if each.expand("/a/", "a") != each.expand("/b/", "b")}
-    for rule in rules_of(policy, ROOT):
+    for rule in rules_of(policy, ROOT_ENCLAVE):
         if rule.origin.spot in depends:
             yield warning(
                 "root-name",
@@ -28,5 +28,5 @@ def root_names(policy: LoadedPolicy, written: PolicyStructure) -> Iterator[Diagn
                 f"{quoted_list(rule.expressions)}, and about none of the nodes that use the enclave",
                 rule.origin,
                 "write the names of these nodes, with wildcards if they are not known, e.g. /*/get_parameters",
-                ROOT,
+                ROOT_ENCLAVE,
             )

@@ -27,3 +27,16 @@ def test_the_message_shows_what_the_rule_is_about(keymint, tmp_path: Path) -> No
     assert outcome.code == 3
     assert "p.xml:1: warning: the root enclave '/' has no name" in outcome.err
     assert "is about '/state'" in outcome.err
+
+
+def test_policies_that_differ_for_the_root_enclave_only(keymint, tmp_path: Path) -> None:
+    """``/*`` matches it, although it has no name of a node."""
+    for name, attachment in (("one", "/*"), ("other", "/?*"), ("third", "/x*")):
+        profile = f'<profile name="p"><attachment>{attachment}</attachment>{RULE.format("/chatter")}</profile>'
+        (tmp_path / f"{name}.xml").write_text(profile)
+    outcome = keymint("diff", "one.xml", "other.xml", "--json").document["result"]
+    assert not outcome["equivalent"]
+    assert [(each["subject"], each["stands_for"]) for each in outcome["subjects"]] == [("/", None)]
+    assert "equivalent" in keymint("diff", "other.xml", "other.xml").out
+    of_pattern = keymint("diff", "one.xml", "third.xml", "--json").document["result"]
+    assert [each["stands_for"] for each in of_pattern["subjects"]] == ["/*"]
