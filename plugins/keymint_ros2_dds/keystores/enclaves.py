@@ -166,6 +166,14 @@ class _Enclave:
             message = f"has a common name of {max(map(len, names))} characters; X.509 allows {MAX_COMMON_NAME}"
             help_ = "give the enclave a shorter path with the tool that made it; Keymint cannot issue this name again"
             yield self._error("adopt-name-length", CERTIFICATE, message, help_)
+        elif to_text(certificate.subject) == "CN=/":
+            message = (
+                "is the root enclave with the name 'CN=/' alone, which on Cyclone DDS can use all other permissions"
+            )
+            help_ = (
+                "issue it with a second RDN, CN=/,OU=…; or remove the files of this enclave: Keymint makes a new one"
+            )
+            yield self._error("adopt-root", CERTIFICATE, message, help_)
         elif not self._enclave.subject:
             message = f"is for {to_text(certificate.subject)!r}, whose common name is no name of a subject"
             help_ = "put its files into a folder enclaves/<path>/ with the names that ROS 2 reads"
