@@ -56,6 +56,7 @@ class ImportRequest:
         library: folder of the policy library that the new policy may include.
         accept: take the policy as it reads where the other tool enforces something else.
         implicit: with the rules that the other tool adds by itself.
+        library_shown: path of the library in the places of rules, if it will be copied there.
     """
 
     path: Path
@@ -63,6 +64,7 @@ class ImportRequest:
     library: Path
     accept: bool = False
     implicit: bool = True
+    library_shown: Path | None = None
 
 
 @runtime_checkable

@@ -52,11 +52,11 @@ def named_policy(
     importer: object = None if foreign is None else run.plugins.policy_type(foreign.policy_type)
     if isinstance(importer, PolicyImporter):
         name = f"{FOLDER}/{path.name.removesuffix('.xml').removesuffix('.policy')}.xml"
-        shown = workspace.shown(workspace.profile / name)
-        imported = importer.translated(ImportRequest(place, shown, library, accept, implicit))
+        file, shown = str(workspace.profile / name), workspace.profile / FOLDER
+        imported = importer.translated(ImportRequest(place, file, library, accept, implicit, shown))
         rules = {each.rules.subject: each.rules for each in imported.subjects}
         return AdoptedPolicy(FOLDER, {name: imported.document}, rules, diagnostics=imported.diagnostics)
-    loaded = policies.at(place, str(path))
+    loaded = policies.at(place, str(path), library_shown=workspace.profile / FOLDER)
     found = {subject: loaded.rules(subject) for subject in subjects}
     rules = {subject: each for subject, each in found.items() if each is not None}
     return AdoptedPolicy(policy_path(place, workspace.profile), {}, rules)
@@ -80,9 +80,9 @@ def learned_policy(
     """
     name = f"{FOLDER}/adopted.xml"
     effort = effort_of(run, STATES, SECONDS)
-    shown = workspace.shown(workspace.profile / name)
+    file = str(workspace.profile / name)
     learning = Learning(
-        build_type, options.policy_type, Policies(run, options).distro, shown, effort.states, effort.deadline
+        build_type, options.policy_type, Policies(run, options).distro, file, effort.states, effort.deadline
     )
     learned = learned_from(run.plugins, files, found, learning)
     rules = {each.subject: each for each in learned.subjects}

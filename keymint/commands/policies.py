@@ -65,13 +65,14 @@ class Policies:
         """
         return self._run.plugins.profile_type(self._options.profile_type).library(self.distro)
 
-    def at(self, path: Path, typed: str, *, foreign: bool = True) -> LoadedPolicy:
+    def at(self, path: Path, typed: str, *, foreign: bool = True, library_shown: Path | None = None) -> LoadedPolicy:
         """Load the policy at a path.
 
         Args:
             path: file or folder.
             typed: the path as the user typed it.
             foreign: a file that only another policy type recognises is read by that; else it is refused.
+            library_shown: path of the library in the places of rules, if it will be copied there.
 
         Raises:
             KeymintError: the policy is missing, or has defects.
@@ -79,14 +80,14 @@ class Policies:
         source, plugins, name = PolicySource(typed, path, Origin(typed)), self._run.plugins, self._options.policy_type
         packages = InstalledPackages(self._run.setting.environment, None if self._options.trust_links else frozenset())
         try:
-            return load_with(plugins.policy_type(name), [source], self.shipped(), None, packages)
+            return load_with(plugins.policy_type(name), [source], self.shipped(), library_shown, packages)
         except KeymintError as error:
             found = foreign_policy(plugins, [path], name)
             if found is None:
                 raise
             if found.path != path or not foreign:
                 raise found.refusal(self._run.typed(str(found.path))) from error
-        return plugins.policy_type(found.policy_type).load([source], self.shipped())
+        return plugins.policy_type(found.policy_type).load([source], self.shipped(), library_shown)
 
     def _of_workspace(self, workspace: Workspace, as_accepted: bool) -> LoadedPolicy:
         session = self._run.inputs(workspace).session()

@@ -32,7 +32,7 @@ def translated(request: ImportRequest) -> ImportedPolicy:
         raise KeymintError.of(refused)
     enclaves = _by_path(policy)
     document = comarmor_document.document(policy, enclaves.values(), request.library, implicit=request.implicit)
-    loaded = parse_comarmor(read_document(document, request.name, request.library))
+    loaded = parse_comarmor(read_document(document, request.name, request.library, request.library_shown))
     deviating = {path for each in found for path in each.paths}
     subjects = tuple(
         ImportedSubject(

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -84,6 +85,23 @@ def test_without_a_policy_one_is_made_from_what_is_signed(keymint, tmp_path: Pat
     complete(keymint("install", "-w", "ws"))
     assert files(tmp_path / "ws/install", "enclaves/", "public/") == robots
     assert keymint("diff", "policy.xml", "ws/profile/comarmor.d/adopted.xml").out.startswith("equivalent")
+
+
+@pytest.mark.parametrize("policy", [["policy.xml"], ["imported"], []], ids=["sros2", "comarmor", "learned"])
+def test_sources_name_the_files_of_the_workspace(keymint, tmp_path: Path, policy: list[str]) -> None:
+    """The places of rules are those that the next 'create' writes, and none is in the installation of Keymint."""
+    made(tmp_path / "ks")
+    complete(keymint("import", "policy.xml", "-o", "imported"))
+    complete(keymint("adopt", "ks", *policy, "--apply", "-w", "ws"))
+    texts = {path: path.read_text() for path in (tmp_path / "ws/src").rglob("permissions.xml")}
+    assert len(texts) == 2
+    origins = [each for text in texts.values() for each in re.findall('origin="(.*?)"', text)]
+    places = {place for origin in origins for place in origin.split("; ")}
+    assert places
+    assert all(each.startswith(("comarmor.d/", f"{tmp_path}/imported/")) for each in places)
+    for name in ("talker", "listener"):
+        keymint("create", name, "-w", "ws")
+    assert {path: path.read_text() for path in texts} == texts
 
 
 def test_secrets_are_private_wherever_they_are(keymint, tmp_path: Path) -> None:
