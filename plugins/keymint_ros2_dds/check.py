@@ -124,8 +124,7 @@ class _EnclaveCheck(CredentialCheck):
         except KeymintError:
             return  # verify_chain reports it
         if not certificates.is_canonical(pem):
-            message = "is not the canonical encoding of its certificate"
-            yield self._error("pem-altered", CERTIFICATE, message)
+            yield self._altered(CERTIFICATE, "is not the canonical encoding of its certificate")
         yield from self._subject_name(
             certificate, distinguished_names.parse(self._inspection.package.identity.subject_name)
         )
@@ -133,10 +132,17 @@ class _EnclaveCheck(CredentialCheck):
             period = certificate.not_valid_before_utc, certificate.not_valid_after_utc
             yield from self._validity("certificate", CERTIFICATE, *period, slack=timedelta(0))
         if KEY in self._files and not keys.is_canonical(self._files[KEY]):
-            yield self._error("pem-altered", KEY, "is not the canonical encoding of a private key")
+            yield self._altered(KEY, "is not the canonical encoding of a private key")
         public_key = self._inspection.package.issuance.public_key
         if public_key or not self._inspection.package.identity.key.password_env:  # else it cannot be read
             yield from map(self._for_subject, self._key(certificate, public_key))
+
+    def _altered(self, name: str, message: str) -> Diagnostic:
+        """Return the finding on a file in another form than Keymint writes; other tools write other forms."""
+        found = self._error("pem-altered", name, message)
+        if not self._inspection.package.issuance.certificate:
+            return found
+        return replace(found, severity=Severity.NOTE, help="another tool wrote it, and it is kept as it is")
 
     def _authorities(self) -> Iterator[Diagnostic]:
         trusted = {

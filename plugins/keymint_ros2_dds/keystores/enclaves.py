@@ -161,7 +161,10 @@ class _Enclave:
 
     def _common_name(self, certificate: x509.Certificate) -> Iterator[Diagnostic]:
         names = [value for kind, value in attributes(certificate.subject) if kind == "CN"]
-        self._facts["named_like_path"] = names == [self._enclave.subject]
+        by_content = self._path(CERTIFICATE) == self._enclave.place  # then the name is where the subject comes from
+        self._facts["named_like_path"] = names == [self._enclave.subject] or (
+            by_content and bool(self._enclave.subject)
+        )
         if any(len(name) > MAX_COMMON_NAME for name in names):
             message = f"has a common name of {max(map(len, names))} characters; X.509 allows {MAX_COMMON_NAME}"
             help_ = "give the enclave a shorter path with the tool that made it; Keymint cannot issue this name again"

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -280,3 +281,40 @@ def test_a_revoked_certificate_does_not_come_back(keymint, tmp_path: Path) -> No
     shutil.rmtree(tmp_path / "ws/.keymint")  # without the record everything is planned again
     complete(keymint("install", "-w", "ws"))
     assert files(tmp_path / "ws/install") == revoked
+
+
+def test_files_of_openssl(keymint, tmp_path: Path) -> None:
+    """RSA keys, a name of several parts, ranges of domains, and text around the certificate."""
+    folder = tmp_path / "ks"
+    folder.mkdir()
+
+    def openssl(*words: str) -> None:
+        subprocess.run(["openssl", *words], cwd=folder, check=True, capture_output=True)
+
+    for name, kind in (("id", "rsa:2048"), ("perm", "rsa:2048")):
+        openssl("req", "-x509", "-newkey", kind, "-nodes", "-keyout", f"{name}.key", "-out", f"{name}.crt",
+                "-subj", f"/O=Acme/CN={name}", "-days", "4000")  # fmt: skip
+    openssl("req", "-newkey", "rsa:2048", "-nodes", "-keyout", "r.key", "-out", "r.csr", "-subj", "/O=Acme/CN=robot")
+    openssl("x509", "-req", "-in", "r.csr", "-CA", "id.crt", "-CAkey", "id.key", "-set_serial", "7", "-days", "3000",
+            "-text", "-out", "r.crt")  # fmt: skip
+    (node,) = sros2_keystore.enclaves_of(POLICY.replace("/talker", "/robot"))["/robot"]
+    document = sros2_keystore.permissions({"/robot": [node]}, ("2026-01-01T00:00:00Z", "2033-01-01T00:00:00"))
+    (folder / "p.xml").write_bytes(document.replace(b"CN=/robot", b"CN=robot,O=Acme").replace(
+        b"<id>0</id>", b"<id_range><min>0</min><max>9</max></id_range>"))  # fmt: skip
+    governance = sros2_keystore.governance(0)
+    (folder / "g.xml").write_bytes(governance.replace(b"<id>0</id>", b"<id_range><min>0</min><max>9</max></id_range>"))
+    for name in "pg":
+        openssl("smime", "-sign", "-text", "-in", f"{name}.xml", "-out", f"{name}.p7s", "-signer", "perm.crt",
+                "-inkey", "perm.key")  # fmt: skip
+    for key in folder.glob("*.key"):
+        key.chmod(0o600)
+    (folder / "r.csr").unlink()
+    complete(keymint("adopt", "ks", "--apply", "-w", "ws"))
+    after = files(tmp_path / "ws/install")
+    for name, source in (("cert.pem", "r.crt"), ("permissions.p7s", "p.p7s"), ("governance.p7s", "g.p7s")):
+        assert after[f"enclaves/robot/{name}"] == ("", (folder / source).read_bytes())
+    complete(keymint("build", "-w", "ws"))
+    complete(keymint("install", "-w", "ws"))
+    assert files(tmp_path / "ws/install") == after
+    assert "canonical" not in keymint("check", "-w", "ws").err
+    complete(keymint("harden", "names", "--apply", "-w", "ws"))
