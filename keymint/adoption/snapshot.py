@@ -63,6 +63,7 @@ def read_keystore(folder: Path, typed: str, now: datetime) -> tuple[KeystoreFile
                 f"has more than {MOST_FILES} files or {MOST_BYTES >> 20} MiB, which no keystore has",
                 where=Origin(typed), help="name the folder of the keystore itself", code="keystore-size",
             )  # fmt: skip
+    problems.sort(key=lambda each: str(each.where))
     return KeystoreFiles(typed, dict(sorted(files.items())), now), tuple(problems)
 
 
@@ -72,18 +73,20 @@ def _placed(diagnostic: Diagnostic, place: str) -> Diagnostic:
 
 def _paths(root: Path, folder: str, problems: list[Diagnostic], typed: str) -> Iterator[str]:
     """Yield the paths of all files and links below a folder; folders behind links are not entered."""
-    try:
-        entries = sorted(os.scandir(folder), key=lambda each: each.name)
-    except OSError as error:
-        relative = os.path.relpath(folder, root)
-        problems += (_placed(each, f"{typed}/{relative}") for each in unreadable(folder, error).diagnostics)
-        return
-    for entry in entries:
-        if entry.is_dir(follow_symlinks=False):
-            if entry.name != ".git":
-                yield from _paths(root, entry.path, problems, typed)
-        else:
-            yield os.path.relpath(entry.path, root)
+    waiting = [folder]
+    while waiting:
+        inner = waiting.pop()
+        try:
+            entries = sorted(os.scandir(inner), key=lambda each: each.name)
+        except OSError as error:
+            relative = os.path.relpath(inner, root)
+            problems += (_placed(each, f"{typed}/{relative}") for each in unreadable(inner, error).diagnostics)
+            continue
+        for entry in entries:
+            if not entry.is_dir(follow_symlinks=False):
+                yield os.path.relpath(entry.path, root)
+            elif entry.name != ".git":
+                waiting.append(entry.path)
 
 
 def _read(root: Path, path: str) -> KeystoreFile | None:

@@ -13,7 +13,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import DomainRange, FoundEnclave, FoundGrant, KeySpec, KeystoreFiles, Validity
 from keymint.errors import KeymintError
-from keymint.names import name_of
+from keymint.names import name_of, package_name
 from keymint.pki import certificates, certification_path, keys, smime
 from keymint.pki.distinguished_names import MAX_COMMON_NAME, attributes, to_text
 from keymint_ros2_dds.domains import in_words, merged, uncovered
@@ -121,6 +121,11 @@ class _Enclave:
                 self._facts["missing"].append(name)
                 help_ = "restore it, or remove the enclave's folder if nothing uses it"
                 yield self._error("adopt-file-missing", name, "is missing", help_)
+        try:
+            package_name(self._enclave.subject or "/x")
+        except KeymintError as error:
+            where, message = self._contents.place(self._enclave.place), error.diagnostics[0].message
+            yield Diagnostic("adopt-path", Severity.ERROR, message, where, "give the enclave another path")
         if self._path(KEY_URI):
             message = "says that the key lies in a token, which is not taken over"
             help_ = "write <pkcs11> into identities.xml afterwards; docs/keystore-life.md"

@@ -208,6 +208,12 @@ def test_the_root_enclave_needs_a_second_rdn(keymint, tmp_path: Path) -> None:
     assert "enclave    /  CN=/; " in outcome.out
 
 
+def test_a_path_that_is_no_name_of_a_subject(keymint, tmp_path: Path) -> None:
+    sros2_keystore.make(tmp_path / "ks", POLICY.replace("/talker", "/my-talker"), Form())
+    outcome = keymint("adopt", "ks")
+    assert "ks/enclaves/my-talker: error: '/my-talker' is not a legal name" in outcome.err
+
+
 def test_two_grants(keymint, tmp_path: Path) -> None:
     one = (
         '<profiles><profile ns="/" node="x"><topics publish="ALLOW"><topic>other</topic></topics></profile></profiles>'
