@@ -68,6 +68,7 @@ def test_a_row(keymint, ws: Path, distro: str) -> None:
     root = ws / code(variable)[0].partition("=$PWD/")[2]
     sought = {"ardent": "talker", "bouncy": "talker", **dict.fromkeys(("crystal", "dashing", "eloquent"), "a/talker")}
     assert root / sought.get(distro, "enclaves/a/talker") == folder
+    assert f"export {code(variable)[0].replace('$PWD', str(ws))}\n" in keymint("env", "/a/talker", "-w", ws).out
     openssl(folder, *code(authorities))
     names_of(ws, distro)
 
