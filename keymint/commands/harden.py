@@ -26,7 +26,7 @@ _SHOWN = 5
 @verb(dry_run=True)
 @click.argument("step", type=click.Choice([str(each) for each in Weakness]), required=False)
 @click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
-@click.option("--apply", "applied", is_flag=True, help="Do the step; without it, its cost is said and nothing changes.")
+@click.option("--apply", "applied", is_flag=True, help="Do the step; without it, see its cost and change nothing.")
 @flag_day_option
 def harden(run: Run, step: str | None, names: tuple[str, ...], applied: bool, flag_day: bool) -> Report:
     """Say which steps are open and what each costs; do one of them with --apply.

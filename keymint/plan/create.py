@@ -184,7 +184,7 @@ class CreateStage:
         return PackagePlan(name, step, Stamp(self._inputs, outputs, context=context), found, errors)
 
     def _former(self, rules: SubjectRules, files: Mapping[str, bytes]) -> tuple[Diagnostic, ...]:
-        """Return what is said about documents of former versions that are replaced."""
+        """Return the warnings about documents of former versions that are replaced."""
         package_type = self._package_type
         if not files or not isinstance(package_type, FormerRules):
             return ()

@@ -379,7 +379,7 @@ def test_whichever_call_fails_files_are_whole_and_it_is_said_in_one_line(
                 everything(store, root)
                 done = next(calls) <= at
                 assert done or call == "mkdir", (
-                    f"the {call} number {at} failed, and nothing is said"
+                    f"the {call} number {at} failed, and nobody was told"
                 )  # mkdir is asked again
             except KeymintError as error:
                 done = False

@@ -276,7 +276,7 @@ def test_an_unchanged_command_reads_what_is_shipped(keymint, accepted: Path, shi
     shipped.write_text(content.replace("/cmd_vel", "/cmd_val"))  # of the same size
     assert verb("create").code == 1
     built = verb("build")
-    assert built.code == 0  # what was accepted is built, and that it is no longer shipped is said
+    assert built.code == 0  # what was accepted is built, with a warning that it is no longer shipped
     assert "ships something else than what was accepted" in built.err
     shipped.write_text(content)
     settle()

@@ -34,7 +34,7 @@ def test_a_second_run_writes_not_one_file(keymint, provisioned: Path, policy: Pa
     assert snapshot(provisioned) == before
 
 
-def test_only_what_a_change_concerns_is_signed_anew(keymint, provisioned: Path, policy: Path) -> None:
+def test_only_what_a_change_concerns_is_signed_again(keymint, provisioned: Path, policy: Path) -> None:
     before = snapshot(provisioned / "install")
     policy.write_text(policy.read_text().replace("<permissions><ros_subscribe/>", "<permissions><ros_publish/>"))
     assert keymint("provision", policy, "-w", "ws").code == 0

@@ -86,7 +86,7 @@ def test_another_name_or_kind_of_key_is_a_new_authority(keymint, ws: Path, old: 
     assert keymint("check", cwd=ws).code == 0
 
 
-def test_an_offline_authority_that_lost_its_certificate_is_not_made_anew(keymint, ws: Path) -> None:
+def test_an_offline_authority_that_lost_its_certificate_is_not_made_again(keymint, ws: Path) -> None:
     for path in (CERTIFICATES[0], AUTHORITY_KEYS[0]):
         (ws / path).unlink()
     before = snapshot(ws)

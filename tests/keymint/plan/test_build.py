@@ -34,7 +34,7 @@ def test_a_defect_in_one_package_stops_all_before_the_first_byte(keymint, create
     assert snapshot(created) == before
 
 
-def test_only_what_changed_is_built_anew(keymint, created: Path, policy: Path) -> None:
+def test_only_what_changed_is_built_again(keymint, created: Path, policy: Path) -> None:
     keymint("build", cwd=created)
     before = snapshot(created / "build/robot1/listener")
     policy.write_text(policy.read_text().replace("<permissions><ros_publish/>", "<permissions><ros_subscribe/>"))
