@@ -178,10 +178,8 @@ class _Enclave:
             message = (
                 "is the root enclave with the name 'CN=/' alone, which on Cyclone DDS can use all other permissions"
             )
-            help_ = (
-                "issue it with a second RDN, CN=/,OU=…; or remove the files of this enclave: Keymint makes a new one"
-            )
-            yield self._error("adopt-root", CERTIFICATE, message, help_)
+            help_ = "it stays as it is; a second RDN in its name mends it afterwards: 'keymint harden names'"
+            yield self._warning("adopt-root", CERTIFICATE, message, help_)
         elif not self._enclave.subject:
             message = f"is for {to_text(certificate.subject)!r}, whose common name is no name of a subject"
             help_ = "put its files into a folder enclaves/<path>/ with the names that ROS 2 reads"
