@@ -45,6 +45,7 @@ def check_root_name(package: Package, *, allow_vendor_specific: bool) -> Iterato
 
     Cyclone DDS requires only that the grant has all parts of the identity (``ac_check_subjects_are_equal`` in its
     ``access_control_utils.c``), so the root enclave could use the signed permissions of any other one.
+    It is a warning where another tool signed it: the owner has that already, and takes the keystore over first.
     """
     if package.subject != "/":
         return
@@ -55,7 +56,7 @@ def check_root_name(package: Package, *, allow_vendor_specific: bool) -> Iterato
     if parts == (("CN", "/"),):
         yield Diagnostic(
             "portability-root-name",
-            Severity.WARNING if allow_vendor_specific else Severity.ERROR,
+            Severity.WARNING if allow_vendor_specific or package.kept else Severity.ERROR,
             f"the root enclave is named {package.identity.subject_name!r} alone: on Cyclone DDS that identity can use "
             "the permissions of every other enclave",
             package.identity.origin,

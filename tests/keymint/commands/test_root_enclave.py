@@ -218,3 +218,17 @@ def test_with_zenoh(keymint, tmp_path: Path) -> None:
     assert names(both / "install/enclaves") == {*OWN, *SHARED, "session.json5"}
     assert is_sound(keymint, both)
     assert keymint("verify", "/", "-w", both, "-t", "zenoh-1").code == 0
+
+
+def test_a_keystore_with_a_common_name_alone_is_adopted_unchanged(keymint, tmp_path: Path) -> None:
+    (tmp_path / "p.xml").write_text(POLICY)
+    shape = ("--subject-format", "sros2", "--allow-vendor-specific")
+    assert keymint("provision", "p.xml", "-w", "made", *shape).code == 0
+    outcome = keymint("adopt", "made/install", "p.xml", "--apply", "-w", "taken")
+    assert outcome.code == 0, outcome.err
+    before = snapshot(tmp_path / "made/install/enclaves")
+    after = snapshot(tmp_path / "taken/install/enclaves")
+    assert {path: content for path, (_, _, content) in after.items()} == {
+        path: content for path, (_, _, content) in before.items()
+    }
+    assert "names-confused" in keymint("check", "-w", "taken", "--json").codes()

@@ -91,3 +91,5 @@ def test_the_root_enclave_needs_a_name_of_its_own(subject: str, name: str, accep
     assert [each.code for each in found] == ([] if accepted else ["portability-root-name"])
     lenient = vendor_limits.check_root_name(loaded, allow_vendor_specific=True)
     assert [each.severity for each in lenient] == ([] if accepted else [Severity.WARNING])
+    kept = vendor_limits.check_root_name(replace(loaded, kept={"permissions.xml": b"x"}), allow_vendor_specific=False)
+    assert [each.severity for each in kept] == ([] if accepted else [Severity.WARNING])
