@@ -21,7 +21,11 @@ if TYPE_CHECKING:
 CHECKOUT = Path(__file__).resolve().parents[2]
 REFERENCE = CHECKOUT.parent / "shared" / "reference" / "ppac" / "comarmor.d"
 POLICIES = [
-    *sorted(path for path in (CHECKOUT / "examples").glob("*/*.xml") if not path.name.endswith(".test.xml")),
+    *sorted(
+        path
+        for path in (CHECKOUT / "examples").glob("*/*.xml")
+        if not path.name.endswith(".test.xml") and path.name != "package.xml"  # the manifest of a ROS package
+    ),
     pytest.param(
         REFERENCE,
         marks=pytest.mark.skipif(not REFERENCE.is_dir(), reason="../shared/reference is not here"),
