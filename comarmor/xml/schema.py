@@ -22,9 +22,14 @@ _MOST = 50
 
 
 @lru_cache
-def _load(path: Path) -> tuple[etree.XMLSchema, SchemaVocabulary]:
-    """Return a compiled XSD, and the names that it declares."""
-    return etree.XMLSchema(file=str(path)), SchemaVocabulary.of(_documents(path))
+def _compiled(path: Path) -> etree.XMLSchema:
+    return etree.XMLSchema(file=str(path))
+
+
+@lru_cache
+def _vocabulary(path: Path) -> SchemaVocabulary:
+    """Return the names that an XSD declares; only documents with defects need them."""
+    return SchemaVocabulary.of(_documents(path))
 
 
 def _documents(path: Path) -> Iterator[etree._Element]:
@@ -47,9 +52,10 @@ def validate(root: etree._Element, schema: Path, file: str, chain: tuple[Origin,
     Raises:
         ComArmorError: the document is not valid; every defect with ``file:line``, what was expected, and a hint.
     """
-    compiled, vocabulary = _load(schema)
+    compiled = _compiled(schema)
     if compiled.validate(root):
         return
+    vocabulary = _vocabulary(schema)
     diagnostics: dict[Diagnostic, None] = {}
     log: Any = compiled.error_log
     for entry in log:
@@ -146,46 +152,43 @@ _QUOTED = re.compile(r"'([^']*)(?:'|\Z)")
 
 _Explanation = Callable[[re.Match[str], SchemaVocabulary, Any], tuple[str, str]]
 
-_EXPLANATIONS: tuple[tuple[re.Pattern[str], _Explanation], ...] = tuple(
-    (re.compile(pattern, re.DOTALL), explanation)
-    for pattern, explanation in (
-        (r"Element '(.+?)': This element is not expected\.(?: Expected is (?:one of )?\( (.+) \)\.)?", _unexpected),
-        (r"Element '(.+?)': Missing child element\(s\)\. Expected is (?:one of )?\( (.+) \)\.", _missing),
-        (r"Element '(.+?)': No matching global declaration", _root),
-        (r"Element '(.+?)', attribute '(.+?)': The attribute '.+' is not allowed", _attribute),
-        (
-            r"Element '(.+?)': The attribute '(.+?)' is required but missing",
-            lambda match, *_: (f"<{match[1]}> lacks its attribute '{match[2]}'", ""),
-        ),
-        (
-            r"Element '(.+?)'(?:, attribute '(.+?)')?: \[.+?\] The value '(.*)' is not .+ set \{(.+)\}",
-            _enumeration,
-        ),
-        (
-            r"Element '(.+?)'(?:, attribute '(.+?)')?: \[facet 'minLength'\] .* length of '(\d+)'.* length of '(\d+)'",
-            _short,
-        ),
-        (
-            r"Element '(.+?)'(?:, attribute '(.+?)')?: \[facet 'maxLength'\] .* length of '(\d+)'.* length of '(\d+)'",
-            _long,
-        ),
-        (
-            r"Element '(.+?)'(?:, attribute '(.+?)')?: \[facet '(min|max)Inclusive'\] .* '(.*)' is .+ \('(.+)'\)",
-            _beyond,
-        ),
-        (
-            r"Element '(.+?)': Element content is not allowed",
-            lambda match, *_: (f"<{match[1]}> can only contain text, no elements", ""),
-        ),
-        (
-            r"Element '(.+?)': Character content",
-            lambda match, *_: (f"<{match[1]}> cannot contain text", "remove the text, or put it into a comment"),
-        ),
-        (
-            r"Element '(.+?)'(?:, attribute '(.+?)')?: (?:\[.+?\] The value )?'(.*)' is not (a valid .+|accepted .+)\.",
-            lambda match, *_: (f"{_node(match)} is {quoted(match[3])}, which is not {match[4]}", ""),
-        ),
-    )
+_EXPLANATIONS: tuple[tuple[str, _Explanation], ...] = (
+    (r"Element '(.+?)': This element is not expected\.(?: Expected is (?:one of )?\( (.+) \)\.)?", _unexpected),
+    (r"Element '(.+?)': Missing child element\(s\)\. Expected is (?:one of )?\( (.+) \)\.", _missing),
+    (r"Element '(.+?)': No matching global declaration", _root),
+    (r"Element '(.+?)', attribute '(.+?)': The attribute '.+' is not allowed", _attribute),
+    (
+        r"Element '(.+?)': The attribute '(.+?)' is required but missing",
+        lambda match, *_: (f"<{match[1]}> lacks its attribute '{match[2]}'", ""),
+    ),
+    (
+        r"Element '(.+?)'(?:, attribute '(.+?)')?: \[.+?\] The value '(.*)' is not .+ set \{(.+)\}",
+        _enumeration,
+    ),
+    (
+        r"Element '(.+?)'(?:, attribute '(.+?)')?: \[facet 'minLength'\] .* length of '(\d+)'.* length of '(\d+)'",
+        _short,
+    ),
+    (
+        r"Element '(.+?)'(?:, attribute '(.+?)')?: \[facet 'maxLength'\] .* length of '(\d+)'.* length of '(\d+)'",
+        _long,
+    ),
+    (
+        r"Element '(.+?)'(?:, attribute '(.+?)')?: \[facet '(min|max)Inclusive'\] .* '(.*)' is .+ \('(.+)'\)",
+        _beyond,
+    ),
+    (
+        r"Element '(.+?)': Element content is not allowed",
+        lambda match, *_: (f"<{match[1]}> can only contain text, no elements", ""),
+    ),
+    (
+        r"Element '(.+?)': Character content",
+        lambda match, *_: (f"<{match[1]}> cannot contain text", "remove the text, or put it into a comment"),
+    ),
+    (
+        r"Element '(.+?)'(?:, attribute '(.+?)')?: (?:\[.+?\] The value )?'(.*)' is not (a valid .+|accepted .+)\.",
+        lambda match, *_: (f"{_node(match)} is {quoted(match[3])}, which is not {match[4]}", ""),
+    ),
 )
 """Patterns of libxml2's messages, and the function that words each. Groups: element, attribute, value, expected."""
 
@@ -194,7 +197,7 @@ def _explain(message: str, vocabulary: SchemaVocabulary, element: etree._Element
     """Return message and help for a message of libxml2; an unknown message is kept, with long values cut."""
     message = _NAME.sub(lambda name: _PREFIXES.get(name[1], f"{{{name[1]}}}") + name[2], message)
     for pattern, explanation in _EXPLANATIONS:
-        if match := pattern.match(message):
+        if match := re.match(pattern, message, re.DOTALL):
             return explanation(match, vocabulary, element)
     return _QUOTED.sub(lambda value: quoted(value[1]), " ".join(message.split())), ""
 
