@@ -123,7 +123,9 @@ def test_two_authorities_do_not_fit_into_one_file(keymint, tmp_path: Path) -> No
     profile.write_text(profile.read_text().replace("<distro>eloquent<", "<distro>bouncy<"))
     outcome = keymint("provision", "p.xml", "-w", "ws", "--json")
     assert (outcome.code, outcome.codes()) == (1, ["layout-authorities"])
-    assert "in Bouncy" in outcome.document["diagnostics"][0]["message"]
+    found = outcome.document["diagnostics"][0]
+    assert "in Bouncy" in found["message"]
+    assert (tmp_path / found["file"]).is_file(), found
 
 
 def test_files_of_another_distribution_are_removed(keymint, tmp_path: Path) -> None:

@@ -79,15 +79,20 @@ def sign(
         try:
             own = build_type.install(package, documents, credentials, session.profile.layout, existing)
         except KeymintError as error:
-            raise KeymintError.of(
-                [placed(diagnostic, session.workspace.build) for diagnostic in error.diagnostics]
-            ) from error
+            raise KeymintError.of([_placed(each, session, package) for each in error.diagnostics]) from error
         different = {file for file, artifact in own.items() if artifacts.get(file, artifact) != artifact}
         if conflicts := two_writers(session, package, writers, name, own, different):
             raise KeymintError.of(conflicts)
         artifacts |= own
     entry = issued_certificate(package, loaded, issuer.certificate, digest_files(documents))
     return artifacts, entry, warnings
+
+
+def _placed(diagnostic: Diagnostic, session: Session, package: Package) -> Diagnostic:
+    """Return a diagnostic with its full path: only a place in a document is relative to ``build/``."""
+    sources = {package.identity.origin.file, package.grant.origin.file}
+    is_in_sources = diagnostic.where is not None and diagnostic.where.file in sources
+    return diagnostic if is_in_sources else placed(diagnostic, session.workspace.build)
 
 
 def _going_on(
