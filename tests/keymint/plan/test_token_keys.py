@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import os
 import pty
+import select
 import shutil
 import subprocess
 import sys
@@ -341,6 +342,10 @@ def test_a_token_signs_revocation_lists(keymint, in_token: Path, signatures: Cou
     assert keymint("install", cwd=in_token).code == 0  # nothing is to be signed
 
 
+CTRL_C = b"\x03"
+PROMPT = b"PIN of the token ca: "
+
+
 def at_terminal(ws: Path, typed: bytes, *words: str) -> tuple[int, str]:
     """Run the command at a terminal, and type something when it asks; returns its exit code and what it showed."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
@@ -350,9 +355,14 @@ def at_terminal(ws: Path, typed: bytes, *words: str) -> tuple[int, str]:
         os.execve(sys.executable, [sys.executable, "-m", "keymint", *words], environment)
     shown = b""
     with contextlib.suppress(OSError):  # the terminal of a process that ended
-        while part := os.read(terminal, 4096):
+        while True:
+            # Python sees a signal that comes just before it begins to read with the next one, as a user would press it.
+            while typed == CTRL_C and PROMPT in shown and not select.select([terminal], [], [], 2)[0]:
+                os.write(terminal, typed)
+            if not (part := os.read(terminal, 4096)):
+                break
             shown += part
-            if shown.endswith(b"PIN of the token ca: "):
+            if shown.endswith(PROMPT):
                 os.write(terminal, typed)
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     os.close(terminal)
@@ -366,7 +376,7 @@ def at_terminal(ws: Path, typed: bytes, *words: str) -> tuple[int, str]:
         (b"wrong-secret\n", 1, "the PIN of the token ca is wrong"),
         (b"\n", 1, f"the environment variable {VARIABLE}"),
         (b"\x04", 1, f"the environment variable {VARIABLE}"),
-        (b"\x03", 130, "interrupted"),
+        (CTRL_C, 130, "interrupted"),
     ],
     ids=["right", "wrong", "empty", "end of input", "Ctrl+C"],
 )
