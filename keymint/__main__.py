@@ -11,7 +11,7 @@ from keymint import process
 
 def run(arguments: list[str]) -> int:
     """Run the command line as the only task of this process, and return its exit code."""
-    gc.set_threshold(200_000, 20, 50)  # imports and a run create many objects, few of them in cycles
+    gc.set_threshold(1_000_000, 20, 50)  # imports and a run create many objects, few of them in cycles
     process.open_missing_streams()
     process.hold_signals()
     from keymint import cli  # noqa: PLC0415 - signals wait until the import is done

@@ -9,6 +9,7 @@ and the parent commits all parts together.
 from __future__ import annotations
 
 import contextlib
+import gc
 import io
 import itertools
 import os
@@ -194,6 +195,7 @@ def _work(
     store: Callable[[Workspace], Store],
 ) -> None:
     """Plan packages stage by stage; stage them when the parent says so. This runs in a process of its own."""
+    gc.freeze()  # a search for cycles among the parent's objects would copy their pages
     for each in inherited:  # otherwise this process would not see that the parent ended
         each.close()
     with contextlib.suppress(EOFError, OSError):
