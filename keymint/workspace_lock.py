@@ -11,6 +11,7 @@ import errno
 import fcntl
 import os
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 from time import sleep  # noqa: TID251 - waits, and does not tell the time
 
@@ -20,8 +21,7 @@ _UNSUPPORTED = frozenset({errno.EBADF, errno.EINVAL, errno.ENOLCK, errno.ENOSYS,
 """What file systems say that lock no folders; see flock(2), "NFS details"."""
 
 
-@contextlib.contextmanager
-def read_lock(records: Path, on_wait: Callable[[], None]) -> Iterator[bool]:
+def read_lock(records: Path, on_wait: Callable[[], None]) -> AbstractContextManager[bool]:
     """Hold the workspace lock for reading, which keeps writers out but admits other readers.
 
     If the lock does not exist, or cannot be opened or locked (e.g. in a copy or on a read-only file system), the
@@ -31,27 +31,13 @@ def read_lock(records: Path, on_wait: Callable[[], None]) -> Iterator[bool]:
         records: folder of the lock.
         on_wait: called once before waiting for a writer that holds the lock.
 
-    Yields:
-        Whether the lock is held.
+    Returns:
+        A context whose value tells whether the lock is held.
     """
-    try:
-        lock = os.open(records / LOCK, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
-    except OSError:
-        yield False
-        return
-    locked = True
-    try:
-        try:
-            wait_for_lock(lock, fcntl.LOCK_SH, on_wait)
-        except OSError:
-            locked = False
-        yield locked
-    finally:
-        os.close(lock)
+    return _held(records / LOCK, os.O_NONBLOCK, fcntl.LOCK_SH, on_wait)
 
 
-@contextlib.contextmanager
-def folder_lock(folder: Path, operation: int, on_wait: Callable[[], None]) -> Iterator[bool]:
+def folder_lock(folder: Path, operation: int, on_wait: Callable[[], None]) -> AbstractContextManager[bool]:
     """Hold the lock of a folder itself, for which it needs no file.
 
     Args:
@@ -60,14 +46,19 @@ def folder_lock(folder: Path, operation: int, on_wait: Callable[[], None]) -> It
         operation: ``LOCK_SH`` to read, ``LOCK_EX`` to write.
         on_wait: called once before waiting for another process that holds the lock.
 
-    Yields:
-        Whether the lock is held.
+    Returns:
+        A context whose value tells whether the lock is held.
 
     Raises:
         OSError: it cannot be locked to write.
     """
+    return _held(folder, os.O_DIRECTORY, operation, on_wait)
+
+
+@contextlib.contextmanager
+def _held(path: Path, flags: int, operation: int, on_wait: Callable[[], None]) -> Iterator[bool]:
     try:
-        opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+        opened = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | flags)
     except OSError:
         yield False
         return

@@ -56,6 +56,20 @@ def sign(content: bytes, certificate: x509.Certificate, key: keys.PrivateKey, wh
     Raises:
         KeymintError: the content has a byte that does not survive S/MIME or a vendor's parser (CR, NUL).
     """
+    require_signable(content, where)
+    return mime.wrap(content, cms.sign(mime.canonical_text(content), certificate, key))
+
+
+def require_signable(content: bytes, where: Origin | None) -> None:
+    """Require that a document survives S/MIME and the parsers of vendors.
+
+    Args:
+        content: the document.
+        where: its place, for messages.
+
+    Raises:
+        KeymintError: the content has a byte that does not (CR, NUL).
+    """
     for byte, shown, help_ in (
         (b"\r", "a carriage return", "save it with Unix line ends (LF)"),
         (b"\0", "a NUL byte", "remove it"),
@@ -66,7 +80,6 @@ def sign(content: bytes, certificate: x509.Certificate, key: keys.PrivateKey, wh
             raise KeymintError(
                 f"a document with {shown} cannot be signed", where=place, help=help_, code="smime-content"
             )
-    return mime.wrap(content, cms.sign(mime.canonical_text(content), certificate, key))
 
 
 def read(signed: bytes, ca_pem: bytes, *, at: datetime | None = None, where: Origin | None = None) -> SignedDocument:

@@ -89,10 +89,9 @@ def sign(
 
 
 def _placed(diagnostic: Diagnostic, session: Session, package: Package) -> Diagnostic:
-    """Return a diagnostic with its full path: only a place in a document is relative to ``build/``."""
-    sources = {package.identity.origin.file, package.grant.origin.file}
-    is_in_sources = diagnostic.where is not None and diagnostic.where.file in sources
-    return diagnostic if is_in_sources else placed(diagnostic, session.workspace.build)
+    """Return a diagnostic with its full path: build types name the package's documents relative to ``build/``."""
+    is_of_document = diagnostic.where is not None and diagnostic.where.file.startswith(f"{package.name}/")
+    return placed(diagnostic, session.workspace.build) if is_of_document else diagnostic
 
 
 def _going_on(

@@ -6,7 +6,7 @@ Keymint writes this file, and nobody else: ``keymint create --accept-package`` r
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -32,26 +32,24 @@ def _packages(root: etree._Element) -> Mapping[str, AcceptedPackage]:
     found: dict[str, AcceptedPackage] = {}
     for element in root.iterfind("package"):
         name = element.get("name", "")
-        if name in found:
-            raise KeymintError(
-                f"there are two elements for the package {name!r}",
-                where=place(element),
-                help="remove one of them, or accept the package again",
-                code="package-doubled",
-            )
+        _require_new(name, found, element, f"the package {name!r}")
         files: dict[str, str] = {}
         for file in element.iterfind("file"):
             path = file.get("path", "")
-            if path in files:
-                raise KeymintError(
-                    f"there are two elements for the file {path!r} of the package {name!r}",
-                    where=place(file),
-                    help="remove one of them, or accept the package again",
-                    code="package-doubled",
-                )
+            _require_new(path, files, file, f"the file {path!r} of the package {name!r}")
             files[path] = file.get("sha256", "")
         found[name] = AcceptedPackage(MappingProxyType(files), element.get("links") == "follow")
     return MappingProxyType(found)
+
+
+def _require_new(name: str, known: Container[str], element: etree._Element, shown: str) -> None:
+    if name in known:
+        raise KeymintError(
+            f"there are two elements for {shown}",
+            where=place(element),
+            help="remove one of them, or accept the package again",
+            code="package-doubled",
+        )
 
 
 _read = Reader("keymint_ros", "packages_lock", _packages)

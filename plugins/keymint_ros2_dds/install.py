@@ -84,15 +84,16 @@ def revocation_files(distro: str, layout: str, revocations: bytes) -> Mapping[st
 
 
 def _document(package: Package, documents: Mapping[str, bytes], kind: str) -> bytes:
-    content = documents.get(f"{kind}.xml")
+    content, where = documents.get(f"{kind}.xml"), Origin(f"{package.name}/{kind}.xml")
     if content is None:
         raise KeymintError(
             f"{package.subject} has no {kind}.xml",
-            where=Origin(f"{package.name}/{kind}.xml"),
+            where=where,
             help=f"run 'keymint build {package.name}'",
             code="document-missing",
         )
-    dds_xml.require_valid(content, kind, f"{package.name}/{kind}.xml")
+    dds_xml.require_valid(content, kind, where.file)
+    smime.require_signable(content, where)
     return content
 
 
@@ -106,14 +107,14 @@ def _signed(content: bytes, kind: str, credentials: EnclaveCredentials, installe
     signer = smime.load_signer(authority)
     if kind == GOVERNANCE:
         return _sign_once(content, authority)
-    return smime.sign(content, signer.certificate, signer.key, Origin(f"{kind}.xml"))
+    return smime.sign(content, signer.certificate, signer.key)
 
 
 @lru_cache(maxsize=16)
 def _sign_once(content: bytes, signer: api.SigningAuthority) -> bytes:
     """Sign a document; cached, since many enclaves share it."""
     loaded = smime.load_signer(signer)
-    return smime.sign(content, loaded.certificate, loaded.key, Origin(GOVERNANCE_XML))
+    return smime.sign(content, loaded.certificate, loaded.key)
 
 
 def shared(artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapping[str, Artifact]:

@@ -150,3 +150,15 @@ def test_an_open_governance_of_all_is_refused_once_at_the_unsigned_document(keym
     lines = (provisioned / found["file"]).read_text().splitlines()
     assert "<topic_rule>" in lines[found["line"] - 1]
     assert f"{found['file']}:{found['line']}: enable_write_access_control is false" in found["message"]
+
+
+@pytest.mark.parametrize("kind", ["permissions", "governance"])
+def test_a_document_that_cannot_be_signed_is_named_where_it_lies(keymint, provisioned: Path, kind: str) -> None:
+    path = provisioned / f"build/talker/{kind}.xml"
+    path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
+    before = snapshot(provisioned / "install")
+    outcome = keymint("install", cwd=provisioned)
+    assert outcome.code == 1
+    message = "error: a document with a carriage return cannot be signed (save it with Unix line ends (LF))"
+    assert outcome.err.splitlines()[0] == f"build/talker/{kind}.xml:1: {message}"
+    assert snapshot(provisioned / "install") == before
