@@ -8,6 +8,7 @@ have; if they would, nothing is written.
 from __future__ import annotations
 
 import posixpath
+import stat
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +26,7 @@ from keymint.api import (
     FoundKeystore,
     Issuance,
     KeptDocuments,
+    KeystoreFile,
     KeystoreFiles,
 )
 from keymint.changes import Action, File, FolderChange, Plan, Step
@@ -172,17 +174,30 @@ def _unusable(adoption: Adoption, enclave: FoundEnclave) -> KeymintError:
 
 
 def _keystore(session: Session, adoption: Adoption) -> Plan:
-    """Plan the copy of what the robots have, with its links; private keys are 0600 whatever their mode was."""
+    """Plan the copy of what the robots have, with its links; what is secret is 0600 whatever its mode was."""
     folders: dict[Path, dict[str, File]] = {}
     for target, path in _copies(session, adoption).items():
         file = adoption.files.files[path]
         folders.setdefault(target.parent, {})[target.name] = File(
             file.content,
-            secret=b"PRIVATE KEY-----" in file.content,
+            secret=_is_secret(file),
             link=file.link if path in adoption.found.kept else "",
         )
     changes = tuple(FolderChange(folder, files) for folder, files in sorted(folders.items()))
     return Plan((Step(STAGE, "", Action.CREATED, changes, "the keystore as it was found"),), session.state)
+
+
+def _is_secret(file: KeystoreFile) -> bool:
+    """Tell whether a file has a private key, or may have one in a form that is not read: its owner hides it."""
+    is_hidden = not file.mode & stat.S_IROTH
+    return b"PRIVATE KEY-----" in file.content or (is_hidden and not _is_text(file.content))
+
+
+def _is_text(content: bytes) -> bool:
+    try:
+        return "\0" not in content.decode()
+    except UnicodeDecodeError:
+        return False
 
 
 def _copies(session: Session, adoption: Adoption) -> Mapping[Path, str]:

@@ -43,3 +43,17 @@ def test_what_is_in_the_keystore_beside_it_stays_where_it_is(keymint, tmp_path: 
     assert (install / "enclaves/notes.txt").read_text() == "mine"
     assert not (install / "notes.txt").exists()
     assert not (install / "enclaves/ca.key.pem").exists()  # a private key of an authority never reaches robots
+
+
+def test_a_binary_file_that_only_its_owner_reads_stays_private(keymint, tmp_path: Path) -> None:
+    """It may be a key in a form that is not PEM; certificates and documents are 0644 whatever their mode was."""
+    keystore = made(tmp_path / "ks")
+    (tmp_path / "policy.xml").write_text(POLICY)
+    for name, mode in (("own.p12", 0o600), ("logo.png", 0o644)):
+        (keystore / "enclaves" / name).write_bytes(b"\x30\x82\x00\xff")
+        (keystore / "enclaves" / name).chmod(mode)
+    (keystore / "enclaves/governance.xml").chmod(0o600)
+    assert keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws").code == 0
+    enclaves = tmp_path / "ws/install/enclaves"
+    found = {name: (enclaves / name).stat().st_mode & 0o777 for name in ("own.p12", "logo.png", "governance.xml")}
+    assert found == {"own.p12": 0o600, "logo.png": 0o644, "governance.xml": 0o644}
