@@ -33,7 +33,7 @@ from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import package_name
-from keymint.pki import certificates, public_keys
+from keymint.pki import certificates, key_files, public_keys
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.authority_renewal import plan_import
 from keymint.plan.bootstrap import plan_init, refuse_unsupported
@@ -84,9 +84,8 @@ def plan_adoption(inputs: Inputs, adoption: Adoption) -> Plan:
     plan = profile
     for authority in adoption.found.authorities:
         place = f"{adoption.files.folder}/{authority.file}"
-        given = GivenAuthority(
-            authority.certificate, place, authority.key, f"{adoption.files.folder}/{authority.key_file}"
-        )
+        key_place = f"{adoption.files.folder}/{next(iter(authority.key_files), '')}"
+        given = GivenAuthority(authority.certificate, place, authority.key, key_place)
         plan = plan.then(plan_import(session, authority.name, given))
         session = inputs.after(plan).session()  # whose profile has the certificate
     sources = _sources(session, adoption)
@@ -174,23 +173,32 @@ def _unusable(adoption: Adoption, enclave: FoundEnclave) -> KeymintError:
 
 
 def _keystore(session: Session, adoption: Adoption) -> Plan:
-    """Plan the copy of what the robots have, with its links; what is secret is 0600 whatever its mode was."""
+    """Plan the copy of what the robots have; what is secret is 0600 whatever its mode was.
+
+    A link stays one if it leads to a file that is kept too; any other one becomes the file that it leads to.
+    """
     folders: dict[Path, dict[str, File]] = {}
+    kept = frozenset(adoption.found.kept)
     for target, path in _copies(session, adoption).items():
         file = adoption.files.files[path]
         folders.setdefault(target.parent, {})[target.name] = File(
             file.content,
             secret=_is_secret(file),
-            link=file.link if path in adoption.found.kept else "",
+            link=file.link if _leads_to(path, file.link) in kept else "",
         )
     changes = tuple(FolderChange(folder, files) for folder, files in sorted(folders.items()))
     return Plan((Step(STAGE, "", Action.CREATED, changes, "the keystore as it was found"),), session.state)
 
 
+def _leads_to(path: str, link: str) -> str:
+    """Return the path to which a link at a path leads; no folder of a keystore is a link."""
+    return posixpath.normpath(posixpath.join(posixpath.dirname(path), link)) if link else ""
+
+
 def _is_secret(file: KeystoreFile) -> bool:
     """Tell whether a file has a private key, or may have one in a form that is not read: its owner hides it."""
     is_hidden = not file.mode & stat.S_IROTH
-    return b"PRIVATE KEY-----" in file.content or (is_hidden and not _is_text(file.content))
+    return key_files.has_any(file.content) or (is_hidden and not _is_text(file.content))
 
 
 def _is_text(content: bytes) -> bool:

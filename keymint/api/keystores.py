@@ -55,8 +55,8 @@ class FoundAuthority:
         roles: what enclaves trust it for, as the build type calls it (:attr:`AuthorityRole.role`).
         certificate: PEM, as it stands in the file.
         file: path of the certificate.
-        key: PEM of its private key; empty if it is elsewhere.
-        key_file: path of the private key; empty if it is elsewhere.
+        key: its private key in PEM; empty if it is elsewhere.
+        key_files: paths of all files with the private key; the first one is the one that is used.
         facts: what a report says about it; values are those of JSON.
     """
 
@@ -65,7 +65,7 @@ class FoundAuthority:
     certificate: bytes
     file: str
     key: bytes = field(repr=False)
-    key_file: str
+    key_files: tuple[str, ...]
     facts: Mapping[str, Any]
 
 

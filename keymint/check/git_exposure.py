@@ -10,6 +10,7 @@ from pathlib import Path
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.errors import KeymintError
 from keymint.git import GIT_MISSING, run_git
+from keymint.pki import key_files
 from keymint.plan import gitignore
 from keymint.session import Inputs
 
@@ -91,6 +92,6 @@ def _is_secret(inputs: Inputs, path: Path) -> bool:
         return path.name != gitignore.NAME
     status = inputs.tree.status(path)
     try:
-        return status is not None and status.st_size <= _MOST and b"PRIVATE KEY-----" in (inputs.tree.read(path) or b"")
+        return status is not None and status.st_size <= _MOST and key_files.has_any(inputs.tree.read(path) or b"")
     except KeymintError:
         return False

@@ -161,9 +161,8 @@ def _domain(enclaves: Sequence[FoundEnclave]) -> int:
 def _left(found: FoundKeystore, keystore: str, workspace: Workspace) -> Iterator[Diagnostic]:
     """Yield a warning for each private key of an authority that is left where robots' files are taken from."""
     for authority in found.authorities:
-        if authority.key_file:
-            own = workspace.shown(workspace.authority_key(authority.name))
+        own = workspace.shown(workspace.authority_key(authority.name))
+        for path in authority.key_files:
             message = f"is the private key of the authority {authority.name!r}, which {own} has now"
             help_ = f"remove it once robots get their files from {workspace.shown(workspace.install)}; keep a backup"
-            where = Origin(f"{keystore}/{authority.key_file}")
-            yield Diagnostic("adopt-key-left", Severity.WARNING, message, where, help_)
+            yield Diagnostic("adopt-key-left", Severity.WARNING, message, Origin(f"{keystore}/{path}"), help_)

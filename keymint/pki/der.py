@@ -75,6 +75,11 @@ def encoded(data: bytes) -> list[bytes]:
     return [data[position:end] for _, position, _, end in _spans(data)]
 
 
+def leading(data: bytes) -> bytes:
+    """Return the first element of the data with its header, whatever follows it; errors as :func:`elements`."""
+    return data[: _header(data, 0)[2]]
+
+
 def single(data: bytes, tag: int) -> bytes:
     """Return the content of data that must be one element with this tag.
 

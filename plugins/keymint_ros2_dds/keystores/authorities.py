@@ -11,7 +11,7 @@ from cryptography import x509
 from comarmor.errors import Diagnostic, Severity
 from keymint.api import FoundAuthority, KeystoreFiles
 from keymint.errors import KeymintError
-from keymint.pki import adoption, certificates, extensions, keys
+from keymint.pki import adoption, certificates, extensions, key_files, keys
 from keymint.pki.distinguished_names import to_text
 from keymint_ros2_dds.authority_roles import IDENTITY, PERMISSIONS
 from keymint_ros2_dds.enclave_layout import CA, IDENTITY_CA, PERMISSIONS_CA
@@ -95,12 +95,13 @@ def _authority(
             Diagnostic("adopt-authority-expired", Severity.WARNING, message, where, "'keymint authority renew'")
         )
     name = BOTH if len(roles) > 1 else _NAMES[roles[0]]
-    key_path = contents.key_of(certificate)
-    findings += _about_key(keystore, contents, key_path, name, path)
+    key_paths = contents.keys_of(certificate)
+    findings += _about_key(keystore, contents, key_paths, name, path)
     findings += _lacking(certificate, roles, path, contents)
+    public = certificates.public_key(certificate)
     facts: dict[str, Any] = {
         "subject_name": to_text(certificate.subject),
-        "fingerprint": keys.fingerprint(certificates.public_key(certificate)),
+        "fingerprint": keys.fingerprint(public),
         "key_kind": _kind(certificate),
         "not_before": f"{validity_of(certificate).not_before:%Y-%m-%dT%H:%M:%SZ}",
         "not_after": f"{end:%Y-%m-%dT%H:%M:%SZ}",
@@ -108,23 +109,24 @@ def _authority(
         "subject_key_identifier": extensions.value(certificate, x509.SubjectKeyIdentifier) is not None,
         "authority_key_identifier": extensions.value(certificate, x509.AuthorityKeyIdentifier) is not None,
         "path_length": getattr(extensions.value(certificate, x509.BasicConstraints), "path_length", None),
-        "key_file": str(contents.place(key_path)) if key_path else None,
+        "key_file": str(contents.place(key_paths[0])) if key_paths else None,
     }
-    key = keystore.files[key_path].content if key_path else b""
-    return FoundAuthority(name, tuple(roles), content, path, key, key_path, facts), findings
+    key = key_files.pem_of(keystore.files[key_paths[0]].content, public) if key_paths else b""
+    return FoundAuthority(name, tuple(roles), content, path, key, tuple(key_paths), facts), findings
 
 
 def _about_key(
-    keystore: KeystoreFiles, contents: Contents, key_path: str, name: str, path: str
+    keystore: KeystoreFiles, contents: Contents, key_paths: Sequence[str], name: str, path: str
 ) -> Iterator[Diagnostic]:
-    if key_path:
-        yield from exposure(keystore, key_path, contents.place(key_path), "")
+    for each in key_paths:
+        yield from exposure(keystore, each, contents.place(each), "")
+    if key_paths:
         return
     message = f"has no private key here: the authority {name!r} is taken over without it, and signs nothing here"
     help_ = f"'keymint authority import {name} {contents.place(path)} --key FILE' brings it later"
-    if contents.encrypted:
-        names = ", ".join(str(contents.place(each)) for each in contents.encrypted)
-        help_ = f"if it is one of {names}, which are encrypted: decrypt it (openssl pkey), then {help_}"
+    if contents.sealed:
+        names = ", ".join(str(contents.place(each)) for each in contents.sealed)
+        help_ = f"if it is one of {names}, which are encrypted or containers: decrypt it (openssl pkey), then {help_}"
     yield Diagnostic("adopt-authority-elsewhere", Severity.NOTE, message, contents.place(path), help_)
 
 

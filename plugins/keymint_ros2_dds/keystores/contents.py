@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from cryptography import x509
 
@@ -11,15 +11,13 @@ from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import DomainRange, KeystoreFiles
 from keymint.errors import KeymintError
-from keymint.pki import certificates, extensions, keys, smime
+from keymint.pki import certificates, extensions, key_files, keys, smime
 from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.enclave_layout import GOVERNANCE, PERMISSIONS
 from keymint_ros2_dds.reading import signed_governance, signed_permissions
 from keymint_ros2_dds.reading.signed_permissions import DocumentDomains, PermissionsDocument
 
 _SIGNED = b"MIME-Version:"
-_PRIVATE = b"PRIVATE KEY-----"
-ENCRYPTED = (b"-----BEGIN ENCRYPTED PRIVATE KEY-----", b"Proc-Type: 4,ENCRYPTED")
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,16 +27,16 @@ class Contents:
     Attributes:
         folder: the keystore as the user would type it.
         certificates: the first certificate of each file that begins with one.
-        keys: paths of unencrypted private keys by the fingerprint of the key, the first path of each.
-        encrypted: paths of encrypted private keys.
+        keys: paths of the files with a private key that can be read, by the fingerprint of the key; PEM first.
+        sealed: paths of the files with a private key that cannot be read (:attr:`PrivateKeys.sealed`).
         permissions: unverified permissions documents by path of the signed file.
         governances: paths of signed governance documents.
     """
 
     folder: str
     certificates: Mapping[str, x509.Certificate]
-    keys: Mapping[str, str]
-    encrypted: tuple[str, ...]
+    keys: Mapping[str, Sequence[str]]
+    sealed: tuple[str, ...]
     permissions: Mapping[str, PermissionsDocument]
     governances: tuple[str, ...]
 
@@ -46,17 +44,17 @@ class Contents:
         """Return a path of the keystore as the user would type it."""
         return Origin(f"{self.folder}/{path}" if path else self.folder)
 
-    def key_of(self, certificate: x509.Certificate) -> str:
-        """Return the path of the private key of a certificate; empty if it is not in the keystore."""
+    def keys_of(self, certificate: x509.Certificate) -> Sequence[str]:
+        """Return the paths of all files with the private key of a certificate; those in PEM come first."""
         public = certificate.public_key()
-        return self.keys.get(keys.fingerprint(public), "") if isinstance(public, keys.PublicKey) else ""
+        return self.keys.get(keys.fingerprint(public), ()) if isinstance(public, keys.PublicKey) else ()
 
 
 def contents(keystore: KeystoreFiles) -> Contents:
     """Return what the files of a keystore contain; files that cannot be read contain nothing."""
     found: dict[str, x509.Certificate] = {}
-    private: dict[str, str] = {}
-    encrypted: list[str] = []
+    private: dict[str, list[str]] = {}
+    sealed: list[str] = []
     permissions: dict[str, PermissionsDocument] = {}
     governances: list[str] = []
     for path, file in keystore.files.items():
@@ -68,14 +66,19 @@ def contents(keystore: KeystoreFiles) -> Contents:
                 permissions[path] = document
             elif document:
                 governances.append(path)
-        elif any(mark in file.content for mark in ENCRYPTED):
-            encrypted.append(path)
-        elif _PRIVATE in file.content:
-            for fingerprint in _key(file.content):
-                private.setdefault(fingerprint, path)
+        elif key_files.has_any(file.content):
+            own = key_files.private_keys(file.content)
+            sealed += [path] if own.sealed else []
+            for public in own.public:
+                private.setdefault(keys.fingerprint(public), []).append(path)
         elif (certificate := first_certificate(file.content)) is not None:
             found[path] = certificate
-    return Contents(keystore.folder, found, private, tuple(encrypted), permissions, tuple(governances))
+    by_form = {name: sorted(paths, key=lambda path: not _is_pem(keystore, path)) for name, paths in private.items()}
+    return Contents(keystore.folder, found, by_form, tuple(sealed), permissions, tuple(governances))
+
+
+def _is_pem(keystore: KeystoreFiles, path: str) -> bool:
+    return b"-----BEGIN " in keystore.files[path].content
 
 
 def first_certificate(pem: bytes) -> x509.Certificate | None:
@@ -107,13 +110,6 @@ def as_ranges(domains: Iterable[DocumentDomains]) -> Iterator[DomainRange]:
     for each in domains:
         first = each.first or 0
         yield DomainRange(first, first if each.last is None else each.last)
-
-
-def _key(pem: bytes) -> Iterable[str]:
-    try:
-        return (keys.fingerprint(keys.public_of(pem)),)
-    except KeymintError:
-        return ()
 
 
 def _document(signed: bytes) -> PermissionsDocument | bool:

@@ -3,18 +3,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 from comarmor.errors import Diagnostic, Severity
 from keymint.api import FoundAuthority, FoundEnclave, FoundKeystore, KeystoreFiles
 from keymint.pki import keys
 from keymint_ros2_dds.authority_roles import PERMISSIONS as SIGNS
-from keymint_ros2_dds.enclave_layout import GOVERNANCE, GOVERNANCE_P7S, GOVERNANCE_XML
+from keymint_ros2_dds.enclave_layout import GOVERNANCE, GOVERNANCE_P7S, GOVERNANCE_XML, KEY, LAYOUTS, files
 from keymint_ros2_dds.keystores import governance
 from keymint_ros2_dds.keystores.authorities import authorities
 from keymint_ros2_dds.keystores.contents import Contents, contents
 from keymint_ros2_dds.keystores.enclaves import examined
-from keymint_ros2_dds.keystores.places import FORMS, places
+from keymint_ros2_dds.keystores.places import FORMS, Places, places
+
+_READ = frozenset(name for layout in LAYOUTS for name in files(layout))
+"""Names of the files that participants read."""
 
 
 def found(keystore: KeystoreFiles) -> FoundKeystore:
@@ -34,14 +37,15 @@ def found(keystore: KeystoreFiles) -> FoundKeystore:
     defaults: dict[str, bytes] = {}
     diagnostics += _defaults(content, enclaves, trusted, defaults)
     diagnostics += _doubled(content, enclaves)
-    secrets = {each.key_file for each in trusted}
+    secrets = {keystore.files[path].content for each in trusted for path in each.key_files}
+    diagnostics += _in_the_way(keystore, content, where, secrets)
     return FoundKeystore(
         form=FORMS[where.layout],
         layout=where.layout,
         subject_format="sros2" if all(each.subject_name == f"CN={each.subject}" for each in enclaves) else "",
         authorities=trusted,
         enclaves=tuple(enclaves),
-        kept=tuple(path for path in where.kept if path not in secrets),
+        kept=tuple(path for path in where.kept if keystore.files[path].content not in secrets),  # nor links to them
         defaults=defaults,
         diagnostics=tuple(diagnostics),
     )
@@ -73,6 +77,33 @@ def _defaults(
         yield Diagnostic("adopt-governance", Severity.ERROR, message, content.place(file), help_)
     else:
         defaults[GOVERNANCE] = made
+
+
+def _in_the_way(
+    keystore: KeystoreFiles, content: Contents, where: Places, secrets: Collection[bytes]
+) -> Iterator[Diagnostic]:
+    """Yield an error for each file that robots need and must not have, and for each that nobody can tell.
+
+    Args:
+        keystore: the keystore.
+        content: what its files contain.
+        where: where they are.
+        secrets: the files with an authority's private key.
+    """
+    own = {enclave.files[KEY] for enclave in where.enclaves if KEY in enclave.files}
+    needed = {path: each for each in where.enclaves for name, path in each.files.items() if name in _READ}
+    for path, enclave in needed.items():
+        if keystore.files[path].content in secrets:
+            message = "has the private key of an authority, and participants read this file"
+            help_ = "give the enclave a key of its own, and leave the authority's to private/"
+            yield Diagnostic("adopt-key-shared", Severity.ERROR, message, content.place(path), help_, enclave.subject)
+    sealed = {keystore.files[path].content for path in content.sealed}
+    for path in where.kept:
+        if path in own or keystore.files[path].content not in sealed:
+            continue
+        message = "has a private key that cannot be read, perhaps an authority's, where robots' files are taken from"
+        help_ = "move it out of that folder, e.g. to private/, if no robot needs it; else decrypt it (openssl pkey)"
+        yield Diagnostic("adopt-key-sealed", Severity.ERROR, message, content.place(path), help_)
 
 
 def _governance_file(enclaves: Sequence[FoundEnclave], subject: str) -> str:

@@ -118,7 +118,7 @@ def _by_content(keystore: KeystoreFiles, contents: Contents) -> Iterator[Enclave
         signer = next((file for file, each in authorities.items() if _signed(keystore, documents[0], each)), "")
         own = {
             CERTIFICATE: path,
-            KEY: contents.key_of(certificate),
+            KEY: next(iter(contents.keys_of(certificate)), ""),
             IDENTITY_CA: issuer,
             PERMISSIONS_CA: signer,
             PERMISSIONS_P7S: documents[0] if len(documents) == 1 else "",

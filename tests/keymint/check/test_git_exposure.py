@@ -7,6 +7,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, load_pem_private_key
 
 from tests.conftest import snapshot
 from tests.keymint.git_repository import git
@@ -54,6 +55,13 @@ class TestFindings:
         assert [(each["code"], each["file"]) for each in outcome.document["diagnostics"]] == [
             ("key-exposed", "profile/backup")
         ]
+
+    def test_a_copy_in_der(self, keymint, ws: Path) -> None:
+        git(ws.parent, "init", "-q")
+        key = load_pem_private_key((ws / "private/identity_ca.key.pem").read_bytes(), None)
+        der = key.private_bytes(Encoding.DER, PrivateFormat.PKCS8, NoEncryption())
+        (ws / "profile/backup").write_bytes(der)
+        assert keymint("check", "--json", cwd=ws).codes() == ["key-exposed"]
 
     def test_a_repository_in_the_private_space(self, keymint, ws: Path) -> None:
         (ws / "private/.gitignore").unlink()
