@@ -10,7 +10,7 @@ from pathlib import Path
 
 from comarmor.language.attachments import parts
 from comarmor.language.decide import Row, RuleIndex
-from comarmor.language.syntax import Decision, Inclusion, Profile, ProfileRule, Tunable, places
+from comarmor.language.syntax import Decision, Inclusion, Profile, ProfileRule, Tunable, files
 from comarmor.patterns.expression import beginning, literal, matches
 from comarmor.rules import Rule
 from comarmor.values import dataclass
@@ -127,9 +127,10 @@ class Policy:
         return rules
 
     def rules_digest(self, subject: str) -> str | None:
-        """Return a digest that differs if the rules of a subject or their lines do; None if no profile applies to it.
+        """Return a digest that differs if the rules of a subject or their files do; None if no profile applies to it.
 
-        It costs less than the rules, because profiles and included files have theirs once for all subjects.
+        Lines do not count, so that a rule more for one subject leaves all others as they are. It costs less than the
+        rules, because profiles and included files have theirs once for all subjects.
         """
         profiles = self.applicable(subject)
         return _digest([subject, *[self._digest_of(each, each.parts) for each in profiles]]) if profiles else None
@@ -138,7 +139,7 @@ class Policy:
         """Return the digest of the rules of a profile or an included file, which live as long as the policy."""
         if id(owner) not in self._digests:
             self._digests[id(owner)] = _digest(
-                f"{self._digest_of(each.rules, each.rules)}{places(each.chain)}"
+                f"{self._digest_of(each.rules, each.rules)}{files(each.chain)}"
                 if isinstance(each, Inclusion)
                 else each.written()
                 for each in rules

@@ -85,10 +85,10 @@ class ProfileRule:
         return self.with_expressions([each.for_parts(namespace, name) for each in self.attachments], where)
 
     def written(self) -> str:
-        """Return the rule and its place as text that differs for every other rule, columns apart."""
+        """Return the rule and its files as text that differs for every other rule; lines do not count."""
         texts = (self.effect, self.kind, *self.permissions, *[each.text for each in self.attachments])
         partitions = (str(len(self.partitions)), *self.partitions, str(self.audit))
-        return "\x1f".join((*texts, *partitions, places((self.where, *self.where.chain))))  # XML has no such character
+        return "\x1f".join((*texts, *partitions, files((self.where, *self.where.chain))))  # XML has no such character
 
     def with_expressions(self, expressions: Iterable[str], where: Origin | None = None) -> Rule:
         """Return the rule with expressions in place of its attachments, and another place if one is given."""
@@ -123,9 +123,9 @@ class Inclusion:
             yield replace(rule, attachments=attachments, where=rule.where.included(self.chain))
 
 
-def places(origins: Iterable[Origin]) -> str:
-    """Return files and lines as text."""
-    return "".join([f"{origin.file!r}{origin.line}" for origin in origins])
+def files(origins: Iterable[Origin]) -> str:
+    """Return the files of some places as text."""
+    return "".join([repr(origin.file) for origin in origins])
 
 
 @dataclass(frozen=True, slots=True)

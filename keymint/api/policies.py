@@ -103,7 +103,7 @@ class DigestedPolicy(Protocol):
     """Optional capability of a loaded policy: it knows which subjects have the rules that they had before."""
 
     def rules_digest(self, subject: str) -> str | None:
-        """Return a digest that differs if the rules of a subject or their places do; None if no profile applies."""
+        """Return a digest that differs if the rules of a subject or their files do; None if no profile applies."""
 
 
 @runtime_checkable

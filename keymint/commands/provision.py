@@ -102,7 +102,7 @@ def provision(
         minted = minted.then(plan_lists(session.after(minted), authorities))
         session = session.after(minted)
         create = partial(CreateStage, policy=acquired, force=force)
-        build = partial(BuildStage, options=hinted.options, force=force, renew=renew)
+        build = partial(BuildStage, options=hinted.options, force=force, renew=renew, policy=acquired)
         install = partial(InstallStage, authorities=authorities, prune=prune)
         proof = proof_stage(run, acquired, standard_only=document_options.allow_vendor_specific)
         subjects = create(session).subjects(names)

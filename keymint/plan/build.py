@@ -8,12 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
-from keymint.api import BuildOptions, BuildResult, Package
+from keymint.api import BuildOptions, BuildResult, LoadedPolicy, Package
 from keymint.changes import Action, DocumentSize, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.plan import identity_keys, lifetimes, shared_documents
 from keymint.plan.build_types import BUILD, build_types_of, inputs_digest, two_writers
+from keymint.plan.rule_places import RulePlaces
 from keymint.plan.stage import PackagePlan, recorded, steps_of
 from keymint.session import Inputs, Session
 from keymint.state import Stamp, digest
@@ -29,22 +30,30 @@ class BuildStage:
         options: options of the build types.
         force: rebuild, and overwrite documents that were edited by hand.
         renew: replace the private keys of the subjects.
+        policy: the policy, which knows where the rules of packages are now; loaded when needed if it is not given.
     """
 
     NAME = STAGE
 
-    def __init__(self, session: Session, options: BuildOptions, *, force: bool, renew: bool) -> None:
+    def __init__(
+        self, session: Session, options: BuildOptions, *, force: bool, renew: bool, policy: LoadedPolicy | None = None
+    ) -> None:
         self._session = session
         self._options = options
         self._force = force
         self._renew = renew
+        self._places = RulePlaces(session, policy)
 
     def package(self, name: str) -> PackagePlan:
         """Return the plan for a package."""
+        subject = subject_of(name)
         try:
-            return _plan_package(self._session, name, self._options, force=self._force, renew=self._renew)
+            plan = _plan_package(self._session, name, self._options, force=self._force, renew=self._renew)
         except KeymintError as error:
-            return PackagePlan(name, errors=tuple(error.diagnostics))
+            return PackagePlan(name, errors=self._places.in_policy(error.diagnostics, subject))
+        if not plan.diagnostics:
+            return plan
+        return replace(plan, diagnostics=self._places.in_policy(plan.diagnostics, subject))
 
     def plan(self, planned: Sequence[PackagePlan]) -> Plan:
         """Put the plans for some packages together, and add the shared documents."""
@@ -53,8 +62,11 @@ class BuildStage:
         diagnostics = dict.fromkeys(diagnostic for each in planned for diagnostic in each.diagnostics)
         diagnostics |= dict.fromkeys(lifetimes.findings({each.name: each.lifetimes for each in planned}, session))
         built = replace(session, state=recorded(session.state, STAGE, planned))
-        shared = shared_documents.plan_shared_build(built, self._options, force=self._force)
-        diagnostics |= dict.fromkeys(shared.diagnostics)
+        try:
+            shared = shared_documents.plan_shared_build(built, self._options, force=self._force)
+        except KeymintError as error:
+            raise KeymintError.of(self._places.in_policy(error.diagnostics)) from error
+        diagnostics |= dict.fromkeys(self._places.in_policy(shared.diagnostics))
         state = built.state.updated(STAGE, shared.stamps, shared.removed)
         return Plan((*steps, *shared.steps), state, tuple(diagnostics))
 

@@ -72,12 +72,12 @@ def has_rules(stamp: Stamp, rules: Iterable[SubjectRules]) -> bool:
 
 
 def written(outputs: Mapping[str, str], rules: str) -> Mapping[str, str]:
-    """Return the outputs of a stamp with a digest of the rules and of where they are written, if there is one."""
+    """Return the outputs of a stamp with a digest of the rules and of their files, if there is one."""
     return {**outputs, _WRITTEN: rules} if rules else outputs
 
 
 def has_written(stamp: Stamp, rules: str) -> bool:
-    """Tell whether a proof was made of the same rules in the same places; takes their digest."""
+    """Tell whether a proof was made of the same rules in the same files; takes their digest."""
     return bool(rules) and stamp.outputs.get(_WRITTEN) == rules
 
 

@@ -251,7 +251,7 @@ class ProofStage:
         )
 
     def _written(self, subjects: Iterable[str]) -> str:
-        """Return a digest that is the same if the rules of some subjects are, and their places; or an empty text."""
+        """Return a digest that is the same if the rules of some subjects are, and their files; or an empty text."""
         if self._digested is None:
             return ""
         digests = [self._digested.rules_digest(subject) for subject in subjects]

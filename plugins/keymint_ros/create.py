@@ -94,7 +94,7 @@ def _permissions(
             raise
         former = {path + FORMER: current} if old and path + FORMER not in existing else {}
         return {**former, path: new}  # the backup first, so that a killed run loses nothing
-    if permissions.has_rules(grant, rules) or (not force and _keeps_edit(grant, permissions.digest(rules.rules), file)):
+    if not force and (permissions.has_rules(grant, rules) or _keeps_edit(grant, permissions.digest(rules.rules), file)):
         return {}
     if grant.name == rules.subject and not grant.overrides:
         return {path: new}

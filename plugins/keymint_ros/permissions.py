@@ -205,19 +205,20 @@ def _check_edited(grant: etree._Element) -> None:
 def has_rules(grant: Grant, rules: SubjectRules) -> bool:
     """Tell whether a document has exactly these rules in this order.
 
-    The folders of their origins are ignored, since they depend on the current folder.
+    Of their origins only the names of files count: folders depend on the current folder, and lines move with each
+    line that is added to the policy above them.
     """
     if grant.edited or len(grant.rules) != len(rules.rules):
         return False
     return all(
-        rule == replace(other, origin=rule.origin) and _places(rule.origin) == _places(other.origin)
+        rule == replace(other, origin=rule.origin) and _files(rule.origin) == _files(other.origin)
         for rule, other in zip(grant.rules, rules.rules, strict=True)
     )
 
 
-def _places(origin: Origin) -> list[tuple[str, int]]:
-    """Return the names of files, without their folders, and lines."""
-    return [(posixpath.basename(each.file), each.line) for each in (origin, *origin.chain)]
+def _files(origin: Origin) -> list[str]:
+    """Return the names of files, without their folders."""
+    return [posixpath.basename(each.file) for each in (origin, *origin.chain)]
 
 
 def to_ir(grant: Grant, subject: str, file: str, base: str) -> SubjectRules:

@@ -47,6 +47,24 @@ def test_only_what_changed_is_built_again(keymint, created: Path, policy: Path) 
     assert any(line.split()[:3] == ["unchanged", "build", "robot1/listener"] for line in lines)
 
 
+def test_lines_that_move_in_the_policy_change_no_package_and_messages_name_the_present_ones(
+    keymint, created: Path, policy: Path
+) -> None:
+    """A rule more for one subject, or a comment, must not change the sources of all others."""
+    policy.write_text(policy.read_text().replace("<attachment>/chatter", "<attachment>/no-name", 1))
+    assert keymint("create", "--all", cwd=created).code == 0
+    before = snapshot(created / "src")
+    stated = keymint("build", cwd=created).err.splitlines()
+    policy.write_text(policy.read_text().replace("<profiles", "\n\n<profiles", 1))
+    assert keymint("create", "--all", cwd=created).code == 0
+    assert snapshot(created / "src") == before
+    assert "out of date" not in keymint("build", cwd=created).err
+    found = keymint("build", "-f", cwd=created).err.splitlines()
+    (line,) = (line for line in stated if "'/no-name'" in line)
+    file, number, rest = line.split(":", 2)
+    assert f"{file}:{int(number) + 2}:{rest}" in found
+
+
 class TestEditsByHand:
     def edit(self, created: Path) -> Path:
         path = created / "build/talker/permissions.xml"
