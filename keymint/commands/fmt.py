@@ -125,6 +125,8 @@ def _formatted(run: Run, paths: Iterable[Path]) -> tuple[list[_Formatted], list[
         name = run.typed(str(path))
         try:
             content = run.setting.read(MAX_FILE + 1) if path == _STANDARD else read_input(run, path)
+            if is_named and not _looks_like_xml(content):
+                raise _no_xml(run, path, name)
             forms = (each.formatted(content, name) for each in types)
             after = next((form for form in forms if form is not None), None)
             if after is not None:
@@ -143,6 +145,22 @@ def _formatted(run: Run, paths: Iterable[Path]) -> tuple[list[_Formatted], list[
         help_ = "name a ComArmor file, or a directory with *.xml files"
         raise KeymintError("no policy was found", where=Origin(shown), help=help_, code="policy-empty")
     return files, skipped
+
+
+def _looks_like_xml(content: bytes) -> bool:
+    """Tell whether a file begins as a document of XML does, in UTF-8 or UTF-16, with a byte order mark or without."""
+    return content.lstrip(b"\xef\xbb\xbf\xfe\xff\0 \t\r\n").startswith(b"<")
+
+
+def _no_xml(run: Run, path: Path, name: str) -> KeymintError:
+    """Return the error for a file that is not XML, as a table of rules."""
+    foreign = foreign_policy(run.plugins, [run.setting.cwd / path], "")
+    return KeymintError(
+        f"is {foreign.noun if foreign else 'not XML'}, and 'keymint fmt' is for policies in XML",
+        where=Origin(name),
+        help="leave it out: 'keymint lint' checks it" if foreign else "name a ComArmor file, or leave it out",
+        code="format-unknown",
+    )
 
 
 def _unknown(run: Run, path: Path, name: str) -> KeymintError:

@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+import codecs
+import contextlib
 import io
 import os
+import sqlite3
 import subprocess
 import sys
 from pathlib import Path
@@ -140,6 +143,25 @@ def test_what_it_cannot_format(keymint, folder: Path, name: str, message: str) -
     assert outcome.code == 1
     assert outcome.err.startswith(message)
     assert outcome.err.count("\n") == 1
+
+
+def test_what_is_not_xml(keymint, tmp_path: Path) -> None:
+    """A table is a policy, and has no canonical form; a broken document of XML keeps the message of its parser."""
+    rows = "subject,kind,permission,object,qualifier\n/a,ros_topic,ros_publish,/x,ALLOW\n"
+    (tmp_path / "rules.csv").write_text(rows)
+    (tmp_path / "broken.xml").write_bytes(codecs.BOM_UTF8 + b"\n<profiles>")
+    (tmp_path / "wide.xml").write_bytes(UNTIDY.encode("utf-16"))
+    with contextlib.closing(sqlite3.connect(tmp_path / "fleet.sqlite")) as fleet:
+        fleet.execute("CREATE VIEW rule AS SELECT 1")
+    for name, content in (("notes.txt", b"subject"), ("empty.xml", b""), ("image", b"\x89PNG")):
+        (tmp_path / name).write_bytes(content)
+    table = "is a table of rules, and 'keymint fmt' is for policies in XML (leave it out: 'keymint lint' checks it)"
+    other = "is not XML, and 'keymint fmt' is for policies in XML (name a ComArmor file, or leave it out)"
+    found = {"rules.csv": table, "fleet.sqlite": table, "notes.txt": other, "empty.xml": other, "image": other}
+    outcome = keymint("fmt", *found, "broken.xml", "wide.xml")
+    assert outcome.code == 1
+    assert outcome.err.splitlines()[:-1] == [f"{name}: error: {message}" for name, message in found.items()]
+    assert "broken.xml:2: error: not well-formed XML" in outcome.err.splitlines()[-1]
 
 
 def test_the_policies_of_a_workspace(keymint, provisioned: Path, tmp_path: Path) -> None:
