@@ -10,14 +10,15 @@ import click
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.values import dataclass
+from keymint.api import LoadedPolicy
 from keymint.changes import Plan
 from keymint.commands.options import option_group, usage_error
 from keymint.commands.run import Run
 from keymint.errors import KeymintError
 from keymint.output.report import Report
-from keymint.plan.packages import UnacceptedPackagesError
+from keymint.plan.packages import UnacceptedPackagesError, plan_release
 from keymint.plan.policy import plan_acceptance
-from keymint.session import Session
+from keymint.session import Inputs, Session
 
 _DIGEST = re.compile("[0-9a-f]{64}")
 
@@ -77,6 +78,22 @@ def accept(session: Session, options: AcceptanceOptions) -> Plan:
     if options.trust_links:
         raise usage_error("--trust-links needs --accept-package", "name the package whose links are to be followed")
     return Plan((), session.state)
+
+
+def release(inputs: Inputs, plan: Plan, session: Session, policy: LoadedPolicy) -> tuple[Plan, Session]:
+    """Return a plan, and the session after it, with the acceptance dropped of what the policy does not include.
+
+    Args:
+        inputs: the workspace.
+        plan: what is planned so far.
+        session: the workspace after that.
+        policy: its policy.
+    """
+    released = plan_release(session, policy)
+    if not released.steps:
+        return plan, session
+    plan = plan.then(released)
+    return plan, inputs.after(plan).session()
 
 
 def unaccepted(run: Run, error: UnacceptedPackagesError) -> Report:

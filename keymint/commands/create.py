@@ -8,7 +8,7 @@ from functools import partial
 import click
 
 from keymint.changes import Plan
-from keymint.commands.accepted_packages import AcceptanceOptions, accept, acceptance_options
+from keymint.commands.accepted_packages import AcceptanceOptions, accept, acceptance_options, release
 from keymint.commands.options import usage_error, valid_for_option
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
@@ -54,6 +54,7 @@ def create(
             return accepted
         session = inputs.after(accepted).session()
         policy = lazy_policy(session)
+        accepted, session = release(inputs, accepted, session, policy)
         subjects = dict.fromkeys([*named, *(packages_to_create(session, policy) if all_subjects else ())])
         if not subjects:
             raise KeymintError(

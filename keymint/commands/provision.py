@@ -11,7 +11,7 @@ import click
 
 from comarmor.errors import Origin
 from keymint.changes import Plan
-from keymint.commands.accepted_packages import AcceptanceOptions, accept, acceptance_options
+from keymint.commands.accepted_packages import AcceptanceOptions, accept, acceptance_options, release
 from keymint.commands.build import build_options, policy_slips
 from keymint.commands.init import bootstrap_request, refuse_contradiction
 from keymint.commands.options import (
@@ -89,6 +89,7 @@ def provision(
         plan = plan.then(accept(inputs.after(plan).session(), acceptance))
         session = inputs.after(plan).session()
         acquired = lazy_policy(session)
+        plan, session = release(inputs, plan, session, acquired)
         names = packages_to_create(session, acquired)
         if not names:
             raise KeymintError(

@@ -194,6 +194,49 @@ def plan_acceptance(
     return Plan(tuple(steps), session.state)
 
 
+def plan_release(session: Session, policy: LoadedPolicy) -> Plan:
+    """Plan to drop what was accepted of files that the policy does not include any more.
+
+    An acceptance that outlives its include would let a later include grant rights that nobody decides about.
+
+    Args:
+        session: the workspace and its profile.
+        policy: its policy. One that is not loaded has not changed, and drops nothing.
+    """
+    profile = session.profile
+    plugin = session.plugins.profile_type(profile.profile_type)
+    if (
+        not profile.packages
+        or not isinstance(policy, PolicyWithPackages)
+        or not isinstance(plugin, AcceptedPackageFiles)
+    ):
+        return Plan((), session.state)
+    included = {(each.package, each.path) for each in policy.shipped}
+    kept: dict[str, AcceptedPackage] = {}
+    steps: list[Step] = []
+    for name, each in profile.packages.items():
+        files = {path: value for path, value in each.files.items() if (name, path) in included}
+        if files:
+            kept[name] = AcceptedPackage(files, each.follows_links)
+        if dropped := [path for path in each.files if path not in files]:
+            detail = f"dropped {counted(len(dropped), 'file')} of the package {name}, no longer included"
+            steps.append(Step(STAGE, "", Action.UPDATED, tuple(_removed(session, name, dropped)), detail))
+    if steps:
+        lock = {file: File(content) for file, content in plugin.with_packages(kept).items()}
+        root = session.workspace.profile
+        written = changed(session.tree, root, lock) if kept else (FolderChange(root, removed=tuple(lock)),)
+        steps[-1] = replace(steps[-1], changes=(*steps[-1].changes, *written))
+    return Plan(tuple(steps), session.state)
+
+
+def _removed(session: Session, name: str, paths: Iterable[str]) -> Iterator[FolderChange]:
+    """Yield the removal of copies of a package, if they are there."""
+    copies = session.profile.package_copies
+    for path in (copies / name / each for each in paths if copies is not None):
+        if session.tree.read(path) is not None:
+            yield FolderChange(path.parent, removed=(path.name,))
+
+
 def _copied(
     session: Session, folder: Path, files: Sequence[ShippedFile], before: AcceptedPackage
 ) -> Iterator[FolderChange]:
@@ -202,9 +245,7 @@ def _copied(
     for each in files:
         path = folder / each.path
         yield from changed(session.tree, path.parent, {path.name: File(each.content)})
-    for path in (folder / each for each in before.files if each not in kept):
-        if session.tree.read(path) is not None:
-            yield FolderChange(path.parent, removed=(path.name,))
+    yield from _removed(session, folder.name, (each for each in before.files if each not in kept))
 
 
 def _refuse_edited_copies(session: Session, shipped: Sequence[ShippedFile]) -> None:

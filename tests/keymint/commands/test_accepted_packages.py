@@ -385,3 +385,25 @@ def test_what_the_documentation_says(keymint, tmp_path: Path) -> None:
     assert refused.err.split("(")[0] in text
     assert accepted.code == 0
     assert keymint("check", "-w", "my_ws", env=env).code == 0
+
+
+@pytest.mark.parametrize("verb", [["create", "--all"], ["create", "/robot/controller"], ["provision", "policy.xml"]])
+def test_an_acceptance_does_not_outlive_its_include(keymint, accepted: Path, tmp_path: Path, verb: list[str]) -> None:
+    ship(tmp_path / "prefix", {"other.xml": fragment(topic("/other"))})
+    ship(tmp_path / "prefix", {"one.xml": fragment(topic("/one"))}, "second")
+    (tmp_path / "policy.xml").write_text(including(HREF, f"package://{PACKAGE}/other.xml", "package://second/one.xml"))
+    assert keymint("create", "--all", "-w", "ws", *ACCEPT, "--accept-package", "second").code == 0
+    lock, copies = accepted / "profile/packages.lock.xml", accepted / "profile/packages.lock.d"
+    (tmp_path / "policy.xml").write_text(including(f"package://{PACKAGE}/other.xml"))
+    outcome = keymint(*verb, "-w", "ws")
+    assert outcome.code == 0, outcome.err
+    assert f"dropped 1 file of the package {PACKAGE}, no longer included" in outcome.out
+    assert re.findall('(?:name|path)="(.*?)"', lock.read_text()) == [PACKAGE, "other.xml"]
+    assert [path.name for path in copies.rglob("*.xml")] == ["other.xml"]
+    assert keymint(*verb, "-w", "ws").out.startswith("nothing to do")
+    (tmp_path / "policy.xml").write_text(including())
+    assert keymint(*verb, "-w", "ws").code == 0
+    assert not lock.exists()
+    assert not any(path.is_file() for path in copies.rglob("*"))
+    (tmp_path / "policy.xml").write_text(including(HREF))
+    assert "was not accepted yet" in keymint(*verb, "-w", "ws").err  # what was accepted once is asked for again
