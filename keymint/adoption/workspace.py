@@ -40,6 +40,7 @@ from keymint.plan.bootstrap import plan_init, refuse_unsupported
 from keymint.plan.build import BuildStage
 from keymint.plan.given_authority import GivenAuthority
 from keymint.plan.install import InstallStage
+from keymint.plan.register import complete_register, register_change
 from keymint.session import Inputs, Session
 from keymint.workspace import DEFAULTS
 
@@ -92,6 +93,9 @@ def plan_adoption(inputs: Inputs, adoption: Adoption) -> Plan:
     plan, session = plan.then(sources), session.after(sources)
     keystore = _keystore(session, adoption)
     plan, session = plan.then(keystore), session.after(keystore)
+    for revoked in (_lists, _register):
+        step = revoked(session, adoption)
+        plan, session = plan.then(step), session.after(step)
     names = [package_name(each.subject) for each in adoption.found.enclaves]
     build = BuildStage(session, BuildOptions(), force=False, renew=False)
     built = build.plan([build.package(name) for name in names])
@@ -188,6 +192,23 @@ def _keystore(session: Session, adoption: Adoption) -> Plan:
         )
     changes = tuple(FolderChange(folder, files) for folder, files in sorted(folders.items()))
     return Plan((Step(STAGE, "", Action.CREATED, changes, "the keystore as it was found"),), session.state)
+
+
+def _lists(session: Session, adoption: Adoption) -> Plan:
+    """Plan the revocation lists that the authorities go on with."""
+    steps = []
+    for name, content in adoption.found.revocation_lists.items():
+        path = session.workspace.revocation_list(name)
+        change = FolderChange(path.parent, {path.name: File(content)})
+        steps.append(Step(STAGE, name, Action.CREATED, (change,), "revocation list"))
+    return Plan(tuple(steps), session.state)
+
+
+def _register(session: Session, adoption: Adoption) -> Plan:
+    """Plan a register with what the lists revoke; without one it is made when something is issued."""
+    if not adoption.found.revocation_lists:
+        return Plan((), session.state)
+    return Plan((), session.state, first=register_change(session, complete_register(session, lossy=True)))
 
 
 def _leads_to(path: str, link: str) -> str:

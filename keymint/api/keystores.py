@@ -133,6 +133,7 @@ class FoundKeystore:
         kept: paths of the files that a workspace's install space has at the same place.
         defaults: defaults of the parts that the build type reads from a package, by name (:attr:`BuildType.PARTS`).
         diagnostics: findings. An error is a reason why the keystore cannot be taken over as it is.
+        revocation_lists: the revocation list in force of an authority, PEM, by the authority's name.
     """
 
     form: str
@@ -143,6 +144,7 @@ class FoundKeystore:
     kept: tuple[str, ...]
     defaults: Mapping[str, bytes]
     diagnostics: tuple[Diagnostic, ...]
+    revocation_lists: Mapping[str, bytes] = field(default_factory=dict, repr=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,7 @@ from keymint_ros2_dds.reading import signed_governance, signed_permissions
 from keymint_ros2_dds.reading.signed_permissions import DocumentDomains, PermissionsDocument
 
 _SIGNED = b"MIME-Version:"
+_REVOCATIONS = b"-----BEGIN X509 CRL-----"
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +32,7 @@ class Contents:
         sealed: paths of the files with a private key that cannot be read (:attr:`PrivateKeys.sealed`).
         permissions: unverified permissions documents by path of the signed file.
         governances: paths of signed governance documents.
+        revocation_lists: paths of revocation lists.
     """
 
     folder: str
@@ -39,6 +41,7 @@ class Contents:
     sealed: tuple[str, ...]
     permissions: Mapping[str, PermissionsDocument]
     governances: tuple[str, ...]
+    revocation_lists: tuple[str, ...]
 
     def place(self, path: str) -> Origin:
         """Return a path of the keystore as the user would type it."""
@@ -55,6 +58,7 @@ def contents(keystore: KeystoreFiles) -> Contents:
     found: dict[str, x509.Certificate] = {}
     private: dict[str, list[str]] = {}
     sealed: list[str] = []
+    revocations: list[str] = []
     permissions: dict[str, PermissionsDocument] = {}
     governances: list[str] = []
     for path, file in keystore.files.items():
@@ -71,10 +75,12 @@ def contents(keystore: KeystoreFiles) -> Contents:
             sealed += [path] if own.sealed else []
             for public in own.public:
                 private.setdefault(keys.fingerprint(public), []).append(path)
+        elif _REVOCATIONS in file.content:
+            revocations.append(path)
         elif (certificate := first_certificate(file.content)) is not None:
             found[path] = certificate
     by_form = {name: sorted(paths, key=lambda path: not _is_pem(keystore, path)) for name, paths in private.items()}
-    return Contents(keystore.folder, found, by_form, tuple(sealed), permissions, tuple(governances))
+    return Contents(keystore.folder, found, by_form, tuple(sealed), permissions, tuple(governances), tuple(revocations))
 
 
 def _is_pem(keystore: KeystoreFiles, path: str) -> bool:

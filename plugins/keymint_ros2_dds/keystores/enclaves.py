@@ -20,7 +20,6 @@ from keymint_ros2_dds.domains import in_words, merged, uncovered
 from keymint_ros2_dds.enclave_layout import (
     CA,
     CERTIFICATE,
-    CRL,
     GOVERNANCE,
     GOVERNANCE_P7S,
     IDENTITY_CA,
@@ -130,9 +129,6 @@ class _Enclave:
             message = "says that the key lies in a token, which is not taken over"
             help_ = "write <pkcs11> into identities.xml afterwards; docs/keystore-life.md"
             yield self._error("adopt-token", KEY_URI, message, help_)
-        if self._path(CRL):
-            message = "is a revocation list, and what it revokes is not taken over: Keymint's next list lacks it"
-            yield self._warning("adopt-revocations", CRL, message, "revoke these certificates again afterwards")
 
     # -- identity ------------------------------------------------------------------------------------------------
 

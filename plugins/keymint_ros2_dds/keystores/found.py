@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 from comarmor.errors import Diagnostic, Severity
 from keymint.api import FoundAuthority, FoundEnclave, FoundKeystore, KeystoreFiles
 from keymint.pki import keys
+from keymint_ros2_dds.authority_roles import IDENTITY
 from keymint_ros2_dds.authority_roles import PERMISSIONS as SIGNS
-from keymint_ros2_dds.enclave_layout import GOVERNANCE, GOVERNANCE_P7S, GOVERNANCE_XML, KEY, LAYOUTS, files
-from keymint_ros2_dds.keystores import governance
+from keymint_ros2_dds.enclave_layout import CRL, GOVERNANCE, GOVERNANCE_P7S, GOVERNANCE_XML, KEY, LAYOUTS, files
+from keymint_ros2_dds.keystores import governance, revocations
 from keymint_ros2_dds.keystores.authorities import authorities
 from keymint_ros2_dds.keystores.contents import Contents, contents
 from keymint_ros2_dds.keystores.enclaves import examined
@@ -29,14 +31,18 @@ def found(keystore: KeystoreFiles) -> FoundKeystore:
     content = contents(keystore)
     where = places(keystore, content)
     trusted, diagnostics = authorities(keystore, content, where.enclaves)
+    issuer = next((each for each in trusted if IDENTITY in each.roles), None)
+    lists = revocations.found_lists(keystore, content, where.enclaves, issuer)
+    listed = {CRL: lists.newest} if lists.newest and not where.layout else {}
     enclaves: list[FoundEnclave] = []
     for place in where.enclaves:
-        enclave, own = examined(keystore, content, place)
+        enclave, own = examined(keystore, content, replace(place, files={**place.files, **listed}))
         enclaves.append(enclave)
         diagnostics += own
     defaults: dict[str, bytes] = {}
     diagnostics += _defaults(content, enclaves, trusted, defaults)
     diagnostics += _doubled(content, enclaves)
+    diagnostics += revocations.examined(keystore, content, lists, enclaves, by_name=where.layout == "sros2")
     secrets = {keystore.files[path].content for each in trusted for path in each.key_files}
     diagnostics += _in_the_way(keystore, content, where, secrets)
     return FoundKeystore(
@@ -48,6 +54,7 @@ def found(keystore: KeystoreFiles) -> FoundKeystore:
         kept=tuple(path for path in where.kept if keystore.files[path].content not in secrets),  # nor links to them
         defaults=defaults,
         diagnostics=tuple(diagnostics),
+        revocation_lists={issuer.name: keystore.files[lists.newest].content} if issuer and lists.newest else {},
     )
 
 
