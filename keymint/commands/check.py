@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import timedelta
+from pathlib import Path
 
 import click
 
@@ -12,12 +13,15 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted
 from keymint.check import check as find
 from keymint.commands.durations import period
-from keymint.commands.options import complete_package
+from keymint.commands.options import FILE, complete_package
 from keymint.commands.run import Run
+from keymint.commands.user_files import write_outputs
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.output.report import Report, findings_exit, folded
+from keymint.output.sarif import of_diagnostics
+from keymint.output.sarif import sarif as sarif_log
 from keymint.plan.policy import lazy_policy
 from keymint.plan.policy_drift import uncreated
 from keymint.session import Session
@@ -32,7 +36,8 @@ from keymint.session import Session
     metavar="PERIOD",
     help="Also report certificates and grants that expire within this time: 12h, 30d, 4w.",
 )
-def check(run: Run, names: tuple[str, ...], within: timedelta) -> Report:
+@click.option("--sarif", type=FILE, metavar="FILE", help="Write the findings as SARIF 2.1.0.")
+def check(run: Run, names: tuple[str, ...], within: timedelta, sarif: Path | None) -> Report:
     """Compare installed enclaves with their expected state.
 
     Checks certificates, keys, signatures, schemas, dates, file modes, and whether the installed documents match the
@@ -44,6 +49,8 @@ def check(run: Run, names: tuple[str, ...], within: timedelta) -> Report:
     session = inputs.session()
     diagnostics = find(session, chosen, within)
     findings = folded((*diagnostics, *(() if names else _uncreated(session, chosen))))
+    if sarif is not None:
+        write_outputs(run, sarif, sarif_log("keymint check", {}, of_diagnostics(findings), run.typed))
     number = sum(finding.severity is not Severity.NOTE for finding in findings)
     run.console.line(f"checked {counted(len(chosen), 'enclave')}: {counted(number, 'finding')}")
     return Report(

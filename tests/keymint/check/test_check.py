@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -26,6 +27,27 @@ def test_clean(keymint, provisioned: Path) -> None:
     assert outcome.code == 0
     assert outcome.out == "checked 2 enclaves: no findings\n"
     assert outcome.err == ""
+    assert snapshot(provisioned) == before
+
+
+def test_sarif(keymint, provisioned: Path) -> None:
+    (enclave(provisioned) / "key.pem").chmod(0o644)
+    (enclave(provisioned) / "permissions.p7s").unlink()
+    outcome = keymint("check", "--json", "--sarif", "../check.sarif", cwd=provisioned)
+    assert outcome.code == 3
+    (log,) = json.loads((provisioned.parent / "check.sarif").read_text())["runs"]
+    assert log["tool"]["driver"]["name"] == "keymint check"
+    rules = [each["id"] for each in log["tool"]["driver"]["rules"]]
+    found = [
+        (rules[each["ruleIndex"]], each["level"], each["locations"][0]["physicalLocation"]["artifactLocation"]["uri"])
+        for each in log["results"]
+    ]
+    listed = [(each["code"], each["severity"], each["file"]) for each in outcome.document["diagnostics"]]
+    assert [each[0] for each in found] == ["file-mode", "file-missing", "document-differs"]
+    assert found == listed
+    before = snapshot(provisioned)
+    assert keymint("check", "--sarif", "../clean.sarif", "nobody", cwd=provisioned).code == 1
+    assert not (provisioned.parent / "clean.sarif").exists()
     assert snapshot(provisioned) == before
 
 
