@@ -30,7 +30,9 @@ _AUTHORITY = """\
       </cert>
     </authority>
 """
-_Edit = Callable[[str], "str | None"]
+_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+_Edit = Callable[[str], "tuple[int, int, str] | None"]
+"""Returns where a text without comments is replaced, from and to, and by what; None if it has no such place."""
 
 
 def with_unique_name(profile: WorkspaceProfile, name: str, files: Mapping[str, bytes]) -> Mapping[str, bytes]:
@@ -39,11 +41,11 @@ def with_unique_name(profile: WorkspaceProfile, name: str, files: Mapping[str, b
     own = manifest.read(files[MARKER], f"{name}/{MARKER}")
     element = f"<subject_name>{SUBJECT_NAMES['unique']}</subject_name>"
 
-    def edit(text: str) -> str | None:
-        if _NAME.search(text):
-            return _NAME.sub(element, text, count=1)
+    def edit(text: str) -> tuple[int, int, str] | None:
+        if present := _NAME.search(text):
+            return *present.span(), element
         before = _VALIDITY.search(text)
-        return before and f"{text[: before.start()]}{before[1]}{element}\n{text[before.start() :]}"
+        return before and (before.start(), before.start(), f"{before[1]}{element}\n")
 
     changed: dict[str, bytes] = {}
     for part in (own.identities, own.permissions):
@@ -57,21 +59,23 @@ def with_own_signer(profile: WorkspaceProfile, former: str) -> Mapping[str, byte
     base, name = base_of(profile), SIGNER
     element = re.compile(rf"<issuer_name>\s*{re.escape(former)}\s*</issuer_name>")
     wanted = f"<issuer_name>{name}</issuer_name>"
+
+    def edit(text: str) -> tuple[int, int, str] | None:
+        present = element.search(text)
+        return present and (*present.span(), wanted)
+
     changed = _edited(
         profile.files, _AUTHORITIES, base + _AUTHORITIES, lambda text: _with_authority(text, name),
         f'add <authority name="{name}"> to it',
     )  # fmt: skip
     for path in _SIGNED:
-        changed |= _edited(
-            profile.files, path, base + path,
-            lambda text: element.sub(wanted, text, count=1) if element.search(text) else None, f"write {wanted}",
-        )  # fmt: skip
+        changed |= _edited(profile.files, path, base + path, edit, f"write {wanted}")
     return changed
 
 
-def _with_authority(text: str, name: str) -> str | None:
-    head, end, tail = text.rpartition("  </authorities>")
-    return f"{head}{_AUTHORITY.format(name=name)}{end}{tail}" if end else None
+def _with_authority(text: str, name: str) -> tuple[int, int, str] | None:
+    at = text.rfind("  </authorities>")
+    return None if at < 0 else (at, at, _AUTHORITY.format(name=name))
 
 
 def _edited(files: Mapping[str, bytes], path: str, shown: str, edit: _Edit, help_: str) -> dict[str, bytes]:
@@ -80,10 +84,24 @@ def _edited(files: Mapping[str, bytes], path: str, shown: str, edit: _Edit, help
     Raises:
         KeymintError: there is no such file, or it is written in another way than Keymint writes it.
     """
-    content = files.get(path)
-    edited = None if content is None else edit(content.decode())
-    if edited is None:
+    text = _text(files.get(path, b""))
+    place = edit(_COMMENT.sub(_blank, text))
+    if place is None:
         raise KeymintError(
             "is written in a way that Keymint does not edit", where=Origin(shown), help=help_, code="harden-by-hand"
         )
-    return {path: edited.encode()}
+    begin, end, new = place
+    return {path: f"{text[:begin]}{new}{text[end:]}".encode()}
+
+
+def _text(content: bytes) -> str:
+    """Return the text of a file; empty if it is not UTF-8, as nothing that Keymint writes."""
+    try:
+        return content.decode()
+    except UnicodeDecodeError:
+        return ""
+
+
+def _blank(comment: re.Match[str]) -> str:
+    """Return blanks in place of a comment, so that nothing is found in it and all other places stay."""
+    return re.sub(r"[^\n]", " ", comment[0])

@@ -77,3 +77,32 @@ def test_another_authority_signs(workspace: Workspace) -> None:
     assert [each.name for each in profile_of(after).authorities] == ["ca", "permissions_ca"]
     assert after.load().grant.issuer == "permissions_ca"
     assert after.load().identity.issuer == "ca"
+
+
+def test_what_a_comment_says_is_not_edited(workspace: Workspace) -> None:
+    files = adopted(workspace, "CN=/robot1/talker")
+    comment = b"<cert><!-- was\n <validity> <subject_name>CN=/old</subject_name> -->"
+    identities = files["identities.xml"].replace(b"<cert>", comment)
+    assert identities != files["identities.xml"]
+    files["identities.xml"] = identities
+    changed = package_type.with_unique_name(profile_of(workspace), "robot1/talker", files)
+    lines = added(identities, changed["identities.xml"])
+    assert [line[0] for line in lines] == ["-", "+"]
+    assert lines[1] == "+" + UNIQUE
+
+    one = Workspace.new(replace(REQUEST, authority="ca"))
+    shown = b"<defaults><!-- <issuer_name>ca</issuer_name> -->"
+    defaults = {path: content.replace(b"<defaults>", shown) for path, content in one.profile.items()}
+    one = replace(one, profile=defaults)
+    changed = profile_type.with_own_signer(profile_of(one), "ca")
+    assert replace(one, profile={**defaults, **changed}).load().grant.issuer == "permissions_ca"
+
+
+@pytest.mark.parametrize("encoding", ["iso-8859-1", "utf-16"])
+def test_other_encodings_are_not_edited(workspace: Workspace, encoding: str) -> None:
+    files = adopted(workspace)
+    text = files["identities.xml"].decode().replace("UTF-8", encoding).replace("<cert>", "<cert><!-- é -->")
+    with pytest.raises(KeymintError, match="does not edit"):
+        package_type.with_unique_name(
+            profile_of(workspace), "robot1/talker", {**files, "identities.xml": text.encode(encoding)}
+        )
