@@ -107,6 +107,11 @@ def parse(content: bytes, name: str, *, limits: Limits = LIMITS) -> etree._Eleme
     return root
 
 
+def looks_like_xml(content: bytes) -> bool:
+    """Tell whether a file begins as a document does, in UTF-8 or UTF-16, with a byte order mark or without."""
+    return content.lstrip(b"\xef\xbb\xbf\xfe\xff\0 \t\r\n").startswith(b"<")
+
+
 def line(element: etree._Element) -> int:
     """Return the line on which an element of a parsed document begins, from 1."""
     sourceline = element.sourceline

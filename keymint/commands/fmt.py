@@ -12,6 +12,7 @@ import click
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import counted
 from comarmor.values import dataclass
+from comarmor.xml.reader import looks_like_xml
 from keymint.api import PolicyTypeWithForm
 from keymint.commands.options import PATH, usage_error
 from keymint.commands.run import Run
@@ -125,7 +126,7 @@ def _formatted(run: Run, paths: Iterable[Path]) -> tuple[list[_Formatted], list[
         name = run.typed(str(path))
         try:
             content = run.setting.read(MAX_FILE + 1) if path == _STANDARD else read_input(run, path)
-            if is_named and not _looks_like_xml(content):
+            if is_named and not looks_like_xml(content):
                 raise _no_xml(run, path, name)
             forms = (each.formatted(content, name) for each in types)
             after = next((form for form in forms if form is not None), None)
@@ -145,11 +146,6 @@ def _formatted(run: Run, paths: Iterable[Path]) -> tuple[list[_Formatted], list[
         help_ = "name a ComArmor file, or a directory with *.xml files"
         raise KeymintError("no policy was found", where=Origin(shown), help=help_, code="policy-empty")
     return files, skipped
-
-
-def _looks_like_xml(content: bytes) -> bool:
-    """Tell whether a file begins as a document of XML does, in UTF-8 or UTF-16, with a byte order mark or without."""
-    return content.lstrip(b"\xef\xbb\xbf\xfe\xff\0 \t\r\n").startswith(b"<")
 
 
 def _no_xml(run: Run, path: Path, name: str) -> KeymintError:

@@ -11,6 +11,7 @@ import click
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import counted
+from comarmor.xml.reader import looks_like_xml, parse
 from keymint.api import ForeignDocuments, ImportedSubject, ImportRequest, PolicyImporter
 from keymint.commands.import_proof import SubjectProof, diagnostics_of, unproven
 from keymint.commands.options import DEFAULT_PROFILE_TYPE, FILE, PATH, PluginOption, PolicyOptions
@@ -101,9 +102,11 @@ def _importer(run: Run, policy: Path) -> PolicyImporter:
     Raises:
         KeymintError: there is no such file, or no plugin imports it.
     """
-    read_input(run, policy)
+    content = read_input(run, policy)
     foreign = foreign_policy(run.plugins, [run.setting.cwd / policy], "")
     importer: object = None if foreign is None else run.plugins.policy_type(foreign.policy_type)
+    if foreign is None and looks_like_xml(content):
+        parse(content, str(policy))  # raises an error if it is no document, which nothing recognises
     if not isinstance(importer, PolicyImporter):
         raise KeymintError(
             "no plugin recognises this as a policy of another tool", where=Origin(str(policy)),

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -116,5 +117,5 @@ def _rule(
 
 def _comment(parent: etree._Element, texts: Iterable[str]) -> None:
     for text in texts:
-        plain = text.replace("--", "- -")
+        plain = re.sub("-(?=-)", "- ", text)
         parent.append(etree.Comment(f"{plain} " if plain.endswith("-") else plain))

@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 
 from comarmor.errors import ComArmorError, Diagnostic
-from comarmor.xml.reader import Limits, parse, place
+from comarmor.xml.reader import Limits, looks_like_xml, parse, place
 from tests.effort import calls_of
 
 
@@ -83,3 +83,10 @@ def test_schema_locations_are_removed() -> None:
     xsi = "http://www.w3.org/2001/XMLSchema-instance"
     root = parse(f'<a xmlns:xsi="{xsi}" xsi:noNamespaceSchemaLocation="http://127.0.0.1:9/x.xsd"/>'.encode(), "x")
     assert not root.attrib
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-be"])
+def test_what_looks_like_xml(encoding: str) -> None:
+    assert looks_like_xml("\r\n <a".encode(encoding))
+    for text in ("", "a,<b>", "{}"):
+        assert not looks_like_xml(text.encode(encoding))

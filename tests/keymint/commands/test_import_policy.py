@@ -126,7 +126,14 @@ def test_a_folder_with_other_common_files_is_refused(keymint, tmp_path: Path) ->
 
 @pytest.mark.parametrize(
     ("content", "code"),
-    [(None, "file-missing"), ("<profiles/>", "import-unknown"), ("<policy version='1'/>", "schema")],
+    [
+        (None, "file-missing"),
+        ("<profiles/>", "import-unknown"),
+        ("a: b", "import-unknown"),
+        ("<policy version='1'/>", "schema"),
+        ("<policy version='0.2.0'><enclaves></policy>", "xml-syntax"),
+        ("<!DOCTYPE policy><policy version='0.2.0'/>", "xml-doctype"),
+    ],
 )
 def test_what_is_no_policy_of_another_tool(keymint, foreign: Path, content: str | None, code: str) -> None:
     foreign.unlink()

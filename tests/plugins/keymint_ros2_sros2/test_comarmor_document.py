@@ -77,9 +77,17 @@ def test_comments_and_nodes(write) -> None:
     assert places == sorted(places)
 
 
-def test_a_name_that_no_comment_can_hold(write) -> None:
-    text = written(write(policy(enclave("/e", "", "/a--b", "n-"))))
-    assert "/a- -b" in text
+@pytest.mark.parametrize(
+    ("ns", "node", "said"),
+    [
+        ("/a--b", "n-", "n- in the namespace /a- -b "),
+        ("/-", "a---b", "a- - -b in the namespace /- "),
+        ("/", "--", "- - in"),
+    ],
+)
+def test_a_name_that_no_comment_can_hold(write, ns: str, node: str, said: str) -> None:
+    text = written(write(policy(enclave("/e", "", ns, node))))
+    assert f"<!-- the node {said}" in text
 
 
 @pytest.mark.parametrize("name", ["/a{b}", "/@{X}", "/a b", "/[ab]*?", "/{name}"])
