@@ -17,6 +17,7 @@ import pickle
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, is_dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 from keymint.changes import Action, FolderChange
@@ -74,6 +75,10 @@ class Workers:
             return
         import multiprocessing  # noqa: PLC0415 - takes 20 ms, and few runs need it
 
+        # What the first package needs is imported, compiled and proven once for all processes.
+        with contextlib.suppress(KeymintError):
+            for _ in _plan(lambda *_answer: None, session, names[:1], stages):
+                pass
         context = multiprocessing.get_context("fork")
         for part in parts:
             here, there = context.Pipe()
@@ -200,7 +205,7 @@ def _work(
         each.close()
     with contextlib.suppress(EOFError, OSError):
         try:
-            changes = list(_plan(pipe, session, names, stages))
+            changes = list(_plan(partial(_send, pipe), session, names, stages))
             pipe.recv()
             opened = store(session.workspace)
             _send(pipe, _DONE, [opened.stage(of_stage) for of_stage in changes])
@@ -212,13 +217,15 @@ def _work(
             _send(pipe, _CRASHED, f"{type(error).__name__}: {error}", traceback.format_exc())
 
 
-def _plan(pipe: Connection, session: Session, names: Sequence[str], stages: _Stages) -> Iterator[list[FolderChange]]:
+def _plan(
+    send: Callable[..., None], session: Session, names: Sequence[str], stages: _Stages
+) -> Iterator[list[FolderChange]]:
     """Plan packages, send the plans of each stage without their bytes, and yield the changes of each stage."""
     for start in stages:
         stage = start(session)
         planned = [stage.package(name) for name in names]
         plans = [each for each in planned if isinstance(each, PackagePlan)]
-        _send(pipe, _DONE, [_without_bytes(each) for each in plans] or planned)
+        send(_DONE, [_without_bytes(each) for each in plans] or planned)
         if any(each.errors for each in plans):
             return
         session = after(session, stage.NAME, plans)

@@ -78,13 +78,10 @@ def findings(by_package: Mapping[str, Iterable[Lifetime]], session: Session) -> 
     authorities = {authority.name: authority for authority in session.profile.authorities}
     warnings: list[Diagnostic] = []
     used: dict[str, None] = {}
-    known: dict[tuple[Lifetime, ...], list[Diagnostic]] = {}  # most packages have those of the profile
     for name, lifetimes in by_package.items():
-        of_package = tuple(lifetimes)
-        if of_package not in known:
-            used.update(dict.fromkeys(above for each in of_package for above in _above(each.issuer, authorities)))
-            known[of_package] = [found for each in of_package for found in _of(each, authorities, session.now)]
-        warnings += (replace(warning, subject=subject_of(name)) for warning in known[of_package])
+        for each in lifetimes:
+            used.update(dict.fromkeys(_above(each.issuer, authorities)))
+            warnings += (replace(found, subject=subject_of(name)) for found in _of(each, authorities, session.now))
     for name in used:
         spec = authorities[name].certificate
         own = _lifetime("authority", spec.validity, spec.issuer, spec.origin)
