@@ -24,6 +24,10 @@ _OBJECT = re.compile(r"[0-9a-f]{40}|[0-9a-f]{64}")
 _REPOSITORY = re.compile(r"[\w.-]+/[\w.-]+")
 
 
+class CheckoutError(Exception):
+    """The checkout is not what the pull request proposes: one line what it is."""
+
+
 class CommentError(Exception):
     """The comment was not written: one line why."""
 
@@ -85,11 +89,17 @@ def base_of(pull_request: PullRequest, folder: Path) -> str:
         folder: the checkout.
 
     Raises:
+        CheckoutError: the checkout is something else, e.g. the base itself, of which the pull request changes nothing.
         subprocess.CalledProcessError: the commit is not there, and cannot be fetched.
     """
+    head = git(folder, "rev-parse", "HEAD")
     header = git(folder, "cat-file", "commit", "HEAD").partition("\n\n")[0]
     parents = re.findall(r"^parent ([0-9a-f]+)$", header, re.MULTILINE)
     is_merge = len(parents) == 2 and parents[1] == pull_request.head  # noqa: PLR2004 - a merge of two branches
+    if not is_merge and head != pull_request.head:
+        raise CheckoutError(
+            f"the checkout is {head[:12]}, neither the head of the pull request nor its merge with the base"
+        )
     base = parents[0] if is_merge else pull_request.base
     try:
         git(folder, "cat-file", "-e", f"{base}^{{commit}}")

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import workflow
-from pull_request import LONGEST_COMMENT, CommentError, Comments, PullRequest, base_of, git
+from pull_request import LONGEST_COMMENT, CheckoutError, CommentError, Comments, PullRequest, base_of, git
 
 _SECRETS = ("INPUT_TOKEN", "GITHUB_TOKEN", "GH_TOKEN", "ACTIONS_RUNTIME_TOKEN", "ACTIONS_ID_TOKEN_REQUEST_TOKEN")
 _FINDINGS = 3
@@ -164,6 +164,8 @@ def difference(inputs: Inputs, pull_request: PullRequest, checkout: Path) -> tup
         base = base_of(pull_request, checkout)
         before = f"{git(checkout, 'rev-parse', '--short=12', base)}:./{inputs.policy}"
         is_new = subprocess.run(["git", "cat-file", "-e", before], cwd=checkout, capture_output=True, check=False)
+    except CheckoutError as error:
+        return 1, f"The policy was not compared: {error}."
     except (OSError, subprocess.SubprocessError) as error:
         reason = (getattr(error, "stderr", None) or str(error).encode()).decode(errors="replace")
         return (

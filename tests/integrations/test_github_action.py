@@ -188,10 +188,26 @@ def test_a_base_that_is_not_there_or_cannot_be_read(
     assert code == 1
     assert text.startswith("The policy was not compared with that of the base.\n\n```text\n")
     assert "not well-formed XML" in text
-    missing = {"pull_request": {"number": 7, "base": {"sha": "0" * 40}, "head": {"sha": "1" * 40}}}
+    other = {"pull_request": {"number": 7, "base": {"sha": "0" * 40}, "head": {"sha": "1" * 40}}}
+    code, text = changes(action, project, other, monkeypatch)
+    assert code == 1
+    assert text.startswith("The policy was not compared: the checkout is ")
+    head = git(Path.cwd(), "rev-parse", "HEAD")
+    missing = {"pull_request": {"number": 7, "base": {"sha": "0" * 40}, "head": {"sha": head}}}
     code, text = changes(action, project, missing, monkeypatch)
     assert code == 1
     assert text.startswith("The policy was not compared: the base of the pull request is not there.")
+
+
+def test_the_base_itself_is_not_compared_with_itself(
+    action: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As for the event pull_request_target, for which actions/checkout takes the base."""
+    project = Project(tmp_path)
+    project.commit(policy=POLICY)
+    event = project.propose(policy=POLICY.replace("ros_subscribe", "ros_publish"))
+    event["pull_request"]["head"]["sha"] = "1" * 40
+    assert changes(action, project, event, monkeypatch)[0] == 1
 
 
 def test_a_fork_may_not_comment(

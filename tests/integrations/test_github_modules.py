@@ -119,8 +119,11 @@ def test_the_base_is_the_first_parent_of_the_merge_else_that_of_the_event(
     later = git(tmp_path, "rev-parse", "HEAD")
     git(tmp_path, "merge", "-q", "--no-ff", "-m", "merge", "change")
     assert pull_request.base_of(event, tmp_path) == later
+    with pytest.raises(pull_request.CheckoutError, match="neither the head of the pull request nor its merge"):
+        pull_request.base_of(pull_request.PullRequest(7, later, "1" * 40), tmp_path)
+    git(tmp_path, "switch", "-q", "change")
     with pytest.raises(subprocess.CalledProcessError):
-        pull_request.base_of(pull_request.PullRequest(7, "0" * 40, "1" * 40), tmp_path)
+        pull_request.base_of(pull_request.PullRequest(7, "0" * 40, commits[1]), tmp_path)
 
 
 def test_a_comment_is_written_once_and_those_of_others_never(pull_request: ModuleType, api: Api) -> None:
