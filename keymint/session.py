@@ -14,6 +14,7 @@ from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint import __version__
 from keymint.api import (
+    BuiltPackageType,
     Infrastructure,
     InfrastructurePackage,
     Issuance,
@@ -128,7 +129,7 @@ class Session(Inputs):
 
     profile: WorkspaceProfile
     profile_digest: str
-    _packages: dict[tuple[str, str], Package] = field(default_factory=dict, repr=False, compare=False)
+    _packages: dict[tuple[str, str, bool], Package] = field(default_factory=dict, repr=False, compare=False)
     _made_of_sources: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
     _made: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
@@ -221,13 +222,17 @@ class Session(Inputs):
         found = {file: value for file, path in paths.items() if (value := self.tree.digest(path)) is not None}
         return found, digest(*(part for item in sorted(found.items()) for part in item))
 
-    def package(self, name: str) -> Package:
+    def package(self, name: str, *, built: bool = False) -> Package:
         """Load a package, once per run and content; errors as :meth:`keymint.api.PackageType.load`.
 
         A package of a subject also has the packages of infrastructure that its build types have, whose errors are
         raised as well.
+
+        Args:
+            name: the package.
+            built: it was built from these files; see :class:`keymint.api.BuiltPackageType`.
         """
-        package = self._load(name)
+        package = self._load(name, built=built)
         if package.role is Role.INFRASTRUCTURE:
             return package
         of_package = package.build_types
@@ -326,13 +331,18 @@ class Session(Inputs):
                 needed[each.name] = (each, build_type)
         return needed
 
-    def _load(self, name: str) -> Package:
-        key = (name, self._sources(name)[1])
+    @property
+    def _loader(self) -> Callable[..., Package]:
+        """What loads a package that was built."""
+        own = self.package_type
+        return self.once("loader", lambda: own.load_built if isinstance(own, BuiltPackageType) else own.load)
+
+    def _load(self, name: str, *, built: bool = False) -> Package:
+        key = (name, self._sources(name)[1], built)
         if key not in self._packages:
+            load = self._loader if built else self.package_type.load
             files = self.package_files(name)
             folder = self.workspace.shown(self.workspace.src / name)
             install_space = str(self.workspace.install)
-            self._packages[key] = self.package_type.load(
-                self.profile, name, folder, files, self.plugins.build_type, install_space
-            )
+            self._packages[key] = load(self.profile, name, folder, files, self.plugins.build_type, install_space)
         return self._packages[key]

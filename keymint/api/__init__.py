@@ -114,6 +114,7 @@ from keymint.api.profiles import AcceptedPackage as AcceptedPackage
 from keymint.api.profiles import AcceptedPackageFiles as AcceptedPackageFiles
 from keymint.api.profiles import AuthorityIssuanceFiles as AuthorityIssuanceFiles
 from keymint.api.profiles import Bootstrap as Bootstrap
+from keymint.api.profiles import BuiltPackageType as BuiltPackageType
 from keymint.api.profiles import FormerRules as FormerRules
 from keymint.api.profiles import Infrastructure as Infrastructure
 from keymint.api.profiles import InfrastructurePackage as InfrastructurePackage

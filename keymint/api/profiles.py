@@ -289,6 +289,33 @@ class PackageType(Protocol):
 
 
 @runtime_checkable
+class BuiltPackageType(Protocol):
+    """Optional capability of a package type: loads a package that was built without reading its rules."""
+
+    def load_built(
+        self,
+        profile: WorkspaceProfile,
+        name: str,
+        folder: str,
+        files: Mapping[str, bytes],
+        build_types: Callable[[str, Origin], BuildType],
+        install_space: str,
+    ) -> Package:
+        """Return what :meth:`PackageType.load` returns, but the rules are read when they are first asked for.
+
+        Whether they were edited by hand (:attr:`keymint.api.Grant.edited`) may not be known.
+
+        Args:
+            profile: the profile of the workspace.
+            name: package name.
+            folder: its folder as the user would type it, for messages.
+            files: the package's files by name, from which it was built before: they have no defects.
+            build_types: returns a build type by its name, which is written at a place.
+            install_space: absolute path of the install space on this machine.
+        """
+
+
+@runtime_checkable
 class FormerRules(Protocol):
     """Optional capability of a package type: compares documents of former versions before they are replaced."""
 

@@ -11,104 +11,97 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import timedelta
+from functools import partial
+from typing import Any
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from keymint.api import Inspection
 from keymint.check import revocations
 from keymint.check.authorities import authorities, authority_keys, in_defect
-from keymint.check.enclaves import identity_key, inspections, on_disk, unexpected
+from keymint.check.enclaves import Examined, LoadedEnclave, examine, load
 from keymint.check.file_status import file_status
 from keymint.check.git_exposure import git_exposure
 from keymint.check.install_space import outside_enclaves
 from keymint.check.shared_documents import check_shared
 from keymint.errors import KeymintError
-from keymint.names import subject_of
+from keymint.executors import Pool
 from keymint.plan import identity_keys
-from keymint.plan.enclaves import enclave_files, not_installed, unaccounted
+from keymint.plan.enclaves import unaccounted
 from keymint.plan.identity_keys import Keyring
-from keymint.plan.policy import is_unchanged, load_policy
-from keymint.plan.register import withdrawn
+from keymint.plugins import Plugins
 from keymint.session import Session
 
+LEAST = 64
+"""Enclaves that are worth a process of their own."""
 
-def check(session: Session, names: Sequence[str], within: timedelta) -> tuple[Diagnostic, ...]:
+
+def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool) -> tuple[Diagnostic, ...]:
     """Return all findings on the enclaves of some packages, and on their workspace.
 
     Args:
         session: the workspace and its profile.
         names: names of packages.
         within: report what expires within this time.
+        pool: where to examine many enclaves: processes of this machine, since they read private keys.
     """
     of_authorities = tuple(authorities(session, within))
     keyring = Keyring(session, authority_keys(session))
-    fingerprints: dict[str, str] = {}
-    findings: list[Diagnostic] = []
-    by_type: dict[str, list[Inspection]] = {}
-    render = _renderer(session, names)
-    for name in names:
-        try:
-            render(name)
-            package = session.package(name)
-            files, unreadable = enclave_files(session, name)
-            seen = inspections(session, package, files, within)
-        except KeymintError as error:
-            findings += error.diagnostics
-            continue
-        fingerprint, key_findings = identity_key(session, package, keyring)
-        findings += key_findings
-        if fingerprint:
-            fingerprints[name] = fingerprint
-        unread = [each for each in unreadable if each.code != "symlink-refused"]  # reported with the modes
-        findings += unread
-        if not files and not unread:
-            findings.append(_absent(session, name))
-            continue
-        findings += on_disk(session, name, files)
-        findings += unexpected(session, package, files)
-        findings += revocations.of_enclave(session, package, files)
-        unread_places = {each.where for each in unread}
-        defects = dict.fromkeys(each for build_type, own in seen.values() for each in build_type.check(own))
-        findings += (each for each in defects if each.code != "file-missing" or each.where not in unread_places)
-        for build_type, (_, own) in seen.items():
-            by_type.setdefault(build_type, []).append(own)
-    for build_type, of_type in sorted(by_type.items()):
-        findings += session.plugins.build_type(build_type).check_all(of_type)
+    loaded = _loaded(session, names, within)
+    first = _examined(session, keyring, loaded[:1])  # processes have then what all enclaves need
+    parts = pool.parts(loaded[1:], LEAST)
+    tasks: list[Callable[[], Any]] = [partial(_around, session, within), partial(_of_files, session)]
+    tasks += (partial(_examined, session, keyring, part) for part in parts)
+    around, of_files, *examined = pool.map(_carry_out, tasks) if len(parts) > 1 else (task() for task in tasks)
+    enclaves: list[Examined] = [each for part in (first, *examined) for each in part]
+    findings = [finding for each in enclaves for finding in each.findings]
+    findings += _of_several(session, [each for each in loaded if isinstance(each, LoadedEnclave)])
     findings += unaccounted(session)
     findings += revocations.lists_in_force(session)
+    fingerprints = {each.name: each.fingerprint for each in enclaves if each.fingerprint}
     findings += identity_keys.shared_keys(session, fingerprints)
-    shared = check_shared(session, within)
-    findings += shared.diagnostics
-    findings += outside_enclaves(session, shared.files)
+    findings += around
     later = _without_install_hints(findings, in_defect(of_authorities))
-    return (*of_authorities, *file_status(session), *git_exposure(session), *later)
+    return (*of_authorities, *of_files, *later)
 
 
-def _absent(session: Session, name: str) -> Diagnostic:
-    """Return the finding on a package without an enclave."""
-    reason = withdrawn(session).get(name)
-    if reason is None:
-        return not_installed(name, session.workspace.shown(session.enclave_folder(name)))
-    message = f"the certificate of {subject_of(name)} was revoked ({reason}), and its enclave removed"
-    help_ = f"'keymint renew --rekey {name}' makes a new key and certificate"
-    return Diagnostic("identity-revoked", Severity.NOTE, message, None, help_, subject_of(name))
+def _carry_out(_plugins: Plugins, task: Callable[[], Any]) -> Any:
+    return task()
 
 
-def _renderer(session: Session, names: Sequence[str]) -> Callable[[str], object]:
-    """Return what renders the sources of a package from the policy: such sources need not be parsed when it is loaded.
+def _around(session: Session, within: timedelta) -> tuple[Diagnostic, ...]:
+    """Return the findings on the install space outside the enclaves."""
+    shared = check_shared(session, within)
+    return (*shared.diagnostics, *outside_enclaves(session, shared.files))
 
-    It does nothing for a few packages of many, and if the policy is not the one that they were created from.
-    """
-    try:
-        policy = load_policy(session) if len(names) == len(session.packages()) and is_unchanged(session) else None
-    except KeymintError:  # reported with the policy
-        policy = None
 
-    def render(name: str) -> None:
-        rules = policy.rules(subject_of(name)) if policy else None
-        if rules:
-            session.package_type.create(session.profile, rules, {}, force=False)
+def _of_files(session: Session) -> tuple[Diagnostic, ...]:
+    return (*file_status(session), *git_exposure(session))
 
-    return render
+
+def _loaded(session: Session, names: Sequence[str], within: timedelta) -> list[LoadedEnclave | Examined]:
+    """Return each package with its enclave; the findings on a package that has defects."""
+    loaded: list[LoadedEnclave | Examined] = []
+    for name in names:
+        try:
+            loaded.append(load(session, name, within))
+        except KeymintError as error:
+            loaded.append(Examined(name, findings=tuple(error.diagnostics)))
+    return loaded
+
+
+def _examined(session: Session, keyring: Keyring, part: Sequence[LoadedEnclave | Examined]) -> list[Examined]:
+    return [each if isinstance(each, Examined) else examine(session, each, keyring) for each in part]
+
+
+def _of_several(session: Session, loaded: Iterable[LoadedEnclave]) -> Iterator[Diagnostic]:
+    """Yield the findings that concern several enclaves."""
+    by_type: dict[str, list[Inspection]] = {}
+    for each in loaded:
+        if not each.is_absent:
+            for build_type, (_, own) in each.seen.items():
+                by_type.setdefault(build_type, []).append(own)
+    for build_type, of_type in sorted(by_type.items()):
+        yield from session.plugins.build_type(build_type).check_all(of_type)
 
 
 def _without_install_hints(findings: Iterable[Diagnostic], defect: Diagnostic | None) -> Iterator[Diagnostic]:

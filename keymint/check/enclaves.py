@@ -4,20 +4,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import field
 from datetime import timedelta
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.values import dataclass
 from keymint.api import BuildOptions, BuildResult, BuildType, Inspection, Package
 from keymint.changes import file_mode
+from keymint.check import revocations
 from keymint.check.file_status import linked_twice, modes
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.pki import keys
-from keymint.plan import identity_keys, install
+from keymint.plan import build, identity_keys, install
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.build_types import build_types_of
-from keymint.plan.enclaves import files_in
+from keymint.plan.enclaves import enclave_files, files_in, not_installed
 from keymint.plan.private_keys import key_defects
+from keymint.plan.register import withdrawn
 from keymint.session import Session
 from keymint.state import digest
 
@@ -25,30 +29,135 @@ Inspections = Mapping[str, tuple[BuildType, Inspection]]
 """What each build type of a package sees of its enclave."""
 
 
-def inspections(session: Session, package: Package, files: Mapping[str, bytes], within: timedelta) -> Inspections:
+@dataclass(frozen=True, slots=True)
+class LoadedEnclave:
+    """A package, and the files of its enclave.
+
+    Attributes:
+        package: the package.
+        files: the files by name.
+        unread: findings on files that cannot be read.
+        seen: what each build type sees of it.
+    """
+
+    package: Package
+    files: Mapping[str, bytes] = field(repr=False)
+    unread: tuple[Diagnostic, ...]
+    seen: Inspections
+
+    @property
+    def is_absent(self) -> bool:
+        """Whether there is no enclave."""
+        return not self.files and not self.unread
+
+
+@dataclass(frozen=True, slots=True)
+class Examined:
+    """What was found in an enclave.
+
+    Attributes:
+        name: the package.
+        fingerprint: fingerprint of its key; empty if it cannot be read.
+        findings: the findings.
+    """
+
+    name: str
+    fingerprint: str = ""
+    findings: tuple[Diagnostic, ...] = ()
+
+
+def load(session: Session, name: str, within: timedelta) -> LoadedEnclave:
+    """Load a package and its enclave.
+
+    Args:
+        session: the workspace and its profile.
+        name: the package.
+        within: report what expires within this time.
+
+    Raises:
+        KeymintError: the package has defects.
+    """
+    package = session.package(name, built=build.is_current(session, name))
+    files, unreadable = enclave_files(session, name)
+    unread = tuple(each for each in unreadable if each.code != "symlink-refused")  # reported with the modes
+    return LoadedEnclave(package, files, unread, _inspections(session, package, files, within))
+
+
+def examine(session: Session, loaded: LoadedEnclave, keyring: identity_keys.Keyring) -> Examined:
+    """Check one enclave.
+
+    Args:
+        session: the workspace and its profile.
+        loaded: the enclave.
+        keyring: the known keys of all subjects and authorities.
+    """
+    package, files = loaded.package, loaded.files
+    fingerprint, findings = _identity_key(session, package, keyring)
+    if loaded.is_absent:
+        return Examined(package.name, fingerprint, (*findings, _absent(session, package.name)))
+    unread_places = {each.where for each in loaded.unread}
+    defects = dict.fromkeys(each for build_type, own in loaded.seen.values() for each in build_type.check(own))
+    found = (
+        *findings,
+        *loaded.unread,
+        *_on_disk(session, package.name, files),
+        *_unexpected(session, package, files),
+        *revocations.of_enclave(session, package, files),
+        *(each for each in defects if each.code != "file-missing" or each.where not in unread_places),
+    )
+    return Examined(package.name, fingerprint, found)
+
+
+def _absent(session: Session, name: str) -> Diagnostic:
+    """Return the finding on a package without an enclave."""
+    reason = withdrawn(session).get(name)
+    if reason is None:
+        return not_installed(name, session.workspace.shown(session.enclave_folder(name)))
+    message = f"the certificate of {subject_of(name)} was revoked ({reason}), and its enclave removed"
+    help_ = f"'keymint renew --rekey {name}' makes a new key and certificate"
+    return Diagnostic("identity-revoked", Severity.NOTE, message, None, help_, subject_of(name))
+
+
+def _inspections(session: Session, package: Package, files: Mapping[str, bytes], within: timedelta) -> Inspections:
     """Return what each build type needs to check the enclave of a package, by its name.
 
     Raises:
         KeymintError: the package has defects.
     """
-    chains = trusted_chains(session)
+    build_types, documents = build_types_of(session, package), _documents(session, package)
+    chains = session.once("chains", lambda: trusted_chains(session))
+    folder, layout = session.workspace.shown(session.enclave_folder(package.name)), session.profile.layout
     found: dict[str, tuple[BuildType, Inspection]] = {}
-    for name, build_type in build_types_of(session, package).items():
-        built = _built(build_type, package)
-        own = build_type.files(session.profile.layout)
-        found[name] = (
-            build_type,
-            Inspection(
-                package=package,
-                documents=built.documents,
-                files={file: content for file, content in files.items() if file in own},
-                folder=session.workspace.shown(session.enclave_folder(package.name)),
-                layout=session.profile.layout,
-                chains={role.role: chains.get(role.name, b"") for role in build_type.authorities(package)},
-                now=session.now,
-                within_days=within / timedelta(days=1),
-            ),
+    for name, build_type in build_types.items():
+        own = build_type.files(layout)
+        inspection = Inspection(
+            package=package,
+            documents=documents,
+            files={file: content for file, content in files.items() if file in own},
+            folder=folder,
+            layout=layout,
+            chains={role.role: chains.get(role.name, b"") for role in build_type.authorities(package)},
+            now=session.now,
+            within_days=within / timedelta(days=1),
         )
+        found[name] = build_type, inspection
+    return found
+
+
+def _documents(session: Session, package: Package) -> Mapping[str, bytes]:
+    """Return what the sources build: the built documents, if the record has the digests of these and of the sources.
+
+    Raises:
+        KeymintError: the package has defects.
+    """
+    stamp = session.state.stamp(build.STAGE, package.name)
+    if stamp is not None and build.is_current(session, package.name):
+        documents = build.built_documents(session, package.name)
+        if {file: digest(content) for file, content in documents.items()} == stamp.outputs:
+            return documents
+    found: dict[str, bytes] = {}
+    for build_type in build_types_of(session, package).values():
+        found |= _built(build_type, package).documents
     return found
 
 
@@ -64,7 +173,7 @@ def _built(build_type: BuildType, package: Package) -> BuildResult:
         return build_type.build(package, BuildOptions(allow_vendor_specific=True))
 
 
-def unexpected(session: Session, package: Package, files: Iterable[str]) -> Iterator[Diagnostic]:
+def _unexpected(session: Session, package: Package, files: Iterable[str]) -> Iterator[Diagnostic]:
     """Yield a finding for each file of an enclave that belongs to none of the package's build types."""
     layout = session.profile.layout
     known = frozenset[str]().union(*(each.files(layout) for each in build_types_of(session, package).values()))
@@ -74,7 +183,7 @@ def unexpected(session: Session, package: Package, files: Iterable[str]) -> Iter
         yield Diagnostic("file-unexpected", Severity.WARNING, message, where, "remove it", package.subject)
 
 
-def identity_key(
+def _identity_key(
     session: Session, package: Package, keyring: identity_keys.Keyring
 ) -> tuple[str, tuple[Diagnostic, ...]]:
     """Return the fingerprint of a package's key (empty if it cannot be read), and the findings on it.
@@ -116,7 +225,7 @@ def _link(session: Session, name: str, path: str) -> Diagnostic:
     return Diagnostic("file-link", severity, message, Origin(session.workspace.shown(path)), help_, subject_of(name))
 
 
-def on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterator[Diagnostic]:
+def _on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterator[Diagnostic]:
     """Check modes, links and recorded digests of one enclave."""
     folder = session.enclave_folder(name)
     stamp = session.state.stamp(install.STAGE, name)

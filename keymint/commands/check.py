@@ -28,6 +28,7 @@ from keymint.session import Session
 
 
 @verb()
+@click.option("-j", "--jobs", type=click.IntRange(1, 256), metavar="N", help="Use N processes [all cores].")
 @click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
 @click.option(
     "--within",
@@ -47,7 +48,8 @@ def check(run: Run, names: tuple[str, ...], within: timedelta, sarif: Path | Non
     inputs = run.snapshot(workspace)
     chosen = run.names(inputs, names)
     session = inputs.session()
-    diagnostics = find(session, chosen, within)
+    with run.pool() as pool:
+        diagnostics = find(session, chosen, within, pool)
     findings = folded((*diagnostics, *(() if names else _uncreated(session, chosen))))
     if sarif is not None:
         write_outputs(run, sarif, sarif_log("keymint check", {}, of_diagnostics(findings), run.typed))

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -44,7 +45,7 @@ class Processes:
             yield from (work(self._plugins, task) for task in tasks)
             return
         _inherited.append(lambda at: work(self._plugins, tasks[at]))
-        executor = ProcessPoolExecutor(count, get_context("fork"), _ignore_signals)
+        executor = ProcessPoolExecutor(count, get_context("fork"), _begin)
         try:
             for future in in_order(lambda at: executor.submit(_numbered, at), range(len(tasks)), 4 * count):
                 yield future.result()
@@ -63,7 +64,8 @@ def _numbered(at: int) -> Any:
     return _inherited[-1](at)
 
 
-def _ignore_signals() -> None:
+def _begin() -> None:
     """Leave it to the process that the user started to end the run; it ends its processes too."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    gc.freeze()  # a search for cycles among the parent's objects would copy their pages

@@ -49,8 +49,8 @@ MAX_RSA_BITS = 16384
 _PUBLIC_EXPONENT = 65537
 _MOST = 1 << 16
 """Number of public keys that are remembered."""
-_PUBLIC: dict[bytes, bytes] = {}
-"""Public keys in DER, by the digest of the file of the private key."""
+_KNOWN: dict[bytes, tuple[bytes, bool]] = {}
+"""Public keys in DER, and whether :func:`to_pem` writes the file so, by the digest of the file of the private key."""
 _PEM = re.compile(rb"-----BEGIN ([A-Z0-9 ]+)-----\n((?:[A-Za-z0-9+/]{1,64}={0,2}\n)+)-----END \1-----\n")
 
 
@@ -98,11 +98,18 @@ def fits(key: PrivateKey | PublicKey, spec: KeySpec) -> bool:
 
 def to_pem(key: PrivateKey, password: bytes | None = None) -> bytes:
     """Return a private key as PKCS #8 PEM, encrypted (PBES2, AES-256) if a password is given."""
-    encryption = serialization.BestAvailableEncryption(password) if password else serialization.NoEncryption()
-    pem = key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, encryption)
     if not password:
-        _remember(pem, key.public_key())
-    return pem
+        pem = _plain_pem(key)
+        _remember(hashlib.sha256(pem).digest(), key.public_key(), canonical=True)
+        return pem
+    encryption = serialization.BestAvailableEncryption(password)
+    return key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, encryption)
+
+
+def _plain_pem(key: PrivateKey) -> bytes:
+    return key.private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    )
 
 
 def from_pem(pem: bytes, password: bytes | None = None, where: Origin | None = None) -> PrivateKey:
@@ -153,16 +160,22 @@ def public_of(pem: bytes, password: bytes | None = None, where: Origin | None = 
     """
     if _is_encrypted(pem):
         return from_pem(pem, password, where).public_key()
-    file = hashlib.sha256(pem).digest()
-    if file not in _PUBLIC:
-        _remember(pem, from_pem(pem, None, where).public_key())
-    return cast("PublicKey", serialization.load_der_public_key(_PUBLIC[file]))
+    known = _KNOWN.get(hashlib.sha256(pem).digest())
+    return cast("PublicKey", serialization.load_der_public_key(known[0])) if known else _read(pem, where)[0]
 
 
-def _remember(pem: bytes, key: PublicKey) -> None:
-    if len(_PUBLIC) >= _MOST:
-        _PUBLIC.clear()
-    _PUBLIC[hashlib.sha256(pem).digest()] = _encoded(key)
+def _read(pem: bytes, where: Origin | None = None) -> tuple[PublicKey, bool]:
+    """Read and remember an unencrypted key; returns its public key, and whether :func:`to_pem` writes the file so."""
+    key = from_pem(pem, None, where)
+    public, canonical = key.public_key(), _plain_pem(key) == pem
+    _remember(hashlib.sha256(pem).digest(), public, canonical=canonical)
+    return public, canonical
+
+
+def _remember(file: bytes, key: PublicKey, *, canonical: bool) -> None:
+    if len(_KNOWN) >= _MOST:
+        _KNOWN.clear()
+    _KNOWN[file] = _encoded(key), canonical
 
 
 def matches(key: PrivateKey | PublicKey, certificate: x509.Certificate) -> bool:
@@ -187,7 +200,8 @@ def is_canonical(pem: bytes) -> bool:
     """
     try:
         if not _is_encrypted(pem):
-            return to_pem(from_pem(pem)) == pem
+            known = _KNOWN.get(hashlib.sha256(pem).digest())
+            return known[1] if known else _read(pem)[1]
         frame = _PEM.fullmatch(pem)
         return frame is not None and der.base64_lines(base64.b64decode(frame[2])) == frame[2]
     except (KeymintError, binascii.Error):

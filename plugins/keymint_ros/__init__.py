@@ -44,8 +44,9 @@ class RosProfileType:
 class RosPackageType:
     """Source packages.
 
-    Implements :class:`keymint.api.PackageType`, :class:`keymint.api.RuleLocator`, :class:`keymint.api.IssuanceFiles`,
-    :class:`keymint.api.FormerRules`, :class:`keymint.api.OwnValidity` and :class:`keymint.api.AdoptingPackageType`.
+    Implements :class:`keymint.api.PackageType`, :class:`keymint.api.BuiltPackageType`,
+    :class:`keymint.api.RuleLocator`, :class:`keymint.api.IssuanceFiles`, :class:`keymint.api.FormerRules`,
+    :class:`keymint.api.OwnValidity` and :class:`keymint.api.AdoptingPackageType`.
     """
 
     API = API_VERSION
@@ -56,6 +57,7 @@ class RosPackageType:
     create_infrastructure = lazy("keymint_ros.create:create_infrastructure")
     role = lazy("keymint_ros.manifest:role")
     load = lazy("keymint_ros.package:load")
+    load_built = lazy("keymint_ros.package:load_built")
     former_rules = lazy("keymint_ros.create:former_rules")
     rule_places = lazy("keymint_ros.package:rule_places")
     with_validity = lazy("keymint_ros.create:with_validity")

@@ -27,7 +27,7 @@ from keymint.api import (
     WorkspaceProfile,
 )
 from keymint.errors import KeymintError
-from keymint.ir import SubjectRules
+from keymint.ir import DeferredRules, Rule, SubjectRules
 from keymint.names import subject_of
 from keymint.source_documents import (
     DEFAULT_DOMAINS,
@@ -121,6 +121,7 @@ class _PackageLoader:
         files: the package's files.
         values: values of the placeholders.
         authorities: names of the profile's authorities.
+        built: the package was built from these files.
     """
 
     profile: WorkspaceProfile
@@ -131,6 +132,7 @@ class _PackageLoader:
     manifest: PackageManifest
     values: Mapping[str, str]
     authorities: tuple[str, ...]
+    built: bool
 
     def own(self, part: PackagePart, create: str = "") -> tuple[str, bytes | None]:
         """Return the path of a part's document, for messages, and its content, or None if there is no document.
@@ -206,6 +208,9 @@ class _PackageLoader:
         file, content = self.own(
             self.manifest.permissions, create=f"'keymint create {self.name}' creates it from the policy"
         )
+        if self.built and permissions_writer.has_rules_only(content or b"", subject):
+            read = partial(self._rules, content or b"", file)
+            return self._grant_of(DeferredRules(subject, read), Origin(file, permissions_writer.GRANT_LINE))
         rendered = permissions_writer.rendered(content or b"", self.base)
         if rendered is not None:
             return self._grant_of(rendered, Origin(file, permissions_writer.GRANT_LINE))
@@ -222,6 +227,10 @@ class _PackageLoader:
             domains_origin=None if grant.domains else base.domains_origin,
             edited=grant.edited,
         )
+
+    def _rules(self, content: bytes, file: str) -> tuple[Rule, ...]:
+        subject = subject_of(self.name)
+        return permissions.to_ir(permissions.read(content, file, subject), subject, file, self.base).rules
 
     def _grant_of(self, rules: SubjectRules, written: Origin | None = None) -> Grant:
         """Return the grant that the defaults give for some rules.
@@ -262,8 +271,10 @@ def load(
     files: Mapping[str, bytes],
     build_types: Callable[[str, Origin], BuildType],
     install_space: str,
+    *,
+    built: bool = False,
 ) -> Package:
-    """Load a package: see :meth:`keymint.api.PackageType.load`."""
+    """Load a package: see :meth:`keymint.api.PackageType.load` and, if it was built, `load_built`."""
     file = f"{folder}/{MARKER}"
     package_manifest = manifest.read(file_in(files, MARKER, Origin(folder), "package"), file)
     if not manifest.is_name_of(package_manifest.name, name):
@@ -281,7 +292,9 @@ def load(
     in_common_name = any(isinstance(each, CommonNameIdentity) for each in plugins.values())
     values = placeholders.of_subject(subject, issued.generation, in_common_name=in_common_name)
     authorities = tuple(authority.name for authority in profile.authorities)
-    loader = _PackageLoader(profile, name, folder, base_of(profile), files, package_manifest, values, authorities)
+    loader = _PackageLoader(
+        profile, name, folder, base_of(profile), files, package_manifest, values, authorities, built
+    )
     identity = _renewed(_attempt(loader.identity, diagnostics), issued)
     grant = _renewed(_attempt(loader.grant, diagnostics), issued)
     parts = _parts(loader, plugins.values(), diagnostics)
@@ -316,6 +329,9 @@ def load(
         issuance=issued,
         kept=adopted.kept(files),
     )
+
+
+load_built = partial(load, built=True)
 
 
 def _renewed(issued: _Issued | None, issuance_: Issuance) -> _Issued | None:

@@ -19,6 +19,8 @@ GRANT_LINE = 6
 """Line of the ``<grant>`` in a document."""
 
 _UNSAFE = re.compile(r"[%;\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
+_OVERRIDES = b"<domains", b"<subject_name", b"<validity"
+_DIGEST = len(digest(()))
 _SPECIAL = re.compile('[&<>"\r\n\t]')
 _ENTITIES = str.maketrans(
     {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "\r": "&#13;", "\n": "&#10;", "\t": "&#9;"}
@@ -42,24 +44,31 @@ def render(rules: SubjectRules, base: str, *, name: str = "", overrides: Iterabl
     head = "".join(f"      {element}\n" for element in overrides)
     chains: dict[int, str] = {}
     body = "".join([_rule(rule, base, chains) for rule in rules.rules])
-    document = (
-        '<?xml version="1.0" encoding="UTF-8"?>\n'
-        f"<!-- What the policy lets {rules.subject} do. Edits are kept as long as the policy does not change as well;\n"
-        "     <domains>, <subject_name> and <validity> at the top of the grant override the defaults, and stay. -->\n"
-        f'<package format="2" digest="{digest(rules.rules)}">\n'
-        "  <permissions>\n"
-        f'    <grant name="{_text(name or rules.subject)}">\n'
-        f"{head}{body}"
-        "    </grant>\n"
-        "  </permissions>\n"
-        "</package>\n"
-    )
+    start, end = _head(rules.subject, name or rules.subject)
+    document = f"{start}{digest(rules.rules)}{end}{head}{body}    </grant>\n  </permissions>\n</package>\n"
     content = document.encode()
     if not head and not name and _is_plain(body, rules):
         if len(_rendered) >= _MOST_RENDERED:
             _rendered.clear()
         _rendered[content] = rules, base
     return content
+
+
+def _head(subject: str, name: str) -> tuple[str, str]:
+    """Return what a document begins with before and after the digest of its rules."""
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        f"<!-- What the policy lets {subject} do. Edits are kept as long as the policy does not change as well;\n"
+        "     <domains>, <subject_name> and <validity> at the top of the grant override the defaults, and stay. -->\n"
+        '<package format="2" digest="'
+    ), f'">\n  <permissions>\n    <grant name="{_text(name)}">\n'
+
+
+def has_rules_only(content: bytes, subject: str) -> bool:
+    """Tell whether a valid document begins as :func:`render` begins it, and overrides no defaults."""
+    start, end = (part.encode() for part in _head(subject, subject))
+    rest = content[len(start) + _DIGEST :]
+    return content.startswith(start) and rest.startswith(end) and not any(each in rest for each in _OVERRIDES)
 
 
 def _is_plain(body: str, rules: SubjectRules) -> bool:

@@ -83,7 +83,8 @@ class _EnclaveCheck(CredentialCheck):
         if governance is not None:
             yield from check_governance.findings(self._inspection)
         plain = self._files.get(PERMISSIONS_XML)
-        if plain is not None and PERMISSIONS_XML in self._names and plain != self._content(PERMISSIONS):
+        signed = self._content(PERMISSIONS) if content is None else content
+        if plain is not None and PERMISSIONS_XML in self._names and plain != signed:
             yield self._error("document-differs", PERMISSIONS_XML, "is not the document that permissions.p7s signs")
 
     def _warning(self, code: str, name: str, message: str, help_: str) -> Diagnostic:

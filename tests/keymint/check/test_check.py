@@ -10,8 +10,12 @@ from pathlib import Path
 from unittest import mock
 
 import pytest
-from keymint_ros import permissions, permissions_writer
+from keymint_ros import permissions
+from keymint_ros2_dds import DdsSecurity
 
+from keymint.executors.pool import divided
+from keymint.executors.processes import Processes
+from keymint.plan import build
 from tests.conftest import NOW, snapshot
 
 DAY = 86_400
@@ -130,23 +134,49 @@ def break_policy(ws: Path) -> None:
     (ws.parent / "policy.xml").write_text("<policies>")
 
 
-@pytest.mark.parametrize(
-    "change", [uninstall, edit_source, widen_governance, swap_enclave("permissions.p7s"), widen_policy, break_policy]
-)
-def test_sources_of_the_policy_are_as_if_they_were_read(
-    keymint, provisioned: Path, change: Callable[[Path], None]
-) -> None:
+def edit_build(ws: Path) -> None:
+    path = ws / "build/talker/permissions.xml"
+    path.write_text(path.read_text().replace("rt/", "rq/"))
+
+
+CHANGES = [
+    uninstall,
+    edit_source,
+    edit_build,
+    widen_governance,
+    swap_key,
+    swap_enclave("permissions.p7s"),
+    widen_policy,
+    break_policy,
+]
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_what_is_recorded_is_as_if_it_were_built(keymint, provisioned: Path, change: Callable[[Path], None]) -> None:
     change(provisioned)
     outcome = keymint("check", "--json", cwd=provisioned)
-    with mock.patch.object(permissions_writer, "rendered", return_value=None) as rendered:
-        read = keymint("check", "--json", cwd=provisioned)
-    assert rendered.called
-    assert (outcome.code, outcome.out, outcome.err) == (read.code, read.out, read.err)
+    with mock.patch.object(build, "is_current", return_value=False) as recorded:
+        built = keymint("check", "--json", cwd=provisioned)
+    assert recorded.called
+    assert (outcome.code, outcome.out, outcome.err) == (built.code, built.out, built.err)
 
 
-def test_sources_that_the_policy_gives_are_not_parsed(keymint, provisioned: Path) -> None:
-    with mock.patch.object(permissions, "read", side_effect=AssertionError):
+def test_sources_that_were_built_are_neither_parsed_nor_built_again(keymint, provisioned: Path) -> None:
+    with (
+        mock.patch.object(permissions, "read", side_effect=AssertionError),
+        mock.patch.object(DdsSecurity, "build", side_effect=AssertionError),
+    ):
         assert keymint("check", cwd=provisioned).code == 0
+
+
+@pytest.mark.parametrize("change", [*CHANGES, lambda ws: (ws / "src/talker/keymint_package.xml").write_text("<")])
+def test_several_processes_find_the_same(
+    keymint, provisioned: Path, monkeypatch: pytest.MonkeyPatch, change: Callable[[Path], None]
+) -> None:
+    monkeypatch.setattr(Processes, "parts", lambda self, items, _least: divided(items, self.size))
+    change(provisioned)
+    alone, together = (keymint("check", "--json", "-j", number, cwd=provisioned) for number in ("1", "2"))
+    assert (alone.code, alone.out, alone.err) == (together.code, together.out, together.err)
 
 
 @pytest.mark.parametrize(

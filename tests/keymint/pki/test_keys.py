@@ -114,6 +114,13 @@ def test_every_changed_byte_of_a_key_file_is_found(authority: certificates.Issue
         assert not keys.is_canonical(damaged)
 
 
+def test_the_form_of_a_file_is_known_after_its_public_key_was_read(authority: certificates.Issuer) -> None:
+    pem = keys.to_pem(authority.key)
+    for file, canonical in ((pem, True), (b"\n" + pem, False)):
+        assert keys.public_of(file) == authority.key.public_key()
+        assert keys.is_canonical(file) is canonical
+
+
 def _is_noticed(pem: bytes, password: bytes | None, authority: certificates.Issuer) -> bool:
     if not keys.is_canonical(pem):
         return True

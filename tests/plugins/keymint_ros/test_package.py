@@ -4,13 +4,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from unittest import mock
 
 import pytest
+from keymint_ros import package_type, permissions
 from keymint_ros2_dds.settings import settings_of
 
 from keymint.api import DomainRange, KeySpec
 from keymint.errors import KeymintError
 
+from . import workspaces
 from .workspaces import RULES, Workspace
 
 _MANIFEST = "keymint_package.xml"
@@ -122,6 +126,34 @@ def test_a_defect_is_reported_with_its_place_and_a_hint(
 def test_the_error_of_missing_permissions_names_the_command_that_creates_them(workspace: Workspace) -> None:
     with pytest.raises(KeymintError, match="keymint create robot1/talker"):
         workspace.without("permissions.xml").load()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "deferred"),
+    [
+        ("", "", True),
+        ("/robot1/chatter", "/robot1/other", True),
+        ('name="/robot1/talker"', 'name="mine"', False),
+        ('"/robot1/talker">', '"/robot1/talker"><subject_name>CN=x</subject_name>', False),
+        ('"/robot1/talker">', '"/robot1/talker"><domains><id>7</id></domains>', False),
+    ],
+)
+def test_a_package_that_was_built_is_the_same_but_its_rules_are_read_later(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch, old: str, new: str, *, deferred: bool
+) -> None:
+    changed = workspace.edit("permissions.xml", old, new)
+    usual = changed.load()
+    with monkeypatch.context() as patch:
+        patch.setattr(workspaces, "package_type", SimpleNamespace(load=package_type.load_built))
+        read = mock.Mock(wraps=permissions.read)
+        patch.setattr(permissions, "read", read)
+        package = changed.load()
+        assert read.called is not deferred
+        assert package.grant.rules.rules == usual.grant.rules.rules
+        assert package.grant.rules.rules is package.grant.rules.rules
+        assert read.call_count == 1
+    grant = replace(package.grant, rules=usual.grant.rules, edited=usual.grant.edited)
+    assert replace(package, grant=grant) == usual
 
 
 def test_a_folder_without_manifest_is_not_a_package(workspace: Workspace) -> None:
