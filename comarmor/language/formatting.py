@@ -49,7 +49,7 @@ def formatted(content: bytes, name: str) -> bytes | None:
     schema.validate(root, locate("comarmor", "schemas") / _SCHEMAS[str(root.tag)], name)
     document = nodes(content, LAYOUT)
     text = _DECLARATION + laid_out(document, LAYOUT)
-    first_line = content.partition(b"\n")[0]
+    first_line = content.partition(b"\n")[0].rstrip(b"\0")  # UTF-16 has a zero byte between the two
     result = (text.replace("\n", "\r\n") if first_line.endswith(b"\r") else text).encode()
     again = nodes(result, LAYOUT)
     comments, comments_again = ([each.source.split() for each in markup(which)] for which in (document, again))

@@ -3,14 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import codecs
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
 from comarmor.errors import Diagnostic, Origin
-from comarmor.text import did_you_mean
+from comarmor.text import did_you_mean, quoted
 from keymint.api import LoadedPolicy, PolicyExporter, PolicyFormat
 from keymint.commands.import_policy import proofs_of
 from keymint.commands.import_proof import diagnostics_of, unproven
@@ -124,10 +125,8 @@ def _subjects(run: Run, policy: LoadedPolicy, listed: Path | None) -> list[Subje
     """
     names: dict[str, Origin | None] = dict.fromkeys(policy.subjects())
     if listed is not None:
-        text = read_input(run, listed).decode(errors="replace")
-        for number, line in enumerate(text.splitlines(), 1):
-            if name := line.partition("#")[0].strip():
-                names.setdefault(name, Origin(str(listed), number))
+        for name, place in _listed(read_input(run, listed), str(listed)):
+            names.setdefault(name, place)
     if not names:
         raise KeymintError(
             "the policy names no subject exactly", help="list subjects in a file: --subjects FILE", code="subjects-none"
@@ -139,3 +138,26 @@ def _subjects(run: Run, policy: LoadedPolicy, listed: Path | None) -> list[Subje
             raise KeymintError(f"no profile applies to {name}", where=where, code="subject-unknown")
         found.append(rules)
     return found
+
+
+def _listed(content: bytes, file: str) -> Iterator[tuple[str, Origin]]:
+    """Yield the subjects of a list, one a line, with their places; what follows ``#`` is a comment.
+
+    Raises:
+        KeymintError: a line is not UTF-8, or has characters that nobody sees.
+    """
+    for number, line in enumerate(content.removeprefix(codecs.BOM_UTF8).split(b"\n"), 1):
+        where = Origin(file, number)
+        try:
+            name = line.decode().partition("#")[0].strip()
+        except UnicodeDecodeError:
+            raise KeymintError(
+                "the list of subjects is not UTF-8", where=where, help="save it as UTF-8", code="subjects-invalid"
+            ) from None
+        if not name.isprintable():
+            raise KeymintError(
+                f"the subject has characters that cannot be printed: {quoted(name)}", where=where, help="remove them",
+                code="subjects-invalid",
+            )  # fmt: skip
+        if name:
+            yield name, where

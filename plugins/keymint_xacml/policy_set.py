@@ -19,7 +19,7 @@ from lxml import etree
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.rules import Effect, Rule, parts
-from comarmor.text import quoted
+from comarmor.text import printable, quoted
 from comarmor.values import dataclass
 from keymint.api import WrittenPolicy
 from keymint.errors import KeymintError
@@ -160,7 +160,7 @@ def _guard(parent: etree._Element) -> None:
 def _rule(policy: etree._Element, number: int, said: _XacmlRule) -> None:
     """Add a rule, with its file and line as its description, without the folder, which differs between machines."""
     effect, place = _EFFECTS[said.rule.effect], said.rule.origin
-    origin = f"{posixpath.basename(place.file)}:{place.line}"
+    origin = f"{printable(posixpath.basename(place.file))}:{place.line}"
     rule = _child(policy, "Rule", RuleId=str(number), Effect=effect)
     _child(rule, "Description", origin)
     target = _child(rule, "Target")

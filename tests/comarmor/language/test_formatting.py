@@ -343,3 +343,12 @@ def test_the_documents_show_the_form() -> None:
     ]
     assert len(blocks) > 2
     assert [(page, block) for page, block in blocks if body(block) != block] == []
+
+
+@pytest.mark.parametrize(
+    ("codec", "name"), [("utf-8-sig", "UTF-8"), ("utf-16", "UTF-16"), ("utf-16-be", "UTF-16BE")], ids=str
+)
+@pytest.mark.parametrize("end", ["\n", "\r\n"], ids=["LF", "CRLF"])
+def test_lines_end_as_the_first_one_does_in_every_encoding(codec: str, name: str, end: str) -> None:
+    content = f'<?xml version="1.0" encoding="{name}"?>{end}<profiles>{end}</profiles>{end}'.encode(codec)
+    assert formatted(content, "p.xml") == f'<?xml version="1.0" encoding="UTF-8"?>{end}<profiles/>{end}'.encode()

@@ -47,6 +47,27 @@ def test_to_a_file(keymint, tmp_path: Path) -> None:
     assert keymint(*words, "-f").code == 0
 
 
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [(b"/b\xff", "is not UTF-8"), (b"/b\x01", "'/b\\x01'"), ("/b\u2028/c".encode(), "'/b\\u2028/c'")],
+    ids=["bytes", "control", "line separator"],
+)
+@pytest.mark.parametrize("form", ["sros2", "xacml"])
+def test_a_list_of_subjects_that_cannot_be_read(keymint, tmp_path: Path, form: str, line: bytes, message: str) -> None:
+    (tmp_path / "names").write_bytes(b"\xef\xbb\xbf/robots/a\r\n\r\n" + line + b"\r\n")
+    outcome = keymint("export", "source.xml", "--format", form, "--subjects", "names")
+    assert (outcome.code, outcome.out) == (1, "")
+    assert outcome.err.startswith("names:3: error: the ")
+    assert message in outcome.err
+
+
+def test_a_file_whose_name_xml_cannot_contain(keymint, source: Path) -> None:
+    source.rename(source.with_name("a\x01b.xml"))
+    outcome = keymint("export", "a\x01b.xml", "--format", "xacml")
+    assert outcome.code == 0
+    assert "<Description>a\\x01b.xml:4</Description>" in outcome.out
+
+
 def test_further_subjects(keymint, tmp_path: Path) -> None:
     (tmp_path / "names").write_text("# robots\n/robots/one  # the first\n\n/talker\n")
     words = ("export", "source.xml", "--format", "sros2", "--subjects", "names", "--json")
