@@ -120,10 +120,13 @@ class PolicyFiles:
             if element.tag in _INCLUDES:
                 yield from self._included(child)
                 continue
-            self._nodes += 1
-            if self._nodes > self.limits.nodes:
-                raise _limit(f"with its includes the policy has more than {self.limits.nodes:,} elements", child.where)
+            self._count(1, child.where)
             yield child
+
+    def _count(self, nodes: int, where: Origin) -> None:
+        self._nodes += nodes
+        if self._nodes > self.limits.nodes:
+            raise _limit(f"with its includes the policy has more than {self.limits.nodes:,} elements", where)
 
     def _included(self, include: Placed) -> Iterator[Placed]:
         where = include.where
@@ -153,6 +156,7 @@ class PolicyFiles:
         """Yield the elements that an xpointer selects; without one the root element."""
         found = [root.element] if not steps or steps[0] in {"*", root.element.tag} else []
         for step in steps[1:]:
+            self._count(sum(map(len, found)), where)
             found = [child for each in found for child in each if step in {"*", child.tag}]
         if not found:
             raise ComArmorError(

@@ -130,6 +130,17 @@ def test_includes_that_multiply_are_bounded(write) -> None:
             _Parser(reader).policy(reader.root(name))
 
 
+@pytest.mark.parametrize("steps", ["/profile/topics/*", "/profile/*/topic"])
+def test_what_an_xpointer_selects_counts_each_time(write, steps: str) -> None:
+    listed = f'<profile {XI}><topics publish="ALLOW">{"<topic>/x</topic>" * 50}</topics></profile>'
+    selected = include("many.xml", f'xpointer="xpointer({steps})"')
+    path = write(policy(enclave("/a", f'<topics publish="ALLOW">{selected * 5}</topics>')), {"many.xml": listed})
+    reader, name = policy_files(path)
+    reader.limits = Limits(nodes=200)
+    with pytest.raises(ComArmorError, match="more than 200 elements"):
+        _Parser(reader).policy(reader.root(name))
+
+
 def test_the_depth_of_includes_is_bounded(write) -> None:
     files = {f"{level}.xml": f"<profile {XI}>{include(f'{level + 1}.xml')}</profile>" for level in range(17)}
     with pytest.raises(ComArmorError, match="nested more than 16 deep"):
