@@ -25,6 +25,11 @@ _SECRETS = ("INPUT_TOKEN", "GITHUB_TOKEN", "GH_TOKEN", "ACTIONS_RUNTIME_TOKEN", 
 _FINDINGS = 3
 
 
+def _identity(policy: str) -> str:
+    """Return what tells the policies of a repository apart, each of which may be another step of one job."""
+    return hashlib.sha256(policy.encode(errors="surrogateescape")).hexdigest()[:16]
+
+
 @dataclass(frozen=True, slots=True)
 class Inputs:
     """The inputs of the action; ``action.yml`` describes them."""
@@ -59,10 +64,10 @@ class Inputs:
         temporary = environment.get("RUNNER_TEMP") or tempfile.gettempdir()
         return cls(
             policy=policy,
-            workspace=environment.get("INPUT_WORKSPACE") or str(Path(temporary, "keymint-workspace")),
+            workspace=environment.get("INPUT_WORKSPACE") or str(Path(temporary, f"keymint-{_identity(policy)}")),
             distro=environment.get("INPUT_DISTRO", ""),
             accept_packages=tuple(environment.get("INPUT_ACCEPT_PACKAGES", "").split()),
-            sarif=environment.get("INPUT_SARIF") or str(Path(temporary, "keymint-lint.sarif")),
+            sarif=environment.get("INPUT_SARIF") or str(Path(temporary, f"keymint-{_identity(policy)}.sarif")),
             format=flag("FORMAT", "true"),
             fail_on_findings=flag("FAIL_ON_FINDINGS", "true"),
             fail_on_gains=flag("FAIL_ON_GAINS", "false"),
@@ -198,7 +203,6 @@ def report(inputs: Inputs, taken: Sequence[Step]) -> str:
 
 def comment(inputs: Inputs, pull_request: PullRequest, text: str, environment: Mapping[str, str]) -> None:
     """Write the comment on a pull request, or warn that it cannot be written, e.g. for one of a fork."""
-    identity = hashlib.sha256(inputs.policy.encode(errors="surrogateescape")).hexdigest()[:16]
     short = workflow.cut(text, LONGEST_COMMENT, "… cut here: the summary of the job has the rest.")
     try:
         comments = Comments(
@@ -207,7 +211,7 @@ def comment(inputs: Inputs, pull_request: PullRequest, text: str, environment: M
             environment.get("INPUT_TOKEN", ""),
             environment.get("INPUT_COMMENT_AUTHOR") or "github-actions[bot]",
         )
-        comments.write(pull_request.number, f"<!-- keymint {identity} -->", short)
+        comments.write(pull_request.number, f"<!-- keymint {_identity(inputs.policy)} -->", short)
     except CommentError as error:
         hint = "the job needs 'permissions: pull-requests: write', which pull requests of forks never have"
         print(workflow.annotation("warning", f"the comment was not written: {error}; {hint}"))

@@ -210,6 +210,14 @@ def test_the_base_itself_is_not_compared_with_itself(
     assert changes(action, project, event, monkeypatch)[0] == 1
 
 
+def test_two_policies_in_one_job_have_a_workspace_and_a_comment_each(action: ModuleType) -> None:
+    first, second = (action.Inputs.of({"INPUT_POLICY": policy, "RUNNER_TEMP": "/t"}) for policy in ("a", "b"))
+    assert first.workspace != second.workspace
+    assert first.sarif != second.sarif
+    assert action.Inputs.of({"INPUT_POLICY": "./a/", "RUNNER_TEMP": "/t"}) == first
+    assert action.Inputs.of({"INPUT_WORKSPACE": "ws"}).workspace == "ws"
+
+
 def test_a_fork_may_not_comment(
     action: ModuleType, tmp_path: Path, api: Api, capsys: pytest.CaptureFixture[str]
 ) -> None:
