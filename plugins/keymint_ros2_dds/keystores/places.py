@@ -15,7 +15,7 @@ from comarmor.values import dataclass
 from keymint.api import KeystoreFile, KeystoreFiles
 from keymint.errors import KeymintError
 from keymint.names import package_name
-from keymint.pki import certificates, extensions, smime
+from keymint.pki import certificates, extensions, key_files, smime
 from keymint.pki.distinguished_names import attributes
 from keymint_ros2_dds.enclave_layout import (
     CA,
@@ -118,13 +118,19 @@ def _by_content(keystore: KeystoreFiles, contents: Contents) -> Iterator[Enclave
         signer = next((file for file, each in authorities.items() if _signed(keystore, documents[0], each)), "")
         own = {
             CERTIFICATE: path,
-            KEY: next(iter(contents.keys_of(certificate)), ""),
+            KEY: next((file for file in contents.keys_of(certificate) if _is_read(keystore, file, certificate)), ""),
             IDENTITY_CA: issuer,
             PERMISSIONS_CA: signer,
             PERMISSIONS_P7S: documents[0] if len(documents) == 1 else "",
             GOVERNANCE_P7S: contents.governances[0] if len(contents.governances) == 1 else "",
         }
         yield EnclavePlace(_subject(certificate), path, {name: file for name, file in own.items() if file})
+
+
+def _is_read(keystore: KeystoreFiles, path: str, certificate: x509.Certificate) -> bool:
+    """Tell whether participants read the key of a certificate from a file with it: in PEM, as the first one."""
+    content = keystore.files[path].content
+    return key_files.pem_of(content, certificates.public_key(certificate)) == content
 
 
 def _is_for(grants: Sequence[DocumentGrant], certificate: x509.Certificate) -> bool:

@@ -149,3 +149,16 @@ def test_a_link_to_what_robots_do_not_get_becomes_the_file(keymint, tmp_path: Pa
     installed = tmp_path / "ws/install/enclaves/talker/key.pem"
     assert (installed.is_symlink(), installed.read_bytes(), installed.stat().st_mode & 0o777) == (False, content, 0o600)
     assert keymint("install", "-w", "ws").code == 0
+
+
+def test_a_key_in_der_among_single_files_is_none_that_participants_read(keymint, tmp_path: Path) -> None:
+    keystore = made(tmp_path / "ks", layout="rti")
+    pem = keystore / "cert/talker_key.pem"
+    key = serialization.load_pem_private_key(pem.read_bytes(), None)
+    (keystore / "a.der").write_bytes(key.private_bytes(Encoding.DER, PrivateFormat.PKCS8, NoEncryption()))
+    found = {each["subject"]: each["key"] for each in keymint("adopt", "ks", "--json").document["result"]["enclaves"]}
+    assert found == {"/robot1/listener": "matches", "/talker": "matches"}
+    pem.unlink()
+    outcome = keymint("adopt", "ks", "--apply", "-w", "ws")
+    assert outcome.code == 0, outcome.err
+    assert not (tmp_path / "ws/install/enclaves/talker/key.pem").exists()
