@@ -1,21 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs the command line repeatedly, each time in its own process, so that a tracer can disturb it.
 
-    strace -f -e inject=renameat:signal=SIGKILL:when=400 … python launcher.py JOBS RESULTS
+It reads the names of a file of jobs and of one for their results from each line of its input. A fork of it prints its
+number, waits until somebody traces it, and runs the jobs:
 
-strace counts the calls of each process by name, and strikes at one number. Python starts once; every job is a fork of
-it, which first makes as many harmless calls as the call that is meant lacks of that number.
+    strace -f -e inject=renameat:signal=SIGKILL:when=400 … -p NUMBER
+
+strace counts the calls of each process by name, and strikes at one number. Python starts once; every job is a fork,
+which first makes as many harmless calls as the call that is meant lacks of that number.
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import fcntl
 import io
 import json
 import os
 import sys
 import tempfile
+import time
 import traceback
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -23,6 +28,8 @@ from pathlib import Path
 from keymint import folder_swap
 
 _NOWHERE = "/nonexistent/robustness"
+_PATIENCE = 60
+"""Seconds after which nobody is going to trace this."""
 
 
 def _unlink_at() -> None:
@@ -91,9 +98,22 @@ def _warm_up() -> None:
             assert code == 0, said.getvalue()
 
 
-def main(jobs: Path, results: Path) -> None:
+def _wait_for_tracer() -> None:
+    """Let any process of this user trace this one, even where a process traces its children only (Yama), and wait."""
+    ctypes.CDLL(None).prctl(0x59616D61, ctypes.c_ulong(-1), 0, 0, 0)  # PR_SET_PTRACER, PR_SET_PTRACER_ANY
+    sys.stdout.write(f"{os.getpid()}\n")
+    sys.stdout.flush()
+    status = os.open("/proc/self/status", os.O_RDONLY)
+    until = time.monotonic() + _PATIENCE
+    while b"TracerPid:\t0\n" in os.pread(status, 4096, 0):
+        if time.monotonic() > until:
+            os._exit(98)
+        time.sleep(0.001)
+    os.close(status)
+
+
+def _run(jobs: Path, results: Path) -> None:
     """Run all jobs, and write the result of each: its :func:`os.waitstatus_to_exitcode` and its output."""
-    _warm_up()
     ended = []
     output = results.with_suffix(".output")
     for arguments, call, padding in json.loads(jobs.read_text()):
@@ -110,5 +130,19 @@ def main(jobs: Path, results: Path) -> None:
     results.write_text(json.dumps(ended))
 
 
+def main() -> None:
+    """Run jobs until the input ends."""
+    _warm_up()
+    for line in sys.stdin:
+        process = os.fork()
+        if not process:
+            os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+            _wait_for_tracer()
+            jobs, results = line.split()
+            _run(Path(jobs), Path(results))
+            os._exit(0)
+        os.waitpid(process, 0)
+
+
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    main()

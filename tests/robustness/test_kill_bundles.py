@@ -35,8 +35,8 @@ WHERE = Origin("test")
 NONCE = "0123456789abcdef" * 2
 
 
-@pytest.fixture(scope="module", autouse=True)
-def strace() -> None:
+@pytest.fixture(autouse=True)
+def strace(plain_environment: None) -> None:
     tracing.require_strace()
 
 

@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+import atexit
+import functools
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from collections import Counter
@@ -16,6 +19,7 @@ from pathlib import Path
 import pytest
 
 from .launcher import HARMLESS
+from .memory import in_memory
 
 HERE = Path(__file__).parent
 CALLS = ",".join(HARMLESS)
@@ -59,13 +63,16 @@ class Ended:
     output: str
 
 
+@functools.cache
 def require_strace() -> None:
     """Skip the test if tracing is impossible; fail if CI requires it."""
-    try:
-        ran = subprocess.run(["strace", "-o", os.devnull, "true"], capture_output=True, text=True, check=False)
-        problem = ran.stderr.strip() if ran.returncode else ""
-    except FileNotFoundError:
-        problem = "strace is not installed"
+    problem = "" if shutil.which("strace") else "strace is not installed"
+    if not problem:
+        try:
+            with in_memory() as folder:
+                _launch([], ["-o", os.devnull], folder)
+        except subprocess.CalledProcessError as error:
+            problem = error.stderr.strip()
     if problem and os.environ.get("KEYMINT_REQUIRE_VENDORS") == "1":
         pytest.fail(f"KEYMINT_REQUIRE_VENDORS=1, but nothing can be traced: {problem}", pytrace=False)
     if problem:
@@ -79,11 +86,25 @@ def environment() -> dict[str, str]:
     return kept | {"PYTHONDONTWRITEBYTECODE": "1", "PYTHONHASHSEED": "0", "LC_ALL": "C.UTF-8"}
 
 
+@functools.cache
+def _launcher(variables: frozenset[tuple[str, str]]) -> subprocess.Popen[str]:
+    """Return a process that ran the command line already, and runs jobs in forks of it, until this process ends."""
+    command = [sys.executable, str(HERE / "launcher.py")]
+    launcher = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=dict(variables))
+    atexit.register(launcher.communicate)
+    return launcher
+
+
 def _launch(jobs: Sequence[tuple[list[str], str, int]], options: list[str], folder: Path) -> list[tuple[int, Ended]]:
     (folder / "jobs").write_text(json.dumps(jobs))
     (folder / "results").unlink(missing_ok=True)
-    launcher = [sys.executable, str(HERE / "launcher.py"), str(folder / "jobs"), str(folder / "results")]
-    subprocess.run(["strace", "-f", "-q", *options, *launcher], env=environment(), check=True, timeout=600)
+    launcher = _launcher(frozenset(environment().items()))
+    assert launcher.stdin is not None
+    assert launcher.stdout is not None
+    print(folder / "jobs", folder / "results", file=launcher.stdin, flush=True)
+    process = launcher.stdout.readline().strip()
+    strace = ["strace", "-f", "-q", *options, "-p", process]
+    subprocess.run(strace, check=True, capture_output=True, text=True, timeout=600)
     results = json.loads((folder / "results").read_text())
     return [(process, Ended(code, output)) for process, code, output in results]
 
