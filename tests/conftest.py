@@ -20,13 +20,12 @@ import pytest
 
 from keymint import cli, plugins
 from keymint.plugins import PluginInfo
+from tests.effort import tries
 from tests.softhsm import SoftHsm, opened
 
-# Machines are noisy, so an example has no deadline. Where CI is set, hypothesis uses its own profile for it (no
-# deadline, the same examples each time).
-if not os.environ.get("CI"):
-    hypothesis.settings.register_profile("keymint", deadline=None)
-    hypothesis.settings.load_profile("keymint")
+# Machines are noisy, so an example has no deadline. Where CI is set, hypothesis tries the same examples each time.
+hypothesis.settings.register_profile("keymint", deadline=None, max_examples=tries(50, 100))
+hypothesis.settings.load_profile("keymint")
 
 # A shell that starts the suite in the background ignores SIGINT. Every process that a test starts would inherit this,
 # and could not be interrupted.
@@ -38,8 +37,10 @@ NOW = 1_800_000_000
 """2027-01-15T08:00:00Z, the clock of the tests, as ``SOURCE_DATE_EPOCH``."""
 
 
-LONGEST = ("robustness", "real", "packaging", "executors")
+LONGEST = ("robustness", "packaging", "executors")
 """Folders of the tests that take longest. They start first, so that no processor is idle at the end."""
+WAITING = "real"
+"""The folder of tests that mostly wait for other software. They run beside those that compute."""
 
 
 def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
@@ -49,8 +50,26 @@ def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the longest tests first."""
-    items.sort(key=lambda item: LONGEST.index(folder) if (folder := item.path.parent.name) in LONGEST else len(LONGEST))
+    """Put the files with the longest tests first, and spread those that wait evenly, but not to the end."""
+    files = list(dict.fromkeys(item.path for item in items))
+    waiting = [file for file in files if file.parent.name == WAITING]
+    computing = [file for file in files if file.parent.name != WAITING]
+    computing.sort(key=lambda file: LONGEST.index(file.parent.name) if file.parent.name in LONGEST else len(LONGEST))
+    place = {file: at / len(computing) for at, file in enumerate(computing)}
+    place |= {file: 0.7 * at / len(waiting) for at, file in enumerate(waiting)}
+    items.sort(key=lambda item: place[item.path])
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """Run the tests of a file in one process, so that its fixtures are made once, and groups as they are marked."""
+    from xdist.scheduler import LoadGroupScheduling
+
+    class ByFile(LoadGroupScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return super()._split_scope(nodeid).partition("::")[0]
+
+    return ByFile(config, log) if config.getvalue("dist") == "loadgroup" else None
 
 
 def pytest_collection_finish() -> None:
@@ -105,7 +124,7 @@ def read_once() -> Iterator[None]:
 def file_status(path: str) -> tuple[int, int, int] | None:
     """Return what tells whether a file changed; None if there is none."""
     try:
-        found = Path(path).stat()
+        found = os.stat(path)  # noqa: PTH116 - called some hundred times in each run of the command line
     except OSError:
         return None
     return found.st_ino, found.st_size, found.st_mtime_ns

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import re
 import shlex
 from collections.abc import Iterable, Iterator, Mapping
@@ -40,6 +41,12 @@ def options_of(group: click.Group = cli, verbs: Iterable[str] = VERBS, above: st
 
 OPTIONS = options_of()
 EVERY_OPTION = frozenset().union(*OPTIONS.values()) | {"--version"}
+
+
+@functools.cache
+def told() -> tuple[tuple[Path, int, str], ...]:
+    """Return the texts of all modules, each with its place."""
+    return tuple((path, line, text) for path in SOURCES for line, text in sentences(path.read_text(encoding="utf-8")))
 
 
 def sentences(source: str) -> Iterator[tuple[int, str]]:
@@ -99,25 +106,24 @@ def test_what_does_not_exist_is_seen(text: str, found: list[str]) -> None:
     assert list(wrong(text)) == found
 
 
+@pytest.mark.xdist_group("advice")  # one worker, so that the sources are parsed once
 def test_every_piece_of_advice_in_the_sources_exists() -> None:
     seen = 0
     found = []
-    for path in SOURCES:
-        for line, text in sentences(path.read_text(encoding="utf-8")):
-            seen += len(COMMAND.findall(text)) + len(OPTION.findall(text))
-            found += [f"{path.relative_to(CHECKOUT)}:{line}: {what}" for what in wrong(text) if not _is_foreign(text)]
+    for path, line, text in told():
+        seen += len(COMMAND.findall(text)) + len(OPTION.findall(text))
+        found += [f"{path.relative_to(CHECKOUT)}:{line}: {what}" for what in wrong(text) if not _is_foreign(text)]
     assert found == []
     assert seen > 100
 
 
+@pytest.mark.xdist_group("advice")
 def test_no_advice_leaves_open_which_verb_replaces_or_removes_something() -> None:
     bare = re.compile(rf"(?<!\w)(?<!build )(?<!install )({'|'.join(CONSEQUENTIAL)})\b")
     found = [
         f"{path.relative_to(CHECKOUT)}:{line}: {text}"
-        for path in SOURCES
-        if "commands" not in path.parts
-        for line, text in sentences(path.read_text(encoding="utf-8"))
-        if bare.search(COMMAND.sub("", text))
+        for path, line, text in told()
+        if "commands" not in path.parts and bare.search(COMMAND.sub("", text))
     ]
     assert found == []
 

@@ -54,8 +54,14 @@ def policy(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def provisioned(keymint: Callable, policy: Path, tmp_path: Path) -> Path:
-    """A workspace that is provisioned from the policy."""
+def provisioned(ws: Path) -> Path:
+    """A workspace that is provisioned from the policy; a copy, of which Keymint remembers no file."""
+    return ws
+
+
+@pytest.fixture
+def just_provisioned(keymint: Callable, policy: Path, tmp_path: Path) -> Path:
+    """A workspace of which Keymint remembers what it wrote."""
     outcome = keymint("provision", policy, "-w", "ws")
     assert outcome.code == 0, outcome.err
     return tmp_path / "ws"

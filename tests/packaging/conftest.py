@@ -63,8 +63,8 @@ class Environment:
         return done.stdout
 
     def install(self, *arguments: str | Path) -> None:
-        """Install distributions; their dependencies must be installed already."""
-        self.pip("install", "--quiet", "--no-index", "--no-build-isolation", *arguments)
+        """Install distributions; their dependencies must be installed already, and Python compiles what it runs."""
+        self.pip("install", "--quiet", "--no-index", "--no-build-isolation", "--no-compile", *arguments)
 
     def keymint(self, *arguments: str | Path, code: int = 0, cwd: Path | None = None) -> str:
         """Run the installed command, check its exit code, and return its output."""

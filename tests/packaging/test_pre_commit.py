@@ -105,6 +105,7 @@ def repository(hooks: Path, tmp_path_factory: pytest.TempPathFactory) -> Reposit
         "PYTHONPATH": sysconfig.get_path("purelib"),
         "PIP_NO_INDEX": "1",
         "PIP_NO_DEPS": "1",
+        "PIP_NO_COMPILE": "1",
         "PIP_NO_BUILD_ISOLATION": "0",  # false, which pip reads as: there is no isolation
         "GIT_AUTHOR_NAME": "a",
         "GIT_AUTHOR_EMAIL": "a@example.org",

@@ -161,12 +161,12 @@ def test_what_is_recorded_is_as_if_it_were_built(keymint, provisioned: Path, cha
     assert (outcome.code, outcome.out, outcome.err) == (built.code, built.out, built.err)
 
 
-def test_sources_that_were_built_are_neither_parsed_nor_built_again(keymint, provisioned: Path) -> None:
+def test_sources_that_were_built_are_neither_parsed_nor_built_again(keymint, just_provisioned: Path) -> None:
     with (
         mock.patch.object(permissions, "read", side_effect=AssertionError),
         mock.patch.object(DdsSecurity, "build", side_effect=AssertionError),
     ):
-        assert keymint("check", cwd=provisioned).code == 0
+        assert keymint("check", cwd=just_provisioned).code == 0
 
 
 @pytest.mark.parametrize("change", [*CHANGES, lambda ws: (ws / "src/talker/keymint_package.xml").write_text("<")])

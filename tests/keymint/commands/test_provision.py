@@ -27,11 +27,11 @@ def test_the_policy_of_the_paper(keymint, reference: Path, tmp_path: Path) -> No
     assert keymint("check", "-w", "ws").code == 0
 
 
-def test_a_second_run_writes_not_one_file(keymint, provisioned: Path, policy: Path) -> None:
-    before = snapshot(provisioned)
+def test_a_second_run_writes_not_one_file(keymint, just_provisioned: Path, policy: Path) -> None:
+    before = snapshot(just_provisioned)
     outcome = keymint("provision", policy, "-w", "ws")
     assert "nothing to do: 2 packages up to date" in outcome.out
-    assert snapshot(provisioned) == before
+    assert snapshot(just_provisioned) == before
 
 
 def test_only_what_a_change_concerns_is_signed_again(keymint, provisioned: Path, policy: Path) -> None:

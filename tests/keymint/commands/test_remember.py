@@ -34,9 +34,9 @@ def loaded(monkeypatch: pytest.MonkeyPatch) -> list[Session]:
 
 @pytest.mark.parametrize(("option", "times"), [((), 2), (("--renew",), 1)], ids=["recorded", "each time"])
 def test_the_profile_is_loaded_again_only_for_an_answer_that_is_recorded(
-    keymint: Callable[..., Outcome], provisioned: Path, loaded: list[Session], option: tuple[str, ...], times: int
+    keymint: Callable[..., Outcome], just_provisioned: Path, loaded: list[Session], option: tuple[str, ...], times: int
 ) -> None:
-    assert keymint("build", *option, cwd=provisioned).code == 0
+    assert keymint("build", *option, cwd=just_provisioned).code == 0
     assert len(loaded) == times
 
 

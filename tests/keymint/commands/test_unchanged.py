@@ -83,27 +83,27 @@ def test_the_answer_is_what_carrying_it_out_prints(
 
 
 @pytest.mark.parametrize("options", [(), ("--json",)], ids=" ".join)
-def test_stage_by_stage(keymint, recalled: list[bool], provisioned: Path, options: tuple[str, ...]) -> None:
+def test_stage_by_stage(keymint, recalled: list[bool], just_provisioned: Path, options: tuple[str, ...]) -> None:
     for command in (("create", "--all"), ("build",), ("install",), ("install", "talker", "--no-prove")):
         settle()
         given = (*command, *options)
-        outcomes = [keymint(*given, cwd=provisioned) for _ in range(2)]
+        outcomes = [keymint(*given, cwd=just_provisioned) for _ in range(2)]
         assert recalled[-2:] == [False, True]
         assert outcomes[0] == outcomes[1]
 
 
 def test_it_holds_inside_of_the_workspace_only_while_no_other_one_is_nearer(
-    keymint, recalled: list[bool], provisioned: Path
+    keymint, recalled: list[bool], just_provisioned: Path
 ) -> None:
     settle()
     for expected in (False, True):
-        keymint("build", cwd=provisioned / "src")
+        keymint("build", cwd=just_provisioned / "src")
         assert recalled[-1] == expected
-    keymint("build", cwd=provisioned / "src/talker")
+    keymint("build", cwd=just_provisioned / "src/talker")
     assert not recalled[-1]
-    (provisioned / "src/profile").mkdir()
-    (provisioned / "src/profile/keymint_profile.xml").write_text("<profile/>")
-    assert keymint("build", cwd=provisioned / "src").code != 0
+    (just_provisioned / "src/profile").mkdir()
+    (just_provisioned / "src/profile/keymint_profile.xml").write_text("<profile/>")
+    assert keymint("build", cwd=just_provisioned / "src").code != 0
     assert not recalled[-1]
 
 

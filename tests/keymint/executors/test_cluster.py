@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import os
 import signal
 import socket
@@ -21,8 +22,10 @@ from tests.conftest import CHECKOUT, NOW
 from tests.keymint.executors.certificates import write_credentials
 from tests.keymint.executors.key_material import key_material
 
-pytest.importorskip("distributed")
-pytestmark = [pytest.mark.dask, pytest.mark.xdist_group("dask")]
+pytestmark = [
+    pytest.mark.dask,
+    pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="the extra 'dask' is not installed"),
+]
 
 POLICY = CHECKOUT / "examples/talker_listener"
 

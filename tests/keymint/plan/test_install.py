@@ -10,11 +10,11 @@ from keymint.tree import read_file
 from tests.conftest import snapshot
 
 
-def test_again_writes_nothing(keymint, provisioned: Path) -> None:
-    before = snapshot(provisioned)
-    outcome = keymint("install", cwd=provisioned)
+def test_again_writes_nothing(keymint, just_provisioned: Path) -> None:
+    before = snapshot(just_provisioned)
+    outcome = keymint("install", cwd=just_provisioned)
     assert "nothing to do" in outcome.out
-    assert snapshot(provisioned) == before
+    assert snapshot(just_provisioned) == before
 
 
 def test_what_was_not_built(keymint, provisioned: Path, policy: Path) -> None:

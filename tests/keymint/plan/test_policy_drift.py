@@ -19,13 +19,13 @@ def test_nobody_is_told_to_create_what_is_as_the_policy_says(keymint, provisione
             assert (outcome.code, outcome.err) == (0, "")
 
 
-def test_a_subject_that_the_policy_names_since_is_told(keymint, provisioned: Path, policy: Path) -> None:
+def test_a_subject_that_the_policy_names_since_is_told(keymint, just_provisioned: Path, policy: Path) -> None:
     more = "<profile name='new'><attachment>/new</attachment></profile></profiles>"
     policy.write_text(policy.read_text().replace("</profiles>", more))
-    outcome = keymint("build", cwd=provisioned)
+    outcome = keymint("build", cwd=just_provisioned)
     assert "1 source package out of date with the policy: /new (run 'keymint create --all')" in outcome.err
     policy.write_text("<profiles>")
-    outcome = keymint("build", cwd=provisioned)
+    outcome = keymint("build", cwd=just_provisioned)
     assert "the policy changed since the packages were created, and cannot be read: " in outcome.err
     assert outcome.err.count("\n") == 1
 
