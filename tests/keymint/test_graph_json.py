@@ -15,6 +15,7 @@ from keymint.errors import KeymintError
 from keymint.graph import Edge, Graph, Object
 from keymint.graph_json import dump, legal_node, legal_subject, load, merge
 from tests.conftest import CHECKOUT
+from tests.effort import tries
 
 SCHEMA = json.loads((CHECKOUT / "schemas/keymint/graph.schema.json").read_text())
 
@@ -41,7 +42,7 @@ def edges(draw: st.DrawFn) -> Edge:
 graphs = st.builds(Graph.of, st.lists(edges()), st.lists(subjects), st.lists(st.tuples(topics | ros_objects, texts)))
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=tries(20, 40))
 @given(graphs)
 def test_what_is_written_is_read(graph: Graph) -> None:
     content = dump(graph)
@@ -116,7 +117,7 @@ def test_what_is_wrong_is_said_with_its_line(content: bytes, line: int, words: s
     assert said.where.line == line
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=tries(30, 60))
 @given(st.binary(max_size=200) | st.recursive(st.none() | st.integers() | st.text(max_size=5), lambda inner: st.lists(
     inner, max_size=3) | st.dictionaries(st.sampled_from(["format", "version", "edges", "subjects", "subject"]), inner
 ), max_leaves=8).map(lambda value: json.dumps(value).encode()))  # fmt: skip

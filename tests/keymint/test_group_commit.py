@@ -20,6 +20,7 @@ from keymint.changes import File, FolderChange
 from keymint.errors import KeymintError
 from keymint.staged import Staged
 from keymint.store import Store
+from tests.effort import tries
 
 PUBLIC, SECRET = File(b"public"), File(b"secret", secret=True)
 ENCLAVE = {"key.pem": SECRET, "cert.pem": PUBLIC}
@@ -202,7 +203,7 @@ def test_a_file_that_someone_adds_to_a_removed_folder_stays(
 NAMES = st.sampled_from(["a", "b", "a/b", "a/b/c", "d"])
 
 
-@settings(max_examples=40)
+@settings(max_examples=tries(20, 40))
 @given(before=st.sets(NAMES), written=st.sets(NAMES), split=st.booleans())
 def test_one_group_or_several_lead_to_the_same_files(
     tmp_path_factory: pytest.TempPathFactory, before: set[str], written: set[str], split: bool

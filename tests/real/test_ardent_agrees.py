@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from keymint_ros2_dds import build_type
 
 from keymint.api import BuildOptions, Validity
+from tests.effort import tries
 from tests.plugins.keymint_ros2_dds.compiling.test_compile import built_or_refused
 from tests.plugins.keymint_ros2_dds.lowering.test_ardent_names import ASKED, TOPICS, drawn_rules, permitted
 from tests.plugins.keymint_ros2_dds.packages import package
@@ -49,7 +50,7 @@ def expect(rules, allows, topics) -> None:
 
 @pytest.mark.cyclonedds
 @pytest.mark.usefixtures("cyclone_plugins")
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=tries(30, 60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(drawn=st.lists(drawn_rules(), min_size=1, max_size=5))
 def test_the_access_control_of_cyclone_dds_agrees(authorities: Authorities, drawn) -> None:
     found = documents(drawn)

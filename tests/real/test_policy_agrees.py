@@ -13,6 +13,7 @@ from keymint_ros2_dds.vendors.participants import System, Vendor
 
 import comarmor
 from keymint.errors import KeymintError
+from tests.effort import tries
 
 from .agreement import REQUESTS, access, allowed, compiled, operations, participant, said_of
 from .policies import (
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from .handmade import Authorities
 
 thorough = settings(
-    max_examples=100,
+    max_examples=tries(50, 100),
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )

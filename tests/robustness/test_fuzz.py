@@ -42,11 +42,11 @@ from tests.effort import tries
 from . import mutation
 from .memory import in_memory
 
-POLICIES = 6600
+POLICIES = tries(3000, 6600)
 """Number of mutated policies to load and evaluate."""
-DOCUMENTS = tries(3000, 5400)
+DOCUMENTS = tries(1500, 5400)
 """Number of mutated workspace documents that all stages plan with."""
-COMMANDS = tries(400, 600)
+COMMANDS = tries(200, 600)
 """Number of mutated files of any kind to run the command line on."""
 SECONDS = 10
 """Seconds that no case may exceed, even on a busy machine."""
@@ -307,8 +307,8 @@ def test_the_command_line_exits_cleanly_and_a_failure_writes_nothing(
     assert codes[1] > COMMANDS // 10, codes
 
 
-def test_there_are_ten_thousand_cases() -> None:
-    assert POLICIES + DOCUMENTS + COMMANDS >= 10_000
+def test_there_are_thousands_of_cases() -> None:
+    assert tries(4_500, 12_000) <= POLICIES + DOCUMENTS + COMMANDS
 
 
 # -- bombs -------------------------------------------------------------------------------------------------------

@@ -103,7 +103,7 @@ def test_a_loss_of_power_loses_nothing_and_the_next_run_converges(
             require_nothing_lost(found, old, new)
             # Images that differ only in what the next run sweeps away are all one to it.
             swept = hash(frozenset((path, *of) for path, of in found.items() if ".keymint-" not in path))
-            if swept not in met and len(met) < tries(8, 300):
+            if swept not in met and len(met) < tries(5, 300):
                 met.add(swept)
                 folder = memory / f"image{len(met)}"
                 folder.mkdir()

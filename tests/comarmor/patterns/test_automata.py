@@ -13,6 +13,7 @@ from comarmor.patterns.decision_lists import DecisionList, Equal, Witness
 from comarmor.patterns.glob import Glob, units
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.tokens import Charset, Star
+from tests.effort import tries
 
 from .small import LETTERS, UNIVERSE, lists
 
@@ -46,7 +47,7 @@ def permitted(decisions: DecisionList) -> DFA:
     return allowed
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=tries(75, 150), deadline=None)
 @given(lists, lists)
 def test_the_library_finds_the_same(a, b):
     apart = permitted(a).symmetric_difference(permitted(b))

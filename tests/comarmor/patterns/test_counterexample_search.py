@@ -30,7 +30,7 @@ def is_counterexample(word, permitting, denying):
     return all(permits(each, word) for each in permitting) and not permits(denying, word)
 
 
-@settings(max_examples=tries(100, 200), deadline=None)
+@settings(max_examples=tries(60, 200), deadline=None)
 @given(st.lists(lists, min_size=1, max_size=3), lists)
 def test_the_word_is_a_shortest_counterexample(permitting, denying):
     first = next((word for word in WORDS if is_counterexample(word, permitting, denying)), None)
@@ -42,7 +42,7 @@ def test_the_word_is_a_shortest_counterexample(permitting, denying):
         assert len(word) > len(WORDS[-1]) if first is None else len(word) == len(first)
 
 
-@settings(max_examples=tries(100, 200), deadline=None)
+@settings(max_examples=tries(60, 200), deadline=None)
 @given(st.lists(lists, min_size=1, max_size=2), lists, st.integers(0, 4))
 def test_only_words_shorter_than_the_limit_count(permitting, denying, limit):
     unlimited, word = search(permitting, denying), search(permitting, denying, limit=limit)

@@ -30,7 +30,7 @@ def in_cube(word, positives, excluded):
 CUBES = st.tuples(st.lists(globs, min_size=1, max_size=3), st.lists(globs, max_size=4))
 
 
-@settings(max_examples=tries(100, 250), deadline=None)
+@settings(max_examples=tries(60, 250), deadline=None)
 @given(CUBES)
 def test_the_word_is_a_shortest_of_the_cube(cube):
     first = next((word for word in WORDS if in_cube(word, *cube)), None)
@@ -42,7 +42,7 @@ def test_the_word_is_a_shortest_of_the_cube(cube):
         assert len(word) > len(WORDS[-1]) if first is None else len(word) == len(first)
 
 
-@settings(max_examples=tries(100, 200), deadline=None)
+@settings(max_examples=tries(60, 200), deadline=None)
 @given(CUBES, st.integers(0, 4))
 def test_only_words_shorter_than_the_limit_count(cube, limit):
     unlimited, word = search(*cube), search(*cube, limit=limit)

@@ -13,7 +13,7 @@ from tests.effort import tries
 from .small import UNIVERSE, WORDS, globs
 
 
-@settings(max_examples=tries(100, 300), deadline=None)
+@settings(max_examples=tries(60, 300), deadline=None)
 @given(globs)
 def test_a_word_is_accepted_if_its_derivative_accepts(pattern):
     derivatives = Derivatives((pattern,), UNIVERSE)
@@ -24,7 +24,7 @@ def test_a_word_is_accepted_if_its_derivative_accepts(pattern):
         assert any(derivatives.accepts[node] for node in nodes) == matches(pattern, word)
 
 
-@settings(max_examples=tries(200, 600), deadline=None)
+@settings(max_examples=tries(100, 600), deadline=None)
 @given(globs, globs)
 def test_inclusion_is_sound(outer, inner):
     derivatives = Derivatives((outer, inner), UNIVERSE)

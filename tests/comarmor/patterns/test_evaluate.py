@@ -14,7 +14,7 @@ from .small import WORDS, lists
 
 
 @pytest.mark.parametrize("few", [0, evaluate.INDEX_FROM])
-@settings(max_examples=tries(100, 200), deadline=None)
+@settings(max_examples=tries(60, 200), deadline=None)
 @given(lists)
 def test_an_evaluator_decides_as_the_definition_does(few, decisions):
     with pytest.MonkeyPatch.context() as patch:

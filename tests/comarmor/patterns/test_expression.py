@@ -39,7 +39,7 @@ def fnmatch(pattern: str, name: str) -> bool:
     return LIBC.fnmatch(pattern.encode("latin-1"), name.encode("latin-1"), 0) == 0
 
 
-@settings(max_examples=tries(500, 1500), deadline=None)
+@settings(max_examples=tries(250, 1500), deadline=None)
 @given(PATTERNS, NAMES)
 @example("[a", "[a")
 @example("[!]", "[!]")

@@ -49,7 +49,7 @@ def alike(draw):
     return a, tuple(b)
 
 
-@settings(max_examples=tries(500, 1500), deadline=None)
+@settings(max_examples=tries(250, 1500), deadline=None)
 @given(alike())
 def test_lists_that_are_proven_equal_are_equal(pair):
     a, b = pair
@@ -59,7 +59,7 @@ def test_lists_that_are_proven_equal_are_equal(pair):
         assert not any(permits(a, word) and not permits(b, word) for word in WORDS)
 
 
-@settings(max_examples=tries(200, 600), deadline=None)
+@settings(max_examples=tries(100, 600), deadline=None)
 @given(alike(), st.one_of(lists, alike().map(lambda pair: pair[1])))
 def test_of_several_lists_too(pair, other):
     a, b = pair
@@ -69,7 +69,7 @@ def test_of_several_lists_too(pair, other):
             assert first_difference(a, *together) is None
 
 
-@settings(max_examples=tries(133, 400), deadline=None)
+@settings(max_examples=tries(80, 400), deadline=None)
 @given(alike(), st.sampled_from([UNIVERSE, NARROW, PRINTABLE]))
 def test_no_engine_contradicts(pair, universe):
     a, b = pair
@@ -88,7 +88,7 @@ def test_no_engine_contradicts(pair, universe):
         assert ProductSearch((b,), a, universe, derivatives, SearchBudget().state_counter()).shortest() is None
 
 
-@settings(max_examples=tries(100, 200), deadline=None)
+@settings(max_examples=tries(60, 200), deadline=None)
 @given(lists)
 def test_a_list_is_proven_to_equal_itself(a):
     assert fast_path.equal(a, (a,), UNIVERSE)

@@ -16,7 +16,7 @@ from .small import globs
 PATTERNS = st.lists(globs, max_size=12, unique=True)
 
 
-@settings(max_examples=tries(100, 300), deadline=None)
+@settings(max_examples=tries(60, 300), deadline=None)
 @given(PATTERNS, st.text(alphabet="ab", max_size=5))
 def test_patterns_that_match_a_word(patterns, word):
     index = PatternIndex((pattern, number) for number, pattern in enumerate(patterns))
@@ -24,7 +24,7 @@ def test_patterns_that_match_a_word(patterns, word):
     assert sorted(number for _, number in index.matching(word)) == sorted(expected)
 
 
-@settings(max_examples=tries(100, 300), deadline=None)
+@settings(max_examples=tries(60, 300), deadline=None)
 @given(PATTERNS, globs)
 def test_patterns_that_meet_a_pattern(patterns, other):
     index = PatternIndex((pattern, number) for number, pattern in enumerate(patterns))

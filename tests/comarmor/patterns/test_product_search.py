@@ -24,7 +24,7 @@ def search(together, other, *, universe=UNIVERSE, budget=None):
     return ProductSearch(together, other, universe, derivatives, (budget or SearchBudget()).state_counter()).shortest()
 
 
-@settings(max_examples=tries(100, 200), deadline=None)
+@settings(max_examples=tries(60, 200), deadline=None)
 @given(st.lists(lists, min_size=1, max_size=3), lists)
 def test_the_word_is_a_shortest_difference(together, other):
     first = first_difference(other, *together)
@@ -36,7 +36,7 @@ def test_the_word_is_a_shortest_difference(together, other):
         assert len(word) > len(WORDS[-1]) if first is None else len(word) == len(first)
 
 
-@settings(max_examples=tries(100, 200), deadline=None)
+@settings(max_examples=tries(60, 200), deadline=None)
 @given(lists, lists)
 def test_an_empty_last_field_does_not_count_if_the_universe_excludes_it(a, b):
     word = search((b,), a, universe=replace(UNIVERSE, last_nonempty=True))
@@ -56,7 +56,7 @@ def test_a_spent_budget_ends_the_search():
         search(((allow(*far),),), (allow(*far, "*b" + "?" * 8),), budget=SearchBudget(10))
 
 
-@settings(max_examples=tries(100, 200), deadline=None)
+@settings(max_examples=tries(60, 200), deadline=None)
 @given(lists, lists, lists)
 def test_the_engines_agree(a, b, c):
     found = difference(a, b, c, universe=UNIVERSE)

@@ -35,7 +35,7 @@ def agrees(found: object, first: str | None) -> bool:
     return len(found.word) > len(WORDS[-1]) if first is None else len(found.word) == len(first)
 
 
-@settings(max_examples=tries(200, 600), deadline=None)
+@settings(max_examples=tries(100, 600), deadline=None)
 @given(lists, lists)
 def test_difference_is_found_with_a_shortest_word(a, b):
     found = difference(a, b, universe=UNIVERSE)
@@ -45,13 +45,13 @@ def test_difference_is_found_with_a_shortest_word(a, b):
         assert permits(b, found.word) is not found.left
 
 
-@settings(max_examples=tries(100, 300), deadline=None)
+@settings(max_examples=tries(60, 300), deadline=None)
 @given(lists, lists, lists)
 def test_a_list_is_compared_with_a_conjunction(a, b, c):
     assert agrees(difference(a, b, c, universe=UNIVERSE), first_difference(a, b, c))
 
 
-@settings(max_examples=tries(100, 300), deadline=None)
+@settings(max_examples=tries(60, 300), deadline=None)
 @given(lists, lists)
 def test_implication_and_intersection(a, b):
     escaping = next((word for word in WORDS if permits(a, word) and not permits(b, word)), None)
@@ -151,7 +151,7 @@ def test_hard_families_are_decided_or_unknown_and_never_wrong(family):
     assert isinstance(broken, Witness | Unknown)
 
 
-@settings(max_examples=tries(100, 300), deadline=None)
+@settings(max_examples=tries(60, 300), deadline=None)
 @given(lists, lists)
 def test_a_last_field_that_is_never_empty(a, b):
     universe = replace(UNIVERSE, last_nonempty=True)

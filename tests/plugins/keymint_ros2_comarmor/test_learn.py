@@ -17,6 +17,7 @@ from comarmor.rules import PARTS
 from keymint.api import LearnedPolicy, PolicySource
 from keymint.graph import Edge, Graph, Object, complete
 from keymint.graph_json import KIND_OF
+from tests.effort import tries
 
 SUBJECTS = ("/a", "/b", "/ns/a", "/ns/b", "/ns/a/b")
 NAMES = ("/t", "/ns/t", "/a", "/a/get_parameters", "/a/set_parameters", "/ns/a/x", "/ns/b/x", "/a*", "/[a]", "/{name}")
@@ -65,7 +66,7 @@ def allows(policy: comarmor.Policy, edge: Edge) -> bool:
     return policy.decide(edge.subject, found.kind, edge.permission, found.name, found.partitions).allowed
 
 
-@settings(deadline=None, max_examples=80)
+@settings(deadline=None, max_examples=tries(40, 80))
 @given(graphs, st.booleans())
 def test_the_law(graph: Graph, split: bool) -> None:
     """Exactly the edges of the graph, and what they stand for, are allowed."""
@@ -82,7 +83,7 @@ def test_the_law(graph: Graph, split: bool) -> None:
     assert learned.missing == graph.edges
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=tries(20, 40))
 @given(graphs)
 def test_includes_only_when_they_make_it_shorter(graph: Graph) -> None:
     whole = policy_type.learn(graph, None, "")
@@ -93,7 +94,7 @@ def test_includes_only_when_they_make_it_shorter(graph: Graph) -> None:
     assert size <= len(whole.document) + namespace
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=tries(20, 40))
 @given(graphs)
 def test_it_is_canonical(graph: Graph) -> None:
     first = policy_type.learn(graph, None, "")
@@ -106,7 +107,7 @@ def test_it_is_canonical(graph: Graph) -> None:
             assert comarmor.render(loaded(first, Path(folder))).encode() == written
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=tries(20, 40))
 @given(graphs, graphs)
 def test_beside_an_existing_policy_only_what_is_missing(before: Graph, after: Graph) -> None:
     with TemporaryDirectory() as name:

@@ -14,6 +14,7 @@ from keymint_ros2_dds import build_type
 from comarmor.errors import Severity
 from keymint.api import KeySpec
 from keymint.pki import certificates, smime
+from tests.effort import tries
 from tests.plugins.keymint_ros2_dds.builds import CHATTER
 
 from .enclaves import NOW, authority, inspection, installed, revoking
@@ -54,7 +55,7 @@ def test_what_was_just_installed_is_clean(files):
      "permissions.xml"],
 )  # fmt: skip
 def test_any_flipped_bit_is_found(files, name):
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=tries(30, 60), deadline=None)
     @given(at=st.integers(0, len(files[name]) - 1), bit=st.integers(0, 7))
     def law(at, bit):
         content = bytearray(files[name])

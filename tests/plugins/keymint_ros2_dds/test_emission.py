@@ -16,6 +16,7 @@ from lxml import etree
 from keymint.api import BuildOptions, Claim, DomainRange, Hint, Proof
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Object
+from tests.effort import tries
 from tests.plugins.keymint_ros2_dds.packages import domain_rule, governed, package, rule
 
 from .compiling.test_compile import ASKED, DENIED, FEW, PARTITIONS, ROS, TOPICS, differences, rules
@@ -68,19 +69,19 @@ MIXED = st.lists(st.one_of(rules(), rules(PARTITIONS), rules(DENIED)), min_size=
 ANY_OPTIONS = st.builds(BuildOptions, st.just(value=False), st.booleans(), hint_lists())
 
 
-@settings(max_examples=60)
+@settings(max_examples=tries(30, 60))
 @given(st.lists(rules(), min_size=1, max_size=6), ANY_OPTIONS)
 def test_every_form_is_decided_as_the_policy_does(drawn, options):
     held_against_the_policy(drawn, options, TOPICS, ((),))
 
 
-@settings(max_examples=60)
+@settings(max_examples=tries(30, 60))
 @given(MIXED, ANY_OPTIONS)
 def test_every_form_keeps_partitions(drawn, options):
     held_against_the_policy(drawn, options, FEW, ASKED)
 
 
-@settings(max_examples=60)
+@settings(max_examples=tries(30, 60))
 @given(MIXED, st.sampled_from([((0, 0),), ((0, 0), (3, 9)), ((5, 6), (200, 200))]))
 def test_the_size_of_the_plain_form_is_what_it_would_have(drawn, ranges):
     loaded = package(*drawn, domains=tuple(DomainRange(*each) for each in ranges))

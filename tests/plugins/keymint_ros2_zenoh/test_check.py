@@ -16,6 +16,7 @@ from keymint_ros2_zenoh import signature as signatures
 
 from comarmor.errors import Severity
 from keymint.api import Extension, Package
+from tests.effort import tries
 
 from .enclaves import authority, inspection, installed, shared, shared_inspection
 from .workspaces import HOST_ORIGIN, LISTENER, TALKER, VALIDITY, package, workspace
@@ -227,7 +228,7 @@ def test_a_router_file_that_zenoh_refuses(router: dict[str, bytes]) -> None:
 
 @pytest.mark.parametrize("name", [ROUTER, SIGNATURE])
 def test_any_flipped_bit_of_the_router_file_is_found(router: dict[str, bytes], name: str) -> None:
-    @settings(max_examples=80, deadline=None)
+    @settings(max_examples=tries(40, 80), deadline=None)
     @given(at=st.integers(0, len(router[name]) - 1), bit=st.integers(0, 7))
     def law(at: int, bit: int) -> None:
         content = bytearray(router[name])

@@ -12,6 +12,7 @@ from keymint_ros2_dds import build_type
 from comarmor.errors import Severity
 from keymint.api import BuildOptions
 from keymint.errors import KeymintError
+from tests.effort import tries
 from tests.plugins.keymint_ros2_dds.builds import CHATTER, LENIENT, build, codes, refusal, shape
 from tests.plugins.keymint_ros2_dds.oracles import cyclone, fastdds, omg, policy
 from tests.plugins.keymint_ros2_dds.packages import package, rule
@@ -74,7 +75,7 @@ def built_or_refused(loaded):
     return None
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=tries(75, 150), deadline=None)
 @given(st.lists(rules(), min_size=1, max_size=6))
 def test_every_vendor_decides_as_the_policy_does(drawn):
     loaded = package(*drawn)
@@ -82,7 +83,7 @@ def test_every_vendor_decides_as_the_policy_does(drawn):
     assert document is None or list(differences(loaded, document)) == []
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=tries(50, 100), deadline=None)
 @example(
     [
         rule("ALLOW", "ros_topic", "ros_publish", "/a?"),

@@ -48,21 +48,21 @@ def always_gathered() -> Iterator[None]:
         yield
 
 
-@settings(max_examples=100)
+@settings(max_examples=tries(50, 100))
 @given(st.lists(rules(), min_size=1, max_size=6), hint_lists())
 def test_gathering_changes_no_decision(drawn, hints):
     with mock.patch.object(compile, "gathered", functools.partial(gathering.gathered, min_saved=-(10**6))):
         held_against_the_policy(drawn, BuildOptions(hints=hints), TOPICS, ((),))
 
 
-@settings(max_examples=60)
+@settings(max_examples=tries(30, 60))
 @given(MIXED)
 def test_gathering_keeps_partitions(drawn):
     with mock.patch.object(compile, "gathered", functools.partial(gathering.gathered, min_saved=-(10**6))):
         held_against_the_policy(drawn, BuildOptions(), FEW, ASKED)
 
 
-@settings(max_examples=tries(100, 200))
+@settings(max_examples=tries(60, 200))
 @given(
     st.lists(st.lists(st.text("ab", min_size=3, max_size=5), max_size=60), min_size=1, max_size=3), st.integers(0, 900)
 )

@@ -17,6 +17,8 @@ from keymint_ros2_dds.decision import (
     read,
 )
 
+from tests.effort import tries
+
 from .. import oracles  # noqa: TID252 - helpers of the folder above
 from .documents import NOW, SUBJECT, criteria, decide, document, grant, rule
 
@@ -115,7 +117,7 @@ RULES = st.builds(lambda effect, bodies: rule(effect, *sorted(bodies)), st.sampl
 ASKED = [(), ("",), ("p",), ("q", "p"), ("", "p"), ("*",)]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=tries(75, 150), deadline=None)
 @given(st.lists(RULES, min_size=1, max_size=5))
 def test_models_decide_as_the_oracles_do(rules: list[str]) -> None:
     content = document(grant(*rules))
@@ -133,7 +135,7 @@ def test_models_decide_as_the_oracles_do(rules: list[str]) -> None:
                     assert found == oracle(content, action, topic, partitions), (variation.name, action, topic)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=tries(75, 150), deadline=None)
 @given(st.lists(RULES, min_size=1, max_size=5), st.sampled_from(["ALLOW", "DENY"]))
 def test_many_topics_are_decided_as_one_by_one(rules: list[str], default: str) -> None:
     loaded = read(document(grant(*rules, default=default)))

@@ -24,7 +24,7 @@ NAMES = st.text(alphabet="abrt/-]![^\\c", max_size=6)
 NOESCAPE = 2
 
 libc = ctypes.CDLL(None)
-thorough = settings(max_examples=tries(200, 600), deadline=None)
+thorough = settings(max_examples=tries(100, 600), deadline=None)
 
 
 def matches(dialect: Dialect, pattern: str, name: str) -> bool:

@@ -9,6 +9,7 @@ from keymint_ros2_dds.discovery.interpret import interpret
 
 from comarmor.rules import PARTS
 from keymint.graph import Edge, Graph, Object
+from tests.effort import tries
 
 
 def topic(name: str, *partitions: str) -> Object:
@@ -64,7 +65,7 @@ ros_edges = st.builds(
 )
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=tries(25, 50))
 @given(st.lists(ros_edges, max_size=8), st.booleans())
 def test_it_is_the_inverse_of_both_mappings(edges: list[Edge], ardent: bool) -> None:
     parts = [part for edge in edges for part in unfolded(edge)]
@@ -74,7 +75,7 @@ def test_it_is_the_inverse_of_both_mappings(edges: list[Edge], ardent: bool) -> 
     assert interpret(interpret(seen, fold=True), fold=False) == interpret(seen, fold=False)
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=tries(25, 50))
 @given(st.lists(ros_edges, max_size=8), st.integers(0, 20), st.booleans())
 def test_nothing_is_lost_when_a_capture_comes_in_two(edges: list[Edge], at: int, fold: bool) -> None:
     seen = [one for edge in edges for part in unfolded(edge) for one in on_dds(part, ardent=False)]

@@ -16,6 +16,7 @@ from lxml import etree
 
 from comarmor.data import locate
 from keymint.api import BuildOptions
+from tests.effort import tries
 from tests.plugins.keymint_ros2_dds.builds import CHATTER, build
 from tests.plugins.keymint_ros2_dds.packages import package, rule
 
@@ -34,7 +35,7 @@ def built(*names: str, indented: int, **options: bool) -> bytes:
     return done.documents[name]
 
 
-@settings(max_examples=60)
+@settings(max_examples=tries(30, 60))
 @given(NAMES, st.integers(500, 6_000))
 def test_only_a_document_beyond_the_limit_loses_its_blanks_and_nothing_else(names: list[str], limit: int) -> None:
     usual, limited = built(*names, indented=10**9), built(*names, indented=limit)
@@ -45,7 +46,7 @@ def test_only_a_document_beyond_the_limit_loses_its_blanks_and_nothing_else(name
     assert usual.count(b"\n") == limited.count(b"\n"), "the number of a line means the same"
 
 
-@settings(max_examples=60)
+@settings(max_examples=tries(30, 60))
 @given(NAMES, st.integers(500, 12_000))
 def test_the_size_of_the_plain_form_is_what_it_would_have(names: list[str], limit: int) -> None:
     rules = [rule("ALLOW", "ros_topic", "ros_publish ros_subscribe", name) for name in names]

@@ -82,7 +82,7 @@ def names_of_a_subject() -> st.SearchStrategy[dict[str, str]]:
     return st.builds(lambda *to: dict(zip([*NAMES, *RAW], [*to[0], *to[1]], strict=True)), others, raw)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=tries(50, 100), deadline=None)
 @given(st.lists(rules(), min_size=1, max_size=5), st.lists(names_of_a_subject(), min_size=2, max_size=5))
 def test_every_member_has_the_bytes_of_the_engine_whoever_is_first(drawn, renamings) -> None:
     loaded = [

@@ -22,6 +22,7 @@ from comarmor.rules import Effect
 from keymint.api import BuildOptions
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Object
+from tests.effort import tries
 from tests.plugins.keymint_ros2_dds.compiling.test_compile import built_or_refused
 from tests.plugins.keymint_ros2_dds.oracles import cyclone, fastdds, omg
 from tests.plugins.keymint_ros2_dds.packages import domain_rule, governed, package, protection, rule
@@ -249,7 +250,7 @@ def drawn_rules(draw):
     return rule(effect, kind, draw(st.sampled_from(permissions)), *expressions, partitions=draw(partitions))
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=tries(60, 120), deadline=None)
 @given(st.lists(drawn_rules(), min_size=1, max_size=5))
 def test_every_vendor_decides_as_the_policy_does_on_pairs_of_partition_and_topic(drawn):
     document = built_or_refused(package(*drawn, distro="ardent"))

@@ -33,7 +33,7 @@ def fnmatch():
     return ctypes.CDLL(ctypes.util.find_library("c")).fnmatch
 
 
-@settings(deadline=None, max_examples=tries(100, 300))
+@settings(deadline=None, max_examples=tries(60, 300))
 @given(expression=EXPRESSIONS, text=TEXTS)
 def test_all_spellings_together_match_what_the_expression_matches(fnmatch, expression, text):
     assume(not re.search(r"(?<!\\)(\\\\)*\\$", expression))

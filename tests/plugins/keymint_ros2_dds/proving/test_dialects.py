@@ -20,7 +20,7 @@ TEXTS = st.text(alphabet="ab/-]!^\\\u00e9", max_size=5)
 DIALECTS = (fnmatch.STANDARD, fnmatch.FAST_DDS, fnmatch.CYCLONE_DDS)
 
 
-@settings(max_examples=tries(100, 300), deadline=None)
+@settings(max_examples=tries(60, 300), deadline=None)
 @given(st.lists(PIECES, max_size=5).map("".join), TEXTS, st.sampled_from(DIALECTS))
 def test_patterns_match_what_the_dialect_matches(expression: str, text: str, dialect) -> None:
     (pattern,) = read((expression,), dialect)

@@ -17,6 +17,7 @@ from comarmor.errors import Origin
 from keymint.api import BuildOptions, DomainRange, Proof, ProofTask
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, smime
+from tests.effort import tries
 from tests.plugins.keymint_ros2_dds.compiling.test_compile import DENIED, PARTITIONS, rules
 from tests.plugins.keymint_ros2_dds.enclaves import anchors, authority, installed
 from tests.plugins.keymint_ros2_dds.oracles import policy as oracle
@@ -82,7 +83,7 @@ def test_what_is_installed_is_proven_for_every_model():
     assert set(build_type.assumptions()) == set(MODELS)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=tries(30, 60), deadline=None)
 @given(st.lists(st.one_of(rules(), rules(), rules(PARTITIONS), rules(DENIED)), min_size=1, max_size=5))
 def test_what_the_compiler_does_not_refuse_is_proven(drawn):
     loaded = package(*drawn)
@@ -94,7 +95,7 @@ def test_what_the_compiler_does_not_refuse_is_proven(drawn):
     assert {claim.proof for claim in claims(loaded, files)} == {Proof.PROVEN}
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=tries(30, 60), deadline=None)
 @given(st.lists(rules(), min_size=1, max_size=4), st.lists(rules(), min_size=1, max_size=4))
 def test_a_document_of_another_policy_is_refuted_where_a_name_tells_them_apart(drawn, other):
     loaded, wrong = package(*drawn), package(*other)

@@ -52,7 +52,7 @@ def grants(draw):
 
 
 @pytest.mark.parametrize("model", ["omg", "cyclonedds-0.10", "fastdds-2.9"])
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=tries(75, 150), deadline=None)
 @given(grants())
 def test_lists_of_a_grant_say_what_the_decision_point_says(model, content):
     document = decision.read(content)
@@ -91,7 +91,7 @@ def almost_plain_grants(draw):
     return xml.document(xml.grant(*drawn, default="ALLOW" if "ALLOW" in traits else "DENY"))
 
 
-@settings(max_examples=tries(100, 200), deadline=None)
+@settings(max_examples=tries(60, 200), deadline=None)
 @given(st.one_of(almost_plain_grants(), grants()), st.booleans())
 def test_lists_that_models_share_are_those_of_each_model(content, pairs):
     document = decision.read(content)
@@ -108,7 +108,7 @@ def test_models_share_the_lists_of_a_plain_document():
     assert lists[0] is lists[1] is lists[2]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=tries(75, 150), deadline=None)
 @given(grants())
 @example(xml.document(xml.grant(xml.rule("allow", xml.criteria("publish", "*")), default="ALLOW")))
 def test_partitions_are_left_out_only_where_nothing_is_permitted_in_any(content):
@@ -140,7 +140,7 @@ def _cyclone(expression, name):
         pytest.param(fnmatch.CYCLONE_DDS, _cyclone, id="Cyclone DDS"),
     ],
 )
-@settings(max_examples=tries(100, 300), deadline=None)
+@settings(max_examples=tries(60, 300), deadline=None)
 @given(st.text(alphabet="ab*?[]!-\\", max_size=7))
 @example("[a]-b")
 @example("[!]a]")
@@ -160,7 +160,7 @@ TOPICS = [f"rt/{name}" for name in ("", "a", "b", "ab", "a/b", "/", "aab")] + [
 ]  # fmt: skip
 
 
-@settings(max_examples=tries(100, 200), deadline=None)
+@settings(max_examples=tries(60, 200), deadline=None)
 @given(st.lists(st.one_of(rules(), rules(PARTITIONS), rules(DENIED)), max_size=4))
 def test_lists_of_a_policy_say_what_its_rules_say(drawn):
     told = SubjectRules("/talker", tuple(drawn))

@@ -12,12 +12,13 @@ from keymint_ros2_dds.proving.policy_evaluator import decide, is_ros_name
 
 from comarmor.rules import Effect
 from keymint.ir import SubjectRules
+from tests.effort import tries
 from tests.plugins.keymint_ros2_dds.compiling.test_compile import DENIED, FEW, PARTITIONS, rules
 from tests.plugins.keymint_ros2_dds.oracles import policy
 from tests.plugins.keymint_ros2_dds.packages import rule
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=tries(30, 60), deadline=None)
 @given(st.lists(st.one_of(rules(), rules(PARTITIONS), rules(DENIED)), max_size=4))
 def test_it_decides_as_the_language_says(drawn) -> None:
     given_rules = SubjectRules("/s", tuple(drawn))

@@ -52,7 +52,7 @@ def terms(content: bytes, name: str = NAME) -> list[ValidityTerm]:
     return list(of_grants(content, ("permissions.p7s", 7), name))
 
 
-@settings(max_examples=tries(133, 400))
+@settings(max_examples=tries(80, 400))
 @given(st.lists(st.tuples(DATES, DATES), min_size=1, max_size=3), st.lists(st.tuples(MOMENTS, OFFSETS), max_size=8))
 def test_a_document_is_in_force_exactly_when_the_decision_point_finds_a_grant(dates, moments):
     content = document(*(grant(*each) for each in dates))

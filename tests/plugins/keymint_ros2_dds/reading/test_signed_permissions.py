@@ -153,7 +153,7 @@ def written_documents(draw):
     return "\n".join(lines).encode()
 
 
-@settings(max_examples=tries(133, 400), deadline=None)
+@settings(max_examples=tries(80, 400), deadline=None)
 @given(written_documents())
 def test_a_document_in_the_written_form_is_read_as_any_other(content: bytes) -> None:
     fast = signed_permissions._plain(content)

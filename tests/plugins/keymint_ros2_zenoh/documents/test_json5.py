@@ -219,7 +219,7 @@ BASE = ["{", "metadata", ":", "{", "a", ":", "[", "1", ",", '"b"', "]", ",", "b"
 
 
 @given(st.lists(st.tuples(st.integers(0, len(BASE)), PIECES, st.booleans()), min_size=1, max_size=3))
-@settings(max_examples=tries(133, 400), deadline=None)
+@settings(max_examples=tries(80, 400), deadline=None)
 def test_mutations_are_read_as_zenoh_reads_them_or_refused(
     zenoh: ModuleType, edits: list[tuple[int, str, bool]]
 ) -> None:

@@ -14,6 +14,7 @@ from comarmor.rules import PARTS, Effect, Rule
 from keymint.api import DomainRange
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
+from tests.effort import tries
 
 from .policies import KIND, NAMES, TYPED, matched, policies, policy_allows, router_permits, rule, subject_rules
 
@@ -38,7 +39,7 @@ def needed(result: Lowered, permission: str, name: str) -> set[bool]:
     return {permits(result, slot.message, slot.flow, key(name, slot)) for slot in SLOTS[permission]}
 
 
-@settings(max_examples=60)
+@settings(max_examples=tries(30, 60))
 @given(policies())
 def test_each_slot_is_permitted_where_a_permission_needs_it(rules: SubjectRules) -> None:
     result = lowered(rules)
@@ -52,7 +53,7 @@ def test_each_slot_is_permitted_where_a_permission_needs_it(rules: SubjectRules)
                 assert not permitted, (name, slot)
 
 
-@settings(max_examples=60)
+@settings(max_examples=tries(30, 60))
 @given(policies())
 def test_a_reply_is_never_permitted_where_every_use_of_it_is_denied_or_not_allowed(rules: SubjectRules) -> None:
     result = lowered(rules)
@@ -64,7 +65,7 @@ def test_a_reply_is_never_permitted_where_every_use_of_it_is_denied_or_not_allow
             assert not all(matched(rules, Effect.DENY, user, name) for user in users)
 
 
-@settings(max_examples=60)
+@settings(max_examples=tries(30, 60))
 @given(policies())
 def test_without_any_of_its_slots_a_denied_permission_cannot_be_used(rules: SubjectRules) -> None:
     result = lowered(rules)
