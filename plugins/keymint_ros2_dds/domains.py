@@ -30,8 +30,10 @@ def uncovered(ranges: Iterable[DomainRange], covering: Iterable[DomainRange]) ->
 
 
 def in_words(ranges: Iterable[DomainRange]) -> str:
-    """Return ranges of domains as text: ``domain 3``, ``domains 3 to 5``, ``domains 0, 3 to 5``."""
+    """Return ranges of domains as text: ``domain 3``, ``domains 3 to 5``, ``domains 0, 3 to 5``, ``no domain``."""
     texts = [str(e.first) if e.first == e.last else f"{e.first} to {e.last}" for e in merged(ranges)]
+    if not texts:
+        return "no domain"
     plural = len(texts) > 1 or " to " in texts[0]
     return f"domain{'s' if plural else ''} {', '.join(texts)}"
 

@@ -22,6 +22,7 @@ from keymint_ros2_dds.enclave_layout import (
     CERTIFICATE,
     GOVERNANCE,
     GOVERNANCE_P7S,
+    GOVERNANCE_XML,
     IDENTITY_CA,
     KEY,
     KEY_URI,
@@ -57,7 +58,7 @@ class _Enclave:
         self._certificate: x509.Certificate | None = None
         self._documents: dict[str, bytes] = {}
         self._grant: DocumentGrant | None = None
-        self._offset = 0
+        self._offsets: dict[str, int] = {}
         self._domains: tuple[DomainRange, ...] = ()
         self._facts: dict[str, Any] = {"place": place.place, "links": 0}
 
@@ -219,7 +220,7 @@ class _Enclave:
             return None
         self._facts["signatures"][kind] = True
         self._documents[f"{kind}.xml"] = document.content
-        self._offset = document.lines_before
+        self._offsets[kind] = document.lines_before
         return document.content
 
     def _permissions(self, content: bytes | None) -> Iterator[Diagnostic]:
@@ -232,7 +233,11 @@ class _Enclave:
             message = "is not the document that permissions.p7s signs, which is the one that participants read"
             help_ = "write the signed text into it (openssl smime -verify -noverify prints it), or remove it"
             yield self._error("adopt-document-differs", PERMISSIONS_XML, message, help_)
-        document = signed_permissions.read(content, self._where(PERMISSIONS_P7S).file)
+        try:
+            document = signed_permissions.read(content, self._where(PERMISSIONS_P7S).file, self._offsets[PERMISSIONS])
+        except KeymintError as error:
+            yield from error.diagnostics
+            return
         self._facts["grants"] = [_grant_facts(grant) for grant in document.grants]
         if document.defect:
             yield self._error("adopt-document", PERMISSIONS_P7S, document.defect, "sign a valid document")
@@ -286,7 +291,12 @@ class _Enclave:
         self._facts["governance_domains"] = []
         if content is None:
             return
-        document = signed_governance.read(content, self._where(GOVERNANCE_P7S).file)
+        try:
+            document = signed_governance.read(content, self._where(GOVERNANCE_P7S).file, self._offsets[GOVERNANCE])
+        except KeymintError as error:
+            del self._documents[GOVERNANCE_XML]
+            yield from error.diagnostics
+            return
         if document.defect:
             yield self._error("adopt-document", GOVERNANCE_P7S, document.defect, "sign a valid document")
         governed = merged(as_ranges(each for rule in document.domain_rules for each in rule.domains))
@@ -300,7 +310,7 @@ class _Enclave:
         if self._grant is None:
             return None
         file = self._where(PERMISSIONS_P7S).file
-        return FoundGrant(self._documents[PERMISSIONS_XML], file, self._offset, self._grant.subject_name)
+        return FoundGrant(self._documents[PERMISSIONS_XML], file, self._offsets[PERMISSIONS], self._grant.subject_name)
 
     def _grant_validity(self) -> Validity | None:
         grant = self._grant

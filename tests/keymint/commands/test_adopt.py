@@ -9,8 +9,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from cryptography import x509
 
+from keymint.pki import keys
 from tests import sros2_keystore
+from tests.signers import by_sros2
 from tests.sros2_keystore import Form
 
 POLICY = """<policy version="0.2.0"><enclaves>
@@ -220,6 +223,38 @@ def test_two_grants(keymint, tmp_path: Path) -> None:
     )
     sros2_keystore.make(tmp_path / "ks", POLICY.replace("</enclave>", f"{one}</enclave>", 1), Form())
     assert "permissions.p7s: error: has 2 grants" in keymint("adopt", "ks").err
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"<dds>", b"<a/>", b"<!DOCTYPE dds><dds/>", b"<dds><domain_access_rules/></dds>"]
+)
+@pytest.mark.parametrize("name", ["talker/permissions.p7s", "governance.p7s"])
+def test_what_is_signed_and_no_document_is_a_finding_like_others(
+    keymint, keystore: Path, name: str, content: bytes
+) -> None:
+    authority = x509.load_pem_x509_certificate((keystore / "public/ca.cert.pem").read_bytes())
+    key = keys.from_pem((keystore / "private/ca.key.pem").read_bytes())
+    (keystore / "enclaves" / name).write_bytes(by_sros2(content, authority, key))
+    (keystore / "private/ca.key.pem").chmod(0o644)
+    outcome = keymint("adopt", "ks", "--json")
+    assert outcome.code == 3
+    found = {each["file"] for each in outcome.document["diagnostics"] if each["severity"] == "error"}
+    assert any(each.endswith(name.rpartition("/")[2]) for each in found)
+    assert "adopt-key-exposed" in outcome.codes()
+
+
+def test_places_in_a_document_are_those_of_its_own_signature(keymint, keystore: Path) -> None:
+    """openssl puts other lines before a document than SROS2 does."""
+    authority = x509.load_pem_x509_certificate((keystore / "public/ca.cert.pem").read_bytes())
+    key = keys.from_pem((keystore / "private/ca.key.pem").read_bytes())
+    governance = keystore / "enclaves/governance.p7s"
+    governance.write_bytes(
+        governance.read_bytes().replace(b"MIME-Version: 1.0\n", b"MIME-Version: 1.0\nSubject: a\nTo: b\n", 1)
+    )
+    signed = by_sros2(b"<dds>\n<permissions/>\n<oops>\n</dds>", authority, key)
+    (keystore / "enclaves/talker/permissions.p7s").write_bytes(signed)
+    line = signed.decode().splitlines().index("</dds>") + 1
+    assert f"{TALKER}/permissions.p7s:{line}: error: not well-formed XML" in keymint("adopt", "ks").err
 
 
 def test_no_link_leads_out_of_the_keystore(keymint, keystore: Path, tmp_path: Path) -> None:
