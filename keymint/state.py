@@ -26,11 +26,12 @@ _SEAL, _END = b',"sha256":"', b'"}\n'
 
 def digest(*parts: bytes | str) -> str:
     """Return the SHA-256, in hex, of several parts, each prefixed with its length to keep them distinct."""
-    framed: list[bytes] = []
+    hashed = hashlib.sha256()
     for part in parts:
         data = part.encode("utf-8", "surrogatepass") if isinstance(part, str) else part  # any name on disk
-        framed += len(data).to_bytes(8, "big"), data
-    return hashlib.sha256(b"".join(framed)).hexdigest()
+        hashed.update(len(data).to_bytes(8, "big"))
+        hashed.update(data)
+    return hashed.hexdigest()
 
 
 def digest_files(files: Mapping[str, bytes]) -> str:

@@ -18,7 +18,6 @@ from keymint.plan.renewal import EnclaveTerms, enclave_terms
 from keymint.plan.shared_documents import built_shared, is_current, users
 from keymint.plan.shared_install import installed_shared, is_installed
 from keymint.session import Session
-from keymint.workspace import packages
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +62,7 @@ def package_rows(session: Session, policy: LoadedPolicy | None) -> tuple[Package
         session: the workspace and its profile.
         policy: its policy, or None if it cannot be loaded; then packages are not compared with it.
     """
-    names = packages(session.tree, session.workspace.src)
+    names = session.packages()
     enclaves = set(installed(session))
     chains = trusted_chains(session)
     stale = _differing(session, policy, names)

@@ -13,7 +13,6 @@ from keymint.plan import environment, gitignore
 from keymint.plan.enclaves import enclave_files, files_in, installed
 from keymint.plan.shared_files import build_types_in_use, copies_of
 from keymint.session import Session
-from keymint.workspace import packages
 
 
 def outside_enclaves(session: Session, known: Collection[str]) -> Iterator[Diagnostic]:
@@ -91,7 +90,7 @@ def _script(session: Session, path: str, expected: bytes) -> Iterator[Diagnostic
 def _copies(session: Session, names: Iterable[str]) -> Mapping[str, bytes]:
     """Return the copies of enclaves' files that all installed build types have outside of them, by path."""
     expected: dict[str, bytes] = {}
-    sources = set(packages(session.tree, session.workspace.src))
+    sources = set(session.packages())
     artifacts = {
         subject_of(name): {file: Artifact(content) for file, content in enclave_files(session, name)[0].items()}
         for name in names

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
-from typing import Any
+from typing import Any, TypeVar
 
 import click
 
@@ -20,6 +20,8 @@ from keymint.output.report import Report
 from keymint.plan.create import packages_to_create
 from keymint.plan.policy import lazy_policy
 from keymint.status import PackageRow, SharedRow, package_rows, shared_rows
+
+_Row = TypeVar("_Row", PackageRow, SharedRow)
 
 
 @verb()
@@ -46,7 +48,7 @@ def status(run: Run, kind: str) -> Report:
         policy = lazy_policy(session)
     except KeymintError as error:
         policy, diagnostics = None, list(error.diagnostics)
-    rows = [replace(row, problem=_as_typed(run, row.problem)) for row in package_rows(session, policy)]
+    rows = [_as_typed(run, row) for row in package_rows(session, policy)]
     if policy:
         known = {row.package for row in rows}
         wanted = {*packages_to_create(session, policy)}
@@ -55,7 +57,7 @@ def status(run: Run, kind: str) -> Report:
         except KeymintError as error:
             diagnostics += error.diagnostics
         missing = sorted(wanted - known)
-    shared = [replace(row, problem=_as_typed(run, row.problem)) for row in shared_rows(session)]
+    shared = [_as_typed(run, row) for row in shared_rows(session)]
     if kind == "openmetrics":
         for line in openmetrics(gauges(session, rows)):
             run.console.line(line)
@@ -98,9 +100,11 @@ def _show(run: Run, rows: Sequence[PackageRow], missing: Sequence[str], shared: 
         run.console.line("no packages; run 'keymint create --all'")
 
 
-def _as_typed(run: Run, problem: str) -> str:
-    """Return a problem with paths as the user would type them."""
-    return run.as_typed(Diagnostic("problem", Severity.ERROR, problem)).message
+def _as_typed(run: Run, row: _Row) -> _Row:
+    """Return a row with the paths of its problem as the user would type them."""
+    if not row.problem:
+        return row
+    return replace(row, problem=run.as_typed(Diagnostic("problem", Severity.ERROR, row.problem)).message)
 
 
 def _shared_document(row: SharedRow) -> dict[str, Any]:
@@ -123,13 +127,14 @@ def _when(end: datetime | None, now: datetime) -> str:
 
 def _renewal(row: PackageRow, now: datetime) -> str:
     """Return from when on a package is renewed, or the authority that must be renewed before."""
-    if row.renew_after is None:
+    moment = row.renew_after
+    if moment is None:
         return f"with {row.ends_with}" if row.ends_with else "-"
-    days = (row.renew_after - now).days
-    return f"{row.renew_after:%Y-%m-%d} ({'due' if row.renew_after <= now else f'{days} d'})"
+    return f"{moment:%Y-%m-%d} ({'due' if moment <= now else f'{(moment - now).days} d'})"
 
 
 def _document(row: PackageRow) -> dict[str, Any]:
+    renew_after = row.renew_after
     return {
         "package": row.package,
         "subject": f"/{row.package}",
@@ -137,7 +142,7 @@ def _document(row: PackageRow) -> dict[str, Any]:
         "stale": row.stale or None,
         "certificate_expires": row.certificate_expires.isoformat() if row.certificate_expires else None,
         "permissions_expire": row.permissions_expire.isoformat() if row.permissions_expire else None,
-        "renew_after": row.renew_after.isoformat() if row.renew_after else None,
+        "renew_after": renew_after.isoformat() if renew_after else None,
         "ends_with": row.ends_with or None,
         "problem": row.problem or None,
     }

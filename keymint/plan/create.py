@@ -26,7 +26,7 @@ from keymint.plan.policy import package_of, record_policy
 from keymint.plan.stage import PackagePlan, recorded, steps_of
 from keymint.session import Session
 from keymint.state import Stamp, digest
-from keymint.workspace import packages, placed
+from keymint.workspace import placed
 
 STAGE = "create"
 
@@ -38,7 +38,7 @@ def packages_to_create(session: Session, policy: LoadedPolicy) -> tuple[str, ...
     sources.
     """
     exact = [package_of(policy, subject) for subject in policy.subjects()]
-    existing = packages(session.tree, session.workspace.src)
+    existing = session.packages()
     return tuple(sorted({*exact, *existing}.difference(session.infrastructure())))
 
 
@@ -113,7 +113,7 @@ class CreateStage:
         self._valid_for = valid_for
         self._policy = policy
         self._force = force
-        self.existing = frozenset(packages(session.tree, session.workspace.src))
+        self.existing = frozenset(session.packages())
         seen = (part for path, value in sorted(policy.seen.items()) for part in (str(path), value))
         self._inputs = digest(digest(*seen), session.profile_digest)
         self._package_type = session.package_type

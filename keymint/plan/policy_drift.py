@@ -13,7 +13,7 @@ from keymint.names import subject_of
 from keymint.plan.create import stale
 from keymint.plan.policy import is_recorded, is_unchanged, load_policy, package_of, recorded_subjects
 from keymint.session import Inputs, Session
-from keymint.workspace import hidden_by, packages
+from keymint.workspace import hidden_by
 
 CHANGED = "policy-changed"
 """Code of the warning that packages are not what the policy says now."""
@@ -46,7 +46,7 @@ def policy_changed(session: Session) -> tuple[Diagnostic, ...]:
 def _changed_packages(session: Session) -> list[str]:
     """Return the packages that differ from the policy, and those of subjects that it did not name before."""
     policy = load_policy(session)
-    existing = packages(session.tree, session.workspace.src)
+    existing = session.packages()
     before = recorded_subjects(session)
     new = {package_of(policy, subject) for subject in policy.subjects() if subject not in before}
     return sorted({*stale(session, policy, existing), *(new - set(existing))})

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-
-from keymint_comarmor.loaded import ComArmorPolicy
+from typing import TYPE_CHECKING
 
 import comarmor
 import comarmor.language.source
@@ -16,6 +15,9 @@ from keymint.api import API_VERSION, LearnedPolicy, LoadedPolicy, PolicyOfRules,
 from keymint.errors import KeymintError
 from keymint.graph import Graph
 from keymint.ir import SubjectRules
+
+if TYPE_CHECKING:
+    from keymint_comarmor.loaded import ComArmorPolicy
 
 __all__ = ["ComArmorPolicyType", "policy_type"]
 
@@ -56,6 +58,8 @@ class ComArmorPolicyType:
                     help="name a ComArmor file, or a directory of *.xml files",
                     code="policy-missing",
                 )
+        from keymint_comarmor.loaded import ComArmorPolicy  # noqa: PLC0415 - a run without changes loads no policy
+
         paths = [source.path for source in sources]
         loaded = comarmor.load_all(paths, library=library, library_shown=library_shown, packages=packages)
         return ComArmorPolicy(loaded)
@@ -98,6 +102,8 @@ class ComArmorPolicyType:
         Raises:
             KeymintError: the existing policy is not of this type.
         """
+        from keymint_comarmor.loaded import ComArmorPolicy  # noqa: PLC0415 - as below
+
         from keymint_ros2_comarmor.learn import learn  # noqa: PLC0415 - only this verb needs it
 
         if existing is not None and not isinstance(existing, ComArmorPolicy):
