@@ -15,7 +15,7 @@ from keymint.check import revocations
 from keymint.check.file_status import linked_twice, modes
 from keymint.errors import KeymintError
 from keymint.names import subject_of
-from keymint.pki import keys
+from keymint.pki import key_files, keys
 from keymint.plan import build, identity_keys, install
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.build_types import build_types_of
@@ -232,7 +232,13 @@ def _on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterato
     secret = stamp.secret if stamp else ("key.pem",)
     yield from modes(session, folder, 0o700, subject_of(name))
     for file in files_in(session, name):
-        yield from modes(session, f"{folder}/{file}", file_mode(secret=file in secret), subject_of(name))
+        is_secret = file in secret or key_files.has_any(files.get(file, b""))
+        is_other = stamp is not None and file not in stamp.outputs
+        for each in modes(session, f"{folder}/{file}", file_mode(secret=is_secret), subject_of(name)):
+            if (
+                not is_other or each.code != "file-mode" or each.severity is Severity.ERROR
+            ):  # what is hidden may stay so
+                yield each
         if session.tree.follows(f"{folder}/{file}"):
             yield _link(session, name, f"{folder}/{file}")
         if file in secret:

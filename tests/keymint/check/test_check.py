@@ -34,6 +34,26 @@ def test_clean(keymint, provisioned: Path) -> None:
     assert snapshot(provisioned) == before
 
 
+def test_nobody_is_told_to_show_a_private_key_to_others(keymint, provisioned: Path) -> None:
+    """Of files that Keymint did not write, a key is one by its content, and what its owner hides may be one."""
+    pem = (provisioned / "private/permissions_ca.key.pem").read_bytes()
+    for name, content, mode in (
+        ("a.pem", pem, 0o600),
+        ("b.pem", pem, 0o644),
+        ("c.bin", b"\0", 0o600),
+        ("d", b"", 0o666),
+    ):
+        (enclave(provisioned) / name).write_bytes(content)
+        (enclave(provisioned) / name).chmod(mode)
+    outcome = keymint("check", "--json", cwd=provisioned)
+    found = {
+        each["file"].rpartition("/")[2]: (each["severity"], each["help"].split()[:2])
+        for each in outcome.document["diagnostics"]
+        if each["code"] == "file-mode"
+    }
+    assert found == {"b.pem": ("error", ["chmod", "600"]), "d": ("error", ["chmod", "644"])}
+
+
 def test_sarif(keymint, provisioned: Path) -> None:
     (enclave(provisioned) / "key.pem").chmod(0o644)
     (enclave(provisioned) / "permissions.p7s").unlink()
