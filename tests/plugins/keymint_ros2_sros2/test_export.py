@@ -67,7 +67,7 @@ def test_examples(tmp_path: Path, name: str) -> None:
 def test_random_policies(tmp_path: Path) -> None:
     said = refused = 0
     codes_seen: set[str] = set()
-    for seed in range(tries(40, 300)):
+    for seed in range(tries(20, 300)):
         path = tmp_path / "source.xml"
         path.write_text(generated.pretty(generated.tokens(seed)))
         try:

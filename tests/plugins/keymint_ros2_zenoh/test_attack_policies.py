@@ -26,7 +26,7 @@ from tests.effort import tries
 from tests.plugins.keymint_ros2_zenoh.install_spaces import NEEDED
 from tests.plugins.keymint_ros2_zenoh.workspaces import package, rule, workspace
 
-POLICIES = tries(12, 300)
+POLICIES = tries(8, 300)
 SUBJECTS = {"/a": (0,), "/a/b": (0, 1), "/ab": (1,)}
 SEGMENTS = ("a", "b", "ab", "_a", "A", "a1")
 NAMES = tuple("/" + "/".join(each) for count in (1, 2) for each in product(SEGMENTS, repeat=count))

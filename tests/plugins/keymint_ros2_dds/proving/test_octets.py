@@ -16,7 +16,7 @@ from tests.plugins.keymint_ros2_dds.packages import package, rule
 from tests.plugins.keymint_ros2_dds.proving.byte_names import Case, has_cyclone, run
 
 VENDORS = ("cyclonedds-0.10", "fastdds-2.9")
-SAMPLE = tries(100, 250)
+SAMPLE = tries(60, 250)
 
 
 def stands(case: Case) -> dict[str, tuple[Proof, str]]:
