@@ -13,7 +13,7 @@ from tests.effort import calls_of, tries
 from tests.families import FAMILIES
 from tests.generated import minified, tokens
 
-SAMPLE = tries(12, 30)
+SAMPLE = tries(8, 30)
 
 
 def test_random_policies(tmp_path: Path) -> None:
