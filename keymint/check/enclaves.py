@@ -124,7 +124,8 @@ def _inspections(session: Session, package: Package, files: Mapping[str, bytes],
     Raises:
         KeymintError: the package has defects.
     """
-    build_types, documents = build_types_of(session, package), _documents(session, package)
+    build_types = build_types_of(session, package)
+    recorded = _recorded(session, package.name) if len(build_types) == 1 else None  # which does not say whose each is
     chains = session.once("chains", lambda: trusted_chains(session))
     folder, layout = session.workspace.shown(session.enclave_folder(package.name)), session.profile.layout
     found: dict[str, tuple[BuildType, Inspection]] = {}
@@ -132,7 +133,7 @@ def _inspections(session: Session, package: Package, files: Mapping[str, bytes],
         own = build_type.files(layout)
         inspection = Inspection(
             package=package,
-            documents=documents,
+            documents=_built(build_type, package).documents if recorded is None else recorded,
             files={file: content for file, content in files.items() if file in own},
             folder=folder,
             layout=layout,
@@ -144,21 +145,13 @@ def _inspections(session: Session, package: Package, files: Mapping[str, bytes],
     return found
 
 
-def _documents(session: Session, package: Package) -> Mapping[str, bytes]:
-    """Return what the sources build: the built documents, if the record has the digests of these and of the sources.
-
-    Raises:
-        KeymintError: the package has defects.
-    """
-    stamp = session.state.stamp(build.STAGE, package.name)
-    if stamp is not None and build.is_current(session, package.name):
-        documents = build.built_documents(session, package.name)
-        if {file: digest(content) for file, content in documents.items()} == stamp.outputs:
-            return documents
-    found: dict[str, bytes] = {}
-    for build_type in build_types_of(session, package).values():
-        found |= _built(build_type, package).documents
-    return found
+def _recorded(session: Session, name: str) -> Mapping[str, bytes] | None:
+    """Return the built documents of a package if the record has their digests and that of its sources, else None."""
+    stamp = session.state.stamp(build.STAGE, name)
+    if stamp is None or not build.is_current(session, name):
+        return None
+    documents = build.built_documents(session, name)
+    return documents if {file: digest(content) for file, content in documents.items()} == stamp.outputs else None
 
 
 def _built(build_type: BuildType, package: Package) -> BuildResult:

@@ -36,7 +36,7 @@ WRITING = {f"authority {verb}" for verb in ("renew", "replace", "import")}
 WRITING |= {"init", "create", "build", "install", "prove", "provision", "discover", "learn", "graph"}
 WRITING |= {"import", "fmt", "adopt", "harden", "export", "revoke", "renew", "crl", "sign", "bundle", "accept"}
 """Verbs that write files, so that they have ``--dry-run``."""
-STAGES = {"init", "create", "build", "install", "provision", "prove", "verify"}
+STAGES = {"init", "create", "build", "install", "provision", "prove", "verify", "check"}
 """Verbs that divide packages among processes, so that they have ``--jobs``."""
 ELSEWHERE = {"diff", "discover", "learn", "import", "plugins", "transports", "completion", "request", "accept"}
 """Verbs that use no workspace, so that they have neither ``--workspace`` nor ``--src-space`` and the like."""
