@@ -109,13 +109,29 @@ def recall(call: Call) -> Answer | None:
     return Answer(recorded["out"], recorded["err"], recorded["exit_code"])
 
 
+def is_recordable(call: Call, root: str) -> bool:
+    """Tell whether a command is one that may be recorded for :func:`recall`.
+
+    Args:
+        call: the command.
+        root: the root of the workspace.
+    """
+    return (
+        bool(call.arguments)
+        and call.arguments[0] in VERBS
+        and _root(call) == root
+        and not any(argument.startswith(_UNRECORDED) for argument in call.arguments)
+        and call.environment.names <= _VARIABLES
+    )
+
+
 def record(
     call: Call, root: str, sight: Sight, seen: Mapping[str, str], dates: Iterable[datetime], answer: Answer
 ) -> bytes | None:
     """Return the record of a command for :func:`recall`, or None if something is in doubt.
 
     Args:
-        call: the command.
+        call: the command, which is recordable.
         root: the root of the workspace.
         sight: the spaces as the command left them.
         seen: the paths that the policy was read from, each with its fingerprint: the SHA-256 if it is a file.
@@ -128,12 +144,7 @@ def record(
     others = {path: path_status(path) for path in (*elsewhere, *_profiles_below(call, root))}
     own = path_status(state)
     if (
-        not call.arguments
-        or call.arguments[0] not in VERBS
-        or _root(call) != root
-        or any(argument.startswith(_UNRECORDED) for argument in call.arguments)
-        or not call.environment.names <= _VARIABLES
-        or not all(status.is_trusted(sight.clock) for status in sight.folders.values())
+        not all(status.is_trusted(sight.clock) for status in sight.folders.values())
         or own[1] >= sight.clock
         or not all(_is_older(newest, call.started) for _, newest in others.values())
         or not all(_has_content(path, fingerprint) for path, fingerprint in seen.items())

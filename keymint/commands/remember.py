@@ -17,9 +17,9 @@ from keymint.plan.authorities import STAGE as AUTHORITIES
 from keymint.plan.build_types import BUILD
 from keymint.plan.policy import recorded_files
 from keymint.plan.revocation import lists
-from keymint.session import Inputs
+from keymint.session import Inputs, Session
 from keymint.store import Store
-from keymint.unchanged import Answer, Call, name_of, record
+from keymint.unchanged import Answer, Call, is_recordable, name_of, record
 
 
 def remember(
@@ -36,25 +36,35 @@ def remember(
         store: the writer.
         console: where the report is shown.
     """
-    seen, expected = recorded_files(plan.state), next_report(plan, report)
-    if seen is None or expected is None:
+    expected = next_report(plan, report)
+    if expected is None or not is_recordable(call, str(inputs.workspace.root)):
+        return
+    session = _session_after(inputs, plan)
+    seen = recorded_files(session)
+    if seen is None:
         return
     answer = Answer(*console.rendered(expected), int(expected.exit_code))
-    content = record(call, str(inputs.workspace.root), sight, seen, _dates(inputs, plan), answer)
+    content = record(call, str(inputs.workspace.root), sight, seen, _dates(session), answer)
     if content is not None:
         store.write(inputs.workspace.state, {name_of(call): File(content)})
 
 
-def _dates(inputs: Inputs, plan: Plan) -> Iterator[datetime]:
-    """Yield the dates of authorities and revocation lists after a plan; all is read only if they are asked for."""
+def _session_after(inputs: Inputs, plan: Plan) -> Session:
+    """Return the profile, the authorities and the record as they are after a plan."""
     workspace = inputs.workspace
     changed = [item for space in (workspace.profile, workspace.public) for item in plan.overlay(f"{space}/")]
-    session = replace(inputs, tree=inputs.tree.overlaid(changed)).session()
+    return replace(inputs, tree=inputs.tree.overlaid(changed), state=plan.state).session()
+
+
+def _dates(session: Session) -> Iterator[datetime]:
+    """Yield the dates of authorities and revocation lists."""
     for authority in session.profile.authorities:
         yield authority.certificate.validity.not_before
         yield authority.certificate.validity.not_after
     for name, content in lists(session).items():
-        yield revocation_lists.load(content, Origin(workspace.shown(workspace.revocation_list(name)))).next_update
+        yield revocation_lists.load(
+            content, Origin(session.workspace.shown(session.workspace.revocation_list(name)))
+        ).next_update
 
 
 def next_report(plan: Plan, report: Report) -> Report | None:

@@ -132,10 +132,13 @@ def is_unchanged(session: Session) -> bool:
     )
 
 
-def recorded_files(state: State) -> Mapping[str, str] | None:
-    """Return the paths that the policy was read from, each with its fingerprint, or None if the record has none."""
-    recorded = state.stamp(_STAGE, _FILES)
-    return None if recorded is None else recorded.outputs
+def recorded_files(session: Session) -> Mapping[str, str] | None:
+    """Return the paths that the policy was read from, each with its fingerprint.
+
+    The result is None if the record has none, or has those of another place: the workspace is a copy.
+    """
+    recorded = session.state.stamp(_STAGE, _FILES)
+    return recorded.outputs if recorded is not None and recorded.inputs == locations_digest(session) else None
 
 
 def recorded_subjects(session: Session) -> frozenset[str]:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import shutil
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -38,6 +40,23 @@ def test_the_profile_is_loaded_again_only_for_an_answer_that_is_recorded(
 ) -> None:
     assert keymint("build", *option, cwd=just_provisioned).code == 0
     assert len(loaded) == times
+
+
+def test_a_copied_workspace_answers_about_its_own_policy(
+    keymint: Callable[..., Outcome], tmp_path: Path, policy: Path
+) -> None:
+    """Its record names the policy of the workspace that it is a copy of, until a policy is read."""
+    made = tmp_path / "made"
+    made.mkdir()
+    shutil.move(policy, made / "policy.xml")
+    assert keymint("provision", "policy.xml", "-w", "ws", cwd=made).code == 0
+    shutil.copytree(made, tmp_path / "copy")
+    for name in ("one", "two"):
+        more = f"<profile name='{name}'><attachment>/{name}</attachment></profile></profiles>"
+        text = (made / "policy.xml").read_text().replace("</profiles>", more)
+        (tmp_path / "copy/policy.xml").write_text(text)
+        time.sleep(0.02)  # a status is trusted once the clock of the file system has moved on
+        assert f": /{name} (" in keymint("build", "-w", "ws", cwd=tmp_path / "copy").err
 
 
 def report(*steps: Step, diagnostics: tuple[Diagnostic, ...] = ()) -> tuple[Plan, Report]:
