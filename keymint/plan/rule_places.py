@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
-from comarmor.errors import Diagnostic, Origin, Spot
+from comarmor.errors import Diagnostic, Origin
 from keymint.api import LoadedPolicy
 from keymint.errors import KeymintError
 from keymint.names import name_of
@@ -25,7 +25,7 @@ class RulePlaces:
     def __init__(self, session: Session, policy: LoadedPolicy | None = None) -> None:
         self._session = session
         self._policy = policy
-        self._moved: dict[str, Mapping[Spot, Origin]] = {}
+        self._moved: dict[str, Mapping[Origin, Origin]] = {}
 
     def in_policy(self, diagnostics: Iterable[Diagnostic], subject: str = "") -> tuple[Diagnostic, ...]:
         """Return diagnostics about built packages with the places that their rules have now.
@@ -42,10 +42,10 @@ class RulePlaces:
             return diagnostic
         if subject not in self._moved:
             self._moved[subject] = self._moves(subject)
-        place = self._moved[subject].get(where.spot)
-        return replace(diagnostic, where=place if where.chain else place.alone()) if place else diagnostic
+        place = self._moved[subject].get(where)
+        return replace(diagnostic, where=place) if place else diagnostic
 
-    def _moves(self, subject: str) -> Mapping[Spot, Origin]:
+    def _moves(self, subject: str) -> Mapping[Origin, Origin]:
         """Return the rules that moved: their places in the policy by those that the sources state."""
         try:
             stated = self._session.package(name_of(subject)).grant.rules.rules
@@ -58,4 +58,5 @@ class RulePlaces:
         pairs = list(zip(stated, now, strict=False))
         if len(stated) != len(now) or any(old != replace(new, origin=old.origin) for old, new in pairs):
             return {}  # the sources have other rules than the policy
-        return {old.origin.spot: new.origin for old, new in pairs if old.origin != new.origin}
+        moved = [(old.origin, new.origin) for old, new in pairs if old.origin != new.origin]
+        return {old.alone(): new.alone() for old, new in moved} | dict(moved)  # some diagnostics leave out the includes

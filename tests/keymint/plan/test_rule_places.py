@@ -25,6 +25,24 @@ def test_a_warning_follows_a_rule_whose_lines_moved(keymint, policy: Path, tmp_p
     assert _line(keymint("build", "-f", cwd=ws).err, "/no-name") == before + 2
 
 
+def test_a_file_that_is_included_twice_is_cited_with_its_own_include(keymint, policy: Path, tmp_path: Path) -> None:
+    include = '<xi:include href="part.xml" parse="xml"/>'
+    profile = f"<profile name='{{}}'{{}}><attachment>/talker</attachment>\n{include}\n</profile>\n"
+    audit = " modifier='AUDIT'"
+    namespace = "xmlns:xi='http://www.w3.org/2001/XInclude'"
+    text = f"<profiles {namespace}>\n{profile.format('a', '')}{profile.format('b', audit)}</profiles>"
+    rule = f"<ros_topic qualifier='ALLOW'>{BAD}<permissions><ros_publish/></permissions></ros_topic>"
+    (tmp_path / "part.xml").write_text(rule)
+    policy.write_text(text)
+    assert keymint("provision", policy, "-w", "ws").code == 0
+    before = keymint("build", "-f", cwd=tmp_path / "ws").err
+    assert "policy.xml:3" in before
+    assert "policy.xml:6" in before
+    policy.write_text(text.replace("<profiles", "\n\n<profiles", 1))
+    found = keymint("build", "-f", cwd=tmp_path / "ws").err
+    assert found == before.replace("policy.xml:3", "policy.xml:5").replace("policy.xml:6", "policy.xml:8")
+
+
 def test_sources_with_other_rules_are_cited_as_they_state_it(keymint, created: Path, policy: Path) -> None:
     policy.write_text(policy.read_text().replace("<attachment>/chatter</attachment>", BAD, 1))
     assert keymint("create", "--all", cwd=created).code == 0
