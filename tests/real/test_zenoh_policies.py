@@ -135,7 +135,7 @@ def arrivals(network: RealNetwork, sender: str, receiver: str) -> set[tuple[str,
     """Return the key expressions that were sent and subscribed to, of all samples that arrived."""
     boxes = {f"{sender} {subscribed}": subscribed for subscribed in (*LITERAL, *WILD)}
     end = f"{sender} end"
-    network.sessions.ask("subscribe", session=receiver, keys={end: key(FENCE), **dict(boxes)})
+    network.sessions.ask("subscribe", session=receiver, keys={**boxes, end: key(FENCE)})
     found: set[tuple[str, str]] = set()
     for number in range(_ROUNDS):
         last = f"{PASSED} {number}"

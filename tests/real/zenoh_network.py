@@ -67,7 +67,7 @@ class RealNetwork:
             fence: key that the sender may send on and the receiver may receive from.
         """
         box, end = f"box{next(self._numbers)}", f"box{next(self._numbers)}"
-        self.sessions.ask("subscribe", session=receiver, keys={end: fence, box: subscription})
+        self.sessions.ask("subscribe", session=receiver, keys={box: subscription, end: fence})
         arrived = False
         for number in range(_ROUNDS):
             last = f"{box} {number}"

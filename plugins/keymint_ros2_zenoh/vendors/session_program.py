@@ -12,10 +12,12 @@ import json
 import os
 import sys
 import threading
+from collections.abc import Callable
 from typing import Any
 
 import zenoh
 import zenoh.ext
+import zenoh.handlers
 
 _QUERY_SECONDS = 10.0
 
@@ -43,6 +45,15 @@ class _Mailbox:
         with self._arrival:
             self._arrival.wait_for(lambda: any(text == last for _, text in self._samples), seconds)
             return list(self._samples)
+
+
+def _in_order(called: Callable[[Any], None]) -> Any:
+    """Return a handler that the library's own thread calls.
+
+    A bare function gets a thread for each declaration. Then a mailbox may still be empty when a later sample is already
+    in another one, and a fence would prove nothing about the samples before it.
+    """
+    return zenoh.handlers.Callback(called, indirect=False)
 
 
 class _Commands:
@@ -124,7 +135,7 @@ class _Commands:
             def arrived(sample: Any, box: _Mailbox = box) -> None:
                 box.put(str(sample.key_expr), sample.payload.to_string())
 
-            self._declared[session].append(self._sessions[session].declare_subscriber(key, arrived))
+            self._declared[session].append(self._sessions[session].declare_subscriber(key, _in_order(arrived)))
 
     def watch(self, session: str, keys: dict[str, str]) -> None:
         """Declare subscribers on liveliness tokens, by the names of their mailboxes; a text is ``+`` or ``-``."""
@@ -135,7 +146,7 @@ class _Commands:
                 box.put(str(sample.key_expr), "+" if sample.kind == zenoh.SampleKind.PUT else "-")
 
             liveliness = self._sessions[session].liveliness()
-            self._declared[session].append(liveliness.declare_subscriber(key, changed, history=True))
+            self._declared[session].append(liveliness.declare_subscriber(key, _in_order(changed), history=True))
 
     def answered(self, name: str, last: str, seconds: float) -> list[tuple[str, str]]:
         """Return what is in a mailbox; wait for something on the key ``last``, up to a time."""
@@ -166,7 +177,7 @@ class _Commands:
                 if reply.ok is not None:
                     box.put(key, reply.ok.payload.to_string())
 
-            self._sessions[session].get(key, replied, timeout=_QUERY_SECONDS)
+            self._sessions[session].get(key, _in_order(replied), timeout=_QUERY_SECONDS)
 
         for key in keys:
             ask(key)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import json
 import os
 import signal
 import socket
@@ -60,13 +61,14 @@ class Cluster:
 
 @contextlib.contextmanager
 def started(folder: Path, workers: int, *options: object, protocol: str = "tcp") -> Iterator[Cluster]:
-    """Start a scheduler with workers; they connect later."""
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    cluster = Cluster(folder, address=f"127.0.0.1:{port}")
+    """Start a scheduler, which listens when this returns, and workers, which connect later."""
+    cluster = Cluster(folder)
     cluster.order.write_text("")
+    written = folder / "scheduler.json"
     try:
-        cluster.start("scheduler", "--host", f"{protocol}://127.0.0.1", "--port", port, *options)
+        cluster.start("scheduler", "--host", f"{protocol}://127.0.0.1:0", "--scheduler-file", written, *options)
+        until(lambda: written.exists() and written.read_bytes().rstrip().endswith(b"}"))
+        cluster.address = json.loads(written.read_bytes())["address"].partition("://")[2]
         for _ in range(workers):
             cluster.start(
                 "worker", f"{protocol}://{cluster.address}", "--nworkers", 1, "--nthreads", 1, "--no-nanny",
@@ -136,19 +138,22 @@ class Relay:
         with contextlib.suppress(OSError):
             while True:
                 client, _ = self._server.accept()
-                scheduler = socket.create_connection(self._target)
-                for source, sink, way in ((client, scheduler, "to"), (scheduler, client, "from")):
-                    threading.Thread(target=self._pass_on, args=(source, sink, way), daemon=True).start()
+                threading.Thread(target=self._serve, args=(client,), daemon=True).start()
+
+    def _serve(self, client: socket.socket) -> None:
+        with client, socket.create_connection(self._target) as scheduler:
+            back = threading.Thread(target=self._pass_on, args=(scheduler, client, "from"), daemon=True)
+            back.start()
+            self._pass_on(client, scheduler, "to")
+            back.join()
 
     def _pass_on(self, source: socket.socket, sink: socket.socket, way: str) -> None:
         with contextlib.suppress(OSError):
             while data := source.recv(1 << 16):
                 self.heard[way] += data
                 sink.sendall(data)
-        for each in (source, sink):
-            with contextlib.suppress(OSError):
-                each.shutdown(socket.SHUT_RDWR)
-            each.close()
+        with contextlib.suppress(OSError):
+            sink.shutdown(socket.SHUT_WR)
 
     def close(self) -> None:
         self._server.close()
