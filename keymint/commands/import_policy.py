@@ -93,7 +93,7 @@ def import_policy(
         "subjects": [{"subject": proof.subject, "same": proof.is_same} for proof in proofs],
     }
     diagnostics: list[Diagnostic] = [*imported.diagnostics, *diagnostics_of(proofs, importer.TOOL)]
-    return Report(run.verb, None, (), diagnostics, result, dry_run=run.dry_run)
+    return Report(run.verb, None, (), diagnostics, result, dry_run=run.dry_run, notes=True)
 
 
 def _importer(run: Run, policy: Path) -> PolicyImporter:

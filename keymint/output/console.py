@@ -92,7 +92,7 @@ class Console:
             self._streams.out.write(f"{document}\n")
             return
         for diagnostic in report.diagnostics:
-            self.diagnostic(diagnostic)
+            self.diagnostic(diagnostic, notes=report.notes)
         if self._verbosity >= 0:
             self._steps(report)
 
@@ -103,9 +103,9 @@ class Console:
         Console(streams, verbosity=self._verbosity, as_json=self._json).show(report)
         return out.getvalue(), err.getvalue()
 
-    def diagnostic(self, diagnostic: Diagnostic) -> None:
-        """Show one diagnostic: ``place: severity: message (help)``; notes only if verbose."""
-        if diagnostic.severity is Severity.NOTE and self._verbosity < 1:
+    def diagnostic(self, diagnostic: Diagnostic, *, notes: bool = False) -> None:
+        """Show one diagnostic: ``place: severity: message (help)``; notes only if verbose or wanted."""
+        if diagnostic.severity is Severity.NOTE and self._verbosity < (0 if notes else 1):
             return
         if diagnostic.severity is Severity.WARNING and self._verbosity < 0:
             return

@@ -31,6 +31,7 @@ class Report:
         result: further results; each verb has its own keys.
         exit_code: exit code of the process.
         dry_run: whether nothing was written.
+        notes: whether notes belong to the result, and are shown unless quiet; else only if verbose.
     """
 
     verb: str
@@ -40,6 +41,7 @@ class Report:
     result: Mapping[str, Any] = field(default_factory=dict)
     exit_code: ExitCode = ExitCode.DONE
     dry_run: bool = False
+    notes: bool = False
 
 
 def folded(diagnostics: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:

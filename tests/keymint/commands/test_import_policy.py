@@ -85,6 +85,10 @@ def test_what_vendors_read_differently_is_noted(keymint, foreign: Path) -> None:
     assert [each["severity"] for each in notes] == ["note"]
     assert "cyclonedds-0.10 reads SROS2's document differently" in notes[0]["message"]
     assert outcome.document["result"]["subjects"][0]["same"]
+    for verb in (("import", "robot.policy.xml"), ("export", "comarmor.d", "--format", "sros2", "-o", "again.xml")):
+        listed = keymint(*verb).err
+        assert "note: /talker: cyclonedds-0.10 reads SROS2's document differently" in listed
+        assert keymint(*verb, "-q").err == ""
 
 
 def test_a_document_that_is_not_proven_is_not_written(keymint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
