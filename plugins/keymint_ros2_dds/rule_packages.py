@@ -13,6 +13,8 @@ from keymint_ros2_dds.settings import BUILD_TYPE, DdsSettings, DomainRule, Gover
 
 _VALIDITY = Validity(datetime(2000, 1, 1, tzinfo=UTC), datetime(2001, 1, 1, tzinfo=UTC))
 """Any period that documents can express: the findings on rules do not depend on it."""
+_NAME = "CN=/subject"
+"""Any subject name that is one: what names of subjects become is decided by the settings of a package."""
 _EVERYWHERE = (DomainRange(0, 0),)
 _ANYWHERE = Origin(BUILD_TYPE)
 _PROTECTION = DomainRule(_EVERYWHERE, False, True, "ENCRYPT", "ENCRYPT", "ENCRYPT", (), _ANYWHERE)
@@ -22,15 +24,12 @@ def package_of(rules: SubjectRules, distro: str) -> Package:
     """Return a package with these rules, and with valid settings for all else."""
     subject = rules.subject
     origin = Origin(subject)
-    common_name = f"CN={subject}"
     return Package(
         name=name_of(subject),
         subject=subject,
         distro=distro,
-        identity=CertificateSpec(
-            common_name, _VALIDITY, None, "identity", "SHA256", KeySpec("ec", "SECP256R1"), (), origin
-        ),
-        grant=Grant("permissions", subject, common_name, _VALIDITY, _EVERYWHERE, rules, origin),
+        identity=CertificateSpec(_NAME, _VALIDITY, None, "identity", "SHA256", KeySpec("ec", "SECP256R1"), (), origin),
+        grant=Grant("permissions", subject, _NAME, _VALIDITY, _EVERYWHERE, rules, origin),
         build_types=(BUILD_TYPE,),
         settings={BUILD_TYPE: DdsSettings(Governance("permissions", (_PROTECTION,)))},
     )

@@ -36,6 +36,7 @@ from keymint_ros2_sros2.comments import Comments, comments_of
 _DRAFT = "http://www.w3.org/2003/XInclude"
 _INCLUDES = (f"{{{XINCLUDE}}}include", f"{{{_DRAFT}}}include")
 _XPOINTER = re.compile(r"\s*(?:xpointer\(\s*)?((?:/(?:\w+|\*))+)(?:\s*\))?\s*")
+_BASE = "{http://www.w3.org/XML/1998/namespace}base"
 _ATTRIBUTES = ("href", "parse", "xpointer")
 _COPY = "copy the file into the policy's folder, and include the copy"
 
@@ -153,21 +154,16 @@ class PolicyFiles:
         yield from self._selected(Placed(file.root, file, chain), steps, where)
 
     def _selected(self, root: Placed, steps: tuple[str, ...], where: Origin) -> Iterator[Placed]:
-        """Yield the elements that an xpointer selects; without one the root element."""
-        found = [root.element] if not steps or steps[0] in {"*", root.element.tag} else []
+        """Yield what an xpointer selects, from what the file includes too; without an xpointer the root element."""
+        found = [root] if not steps or steps[0] in {"*", root.element.tag} else []
         for step in steps[1:]:
-            self._count(sum(map(len, found)), where)
-            found = [child for each in found for child in each if step in {"*", child.tag}]
+            found = [child for each in found for child in self.children(each) if step in {"*", child.element.tag}]
         if not found:
             raise ComArmorError(
                 f"the xpointer /{'/'.join(steps)} selects nothing in {quoted(root.file.name, 200)}", where=where,
                 help=f"the root of that file is <{root.element.tag}>", code="include-xpointer",
             )  # fmt: skip
-        for element in found:
-            if element.tag in _INCLUDES:
-                yield from self._included(Placed(element, root.file, root.chain))
-            else:
-                yield Placed(element, root.file, root.chain)
+        yield from found
 
     def _file(self, relative: str, where: Origin, chain: tuple[Origin, ...]) -> PolicyFile:
         if relative in self._files:
@@ -231,6 +227,11 @@ def _target(include: Placed) -> tuple[str, tuple[str, ...]]:
         raise ComArmorError(
             "xi:include must be empty; xi:fallback is not supported", where=where, code="include-fallback",
             help="a missing include is an error, so that no rule is ever left out silently",
+        )  # fmt: skip
+    if any(each.get(_BASE) is not None for each in element.iterancestors()):
+        raise ComArmorError(
+            "an element around this xi:include has xml:base, from where SROS2 reads the file", where=where,
+            code="include-base", help="remove xml:base, and write the href relative to this file",
         )  # fmt: skip
     path = includes.path_of(attributes.get("href", ""), where, help_=_COPY)
     return path, _steps(attributes.get("xpointer"), where)

@@ -38,6 +38,14 @@ def test_it_is_written_proven_and_ready_to_provision(keymint, tmp_path: Path) ->
     assert keymint("import", "robot.policy.xml").out.startswith("comarmor.d/robot.xml is up to date")
 
 
+def test_a_path_longer_than_a_common_name_is_imported_and_provisioned(keymint, foreign: Path) -> None:
+    """Some versions of SROS2 issue certificates with such names (RFC 5280 allows 64 characters); ours are shortened."""
+    path = f"/{'robot_' * 11}arm"
+    foreign.write_text(policy().replace('path="/talker"', f'path="{path}"'))
+    assert keymint("import", "robot.policy.xml").err == ""
+    assert keymint("provision", "comarmor.d", "-w", "ws").code == 0
+
+
 def test_json(keymint) -> None:
     document = keymint("import", "robot.policy.xml", "--json", "-o", "new").document
     assert document["verb"] == "import"

@@ -70,6 +70,7 @@ def test_comments_are_kept_at_their_places(write) -> None:
         (policy('<enclave path="/a"><profiles><profile ns="/"/></profiles></enclave>'), "lacks its attribute 'node'"),
         (policy(enclave("/a", '<topics publish="YES"/>')), "expected ALLOW or DENY"),
         (policy(enclave("/a", '<topics request="ALLOW"/>')), "unknown attribute 'request'"),
+        (policy(enclave("/a", "")).replace("enclaves", "contexts"), "expected <enclaves> or <profiles> or <xi:*>"),
         (policy(enclave("/a", "<topics><service>x</service></topics>")), "<service> is not expected"),
         (policy(enclave("/a", "text")), "cannot contain text"),
         (policy(enclave("/a", "")).replace("<policy", "<!DOCTYPE x><policy"), "DOCTYPE"),
@@ -80,8 +81,15 @@ def test_refused(write, text: str, message: str) -> None:
         parse(write(text))
     found = caught.value.diagnostics[0]
     assert message in found.message
+    assert "{" not in found.message
     assert found.where is not None
     assert found.where.line == 1
+
+
+def test_no_attribute_is_suggested_in_its_own_place(write) -> None:
+    with pytest.raises(ComArmorError) as caught:
+        parse(write(policy(enclave("/a", '<topics call="ALLOW"/>'))))
+    assert caught.value.diagnostics[0].help == ""
 
 
 def test_an_included_element_in_the_wrong_place(write) -> None:

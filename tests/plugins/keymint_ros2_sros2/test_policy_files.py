@@ -8,11 +8,12 @@ from pathlib import Path
 import pytest
 from keymint_ros2_sros2.parse import _Parser, parse
 from keymint_ros2_sros2.policy_files import policy_files
+from lxml import etree
 
 from comarmor.errors import ComArmorError
 from comarmor.xml.reader import Limits
 
-from .sros2_policies import DRAFT, LOGGING, XI, enclave, policy
+from .sros2_policies import COMMON, DRAFT, LOGGING, XI, enclave, policy
 
 
 def include(href: str, more: str = 'xpointer="xpointer(/profile/*)"') -> str:
@@ -50,6 +51,38 @@ def test_profiles_of_another_policy(write) -> None:
     text = policy(f'<enclave path="/a"><profiles>{include("o.xml", pointer)}</profiles></enclave>')
     (found,) = parse(write(text, {"o.xml": OTHER})).enclaves
     assert [node.name for node in found.nodes()] == ["m"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        policy(enclave("/a", include("common/node.xml", 'xpointer="xpointer(/profile/topics)"'))),
+        policy(enclave("/a", include("common/node.xml", 'xpointer="xpointer(/*/services)"'))),
+        policy(
+            '<enclave path="/a"><profiles>'
+            + include("fleet.xml", 'xpointer="xpointer(/policy/enclaves/enclave/profiles/*)"')
+            + "</profiles></enclave>"
+        ),
+    ],
+)
+def test_an_xpointer_selects_from_what_is_included_too(write, text: str) -> None:
+    """As libxml2 does, by which SROS2 includes: it resolves the includes of a file before it selects from it."""
+    everywhere = "xpointer='xpointer(/policy/enclaves/*)'"
+    denied = enclave("/b", '<topics subscribe="DENY"><topic>/y</topic></topics>', node="m")
+    files = COMMON | {"fleet.xml": policy(include("o.xml", everywhere), denied), "o.xml": OTHER}
+    path = write(text, files)
+    expected = etree.parse(path)
+    expected.xinclude()
+    assert names(path) == [each.text for each in expected.iter("topic", "service")]
+
+
+def test_an_xml_base_does_not_change_silently_what_is_included(write) -> None:
+    """Libxml2 reads ``sub/logging.xml`` here."""
+    text = policy(enclave("/a", include("logging.xml"))).replace("<profile ", '<profile xml:base="sub/" ')
+    with pytest.raises(ComArmorError) as caught:
+        parse(write(text, {"logging.xml": LOGGING, "sub/logging.xml": LOGGING}))
+    assert [each.code for each in caught.value.diagnostics] == ["include-base"]
+    assert names(write(text.replace(include("logging.xml"), LOGGING[9:-10]))) == ["rosout"]
 
 
 def test_without_an_xpointer_the_root_is_included(write) -> None:
