@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Iterable
 from enum import IntEnum, StrEnum
 
+from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 
 Spot = tuple[str, int, int]
@@ -21,7 +22,7 @@ class Severity(StrEnum):
     NOTE = "note"
 
 
-_LIBRARY = re.compile(
+_LIBRARY = lazy_regex(
     r"(?:.*/)?(?:templates/keymint_ros|keymint_ros/_data/templates)/comarmor\.d/[a-z]+/(common/.+)", re.DOTALL
 )
 """Files of the policy library that ships with Keymint, in a checkout or in an installed distribution."""

@@ -6,12 +6,12 @@ Source: ROS 2 design, "Topic and Service name mapping to DDS".
 
 from __future__ import annotations
 
-import re
+from comarmor.regex import lazy_regex
 
 RAW_PREFIXES = ("rt/", "rq/", "rr/", "rs/", "ra/")
 """What ROS 2 puts before the names of raw topics: of topics, requests, replies, services and actions."""
-_SEGMENT = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-_FULLY_QUALIFIED = re.compile(rf"(?:/{_SEGMENT.pattern})+")
+_SEGMENT = lazy_regex(r"[A-Za-z_][A-Za-z0-9_]*")
+_FULLY_QUALIFIED = lazy_regex(rf"(?:/{_SEGMENT.pattern})+")
 
 
 def is_segment(text: str) -> bool:

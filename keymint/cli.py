@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, TextIO, cast
 
 import click
 
+from comarmor.regex import lazy_regex
 from comarmor.text import printable, printable_lines
 from keymint import SPACES, __version__
 from keymint.commands.verb_group import VerbGroup
@@ -70,7 +71,7 @@ VERBS: Mapping[str, str] = {
 }
 
 
-_JSON_FORMAT = re.compile(r"-f ?json|--format[ =]json")
+_JSON_FORMAT = lazy_regex(r"-f ?json|--format[ =]json")
 _LAST = datetime(9900, 1, 1, tzinfo=UTC)
 """A later clock is an error: authorities are valid for ten years, and certificates end in the year 9999 (RFC 5280)."""
 

@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, NoReturn
 
 from comarmor.errors import Origin
+from comarmor.regex import lazy_regex
 from comarmor.ros_names import is_fully_qualified, is_subject
 from comarmor.rules import KIND_OF, PERMISSIONS
 from comarmor.text import did_you_mean
@@ -24,7 +24,7 @@ MAX_NAME = 1024
 MAX_DOMAIN = 232
 """Highest domain id of ROS 2 (``ROS_DOMAIN_ID``)."""
 
-_CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
+_CONTROL = lazy_regex(r"[\x00-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
 
 Path = tuple[str | int, ...]
 

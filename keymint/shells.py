@@ -3,18 +3,18 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
+from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.api import EnvironmentVariable
 
 MARK = "# Written by Keymint."
 """The beginning of each script, by which it is recognised."""
 _COMMENT = f"{MARK} Source this file: the processes of this shell use this keystore, wherever it lies."
-_PLAIN = re.compile(r"[A-Za-z0-9_./][A-Za-z0-9_./:+-]*")
+_PLAIN = lazy_regex(r"[A-Za-z0-9_./][A-Za-z0-9_./:+-]*")
 """What every shell reads as it is."""
 _FOLDER = "_keymint_keystore"
 

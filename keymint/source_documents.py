@@ -10,7 +10,6 @@ Reading does not know the document's name; :class:`Reader` inserts it into the m
 from __future__ import annotations
 
 import posixpath
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -20,6 +19,7 @@ from lxml import etree
 
 from comarmor.data import locate
 from comarmor.errors import Diagnostic, Origin
+from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean, quoted
 from comarmor.xml import reader, schema
 from comarmor.xml.reader import line
@@ -33,7 +33,7 @@ DEFAULT_DOMAINS = (DomainRange(0, 0),)
 _NAMELESS = "<document>"
 _CACHE_SIZE = 256
 """Documents of one kind to cache: enough for all that packages share."""
-_PLAIN = re.compile(r"[a-z_]+(\.[a-z_]+)*(/[a-z_]+(\.[a-z_]+)*)*")
+_PLAIN = lazy_regex(r"[a-z_]+(\.[a-z_]+)*(/[a-z_]+(\.[a-z_]+)*)*")
 """The usual paths, which are already normalized."""
 
 

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from typing import NamedTuple
 
+from comarmor.regex import lazy_regex
 from keymint import __version__
 from keymint.folder_status import FolderStatus, Sight, path_status, walk
 from keymint.state import sealed, unsealed
@@ -31,7 +31,7 @@ _VARIABLES = {"ROS_DISTRO", "AMENT_PREFIX_PATH"}
 """Environment variables whose values may be recorded; any other one may be a password."""
 _TICK, _COARSE_TICK = 20_000_000, 2_000_000_000
 """Nanoseconds in which a file may change twice and have the same time; the second if times are whole seconds."""
-_DATE = re.compile(rb"-(?<=(\d{4}-))(\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?(?:Z|[+-]\d\d:\d\d))")  # few bytes are "-"
+_DATE = lazy_regex(rb"-(?<=(\d{4}-))(\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?(?:Z|[+-]\d\d:\d\d))")  # few bytes are "-"
 _ALWAYS = 1e12
 
 

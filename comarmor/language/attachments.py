@@ -7,7 +7,6 @@ notation, so that concatenated pieces do not change each other's meaning.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from enum import StrEnum
 from itertools import product
@@ -16,6 +15,7 @@ from math import prod
 from comarmor.errors import ComArmorError
 from comarmor.patterns.printing import canonical, escape
 from comarmor.patterns.tokens import COMARMOR, Bracket, next_token
+from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean, quoted
 from comarmor.values import dataclass
 
@@ -44,10 +44,10 @@ MOST_CHARACTERS = 4096
 """The most characters of an expression."""
 
 _NAME, _NAMESPACE = Placeholder.NAME, Placeholder.NAMESPACE
-_PLAIN = re.compile(r"[^*?\[\\{}@\s]+")
-_REFERENCE = re.compile(r"@\{([^{}]*)\}")
-_BRACES = re.compile(r"\{[^{}]*\}?|\}")
-_BARE_BRACE = re.compile(r"(?<!\\)(?:\\\\)*[{}]")
+_PLAIN = lazy_regex(r"[^*?\[\\{}@\s]+")
+_REFERENCE = lazy_regex(r"@\{([^{}]*)\}")
+_BRACES = lazy_regex(r"\{[^{}]*\}?|\}")
+_BARE_BRACE = lazy_regex(r"(?<!\\)(?:\\\\)*[{}]")
 _BLANKS = " \t\r\n"
 
 

@@ -11,6 +11,7 @@ from functools import lru_cache
 
 from comarmor.patterns.glob import Glob, parse
 from comarmor.patterns.tokens import PatternError, Star
+from comarmor.regex import lazy_regex
 from comarmor.ros_names import RAW_PREFIXES
 
 _START, _SLASH, _SEGMENT = 1, 2, 4
@@ -19,7 +20,7 @@ _DIGITS = "0123456789"
 _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz_"
 _SLASH_AFTER, _LETTER_AFTER, _DIGIT_AFTER = _START | _SEGMENT, _SLASH | _SEGMENT, _SEGMENT
 """After which characters a ``/``, a letter and a digit may follow."""
-_NAME_SO_FAR = re.compile(r"(?:/[A-Za-z_][A-Za-z0-9_]*)*(/)?")
+_NAME_SO_FAR = lazy_regex(r"(?:/[A-Za-z_][A-Za-z0-9_]*)*(/)?")
 
 
 @lru_cache(maxsize=1 << 14)

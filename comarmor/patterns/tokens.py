@@ -10,16 +10,16 @@ an error in some dialects; the others read it as described there.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator
 from enum import Enum, auto
 
 from comarmor.errors import ComArmorError
+from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 
 MAX_CODE = 0x10FFFF
-SPECIAL = re.compile(r"[*?\[\\]")
+SPECIAL = lazy_regex(r"[*?\[\\]")
 """Characters that some dialect does not read as themselves."""
 
 
@@ -240,8 +240,8 @@ def _bracket(expression: str, index: int, dialect: Dialect) -> tuple[Bracket, in
     return None
 
 
-_CLASS = re.compile(r"\[:([A-Za-z0-9]+):\]")
-_COLLATION = re.compile(r"\[([.=])[^\]]*\1\]")
+_CLASS = lazy_regex(r"\[:([A-Za-z0-9]+):\]")
+_COLLATION = lazy_regex(r"\[([.=])[^\]]*\1\]")
 
 
 def _class(expression: str, index: int, dialect: Dialect) -> str | None:

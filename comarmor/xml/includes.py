@@ -4,18 +4,18 @@
 from __future__ import annotations
 
 import posixpath
-import re
 from urllib.parse import unquote, urlsplit
 
 from comarmor.errors import ComArmorError, Origin
+from comarmor.regex import lazy_regex
 from comarmor.text import quoted
 from comarmor.values import dataclass
 
 PACKAGE = "package://"
 """Begin of an ``href`` that names a file of a ROS package, as in URDF and in ``resource_retriever``."""
-_PACKAGE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,254}")
+_PACKAGE_NAME = lazy_regex(r"[A-Za-z0-9][A-Za-z0-9_-]{0,254}")
 """Names of ROS packages (REP 127), with the exemptions that ament_index makes: capitals, digits in front, dashes."""
-_SEGMENT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,254}")
+_SEGMENT = lazy_regex(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,254}")
 
 
 @dataclass(frozen=True, slots=True)

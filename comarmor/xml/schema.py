@@ -12,6 +12,7 @@ from typing import Any
 from lxml import etree
 
 from comarmor.errors import ComArmorError, Diagnostic, Origin, Severity
+from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean, quoted
 from comarmor.xml.reader import XINCLUDE, line, parse
 from comarmor.xml.xsd import XS, SchemaVocabulary
@@ -78,7 +79,7 @@ def _element(root: etree._Element, path: str | None) -> etree._Element | None:
     return elements[0] if elements else None
 
 
-_NAME = re.compile(r"\{([^}]*)\}([^\s',)]+)")
+_NAME = lazy_regex(r"\{([^}]*)\}([^\s',)]+)")
 
 
 def _unexpected(match: re.Match[str], vocabulary: SchemaVocabulary, element: etree._Element | None) -> tuple[str, str]:
@@ -149,7 +150,7 @@ def _short(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None
     return f"{_node(match)} has {match[3]} characters, expected {least} or more", ""
 
 
-_QUOTED = re.compile(r"'([^']*)(?:'|\Z)")
+_QUOTED = lazy_regex(r"'([^']*)(?:'|\Z)")
 """A value in a message of libxml2, which truncates long messages."""
 
 _Explanation = Callable[[re.Match[str], SchemaVocabulary, Any], tuple[str, str]]

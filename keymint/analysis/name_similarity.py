@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import difflib
-import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
@@ -13,6 +12,7 @@ from comarmor.patterns.edit_distance import NameTrie
 from comarmor.patterns.glob import Glob, literal, parse
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.steps import StepLimitError, spend, step_limit
+from comarmor.regex import lazy_regex
 from comarmor.rules import Effect
 from keymint.analysis.expression_origins import ExpressionOrigins
 from keymint.analysis.findings import undecided, warning
@@ -39,7 +39,7 @@ _FEW = 64
 """Maximum number of compared names with the same words."""
 STEPS = 2_000
 """Maximum steps of the search for one name."""
-_DIGITS = re.compile(r"\d+")
+_DIGITS = lazy_regex(r"\d+")
 
 
 def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: ExpressionOrigins) -> Iterator[Diagnostic]:

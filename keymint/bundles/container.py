@@ -8,17 +8,17 @@ of tar may make of them need no rules of their own: a file with any other byte i
 from __future__ import annotations
 
 import io
-import re
 import tarfile
 from collections.abc import Mapping
 
 from comarmor.errors import Origin
+from comarmor.regex import lazy_regex
 from keymint.errors import KeymintError
 
 MAX_BYTES = 16 << 20
 """Largest bundle in bytes; documents of a subject have some thousand to some million."""
 MAX_MEMBERS = 64
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+NAME = lazy_regex(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 """The names of members: no folder, nothing hidden, and no longer than a header of tar has room for."""
 
 

@@ -8,12 +8,12 @@ It is JSON in a canonical form (that of RFC 8785 for the values that occur), whi
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
 
 from comarmor.errors import Origin
+from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.bundles import container
 from keymint.errors import KeymintError
@@ -24,8 +24,8 @@ VERSION = 1
 MAX_BYTES = 1 << 16
 MAX_NUMBER = 1 << 53
 """Numbers of JSON are exact below this (RFC 8259, 6)."""
-_DIGEST = re.compile(r"[0-9a-f]{64}")
-_NONCE = re.compile(r"(?:[0-9a-f]{32})?")
+_DIGEST = lazy_regex(r"[0-9a-f]{64}")
+_NONCE = lazy_regex(r"(?:[0-9a-f]{32})?")
 
 
 @dataclass(frozen=True, slots=True)

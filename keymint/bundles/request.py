@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import base64
 import binascii
-import re
 
 from cryptography import x509
 from cryptography.exceptions import UnsupportedAlgorithm
@@ -21,6 +20,7 @@ from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.x509.oid import AttributeOID, NameOID
 
 from comarmor.errors import Origin
+from comarmor.regex import lazy_regex
 from comarmor.text import quoted
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
@@ -30,11 +30,11 @@ from keymint.pki import certificates, cms, der, keys
 MAX_BYTES = 1 << 16
 """Largest request in bytes; one with an RSA key of 16,384 bits and a signature by such a key has about 15,000."""
 NONCE_BYTES = 16
-_NONCE = re.compile(r"[0-9a-f]{32}")
+_NONCE = lazy_regex(r"[0-9a-f]{32}")
 _CURVES = frozenset(curve.name for curve in keys.CURVES.values())
 _HASHES = (hashes.SHA256, hashes.SHA384, hashes.SHA512)
 _BASE64 = rb"((?:[A-Za-z0-9+/]{1,64}={0,2}\n)+)"
-_FILE = re.compile(
+_FILE = lazy_regex(
     rb"(-----BEGIN CERTIFICATE REQUEST-----\n" + _BASE64 + rb"-----END CERTIFICATE REQUEST-----\n)"
     rb"(?:-----BEGIN CMS-----\n" + _BASE64 + rb"-----END CMS-----\n)?"
 )

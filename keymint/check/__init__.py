@@ -7,7 +7,6 @@ files, unexpected files, authorities, and the files that all enclaves share.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import timedelta
@@ -15,6 +14,7 @@ from functools import partial
 from typing import Any
 
 from comarmor.errors import Diagnostic
+from comarmor.regex import lazy_regex
 from keymint.api import Inspection
 from keymint.check import revocations
 from keymint.check.authorities import authorities, authority_keys, in_defect
@@ -111,4 +111,4 @@ def _without_install_hints(findings: Iterable[Diagnostic], defect: Diagnostic | 
         yield replace(finding, help=f"fix {defect.where} first") if installs and defect else finding
 
 
-_INSTALLS = re.compile(r"'keymint (install|provision)")
+_INSTALLS = lazy_regex(r"'keymint (install|provision)")

@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 
 from comarmor.errors import Origin
+from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.bundles import bundle as bundles
 from keymint.bundles.acceptance import Acceptance, Owner
@@ -26,7 +27,7 @@ from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.output.report import Report
 
-_FINGERPRINT = re.compile("[0-9a-f]{64}")
+_FINGERPRINT = lazy_regex("[0-9a-f]{64}")
 
 
 @dataclass(frozen=True, slots=True)

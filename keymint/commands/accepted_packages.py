@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 
 import click
 
 from comarmor.errors import Diagnostic, Severity
+from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.api import LoadedPolicy
 from keymint.changes import Plan
@@ -20,7 +20,7 @@ from keymint.plan.packages import UnacceptedPackagesError, plan_release
 from keymint.plan.policy import plan_acceptance
 from keymint.session import Inputs, Session
 
-_DIGEST = re.compile("[0-9a-f]{64}")
+_DIGEST = lazy_regex("[0-9a-f]{64}")
 
 
 def _named(_context: click.Context, _parameter: click.Parameter, given: tuple[str, ...]) -> Mapping[str, str]:

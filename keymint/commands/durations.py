@@ -8,10 +8,11 @@ from datetime import timedelta
 
 import click
 
+from comarmor.regex import lazy_regex
 from keymint.plan.threshold import Threshold
 
 _UNITS = {"h": timedelta(hours=1), "d": timedelta(days=1), "w": timedelta(weeks=1), "y": timedelta(days=365)}
-_ISO = re.compile(
+_ISO = lazy_regex(
     r"P(?=.)(?:(?P<y>[0-9]{1,4})Y)?(?:(?P<m>[0-9]{1,4})M)?(?:(?P<w>[0-9]{1,5})W)?(?:(?P<d>[0-9]{1,6})D)?(?:T(?:(?P<h>[0-9]{1,6})H))?"
 )
 _MONTH = timedelta(days=30)

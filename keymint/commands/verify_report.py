@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from comarmor.errors import Origin
+from comarmor.regex import lazy_regex
 from keymint.commands.run import Run
 from keymint.commands.user_files import exists, read_input, write_outputs
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph, select_edges
@@ -23,7 +23,7 @@ MOST_TRUE = 10_000
 
 Edges that a rule denies are all drawn."""
 
-_UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
+_UNSAFE = lazy_regex(r"[^A-Za-z0-9._-]+")
 
 
 def labelled_edges(

@@ -7,6 +7,7 @@ import re
 import unicodedata
 from collections.abc import Iterable, Sequence
 
+from comarmor.regex import lazy_regex
 from comarmor.text import printable
 from keymint.drawing.labelled_graph import Label, LabelledEdge
 from keymint.graph import Object
@@ -25,7 +26,7 @@ INWARD = ("subscribe", "call", "request", "read", "relay")
 """Roles by direction of their edge: from the subject to the object, or back."""
 
 _LONGEST = 44
-_WORD = re.compile(r"[^/_ ]*[/_ ]|[^/_ ]+\Z", re.DOTALL)
+_WORD = lazy_regex(r"[^/_ ]*[/_ ]|[^/_ ]+\Z", re.DOTALL)
 """A word with the separator after it."""
 
 

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 
 from comarmor.errors import Origin, Spot
+from comarmor.regex import lazy_regex
 from keymint.analysis.policy_diff import SubjectChanges
 from keymint.analysis.rule_diff import PermissionChange
 from keymint.output.differences import object_text, permission_text, subject_line, summary
@@ -84,7 +85,7 @@ def _code(text: str) -> str:
     return _PIPE.sub(_escaped_pipe, f"{fence}{blank}{text}{blank}{fence}")
 
 
-_PIPE = re.compile(r"(\\*)\|")
+_PIPE = lazy_regex(r"(\\*)\|")
 
 
 def _escaped_pipe(match: re.Match[str]) -> str:

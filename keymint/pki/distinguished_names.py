@@ -8,7 +8,6 @@ other way round.
 from __future__ import annotations
 
 import hashlib
-import re
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
@@ -17,6 +16,7 @@ from cryptography import x509
 from cryptography.x509.oid import NameOID
 
 from comarmor.errors import Origin
+from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean, quoted
 from keymint.errors import KeymintError
 
@@ -68,9 +68,9 @@ _ASCII_TYPES = frozenset({"C", "DC", "emailAddress", "serialNumber", "dnQualifie
 _UNBOUNDED = 1024
 """Maximum characters of a value whose type has no upper bound of its own."""
 
-_TYPE_THEN_EQUALS = re.compile(r"\s*([A-Za-z][A-Za-z0-9.-]*|[0-9][0-9.]*)\s*=")
-_SPECIAL = re.compile(r'[\\,/"+]')
-_HEX_PAIR = re.compile(r"[0-9A-Fa-f]{2}")
+_TYPE_THEN_EQUALS = lazy_regex(r"\s*([A-Za-z][A-Za-z0-9.-]*|[0-9][0-9.]*)\s*=")
+_SPECIAL = lazy_regex(r'[\\,/"+]')
+_HEX_PAIR = lazy_regex(r"[0-9A-Fa-f]{2}")
 _ESCAPABLE = frozenset(',+"\\<>;=/# ')
 _ESCAPED_IN_TEXT = frozenset(',+"\\<>;')
 _EXAMPLE = "write e.g. CN=/robot/camera,OU=x1 or /C=US/O=Acme/CN=ca"

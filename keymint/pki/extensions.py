@@ -12,6 +12,7 @@ from typing import TypeVar
 from cryptography import x509
 from cryptography.x509.oid import AuthorityInformationAccessOID, ExtendedKeyUsageOID, ExtensionOID
 
+from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean, quoted
 from comarmor.values import dataclass
 from keymint.api import Extension
@@ -58,7 +59,7 @@ _EXTENDED_KEY_USAGES = {
 }
 _NS_COMMENT = x509.ObjectIdentifier("2.16.840.1.113730.1.13")
 _ANY_POLICY = x509.ObjectIdentifier("2.5.29.32.0")
-_DOTTED = re.compile(r"[0-2](?:\.(?:0|[1-9][0-9]*))+")
+_DOTTED = lazy_regex(r"[0-2](?:\.(?:0|[1-9][0-9]*))+")
 _ASN1_STRINGS = {
     "UTF8": (der.UTF8_STRING, "utf-8"),
     "UTF8String": (der.UTF8_STRING, "utf-8"),

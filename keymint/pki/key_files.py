@@ -13,15 +13,16 @@ from contextlib import suppress
 from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
 
+from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.pki import der, keys
 from keymint.pki.keys import PrivateKey, PublicKey
 
 _MARKS = (b"PRIVATE KEY-----", b"-----BEGIN PKCS12-----")
-_BLOCK = re.compile(rb"-----BEGIN ([A-Z0-9 ]*PRIVATE KEY|PKCS12)-----.*?-----END \1-----", re.DOTALL)
+_BLOCK = lazy_regex(rb"-----BEGIN ([A-Z0-9 ]*PRIVATE KEY|PKCS12)-----.*?-----END \1-----", re.DOTALL)
 _LENGTH = rb"(?:[\x00-\x80]|\x81.|\x82..|\x83...|\x84....)"
-_PKCS12 = re.compile(
+_PKCS12 = lazy_regex(
     rb"\x30" + _LENGTH + rb"\x02\x01\x03\x30" + _LENGTH + rb"\x06\x09\x2a\x86\x48\x86\xf7\x0d\x01\x07[\x01\x02]",
     re.DOTALL,
 )

@@ -20,6 +20,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
 from comarmor.errors import Origin
+from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean
 from keymint.api import KeySpec
 from keymint.errors import KeymintError
@@ -51,7 +52,7 @@ _MOST = 1 << 16
 """Number of public keys that are remembered."""
 _KNOWN: dict[bytes, tuple[bytes, bool]] = {}
 """Public keys in DER, and whether :func:`to_pem` writes the file so, by the digest of the file of the private key."""
-_PEM = re.compile(rb"-----BEGIN ([A-Z0-9 ]+)-----\n((?:[A-Za-z0-9+/]{1,64}={0,2}\n)+)-----END \1-----\n")
+_PEM = lazy_regex(rb"-----BEGIN ([A-Z0-9 ]+)-----\n((?:[A-Za-z0-9+/]{1,64}={0,2}\n)+)-----END \1-----\n")
 
 
 def curve_name(text: str, where: Origin | None = None) -> str:

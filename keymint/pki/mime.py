@@ -41,6 +41,7 @@ from dataclasses import field
 from typing import NoReturn
 
 from comarmor.errors import Origin
+from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.pki import der
@@ -59,7 +60,7 @@ _SIGNATURE = (
 )
 _TAIL = b"\n------%b--\n\n"
 
-_MULTIPART = re.compile(
+_MULTIPART = lazy_regex(
     rb'Content-Type: multipart/signed; protocol="(application/(?:x-)?pkcs7-signature)"; micalg="([a-z0-9,-]+)"; '
     rb'boundary="([0-9A-Za-z_+./:=?-]{8,70})"'
 )

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from urllib.parse import unquote, unquote_to_bytes
 
 from comarmor.errors import Origin
+from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean, quoted
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
@@ -17,8 +18,8 @@ CODE = "pkcs11-uri"
 _TOKEN = ("token", "serial", "manufacturer", "model", "slot-id", "slot-description", "slot-manufacturer")
 _OBJECT = ("object", "id", "type")
 _QUERY = ("module-path", "pin-source")
-_PATH_TEXT = re.compile(r"(?:[A-Za-z0-9\-._~:\[\]@!$'()*+,=&]|%[0-9A-Fa-f]{2})+")
-_QUERY_TEXT = re.compile(r"(?:[A-Za-z0-9\-._~:\[\]@!$'()*+,=/?|]|%[0-9A-Fa-f]{2})+")
+_PATH_TEXT = lazy_regex(r"(?:[A-Za-z0-9\-._~:\[\]@!$'()*+,=&]|%[0-9A-Fa-f]{2})+")
+_QUERY_TEXT = lazy_regex(r"(?:[A-Za-z0-9\-._~:\[\]@!$'()*+,=/?|]|%[0-9A-Fa-f]{2})+")
 """Names and values of attributes (RFC 7512, 2.3: pk11-pchar and pk11-qchar)."""
 _MOST = 4096
 

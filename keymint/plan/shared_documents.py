@@ -6,13 +6,13 @@ They hold the rights of everybody, so each run brings them up to date, whichever
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
 from typing import cast
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, BuildResult, BuildType, Package, SharedDocuments
 from keymint.changes import Action, File, FolderChange, Step
@@ -25,7 +25,7 @@ from keymint.state import Stamp, digest
 FOLDER = "shared.d"
 """Folder of the build space; a dot is illegal in names of packages."""
 STAGE = BUILD
-_PATH = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*(?:/[A-Za-z0-9_][A-Za-z0-9_.-]*)*")
+_PATH = lazy_regex(r"[A-Za-z0-9_][A-Za-z0-9_.-]*(?:/[A-Za-z0-9_][A-Za-z0-9_.-]*)*")
 
 Users = Mapping[str, tuple[str, ...]]
 """Names of the packages that each build type with shared documents has, sorted."""

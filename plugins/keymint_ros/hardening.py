@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Mapping
 
 from comarmor.errors import Origin
+from comarmor.regex import lazy_regex
 from keymint.api import WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint.source_documents import normal_path
@@ -19,8 +20,8 @@ from keymint_ros.bootstrap import SUBJECT_NAMES
 from keymint_ros.manifest import MARKER, SIGNER
 from keymint_ros.profile import base_of
 
-_NAME = re.compile(r"<subject_name>[^<]*</subject_name>")
-_VALIDITY = re.compile(r"^([ \t]*)<validity>", re.MULTILINE)
+_NAME = lazy_regex(r"<subject_name>[^<]*</subject_name>")
+_VALIDITY = lazy_regex(r"^([ \t]*)<validity>", re.MULTILINE)
 _AUTHORITIES = "authorities.xml"
 _SIGNED = ("package.defaults/permissions.xml", "package.defaults/governance.xml")
 _AUTHORITY = """\
@@ -30,7 +31,7 @@ _AUTHORITY = """\
       </cert>
     </authority>
 """
-_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+_COMMENT = lazy_regex(r"<!--.*?-->", re.DOTALL)
 _Edit = Callable[[str], "tuple[int, int, str] | None"]
 """Returns where a text without comments is replaced, from and to, and by what; None if it has no such place."""
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import hashlib
 import posixpath
-import re
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import lru_cache
@@ -22,6 +21,7 @@ from lxml import etree
 from comarmor.errors import Origin
 from comarmor.language.attachments import strip
 from comarmor.patterns.expression import parse as parse_expression
+from comarmor.regex import lazy_regex
 from comarmor.rules import Effect
 from comarmor.values import dataclass
 from comarmor.xml import reader
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 OLD_FORMAT = "permissions-format"
 """Code of the error for a document in the format of 2018."""
 
-_PLACEHOLDER = re.compile(r"@?\{\w+\}")
+_PLACEHOLDER = lazy_regex(r"@?\{\w+\}")
 _OVERRIDES = ("domains", "subject_name", "validity")
 
 

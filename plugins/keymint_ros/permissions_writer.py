@@ -10,6 +10,7 @@ from functools import lru_cache
 from urllib.parse import quote
 
 from comarmor.errors import Origin
+from comarmor.regex import lazy_regex
 from comarmor.xml.includes import PACKAGE
 from keymint.ir import Rule, SubjectRules
 from keymint_ros import permissions
@@ -18,10 +19,10 @@ from keymint_ros.permissions import digest
 GRANT_LINE = 6
 """Line of the ``<grant>`` in a document."""
 
-_UNSAFE = re.compile(r"[%;\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
+_UNSAFE = lazy_regex(r"[%;\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
 _OVERRIDES = b"<domains", b"<subject_name", b"<validity"
 _DIGEST = len(digest(()))
-_SPECIAL = re.compile('[&<>"\r\n\t]')
+_SPECIAL = lazy_regex('[&<>"\r\n\t]')
 _ENTITIES = str.maketrans(
     {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "\r": "&#13;", "\n": "&#10;", "\t": "&#9;"}
 )

@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING
 
+from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean
 from keymint.errors import KeymintError
 from keymint.source_documents import place, text
@@ -19,7 +19,7 @@ AUTHORITY = ("name",)
 SUBJECT = ("name", "subject", "common_name", "unique")
 """Placeholders of a package: its name, ``/`` + name, common name and unique suffix."""
 
-_BRACES = re.compile(r"\{([^{}]*)\}|[{}]")
+_BRACES = lazy_regex(r"\{([^{}]*)\}|[{}]")
 
 
 def read(element: etree._Element | None, known: Collection[str]) -> str | None:

@@ -11,6 +11,7 @@ import re
 from cryptography import x509
 
 from comarmor.errors import Origin
+from comarmor.regex import lazy_regex
 from keymint.api import Grant
 from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
@@ -19,9 +20,9 @@ MAX_TOKENS = 20
 """Maximum tokens, split at ``,`` ``/`` and ``|``, of a subject name that Cyclone DDS compares; it refuses more."""
 _AMBIGUOUS = frozenset('"\\<>;|')
 """Characters that some vendor escapes or treats as a separator when it compares names."""
-_USUAL = re.compile(r"(?:(OU=[\w.-]{1,64}),)?(CN=(?=.{1,64}\Z)/?[\w.-]+(?:/[\w.-]+){0,15})", re.ASCII)
+_USUAL = lazy_regex(r"(?:(OU=[\w.-]{1,64}),)?(CN=(?=.{1,64}\Z)/?[\w.-]+(?:/[\w.-]+){0,15})", re.ASCII)
 """A name whose text is known without parsing it."""
-_ESCAPED = re.compile(r"^#|[,+]")
+_ESCAPED = lazy_regex(r"^#|[,+]")
 
 
 def of(grant: Grant) -> str:

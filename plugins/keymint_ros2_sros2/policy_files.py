@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import posixpath
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import field
 from pathlib import Path
@@ -18,6 +17,7 @@ from lxml import etree
 
 from comarmor.data import locate
 from comarmor.errors import ComArmorError, Origin
+from comarmor.regex import lazy_regex
 from comarmor.text import quoted
 from comarmor.values import dataclass
 from comarmor.xml import includes, schema
@@ -35,7 +35,7 @@ from keymint_ros2_sros2.comments import Comments, comments_of
 
 _DRAFT = "http://www.w3.org/2003/XInclude"
 _INCLUDES = (f"{{{XINCLUDE}}}include", f"{{{_DRAFT}}}include")
-_XPOINTER = re.compile(r"\s*(?:xpointer\(\s*)?((?:/(?:\w+|\*))+)(?:\s*\))?\s*")
+_XPOINTER = lazy_regex(r"\s*(?:xpointer\(\s*)?((?:/(?:\w+|\*))+)(?:\s*\))?\s*")
 _BASE = "{http://www.w3.org/XML/1998/namespace}base"
 _ATTRIBUTES = ("href", "parse", "xpointer")
 _COPY = "copy the file into the policy's folder, and include the copy"

@@ -11,6 +11,7 @@ from comarmor.patterns.expression import matches
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.matching import matches as matching
 from comarmor.patterns.printing import exact
+from comarmor.regex import lazy_regex
 from comarmor.rules import PARTS, Effect, Rule
 from comarmor.values import dataclass
 from keymint_ros2_sros2.rules import GRAPH_TOPIC
@@ -21,7 +22,7 @@ _PREFIX = "rt"
 """What stands before the names of ROS topics in the names of DDS topics."""
 _SERVICES = ("rq/", "rr/")
 """What the names of the DDS topics of services begin with."""
-_REQUEST = re.compile(r"rq(/.*)Request", re.DOTALL)
+_REQUEST = lazy_regex(r"rq(/.*)Request", re.DOTALL)
 _MEMBERS = " \"#$%&'()*+,./:;<=>?@_`{|}~"
 """Members of a set that need no escape."""
 _SPECIAL = "*?["

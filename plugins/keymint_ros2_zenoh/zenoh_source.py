@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-import re
 from ipaddress import ip_address
 from typing import TYPE_CHECKING
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.regex import lazy_regex
 from comarmor.text import quoted
 from comarmor.values import dataclass
 from comarmor.xml.reader import line
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 PART = "zenoh"
 """Name of the part of a package that this module reads."""
 _LABEL = r"(?!-)[A-Za-z0-9-]{1,63}(?<!-)"
-_DNS_NAME = re.compile(rf"(?!.*\.[0-9]+$)(?=.{{1,253}}$){_LABEL}(\.{_LABEL})*")
+_DNS_NAME = lazy_regex(rf"(?!.*\.[0-9]+$)(?=.{{1,253}}$){_LABEL}(\.{_LABEL})*")
 """A DNS name (RFC 1123, 2.1), whose last label is no number, which would be an IPv4 address."""
 
 

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping
 from lxml import etree
 
 from comarmor.errors import Origin
+from comarmor.regex import lazy_regex
 from comarmor.xml.reader import line, parse
 from keymint.api import DiscoveredGraph
 from keymint.errors import KeymintError
@@ -20,7 +21,7 @@ from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, Disc
 from keymint_ros2_dds.discovery.to_graph import discovered
 
 MAX_DOMAIN = 232
-_HEX = re.compile(r"[0-9a-f]{1,2}(?:,\s*[0-9a-f]{1,2})*\Z", re.IGNORECASE)
+_HEX = lazy_regex(r"[0-9a-f]{1,2}(?:,\s*[0-9a-f]{1,2})*\Z", re.IGNORECASE)
 _ENDPOINTS = {"publication_data": "publish", "subscription_data": "subscribe"}
 
 

@@ -21,13 +21,14 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from comarmor.errors import Diagnostic, Severity
+from comarmor.regex import lazy_regex
 from comarmor.text import first_few
 from keymint.errors import ExitCode, KeymintError
 from keymint.graph_json import legal_node
 from keymint_ros2_dds.discovery.capture import DiscoveredEndpoint, DiscoveredParticipant
 from keymint_ros2_dds.discovery.ros_entities import ros_name
 
-_GUID = re.compile(r"[0-9a-f]{8,32}\Z")
+_GUID = lazy_regex(r"[0-9a-f]{8,32}\Z")
 _PARAMETERS = "/get_parameters"
 _ASKED = "--subject GUID=NAME"
 _MOST = 4

@@ -7,13 +7,12 @@ namespace into the partition: ``chatter`` in ``rt``, ``chatter`` in ``rt/robot1`
 
 from __future__ import annotations
 
-import re
-
+from comarmor.regex import lazy_regex
 from comarmor.ros_names import is_fully_qualified
 from comarmor.values import dataclass
 from keymint.graph import Object
 
-_TYPE = re.compile(r"([A-Za-z]\w*(?:::[A-Za-z]\w*)*)::dds_::([A-Za-z]\w*)_\Z")
+_TYPE = lazy_regex(r"([A-Za-z]\w*(?:::[A-Za-z]\w*)*)::dds_::([A-Za-z]\w*)_\Z")
 _SUFFIXES = {"rt": "", "rq": "Request", "rr": "Reply"}
 
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -15,6 +14,7 @@ from comarmor.patterns import glob
 from comarmor.patterns.glob import EVERYTHING, Glob
 from comarmor.patterns.printing import exact
 from comarmor.patterns.relations import covers, union_covers
+from comarmor.regex import lazy_regex
 from comarmor.rules import PARTS
 from comarmor.text import did_you_mean
 from keymint.errors import KeymintError
@@ -29,7 +29,7 @@ from keymint_ros2_dds.settings import DomainRule, Governance, TopicProtection
 KINDS = ("NONE", "SIGN", "ENCRYPT", "SIGN_WITH_ORIGIN_AUTHENTICATION", "ENCRYPT_WITH_ORIGIN_AUTHENTICATION")
 DATA_KINDS = ("NONE", "SIGN", "ENCRYPT")
 
-_ODD = re.compile(r"[^A-Za-z0-9_/*?\[\]!^\\-]|//|(?<=.)/$")
+_ODD = lazy_regex(r"[^A-Za-z0-9_/*?\[\]!^\\-]|//|(?<=.)/$")
 """Characters and slashes that no ROS name has; expression syntax aside (ROS 2 design, "Topic and Service Names")."""
 _Places = tuple[tuple[Origin | None, ...], ...]
 _PERMISSIONS = {

@@ -12,6 +12,7 @@ from comarmor.patterns.matching import matcher, regex
 from comarmor.patterns.relations import TooComplexError, intersection
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.patterns.tokens import ANY, Charset
+from comarmor.regex import lazy_regex
 from comarmor.ros_names import is_fully_qualified
 from comarmor.rules import parts
 from comarmor.values import dataclass
@@ -24,7 +25,7 @@ MOST_WILDCARDS = 64
 STEPS = 20_000
 """Steps to intersect these (:mod:`comarmor.patterns.steps`)."""
 
-PLAIN_TEXT = re.compile(r"[!#-%'-);=@-Z^-~,-:+]+")
+PLAIN_TEXT = lazy_regex(r"[!#-%'-);=@-Z^-~,-:+]+")
 """Text that every parser and model reads as itself: printable ASCII, without blanks, wildcards, brackets and markup."""
 
 Slot = tuple[str, int, str]

@@ -10,17 +10,17 @@ alternative ``]``. Names are assumed to be ASCII, as DDS topic names are.
 
 from __future__ import annotations
 
-import re
 from functools import lru_cache
 from itertools import pairwise, product
 
 from comarmor.patterns.glob import Glob, literal
 from comarmor.patterns.tokens import ANY, Charset, Star
+from comarmor.regex import lazy_regex
 
 MAX_ALTERNATIVES = 64
 """Expressions that one pattern may become."""
 
-_UNSAFE = re.compile(r"[^ -~]|[*?\[\\]")
+_UNSAFE = lazy_regex(r"[^ -~]|[*?\[\\]")
 _ASCII = Charset(((0, 127),))
 _TRAPS = "\\]"
 

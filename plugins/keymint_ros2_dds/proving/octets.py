@@ -13,11 +13,11 @@ none of these. A class in a policy is that of the C locale.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator
 
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.tokens import charset
+from comarmor.regex import lazy_regex
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_dds.decision import fnmatch
 from keymint_ros2_dds.decision.semantics import Semantics
@@ -37,7 +37,7 @@ PAIRS = (
 _MANY = frozenset("?[")
 """What stands for one character, or one byte."""
 _DEPENDS = "depends on the locale"
-_CLASS = re.compile(r"\[:(?!x?digit:\])")
+_CLASS = lazy_regex(r"\[:(?!x?digit:\])")
 """A class that may have characters beyond ASCII."""
 
 

@@ -7,13 +7,13 @@ a combination that a rule permits by accident is a word, too. Otherwise a word i
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 
 from comarmor.patterns.decision_lists import Block, DecisionList
 from comarmor.patterns.glob import EVERYTHING, Glob, normalise, parse
 from comarmor.patterns.matching import matches
+from comarmor.regex import lazy_regex
 from comarmor.rules import Effect
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
@@ -25,7 +25,7 @@ from keymint_ros2_dds.reading.signed_permissions import DocumentCriteria, Docume
 
 SEPARATOR = "\0"
 _DEFAULT: Glob = ()
-_DIFFERS = re.compile(r"[\[\\\s]")
+_DIFFERS = lazy_regex(r"[\[\\\s]")
 """What models may read differently: sets, escapes, and blanks, which some trim."""
 
 

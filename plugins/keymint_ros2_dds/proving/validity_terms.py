@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 
 from comarmor.errors import Origin
+from comarmor.regex import lazy_regex
 from keymint.api import ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import certificates, distinguished_names
@@ -19,8 +19,8 @@ from keymint_ros2_dds.decision import VARIATIONS, read
 from keymint_ros2_dds.enclave_layout import CA, CERTIFICATE, CRL, IDENTITY_CA, PERMISSIONS_CA
 
 Period = tuple[datetime, datetime]
-_GRANT = re.compile(rb'<grant name="[A-Za-z0-9_/]+">\s*<subject_name>([A-Za-z0-9_/=,]+)</subject_name>')
-_TOPIC = re.compile(rb"<topic>[A-Za-z0-9_/]+</topic>")
+_GRANT = lazy_regex(rb'<grant name="[A-Za-z0-9_/]+">\s*<subject_name>([A-Za-z0-9_/=,]+)</subject_name>')
+_TOPIC = lazy_regex(rb"<topic>[A-Za-z0-9_/]+</topic>")
 _ANYONE = "CN=/n"
 _ANY_GRANT = b'<grant name="/n"><subject_name>CN=/n</subject_name>'
 _SECOND = timedelta(seconds=1)

@@ -17,6 +17,7 @@ from lxml import etree
 
 from comarmor.data import locate
 from comarmor.errors import ComArmorError
+from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from comarmor.xml import schema
 from comarmor.xml.reader import line
@@ -60,23 +61,23 @@ class Quirk:
 
 
 _BOM = b"\xef\xbb\xbf"
-_DECLARATION = re.compile(rb"<\?xml\s[^?]*\?>")
-_ENCODING = re.compile(rb"\sencoding\s*=\s*[\"']([^\"']*)")
-_UTF_8 = re.compile(rb"utf-8|us-ascii", re.IGNORECASE)
-_LIKE_ASCII = re.compile(rb"iso-8859-\d+|windows-125\d", re.IGNORECASE)
+_DECLARATION = lazy_regex(rb"<\?xml\s[^?]*\?>")
+_ENCODING = lazy_regex(rb"\sencoding\s*=\s*[\"']([^\"']*)")
+_UTF_8 = lazy_regex(rb"utf-8|us-ascii", re.IGNORECASE)
+_LIKE_ASCII = lazy_regex(rb"iso-8859-\d+|windows-125\d", re.IGNORECASE)
 """Encodings in which ASCII characters have their ASCII bytes; parsers of vendors ignore the declaration."""
-_COMMENTS = re.compile(rb"(\A|<[^<>!?][^<>]*>)(\s*(?:<!--(?:[^-]|-[^-])*-->\s*)+)(?=<|\Z)")
+_COMMENTS = lazy_regex(rb"(\A|<[^<>!?][^<>]*>)(\s*(?:<!--(?:[^-]|-[^-])*-->\s*)+)(?=<|\Z)")
 """Comments between two tags."""
-_ATTRIBUTES = re.compile(rb"\s(?:xmlns:xsi|xsi:noNamespaceSchemaLocation)\s*=\s*(?:\"[^\"<&]*\"|'[^'<&]*')")
+_ATTRIBUTES = lazy_regex(rb"\s(?:xmlns:xsi|xsi:noNamespaceSchemaLocation)\s*=\s*(?:\"[^\"<&]*\"|'[^'<&]*')")
 """Attributes that every vendor ignores."""
 _MARKUP = (
-    (re.compile(rb"<[!?]"), "a comment in a text, a CDATA section or a processing instruction", UNMODELLED, UNMODELLED),
-    (re.compile(rb"&(?!(?:lt|gt|amp|apos|quot);)"), "a character reference", UNMODELLED, UNMODELLED),
-    (re.compile(rb"\0"), "text of two bytes a character", UNMODELLED, UNMODELLED),
-    (re.compile(rb"(?:xmlns|xsi:)[^<>=]*="), "an attribute about namespaces", UNMODELLED, PLAIN),
-    (re.compile(rb"</[^<>\s]*\s"), "white space in an end tag", REFUSES, PLAIN),
+    (lazy_regex(rb"<[!?]"), "a comment in a text, a CDATA section or a processing instruction", UNMODELLED, UNMODELLED),
+    (lazy_regex(rb"&(?!(?:lt|gt|amp|apos|quot);)"), "a character reference", UNMODELLED, UNMODELLED),
+    (lazy_regex(rb"\0"), "text of two bytes a character", UNMODELLED, UNMODELLED),
+    (lazy_regex(rb"(?:xmlns|xsi:)[^<>=]*="), "an attribute about namespaces", UNMODELLED, PLAIN),
+    (lazy_regex(rb"</[^<>\s]*\s"), "white space in an end tag", REFUSES, PLAIN),
 )
-_PLAIN_NUMBER = re.compile(r"0|[1-9][0-9]{0,8}")
+_PLAIN_NUMBER = lazy_regex(r"0|[1-9][0-9]{0,8}")
 
 
 def of_bytes(content: bytes, *, comments_until: int | None = None) -> Iterator[Quirk]:

@@ -14,6 +14,7 @@ from functools import cache, lru_cache
 from lxml import etree
 
 from comarmor.errors import ComArmorError, Diagnostic, Origin
+from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from comarmor.xml.reader import line, parse
 from keymint.errors import KeymintError
@@ -23,7 +24,7 @@ from keymint_ros2_dds.reading.quirks import BLANKS, CRASHES, PLAIN, REFUSES, UNM
 
 ACTIONS = ("publish", "subscribe", "relay")
 _RULES = frozenset(("allow_rule", "deny_rule"))
-_NUMBER = re.compile(r"[+-]?[0-9]+")
+_NUMBER = lazy_regex(r"[+-]?[0-9]+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,10 +206,10 @@ def _plain_form() -> re.Pattern[str]:
 
 
 _PLAIN_MOST = 1 << 20
-_RULE = re.compile(r"<(allow|deny)_rule>(.*?)</domains>(.*?)</\1_rule>", re.DOTALL)
-_DOMAIN = re.compile(r"<id>(\d+)|<min>(\d+)</min>\s*<max>(\d+)")
-_CRITERIA = re.compile(r"<(publish|subscribe|relay)>(.*?)</\1>", re.DOTALL)
-_TOPIC, _PARTITION = re.compile("<topic>([^<]*)<"), re.compile("<partition>([^<]*)<")
+_RULE = lazy_regex(r"<(allow|deny)_rule>(.*?)</domains>(.*?)</\1_rule>", re.DOTALL)
+_DOMAIN = lazy_regex(r"<id>(\d+)|<min>(\d+)</min>\s*<max>(\d+)")
+_CRITERIA = lazy_regex(r"<(publish|subscribe|relay)>(.*?)</\1>", re.DOTALL)
+_TOPIC, _PARTITION = lazy_regex("<topic>([^<]*)<"), lazy_regex("<partition>([^<]*)<")
 
 
 def is_plain(content: bytes) -> bool:

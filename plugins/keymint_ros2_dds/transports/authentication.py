@@ -16,6 +16,7 @@ from functools import lru_cache
 from cryptography import x509
 
 from comarmor.errors import Origin
+from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.api import Enclave
 from keymint.pki import certificates, revocation_lists
@@ -23,7 +24,7 @@ from keymint_ros2_dds.decision import Semantics
 from keymint_ros2_dds.enclave_layout import CA, CERTIFICATE, CRL, IDENTITY_CA, KEY, KEY_URI, reads_revocations
 from keymint_ros2_dds.transports import enclave_files
 
-_LIST = re.compile(rb"-----BEGIN X509 CRL-----.*?-----END X509 CRL-----", re.DOTALL)
+_LIST = lazy_regex(rb"-----BEGIN X509 CRL-----.*?-----END X509 CRL-----", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)

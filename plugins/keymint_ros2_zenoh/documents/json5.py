@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import pyjson5
 
 from comarmor.errors import Origin
+from comarmor.regex import lazy_regex
 from comarmor.text import quoted
 from keymint.errors import KeymintError
 
@@ -22,7 +23,7 @@ FILE_BYTES = 64 * 2**20
 DEPTH = 32
 """Nesting depth of objects and arrays; Zenoh's settings are nested 8 deep."""
 
-_TOKEN = re.compile(
+_TOKEN = lazy_regex(
     r"""((?:[ \t\r\n]+|//[^\r\n]*|/\*.*?\*/)*)
         (?:(?P<mark>[{}\[\]:,])
         | (?P<text>"(?:[^"\\\r\n]|\\\r\n|\\.)*"|'(?:[^'\\\r\n]|\\\r\n|\\.)*')
@@ -32,10 +33,10 @@ _TOKEN = re.compile(
 )
 """Space and comments, and what follows them: a mark, a text, another word, or the end of the document."""
 # Other line ends and control characters end comments for some readers and not for others.
-_REFUSED = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\u2028\u2029]")
-_NUMBER = re.compile(r"[+-]?(?:0[xX][0-9a-fA-F]+|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)")
+_REFUSED = lazy_regex("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\u2028\u2029]")
+_NUMBER = lazy_regex(r"[+-]?(?:0[xX][0-9a-fA-F]+|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)")
 _CONSTANTS = {"true": True, "false": False, "null": None}
-_NEAR = re.compile(r"near (\d+)")
+_NEAR = lazy_regex(r"near (\d+)")
 
 
 class Node(NamedTuple):

@@ -9,11 +9,11 @@ measured with Zenoh 1.10.2).
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from dataclasses import field
 from functools import lru_cache
 
+from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 
 ANY_CHUNK = "*"
@@ -22,9 +22,9 @@ ANY_CHARACTERS = "$*"
 """Any characters within a chunk."""
 VERBATIM = "@"
 """Beginning of a chunk that no ``*`` or ``**`` matches."""
-_FORBIDDEN = re.compile(r"[#?]")
-_PLAIN = re.compile(r"(?:[^*$#?/]|\$\*)+")
-_REPEATED = re.compile(r"(?:\$\*){2,}")
+_FORBIDDEN = lazy_regex(r"[#?]")
+_PLAIN = lazy_regex(r"(?:[^*$#?/]|\$\*)+")
+_REPEATED = lazy_regex(r"(?:\$\*){2,}")
 
 
 class KeyExprError(ValueError):

@@ -9,10 +9,10 @@ one that allows is enough. A link that no subject matches is decided when it ope
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
+from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 
 FILTER = "zenoh::net::routing::interceptor::access_control=trace"
@@ -30,14 +30,14 @@ MESSAGES = {
 }
 """The names of messages in a configuration by those in the log, without ``Declare`` and ``Undeclare``."""
 
-_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
-_DECISION = re.compile(
+_COLOUR = lazy_regex(r"\x1b\[[0-9;]*m")
+_DECISION = lazy_regex(
     r" (?:(?P<zid>[0-9a-f]+) on Interface\(.*|Using cached result: (?P<cached>[0-9a-f]+)) "
     r"is (?P<refused>un)?authorized to (?:Declare/Undeclare |Declare |Undeclare )?"
     r"(?P<message>" + "|".join(sorted(MESSAGES, key=len, reverse=True)) + r") "
     r"\((?P<flow>ingress|egress)\) on (?P<key>.+)\n"
 )
-_NO_SUBJECT = re.compile(
+_NO_SUBJECT = lazy_regex(
     r" (?P<zid>[0-9a-f]+) did not match any configured ACL subject\. Default permission `(?P<default>Allow|Deny)`"
 )
 
