@@ -138,15 +138,22 @@ def require_regular(folder: int, shown: str | Path, name: str, *, or_link: bool 
     return status
 
 
-@contextlib.contextmanager
-def reported(path: str | Path) -> Iterator[None]:
-    """Turn an error of the system into a one-line error for the user."""
-    try:
-        yield
-    except KeymintError:
-        raise
-    except OSError as error:
-        refuse(path, error)
+class reported:  # noqa: N801 - used as a function
+    """A context that turns an error of the system into a one-line error for the user.
+
+    Args:
+        path: what is read or written in it.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self._path = path
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
+        if isinstance(error, OSError) and not isinstance(error, KeymintError):
+            refuse(self._path, error)
 
 
 def refuse(path: str | Path, error: OSError) -> NoReturn:

@@ -177,7 +177,8 @@ class Session(Inputs):
 
     def enclave_folder(self, name: str) -> str:
         """Return :meth:`enclave` as a text."""
-        return str(self.enclaves) if name == ROOT else f"{self.enclaves}/{name}"
+        enclaves = self.once("enclaves as a text", lambda: str(self.enclaves))
+        return enclaves if name == ROOT else f"{enclaves}/{name}"
 
     @property
     def package_type(self) -> PackageType:

@@ -41,8 +41,8 @@ class _Disk:
         self._statuses: dict[str, os.stat_result | None] = {}
         self._links: set[str] = set()
         """Symbolic links among the paths whose status is known."""
-        self._held: set[str] = set()
-        """Folders that were read completely."""
+        self._held: tuple[str, ...] = ()
+        """Folders that were read completely, with a slash."""
 
     def read(self, path: str) -> bytes | None:
         if path not in self._contents:
@@ -113,11 +113,11 @@ class _Disk:
                         self._contents[path] = self._file(path)
                     except KeymintError as error:
                         self._contents[path] = error
-        self._held.add(folder)
+        self._held = (*self._held, f"{folder}/")
 
     def _is_absent(self, path: str) -> bool:
         """Tell whether a path is known not to exist, because its folder was read completely."""
-        if not any(path.startswith(f"{folder}/") for folder in self._held):
+        if not path.startswith(self._held):
             return False
         parent, _, name = path.rpartition("/")
         around = self._entries.get(parent)

@@ -113,9 +113,9 @@ class Workspace:
         """The register of issued certificates."""
         return self.private / REGISTER
 
-    def identity_key(self, package: str) -> Path:
+    def identity_key(self, package: str) -> str:
         """Return the path of the private key of a package's subject."""
-        return Path(f"{self.private}/identities/{package}/key.pem")
+        return f"{self.private}/identities/{package}/key.pem"
 
 
 def shown(path: Path | str, start: Path) -> str:

@@ -159,7 +159,7 @@ def _sources(session: Session, adoption: Adoption) -> Plan:
         }
         changes = [FolderChange(session.workspace.src / name, {file: File(each) for file, each in files.items()})]
         if enclave.key:
-            path = session.workspace.identity_key(name)
+            path = Path(session.workspace.identity_key(name))
             changes.append(FolderChange(path.parent, {path.name: File(enclave.key, secret=True)}, private=True))
         steps.append(Step(STAGE, name, Action.CREATED, tuple(changes)))
     return Plan(tuple(steps), session.state)

@@ -35,7 +35,7 @@ def _new(name: str) -> str:
     return f"'keymint build --renew {name}'"
 
 
-def load(inputs: Inputs, package: Package, path: Path, pem: bytes) -> keys.PublicKey:
+def load(inputs: Inputs, package: Package, path: str, pem: bytes) -> keys.PublicKey:
     """Load the public key of a package's stored key; errors as :func:`keymint.plan.private_keys.load_key`."""
     identity, shown = package.identity, Origin(inputs.workspace.shown(path))
     remedy = _remedy(package.name)
@@ -127,7 +127,7 @@ def require_own(session: Session, package: Package, keyring: Keyring, key: keys.
     return keyring.require_own(package.name, session.workspace.identity_key(package.name), key)
 
 
-def mint(inputs: Inputs, package: Package, path: Path) -> tuple[FolderChange, str]:
+def mint(inputs: Inputs, package: Package, path: str) -> tuple[FolderChange, str]:
     """Plan a new key for a package; returns the change, and the key's fingerprint."""
     spec = package.identity.key
     key = keys.generate(spec, package.identity.origin)
@@ -135,7 +135,7 @@ def mint(inputs: Inputs, package: Package, path: Path) -> tuple[FolderChange, st
     return _stored(path, pem), keys.fingerprint(key)
 
 
-def restore_or_mint(session: Session, package: Package, path: Path) -> tuple[FolderChange, str]:
+def restore_or_mint(session: Session, package: Package, path: str) -> tuple[FolderChange, str]:
     """Plan the key of a package that has none: the one in its enclave, or a new one if it never had any.
 
     Raises:
@@ -185,7 +185,7 @@ class Keyring:
         self._session = session
         self._authorities = authorities
 
-    def require_own(self, name: str, path: Path, key: keys.PublicKey) -> str:
+    def require_own(self, name: str, path: str, key: keys.PublicKey) -> str:
         """Require that a stored key is its subject's, and nobody else's; returns its fingerprint.
 
         Args:
@@ -246,7 +246,7 @@ class Keyring:
             )
         return fingerprint
 
-    def _place(self, path: Path) -> Origin:
+    def _place(self, path: str) -> Origin:
         return Origin(self._session.workspace.shown(path))
 
     @functools.cached_property
@@ -282,5 +282,6 @@ def _shared(name: str, other: str, shown: Origin) -> KeymintError:
     )
 
 
-def _stored(path: Path, pem: bytes) -> FolderChange:
-    return FolderChange(path.parent, {path.name: File(pem, secret=True)}, private=True)
+def _stored(path: str, pem: bytes) -> FolderChange:
+    folder, _, name = path.rpartition("/")
+    return FolderChange(Path(folder), {name: File(pem, secret=True)}, private=True)

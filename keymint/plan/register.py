@@ -92,6 +92,7 @@ def register_change(session: Session, register: Register) -> tuple[FolderChange,
     return (FolderChange(path.parent, {path.name: File(database.dump(register), secret=True)}, private=True),)
 
 
+@lru_cache(maxsize=64)
 def issuer_of(authority: x509.Certificate) -> str:
     """Return what identifies an issuer in the register: the fingerprint of its public key."""
     return keys.fingerprint(certificates.public_key(authority))

@@ -153,10 +153,10 @@ def test_where_keys_and_certificates_lie(tmp_path: Path) -> None:
     workspace = Workspace.at(tmp_path, {}, tmp_path)
     assert set(SPACES) == {path.name for path in map(workspace.__getattribute__, SPACES)}
     assert workspace.authority_key("ca").is_relative_to(workspace.private)
-    assert workspace.identity_key("a/b").is_relative_to(workspace.private)
+    assert Path(workspace.identity_key("a/b")).is_relative_to(workspace.private)
     assert workspace.authority_certificate("ca").is_relative_to(workspace.public)
     # No name of a package or an authority leads one key onto another.
-    assert workspace.identity_key("identities") != workspace.authority_key("identities/key")
+    assert Path(workspace.identity_key("identities")) != workspace.authority_key("identities/key")
     assert workspace.state == tmp_path / ".keymint"
 
 
