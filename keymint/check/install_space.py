@@ -11,6 +11,7 @@ from keymint.check.file_status import modes
 from keymint.names import ROOT, subject_of
 from keymint.plan import environment, gitignore
 from keymint.plan.enclaves import enclave_files, files_in, installed
+from keymint.plan.register import withdrawn
 from keymint.plan.shared_files import build_types_in_use, copies_of
 from keymint.session import Session
 
@@ -25,9 +26,12 @@ def outside_enclaves(session: Session, known: Collection[str]) -> Iterator[Diagn
     workspace, names = session.workspace, installed(session)
     enclaves = {session.enclave_folder(name) for name in names if name != ROOT}
     own = {f"{session.enclave_folder(ROOT)}/{file}" for file in files_in(session, ROOT)} if ROOT in names else ()
-    expected = _copies(session, names)
-    own_scripts = environment.scripts(session, build_types_in_use(session))
     entries = list(session.tree.walk(workspace.install, skipped=""))
+    expected = _copies(session, names, (path for path, is_folder in entries if not is_folder))
+    all_revoked = not names and withdrawn(session)
+    own_scripts = environment.scripts(
+        session, session.profile.build_types if all_revoked else build_types_in_use(session)
+    )
     targets = {session.tree.follows(path) for path, is_folder in entries if not is_folder}
     folders = [path for path, is_folder in entries if is_folder]
     empty = [folder for folder in folders if not session.tree.names(folder)]  # an error if one cannot be read
@@ -87,8 +91,11 @@ def _script(session: Session, path: str, expected: bytes) -> Iterator[Diagnostic
         )
 
 
-def _copies(session: Session, names: Iterable[str]) -> Mapping[str, bytes]:
-    """Return the copies of enclaves' files that all installed build types have outside of them, by path."""
+def _copies(session: Session, names: Collection[str], paths: Iterable[str]) -> Mapping[str, bytes]:
+    """Return the copies of enclaves' files that all installed build types have outside of them, by path.
+
+    If all enclaves were revoked, the copies stay for those that get a new key, and are compared with each other only.
+    """
     expected: dict[str, bytes] = {}
     sources = set(session.packages())
     artifacts = {
@@ -96,6 +103,9 @@ def _copies(session: Session, names: Iterable[str]) -> Mapping[str, bytes]:
         for name in names
         if name in sources or sources.isdisjoint(names)  # if all are hidden or orphaned, they still need the copies
     }
+    if not names and withdrawn(session):
+        left = {path.rpartition("/")[2]: Artifact(session.tree.try_read(path) or b"") for path in paths}
+        artifacts = {"": left}
     for info in session.plugins.infos:
         if info.group == "keymint.build_types" and artifacts:
             build_type = session.plugins.build_type(info.name)

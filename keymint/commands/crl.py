@@ -34,7 +34,7 @@ from keymint.session import Inputs, Session
 )
 @click.option(
     "--valid-for",
-    callback=durations.optional_period,
+    callback=durations.optional_validity,
     metavar="PERIOD",
     help="With --refresh, let the lists end after this time: 30d, 4w. Nodes with an expired list do not start.",
 )

@@ -31,9 +31,13 @@ def period(_context: click.Context, _parameter: click.Parameter, value: str) -> 
     return _length(value)
 
 
-def optional_period(_context: click.Context, _parameter: click.Parameter, value: str | None) -> timedelta | None:
-    """Return a length of time for an option as :func:`period` does, or None if it is not given."""
-    return None if value is None else _length(value)
+def optional_validity(_context: click.Context, _parameter: click.Parameter, value: str | None) -> timedelta | None:
+    """Return a length of validity for an option, at least an hour, or None if it is not given.
+
+    Raises:
+        click.BadParameter: it is no length of time, or not between an hour and 200 years.
+    """
+    return None if value is None else _valid(value)
 
 
 def validity(_context: click.Context, _parameter: click.Parameter, value: str | None) -> str | None:
@@ -44,9 +48,7 @@ def validity(_context: click.Context, _parameter: click.Parameter, value: str | 
     """
     if value is None:
         return None
-    length = _length(value)
-    if length < _SHORTEST:
-        raise click.BadParameter(f"{value!r} is shorter than an hour")
+    _valid(value)
     if value.startswith("P"):
         return value
     number, unit = int(value[:-1]), value[-1].upper()
@@ -64,6 +66,13 @@ def threshold(_context: click.Context, _parameter: click.Parameter, value: str) 
     if value.endswith("%"):
         raise click.BadParameter(f"{value!r} is not a share from 1% to 99%")
     return Threshold(left=_length(value))
+
+
+def _valid(value: str) -> timedelta:
+    length = _length(value)
+    if length < _SHORTEST:
+        raise click.BadParameter(f"{value!r} is shorter than an hour")
+    return length
 
 
 def _length(value: str) -> timedelta:

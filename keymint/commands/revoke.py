@@ -3,20 +3,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import click
 
+from comarmor.errors import Severity
 from comarmor.text import counted
 from keymint.changes import Action, Plan, Step
 from keymint.commands.options import complete_package, prove_option
 from keymint.commands.reissue import reissued
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
+from keymint.errors import KeymintError
 from keymint.names import listed, package_name, subject_of
 from keymint.output.report import Report
 from keymint.plan.enclaves import INSTALLED
-from keymint.plan.revoking import Revoking, plan_revocation, require_revoked
+from keymint.plan.revoking import Revoking, plan_revocation
 from keymint.register.register import REASONS, SUPERSEDED, IssuedCertificate
 from keymint.session import Inputs
 
@@ -48,10 +51,11 @@ def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report
         session = inputs.session()
         revoking = plan_revocation(session, chosen, reason)
         plan = reissued(run, session, revoking.plan, revoking.packages, prove=prove)
-        if not revoking.certificates and not plan.writes():
-            require_revoked(session, chosen, reason)
+        if revoking.skipped and not plan.writes():
+            raise KeymintError.of([replace(each, severity=Severity.ERROR) for each in revoking.skipped])
         done[:] = [(revoking, plan)]
-        return Plan(plan.steps, plan.state, (*plan.diagnostics, *revoking.diagnostics), plan.first)
+        found = (*plan.diagnostics, *revoking.skipped, *revoking.diagnostics)
+        return Plan(plan.steps, plan.state, found, plan.first)
 
     report = run.carry_out(workspace, make_plan)
     ((revoking, plan),) = done

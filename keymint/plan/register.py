@@ -69,19 +69,23 @@ def with_enclaves(session: Session, names: Sequence[str], given: Collection[str]
     return tuple(names) if given else tuple(name for name in names if name not in withdrawn(session))
 
 
-def complete_register(session: Session, *, lossy: bool = False) -> Register:
+def complete_register(session: Session, names: Collection[str] = (), *, lossy: bool = False) -> Register:
     """Return the register, restored from the installed certificates and revocation lists if there is none.
 
     Args:
         session: the workspace and its profile.
+        names: packages whose installed certificate is added if the register lacks it, because it is an old one.
         lossy: restore it although revocations cannot be accounted for.
 
     Raises:
         KeymintError: it is damaged; or there is none, and a revocation cannot be accounted for.
     """
-    if session.tree.has_file(session.workspace.register):
-        return register_of(session)
-    return _restored(session, lossy=lossy)
+    if session.tree.read(session.workspace.register) is None:
+        return _restored(session, lossy=lossy)
+    register = register_of(session)
+    found = _found(session, names) if names else ()
+    missing = [each for each in found if (each.issuer, each.serial) not in register.certificates]
+    return register.with_issued(missing) if missing else register
 
 
 def register_change(session: Session, register: Register) -> tuple[FolderChange, ...]:
@@ -135,7 +139,7 @@ def _restored(session: Session, *, lossy: bool) -> Register:
         KeymintError: a package was revoked, but no list has a serial number of it, or the certificate with this number
             is not known; then it is not known which key must not be certified again.
     """
-    register = Register().with_issued(_found(session))
+    register = Register().with_issued(_found(session, installed(session)))
     generations = {name: issuance_of(session, name).generation for name in session.packages()}
     lost = [name for name, generation in generations.items() if generation]
     for file, name, authority in authority_files.issuers(session):
@@ -165,11 +169,11 @@ def _restored(session: Session, *, lossy: bool) -> Register:
     return register
 
 
-def _found(session: Session) -> Iterator[IssuedCertificate]:
-    """Yield an entry for each installed certificate that one of the workspace's authorities issued."""
+def _found(session: Session, names: Collection[str]) -> Iterator[IssuedCertificate]:
+    """Yield an entry for the installed certificate of each package that one of the workspace's authorities issued."""
     issuers = [(authority, issuer) for _, authority, issuer in authority_files.issuers(session)]
     known = frozenset(session.packages())
-    for name in installed(session):
+    for name in names:
         certificate = installed_certificate(session, name)
         for authority, issuer in issuers:
             if certificate is not None and certificates.is_issued_by(certificate, issuer):

@@ -82,7 +82,7 @@ def plan_lists(
         issuer = issuer_of(minted.certificate)
         content = session.tree.read(path)
         revoked = {each.serial: each for each in register.revoked(issuer)}
-        present = None if content is None else _present(session, name, minted, content)
+        present = None if content is None else _present(session, name, minted, content, refresh)
         if present is not None and session.tree.has_file(session.workspace.register):
             _require_known(session, name, present, revoked)
         if present is None and not revoked and name not in refresh and name not in paired:
@@ -90,7 +90,11 @@ def plan_lists(
                 steps.append(Step(STAGE, name, Action.REMOVED, (FolderChange(path.parent, removed=(path.name,)),)))
             continue
         serials = {each.serial for each in present.revocations} if present else frozenset[int]()
-        if present and serials >= revoked.keys() and session.now < present.next_update and name not in refresh:
+        begins = max(
+            session.now, minted.certificate.not_valid_before_utc
+        )  # a clock that was ahead is no reason to wait
+        in_force = present is not None and present.this_update <= begins and session.now < present.next_update
+        if in_force and serials >= revoked.keys() and name not in refresh:
             continue
         number = 1 + max(register.numbers.get(issuer, 0), present.number if present else 0)
         where = Origin(session.workspace.shown(session.workspace.authority_certificate(name)))
@@ -111,14 +115,21 @@ def _has_list(session: Session, authorities: Mapping[str, MintedAuthority], regi
     return has or bool(register.revoked(issuer_of(minted.certificate)))
 
 
-def _present(session: Session, name: str, minted: MintedAuthority, content: bytes) -> RevocationList | None:
+def _present(
+    session: Session, name: str, minted: MintedAuthority, content: bytes, refresh: Collection[str]
+) -> RevocationList | None:
     """Return the list of an authority, or None for one of an earlier authority of this name.
 
     Raises:
-        KeymintError: the list is damaged.
+        KeymintError: the list is damaged, and not issued again from the register.
     """
     shown = Origin(session.workspace.shown(session.workspace.revocation_list(name)))
-    present = revocation_lists.load(content, shown)
+    try:
+        present = revocation_lists.load(content, shown)
+    except KeymintError:
+        if name in refresh and session.tree.has_file(session.workspace.register):
+            return None
+        raise
     return None if revocation_lists.problem(content, minted.certificate) else present
 
 

@@ -31,19 +31,22 @@ class Revoking:
         plan: the change of the register and of the sources, and the removal of enclaves without sources.
         certificates: the certificates that it revokes.
         packages: the packages whose sources change; they are to be built and installed again.
+        skipped: for each subject without a certificate to revoke, why.
         diagnostics: what the revocation does not reach.
     """
 
     plan: Plan
     certificates: tuple[IssuedCertificate, ...]
     packages: tuple[str, ...]
+    skipped: tuple[Diagnostic, ...]
     diagnostics: tuple[Diagnostic, ...]
 
 
 def plan_revocation(session: Session, names: Sequence[str], reason: str) -> Revoking:
     """Plan the revocation of all certificates of some subjects that are in force.
 
-    A revocation that a killed run began is completed.
+    Of a key that is given up also a certificate that expired: it must not be renewed. A revocation that a killed run
+    began is completed.
 
     Args:
         session: the workspace and its profile.
@@ -53,11 +56,13 @@ def plan_revocation(session: Session, names: Sequence[str], reason: str) -> Revo
     Raises:
         KeymintError: a package never had a certificate, or the register is missing and cannot be restored.
     """
-    register = complete_register(session)
+    register = complete_register(session, [name for name in names if name in installed(session)])
     with_sources = frozenset(session.packages())
     for name in names:
         _require_known(session, register, name)
-    certificates = tuple(each for name in names for each in register.in_force(name, session.now))
+    of_name = {name: _to_revoke(session, register, name, reason) for name in names}
+    certificates = tuple(each for of_one in of_name.values() for each in of_one)
+    without = [register.of(name)[-1] for name, of_one in of_name.items() if not of_one]
     after = register.with_revoked(certificates, reason, session.now)
     packages: list[str] = []
     issuances = {}
@@ -74,7 +79,17 @@ def plan_revocation(session: Session, names: Sequence[str], reason: str) -> Revo
     steps = [withdraw(session, name, reason, leaving) for name in orphans if name in installed(session)]
     steps += [Step(STAGE, name, Action.UPDATED, detail=reason) for name in orphans if name not in installed(session)]
     plan = plan.then(Plan(tuple(steps), plan.state.updated(INSTALLED, {}, orphans)))
-    return Revoking(plan, certificates, tuple(packages), tuple(_limits(session, certificates, packages, reason)))
+    skipped = tuple(_nothing_to_revoke(last) for last in without if last.revoked is None or last.reason != reason)
+    return Revoking(
+        plan, certificates, tuple(packages), skipped, tuple(_limits(session, certificates, packages, reason))
+    )
+
+
+def _to_revoke(session: Session, register: Register, name: str, reason: str) -> tuple[IssuedCertificate, ...]:
+    in_force = register.in_force(name, session.now)
+    if in_force or reason == SUPERSEDED:
+        return in_force
+    return tuple(each for each in register.of(name)[-1:] if each.revoked is None)
 
 
 def _require_known(session: Session, register: Register, name: str) -> None:
@@ -89,28 +104,21 @@ def _require_known(session: Session, register: Register, name: str) -> None:
     )
 
 
-def require_revoked(session: Session, names: Sequence[str], reason: str) -> None:
-    """Require that packages without a certificate in force were revoked for a reason: then there is nothing to do.
-
-    Args:
-        session: the workspace and its profile.
-        names: packages that had certificates.
-        reason: the reason.
-
-    Raises:
-        KeymintError: the last certificate of one expired, or was revoked for another reason.
-    """
-    register = complete_register(session)
-    for name in names:
-        last = register.of(name)[-1]
-        if last.revoked and last.reason == reason:
-            continue
-        if last.revoked:
-            when = f"{last.revoked:%Y-%m-%d}"
-            message = f"the last certificate of {subject_of(name)} was revoked on {when} already ({last.reason})"
-        else:
-            message = f"the last certificate of {subject_of(name)} expired on {last.not_after:%Y-%m-%d}"
-        raise KeymintError(message, help="'keymint issued' lists the certificates", code="nothing-to-revoke")
+def _nothing_to_revoke(last: IssuedCertificate) -> Diagnostic:
+    """Return the warning that a subject has no certificate to revoke, whose last one this is."""
+    if last.revoked:
+        message = f"was revoked on {last.revoked:%Y-%m-%d} already ({last.reason})"
+    else:
+        message = f"expired on {last.not_after:%Y-%m-%d}"
+    subject = subject_of(last.name)
+    return Diagnostic(
+        "nothing-to-revoke",
+        Severity.WARNING,
+        f"the last certificate of {subject} {message}",
+        None,
+        "'keymint issued' lists the certificates",
+        subject,
+    )
 
 
 def _limits(
@@ -135,13 +143,14 @@ def _limits(
             )
         )
     same = [name for name in packages if not _has_generation(session, name)]
-    if same and reason == SUPERSEDED:
+    if same:
+        fit = "still fit the new certificate" if reason == SUPERSEDED else "would fit a later certificate as well"
         package = session.package(same[0])
         found.append(
             Diagnostic(
                 "generation-none",
                 Severity.WARNING,
-                "the subject name has no generation: permissions that were signed before still fit the new certificate"
+                f"the subject name has no generation: permissions that were signed before {fit}"
                 + (f" [{counted(len(same), 'package')}]" if len(same) > 1 else ""),
                 package.grant.defaults_origin or Origin(session.package_marker(same[0]).file),
                 "write {unique} into both subject names (--subject-format unique), or renew with --rekey and another "

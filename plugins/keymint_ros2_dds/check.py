@@ -50,6 +50,7 @@ _AT_THE_END = {
     "revocation list": "then running participants refuse every new peer, and none starts",
 }
 """What vendors do at the end of a period; ``tests/real/test_keystore_life.py`` measures it."""
+_UTC = "let its nodes run with TZ=UTC, or give it a validity of ten days or more"
 
 
 def check(inspection: Inspection) -> tuple[Diagnostic, ...]:
@@ -248,13 +249,14 @@ class _EnclaveCheck(CredentialCheck):
     ) -> Iterator[Diagnostic]:
         now = self._inspection.now
         code = what.replace(" ", "-")
-        of_package = f"'keymint renew {self._inspection.package.name}' issues it again, with later dates"
-        renew = "'keymint crl --refresh' issues it again" if name == CRL else of_package
+        verb = "crl --refresh" if name == CRL else f"renew {self._inspection.package.name}"
+        again = f"'keymint {verb}' issues it again"
+        renew = again if name == CRL else f"{again}, with later dates"
         if now >= end:
             yield self._error(f"{code}-expired", name, f"the {what} expired on {_shown(end)}", renew)
         elif now <= begin:
             message = f"the {what} is not valid before {_shown(begin)}"
-            later = "compare the clock of this machine, or let it begin earlier"
+            later = f"compare the clock of this machine; if it is right, {again}"
             yield self._error(f"{code}-not-yet-valid", name, message, later)
         elif now + timedelta(days=self._inspection.within_days) >= end:
             yield self._warning(
@@ -265,7 +267,8 @@ class _EnclaveCheck(CredentialCheck):
                 f"the {what} is valid from {_shown(begin)} to {_shown(end)}, which is within a day of now: Fast DDS "
                 "reads these dates in its host's time zone"
             )
-            yield self._warning(f"{code}-slack", name, message, renew)
+            is_renewable = now - slack >= begin and end - begin > 2 * slack
+            yield self._warning(f"{code}-slack", name, message, renew if is_renewable else _UTC)
 
     def _domains(self, permissions: PermissionsDocument, governance: GovernanceDocument) -> Iterator[Diagnostic]:
         governed = _ranges(each for rule in governance.domain_rules for each in rule.domains)

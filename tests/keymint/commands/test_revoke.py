@@ -10,7 +10,7 @@ import pytest
 from cryptography import x509
 
 from keymint.register.register import REASONS
-from tests.conftest import snapshot
+from tests.conftest import NOW, snapshot
 
 NAMES = ("robot1/listener", "talker")
 
@@ -200,6 +200,64 @@ def test_an_old_register_does_not_take_revocations_back(provisioned: Path, keymi
     assert snapshot(provisioned) == before
 
 
+def test_an_old_register_does_not_hide_what_is_installed(provisioned: Path, keymint) -> None:
+    register = provisioned / "private/register.sqlite3"
+    old = register.read_bytes()
+    assert keymint("renew", "--rekey", "talker", cwd=provisioned).code == 0
+    stolen = certificate(provisioned, "talker").serial_number
+    register.write_bytes(old)
+    assert keymint("revoke", "talker", "--reason", "key-compromise", cwd=provisioned).code == 0
+    assert stolen in {each.serial_number for each in crl(provisioned / "public/identity_ca.crl.pem")}
+    assert not (provisioned / "install/enclaves/talker").exists()
+
+
+def test_the_key_of_an_expired_certificate_may_be_given_up(provisioned: Path, keymint) -> None:
+    late = {"SOURCE_DATE_EPOCH": str(NOW + 400 * 86400)}
+    assert keymint("renew", "talker", cwd=provisioned, env=late).code == 0
+    names = ("talker", "robot1/listener")  # of which one expired
+    superseded = keymint("revoke", *names, "--reason", "superseded", cwd=provisioned, env=late)
+    assert superseded.code == 0
+    assert "the last certificate of /robot1/listener expired on 2028-01-14" in superseded.err
+    assert keymint("revoke", *names, "--reason", "key-compromise", cwd=provisioned, env=late).code == 0
+    assert keymint("renew", cwd=provisioned, env=late).code == 0
+    assert not [*(provisioned / "install/enclaves").rglob("cert.pem")]
+
+
+def test_after_all_were_revoked_check_finds_nothing(provisioned: Path, keymint) -> None:
+    assert keymint("revoke", *NAMES, "--reason", "retired", cwd=provisioned).code == 0
+    assert keymint("check", cwd=provisioned).code == 0
+    (provisioned / "install/public/stray.pem").touch()
+    (provisioned / "install/enclaves/governance.xml").write_bytes(b"")
+    codes = keymint("check", "--json", cwd=provisioned).codes()
+    assert [code for code in codes if code != "identity-revoked"] == ["file-changed", "file-unexpected"]
+
+
+def test_a_clock_that_was_ahead_leaves_no_list_that_begins_later(provisioned: Path, keymint) -> None:
+    ahead = {"SOURCE_DATE_EPOCH": str(NOW + 10 * 86400)}
+    assert keymint("revoke", "talker", "--reason", "superseded", cwd=provisioned, env=ahead).code == 0
+    assert "revocation-list-not-yet-valid" in keymint("check", "--json", cwd=provisioned).codes()
+    assert keymint("install", cwd=provisioned).code == 0
+    found = crl(provisioned / "install/enclaves/robot1/listener/crl.pem")
+    assert found.last_update_utc.timestamp() < NOW
+    assert found.extensions.get_extension_for_class(x509.CRLNumber).value.crl_number == 2
+
+
+def test_a_damaged_list_is_issued_again_on_request(provisioned: Path, keymint) -> None:
+    keymint("revoke", "talker", "--reason", "superseded", cwd=provisioned)
+    path = provisioned / "public/identity_ca.crl.pem"
+    before = crl(path)
+    path.write_bytes(b"")
+    assert "'keymint crl --refresh' issues it again" in keymint("install", cwd=provisioned).err
+    assert keymint("crl", "--refresh", cwd=provisioned).code == 0
+    assert {each.serial_number for each in crl(path)} == {each.serial_number for each in before}
+    assert crl(path).extensions.get_extension_for_class(x509.CRLNumber).value.crl_number == 2
+
+
+def test_no_list_expires_at_once(provisioned: Path, keymint) -> None:
+    outcome = keymint("crl", "--refresh", "--valid-for", "0h", cwd=provisioned)
+    assert (outcome.code, "shorter than an hour" in outcome.err) == (2, True)
+
+
 def test_old_sources_are_refused(provisioned: Path, keymint) -> None:
     keymint("revoke", "talker", "--reason", "superseded", cwd=provisioned)
     (provisioned / "src/talker/issuance.xml").unlink()
@@ -217,11 +275,14 @@ def test_distributions_that_read_no_list(keymint, policy: Path, tmp_path: Path) 
     assert not list((tmp_path / "ws/install").rglob("crl.pem"))
 
 
-def test_the_subject_format_of_sros2_has_no_generation(keymint, policy: Path) -> None:
+@pytest.mark.parametrize(
+    ("reason", "fit"), [("superseded", "still fit the new"), ("key-compromise", "would fit a later")]
+)
+def test_the_subject_format_of_sros2_has_no_generation(keymint, policy: Path, reason: str, fit: str) -> None:
     assert keymint("provision", policy, "-w", "ws", "--subject-format", "sros2").code == 0
-    outcome = keymint("revoke", "talker", "--reason", "superseded", "-w", "ws")
+    outcome = keymint("revoke", "talker", "--reason", reason, "-w", "ws")
     assert outcome.code == 0
-    assert "the subject name has no generation: permissions that were signed before still fit" in outcome.err
+    assert f"the subject name has no generation: permissions that were signed before {fit}" in outcome.err
 
 
 def test_narrower_rights(provisioned: Path, keymint, policy: Path) -> None:
