@@ -45,12 +45,14 @@ class Present:
         files: the enclave's files by name; empty if the keystore does not have it.
         pending: its request that waits for an answer.
         known: fingerprints of the keys of authorities that some enclave of the keystore trusts, by name of their file.
+        issuing: names of those files whose authorities issue certificates of enclaves.
     """
 
     folder: str
     files: Mapping[str, bytes] = field(repr=False)
     pending: Pending | None
     known: Mapping[str, frozenset[str]]
+    issuing: frozenset[str]
 
     @property
     def where(self) -> Origin:
@@ -132,7 +134,7 @@ def _require_known_authorities(bundle: Bundle, present: Present, owner: Owner, w
     """Require that the authorities are those of the keystore, or given by hand.
 
     What the keystore knows by the name of a file stays: also the signer of the manifest may not exchange the authority
-    for rights. A file that no enclave has yet is vouched for by the signer.
+    for rights, and that one signs no manifest. A file that no enclave has yet is vouched for by the signer.
     """
     for name in bundle.files.keys() - bundle.authorities.keys() - {CERTIFICATE}:
         if _AUTHORITY in name:  # e.g. a reference to a token, which nodes would prefer
@@ -142,10 +144,12 @@ def _require_known_authorities(bundle: Bundle, present: Present, owner: Owner, w
                 help="ask the authority for a bundle with certificates in PEM",
                 code="bundle-authority",
             )
-    trusted = bundle.manifest.authority in owner.authorities
+    was_accepted = bundle.encoded == present.files.get(RECORD)
+    trusted = was_accepted or bundle.manifest.authority in owner.authorities
     for name, chain in bundle.authorities.items():
         known = present.known.get(name)
-        trusted = trusted or (known is not None and bundle.manifest.authority in known and bundle.signer in chain)
+        issues = name in present.issuing and bundle.signer in chain
+        trusted = trusted or (issues and known is not None and bundle.manifest.authority in known)
         strange = [each for each in chain if known is not None and fingerprint(each) not in known | owner.authorities]
         if strange:
             raise KeymintError(

@@ -127,6 +127,21 @@ def certificates_of_authorities(files: Mapping[str, bytes]) -> Iterator[tuple[st
             yield name, certificates.load_bundle(content)
 
 
+def issuing_files(certificate: bytes, authorities: Mapping[str, tuple[x509.Certificate, ...]]) -> frozenset[str]:
+    """Return the names of the files with the authority that issued the certificate of an enclave, PEM.
+
+    Args:
+        certificate: the certificate, PEM; if it cannot be read, nobody issued it.
+        authorities: the certificates of authorities by file.
+    """
+    try:
+        own = certificates.load(certificate)
+    except KeymintError:
+        return frozenset()
+    by_file = authorities.items()
+    return frozenset(file for file, chain in by_file if any(certificates.is_issued_by(own, each) for each in chain))
+
+
 def revocation_lists(files: Mapping[str, bytes]) -> Iterator[tuple[str, tuple[x509.CertificateRevocationList, ...]]]:
     """Yield the revocation lists of an enclave, with the name of their file.
 

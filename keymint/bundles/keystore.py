@@ -10,10 +10,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from cryptography import x509
+
 from comarmor.errors import Origin
 from keymint.bundles import request as requests
 from keymint.bundles.acceptance import Acceptance, Pending, Present
-from keymint.bundles.bundle import CERTIFICATE, KEY, certificates_of_authorities, fingerprint
+from keymint.bundles.bundle import CERTIFICATE, KEY, certificates_of_authorities, fingerprint, issuing_files
 from keymint.changes import File, FolderChange
 from keymint.errors import KeymintError
 from keymint.names import ROOT
@@ -61,7 +63,7 @@ class Keystore:
         """
         folder = self.folder(enclaves, name)
         shown = f"{self._shown}/{folder.relative_to(self._root)}"
-        return Present(shown, self._files(folder), self.pending(name), self._known())
+        return Present(shown, self._files(folder), self.pending(name), *self._known())
 
     def installed(self, name: str) -> Mapping[str, bytes]:
         """Return the files of an enclave in whatever layout; empty if the keystore does not have it."""
@@ -73,18 +75,20 @@ class Keystore:
         contents = {name: self._tree.read(folder / name) for name in names}
         return {name: content for name, content in contents.items() if content is not None}
 
-    def _known(self) -> Mapping[str, frozenset[str]]:
-        """Return the fingerprints of the keys of the authorities that enclaves trust, by name of their file."""
+    def _known(self) -> tuple[Mapping[str, frozenset[str]], frozenset[str]]:
+        """Return the fingerprints of the keys of the authorities that enclaves trust, by name of their file.
+
+        And the names of those files whose authorities issue certificates of enclaves.
+        """
         known: dict[str, set[str]] = {}
+        issuing: set[str] = set()
         for folder in self._folders(str(self._root)):
             files = {name: self._tree.try_read(f"{folder}/{name}") or b"" for name, _ in self._tree.names(folder)}
-            for name, content in files.items():
-                try:
-                    for file, chain in certificates_of_authorities({name: content}):
-                        known.setdefault(file, set()).update(map(fingerprint, chain))
-                except KeymintError:
-                    continue  # what cannot be read is trusted by nobody
-        return {name: frozenset(each) for name, each in known.items()}
+            chains = {file: chain for each in files.items() for file, chain in _chains(*each)}
+            for file, chain in chains.items():
+                known.setdefault(file, set()).update(map(fingerprint, chain))
+            issuing |= issuing_files(files[CERTIFICATE], chains)
+        return {name: frozenset(each) for name, each in known.items()}, frozenset(issuing)
 
     def _folders(self, folder: str) -> Iterator[str]:
         """Yield the folders of enclaves: those with a certificate of an identity."""
@@ -133,3 +137,11 @@ class Keystore:
         """Return the change that makes an enclave what its bundle says; arguments as for :meth:`folder`."""
         files = {file: File(content, secret=file in acceptance.secret) for file, content in acceptance.files.items()}
         return FolderChange(self.folder(enclaves, name), files, acceptance.removed, private=True)
+
+
+def _chains(name: str, content: bytes) -> Iterator[tuple[str, tuple[x509.Certificate, ...]]]:
+    """Yield the certificates of authorities in a file with its name; what cannot be read is trusted by nobody."""
+    try:
+        yield from certificates_of_authorities({name: content})
+    except KeymintError:
+        return

@@ -28,6 +28,7 @@ from keymint.plan.authorities import MintedAuthority, plan_authorities
 from keymint.plan.bundles import MadeBundle, plan_bundles
 from keymint.plan.enclaves import installed
 from keymint.plan.install import InstallStage, is_current
+from keymint.plan.register import withdrawn
 from keymint.plan.rollover import phase_of
 from keymint.plan.stage import PackagePlan
 from keymint.session import Inputs, Session
@@ -80,6 +81,12 @@ def _in_force(session: Session, names: Iterable[str]) -> Mapping[str, MintedAuth
     chains = {name: each.chain for name, each in authorities.items()}
     install = InstallStage(after, authorities, prune=False)
     for name in names:
+        if reason := withdrawn(session).get(name):
+            raise KeymintError(
+                f"the certificate of {subject_of(name)} was revoked ({reason}), and its enclave removed",
+                help=f"'keymint renew --rekey {name}' makes a new key, or 'keymint sign' certifies one of its robot",
+                code="identity-revoked",
+            )
         if plan.writes() or not (is_current(after, name, chains) or _would_stay(install.package(name))):
             raise KeymintError(
                 f"the enclave {subject_of(name)} is not installed as its sources and authorities are now",

@@ -169,6 +169,8 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
     rows = [_Renewed(each, _end(after, each.name), bool(issuance_of(session, each.name).public_key)) for each in taken]
     changed = frozenset(_installed(plan))
     late = frozenset(waiting)
+    if due.following is not None and due.following.name in changed:  # it was named, and its dates are others now
+        due = replace(due, following=None)
     return _Renewal(
         due,
         plan,

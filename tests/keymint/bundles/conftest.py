@@ -135,7 +135,10 @@ def keystore(
 ) -> Present:
     """Return a keystore with an enclave, a request, and the authorities of another enclave."""
     trusted: dict[str, frozenset[str]] = {}
+    issuing: frozenset[str] = frozenset()
     for each in (files or {}, known.files if known else {}):
-        for name, chain in bundle.certificates_of_authorities(each):
+        chains = dict(bundle.certificates_of_authorities(each))
+        issuing |= bundle.issuing_files(each.get("cert.pem", b""), chains)
+        for name, chain in chains.items():
             trusted[name] = trusted.get(name, frozenset()) | {bundle.fingerprint(one) for one in chain}
-    return Present("install/enclaves/robot/talker", files or {}, pending, trusted)
+    return Present("install/enclaves/robot/talker", files or {}, pending, trusted, issuing)

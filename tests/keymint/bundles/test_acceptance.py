@@ -167,6 +167,8 @@ def test_an_authority_in_another_form_is_not_compared_and_not_taken() -> None:
 def test_the_authority_for_rights_signs_no_bundle() -> None:
     both = authority("rights")
     assert code(NEXT.but(identity=both), THERE) == "bundle-authority"
+    beside = {"identity_ca.cert.pem": certificates.to_pem(authority().certificate)}
+    assert code(NEXT.but(identity=both, more=beside), THERE) == "bundle-authority"
 
 
 def test_an_authority_is_added_by_hand_only() -> None:

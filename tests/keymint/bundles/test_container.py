@@ -17,7 +17,7 @@ from keymint.bundles import container
 from keymint.errors import KeymintError
 
 WHERE = Origin("a.tar")
-NAMES = st.from_regex(container.NAME, fullmatch=True)
+NAMES = st.from_regex(container.NAME.pattern, fullmatch=True)
 
 
 def refused(content: bytes) -> str:

@@ -122,7 +122,7 @@ def test_an_enclave_without_the_list_that_changed(keymint, policy: Path, tmp_pat
 
 def test_a_revoked_enclave_has_no_bundle(keymint, ws: Path) -> None:
     assert keymint("revoke", "talker", "--reason", "key-compromise", "-w", "ws").code == 0
-    assert keymint("bundle", "talker", "-w", "ws", "--json").codes() == ["not-installed"]
+    assert keymint("bundle", "talker", "-w", "ws", "--json").codes() == ["identity-revoked"]
 
 
 def test_an_authority_whose_key_is_elsewhere_signs_no_bundle(keymint, ws: Path, tmp_path: Path) -> None:

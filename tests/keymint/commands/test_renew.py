@@ -162,6 +162,7 @@ class TestNamed:
         outcome = keymint("renew", "/talker", cwd=ws, env=at(10))
         assert outcome.code == 0
         assert "renewed /talker: as you asked; now in force until 2028-01-24" in outcome.out
+        assert "next is /talker" not in outcome.out  # that was the date of what is replaced
         assert enclave(ws, "robot1/listener") == others
 
     def test_twice_on_one_day_gives_the_same(self, keymint: Callable, ws: Path) -> None:
