@@ -142,6 +142,8 @@ def _formatted(run: Run, paths: Iterable[Path]) -> tuple[list[_Formatted], list[
     if errors:
         raise KeymintError.of(errors)
     if not files:
+        if foreign := foreign_policy(run.plugins, [run.setting.cwd / path for path in paths], ""):
+            raise foreign.refusal(run.typed(str(foreign.path)))
         shown = str(next(iter(paths), "."))
         help_ = "name a ComArmor file, or a directory with *.xml files"
         raise KeymintError("no policy was found", where=Origin(shown), help=help_, code="policy-empty")

@@ -51,6 +51,9 @@ def init(
         refuse_contradiction(run, workspace, profile, policy)
         return _again(run, workspace)
     request = bootstrap_request(run, workspace, policy, profile)
+    foreign = foreign_policy(run.plugins, [run.setting.cwd / policy], "") if policy is not None else None
+    if foreign is not None and foreign.imported:
+        raise foreign.refusal(run.typed(str(foreign.path)))
 
     def make_plan(inputs: Inputs) -> Plan:
         plan = plan_init(inputs, profile.profile_type or DEFAULT_PROFILE_TYPE, request)

@@ -52,6 +52,9 @@ def test_it_is_tested_by_the_expectations_beside_it(keymint, tmp_path) -> None:
     [
         (("provision", "policy.xml", "-w", "ws"), "policy.xml"),
         (("provision", "folder", "-w", "ws"), "folder/policy.xml"),
+        (("init", "ws", "--policy", "policy.xml"), "policy.xml"),
+        (("init", "ws", "--policy", "folder"), "folder/policy.xml"),
+        (("fmt", "folder"), "folder/policy.xml"),
         (("lint", "folder"), "folder/policy.xml"),
         (("learn", "graph.json", "--policy", "policy.xml"), "policy.xml"),
         (("query", "folder", "who", "can", "publish", "/chatter"), "folder/policy.xml"),
