@@ -73,7 +73,7 @@ def quoted(text: str, limit: int = 60) -> str:
 
 def counted(number: int, noun: str) -> str:
     """Return a number with its noun: ``no edges``, ``1 edge``, ``2 mismatches``."""
-    ending = "" if number == 1 else "es" if noun.endswith("ch") else "s"
+    ending = "" if number == 1 else "es" if noun.endswith(("ch", "x")) else "s"
     return f"{number or 'no'} {noun}{ending}"
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Protocol
 
 from comarmor.errors import ComArmorError, Origin
-from comarmor.text import did_you_mean, quoted
+from comarmor.text import counted, did_you_mean, quoted
 from comarmor.values import dataclass
 from comarmor.xml.includes import PACKAGE, is_package_name
 from comarmor.xml.sandboxed_paths import FOLLOW_LINKS, SandboxedFolder, path_text, unreadable
@@ -197,9 +197,8 @@ class InstalledPackages:
         if not self.prefixes:
             return f"{SEARCH_PATH} is not set: source the setup file of your ROS 2 workspace"
         known = sorted({name for prefix in self.prefixes for name in _names(prefix)})
-        source = (
-            f"source the setup file of the workspace that has it; {SEARCH_PATH} lists {len(self.prefixes)} prefixes"
-        )
+        prefixes = counted(len(self.prefixes), "prefix")
+        source = f"source the setup file of the workspace that has it; {SEARCH_PATH} lists {prefixes}"
         return did_you_mean(package, known, source)
 
     def _instead(self, package: str, prefix: str) -> str:

@@ -76,7 +76,7 @@ def _difference(example: Counterexample, tool: str) -> str:
     allows = "allows" if example.policy.allowed else "does not allow"
     ros = f" ({example.meaning.permission} {example.meaning.object.name})" if example.meaning else ""
     name = f"{example.endpoint.action} {example.endpoint.name!r}{ros}"
-    return f"{tool}'s document {permits} it to {name}, and the new policy {allows} it"
+    return f"{tool}'s document {permits} it to {name}, and the policy in ComArmor {allows} it"
 
 
 def _reason(claim: Claim, tool: str) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.xml.reader import looks_like_xml
 from keymint import graph_json
 from keymint.api import LearnedPolicy, LoadedPolicy, PolicyLearner
 from keymint.commands.learn_keystore import from_keystore, refuse_replacing
@@ -22,6 +23,7 @@ from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.graph import Edge
 from keymint.output.report import Report
+from keymint.plan.foreign_policies import foreign_policy
 
 
 @verb(workspace=False, dry_run=True)
@@ -77,7 +79,10 @@ def learn(
         raise KeymintError(f"the policy type {policy_options.policy_type!r} cannot learn", code="learn-unsupported")
     if policy_options.distro:
         policies.shipped()  # an unknown distribution is an error even without --policy
-    wanted = graph_json.load(read_input(run, graph), str(graph))
+    content = read_input(run, graph)
+    if looks_like_xml(content) and (foreign := foreign_policy(run.plugins, [run.setting.cwd / graph], "")):
+        raise foreign.refusal(str(graph))
+    wanted = graph_json.load(content, str(graph))
     existing = policies.at(run.setting.cwd / policy, str(policy), foreign=False) if policy else None
     if output and existing:
         _refuse_overwriting(run, output, existing)

@@ -77,7 +77,7 @@ def test_what_is_enforced_otherwise_takes_a_decision(keymint, foreign: Path, tmp
     assert accepted.codes() == ["sros2-two-profiles", "import-changes"]
     changes = accepted.document["diagnostics"][1]
     assert "SROS2's document does not permit it to publish 'rt/other'" in changes["message"]
-    assert "(ros_publish /other), and the new policy allows it" in changes["message"]
+    assert "(ros_publish /other), and the policy in ComArmor allows it" in changes["message"]
     assert accepted.document["result"]["subjects"] == [{"subject": "/talker", "same": False}]
     assert "/other" in (tmp_path / "comarmor.d/robot.xml").read_text()
 

@@ -56,6 +56,7 @@ def test_it_is_tested_by_the_expectations_beside_it(keymint, tmp_path) -> None:
         (("init", "ws", "--policy", "folder"), "folder/policy.xml"),
         (("fmt", "folder"), "folder/policy.xml"),
         (("lint", "folder"), "folder/policy.xml"),
+        (("learn", "policy.xml"), "policy.xml"),
         (("learn", "graph.json", "--policy", "policy.xml"), "policy.xml"),
         (("query", "folder", "who", "can", "publish", "/chatter"), "folder/policy.xml"),
     ],
