@@ -156,7 +156,7 @@ def _row(
     stale, problem, permissions_end, current = "", "", None, False
     try:
         built = build.is_built(session, name)
-        session.package_files(name)
+        session.file_digests(name)
     except KeymintError as error:  # a file that is no file, or too large
         problem, end = str(error.diagnostics[0]), _certificate_end(session, name)
         return PackageRow(name, "installed" if installed else "source", "", end, None, problem)
