@@ -71,17 +71,21 @@ def _in_order(exchanges: Iterable[Exchange], roots: Roots) -> list[list[Exchange
     """Return groups of exchanges; each group must be durable before the next one begins.
 
     Within a group, a loss of power may leave any of the exchanges. But what was signed must not outlive its keys, so
-    they come first; and a file directly in a root, such as that of a profile, tells that what comes before it is there.
+    they come first; and a file directly in a root, such as that of a profile, tells that what comes before it is there,
+    and what comes after it is recognised by it.
     """
     keys: list[Exchange] = []
     groups: list[list[Exchange]] = [[]]
+    after_mark = False
     for exchange in exchanges:
         if exchange.staged is not None and roots.private[roots.of(exchange.folder)]:
             keys.append(exchange)
             continue
-        if exchange.file and exchange.folder in roots.kept and groups[-1]:
+        is_mark = exchange.file and exchange.folder in roots.kept
+        if is_mark or after_mark:
             groups.append([])
         groups[-1].append(exchange)
+        after_mark = is_mark
     return [group for group in (keys, *groups) if group]
 
 

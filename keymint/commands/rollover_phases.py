@@ -75,7 +75,8 @@ def planned(run: Run, session: Session, name: str, request: Request) -> Plan:
     if phase is Phase.STAGE:
         require_staged(run, session, name)
     else:
-        _require_current(session, name, names, f"the keystore of the phase {phase}")
+        completed = f"'keymint authority replace {name}' completes it; then copy the keystore to all robots"
+        _require_current(session, names, f"the keystore of the phase {phase}", completed)
     return _went_on(run, session, name, names)
 
 
@@ -130,7 +131,7 @@ def _begun(run: Run, session: Session, name: str, names: Sequence[str], request:
             help="stage a second keystore: leave --phase out; or name what the fleet has with --vendor",
             code="rollover-no-bundle",
         )
-    _require_current(session, name, names, "the present keystore")
+    _require_current(session, names, "the present keystore", "'keymint build' and 'keymint install' complete it")
     first = rollover.plan_begin(session, name, phase, request.given)
     after = session.after(first).session()
     return first.then(_completed(run, after, name, names, phase))
@@ -170,7 +171,7 @@ def _cancelled(run: Run, session: Session, name: str, names: Sequence[str]) -> P
     return first.then(reissued(run, after, Plan((), after.state), names))
 
 
-def _require_current(session: Session, name: str, names: Sequence[str], what: str) -> None:
+def _require_current(session: Session, names: Sequence[str], what: str, help_: str) -> None:
     """Require that all enclaves are as the sources and the authorities say.
 
     Raises:
@@ -182,8 +183,7 @@ def _require_current(session: Session, name: str, names: Sequence[str], what: st
         raise KeymintError(
             f"{what} is not complete: {counted(len(stale), 'enclave')} not up to date, e.g. {subject_of(stale[0])}",
             where=Origin(session.workspace.shown(session.enclave_folder(stale[0]))),
-            help=f"'keymint build' and 'keymint install' complete it, or 'keymint authority replace {name}'; then copy "
-            "the keystore to all robots",
+            help=help_,
             code="rollover-incomplete",
         )
 

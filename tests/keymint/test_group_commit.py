@@ -166,26 +166,49 @@ def set_error(number: int) -> int:
     return -1
 
 
-def test_keys_are_durable_before_anything_else_appears(
-    root: Path, store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seen = []
+@pytest.fixture
+def synchronised(root: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, frozenset[str]]]:
+    """Each folder or file that is synchronised from now on, with the files that were visible then."""
+    seen: list[tuple[str, frozenset[str]]] = []
     fsync = os.fsync
 
     def watched(opened: int) -> None:
         fsync(opened)
-        seen.append((f"/proc/self/fd/{opened}", frozenset(files(root))))
-        seen[-1] = (str(Path(seen[-1][0]).readlink().relative_to(root.parent)), seen[-1][1])
+        path = Path(f"/proc/self/fd/{opened}").readlink()
+        seen.append((str(path.relative_to(root.parent)), frozenset(files(root))))
 
+    monkeypatch.setattr(os, "fsync", watched)
+    return seen
+
+
+def test_keys_are_durable_before_anything_else_appears(
+    root: Path, store: Store, synchronised: list[tuple[str, frozenset[str]]]
+) -> None:
     for folder in (root / "install", root / "private"):
         folder.mkdir(parents=True)
-    monkeypatch.setattr(os, "fsync", watched)
     store.change([*changes(root, "a"), FolderChange(root / "private", {"key.pem": SECRET})])
-    states = list(dict.fromkeys(found for _, found in seen))
+    states = list(dict.fromkeys(found for _, found in synchronised))
     enclave = {f"install/enclaves/a/{file}" for file in ENCLAVE}
     assert states == [frozenset(), {"private/key.pem"}, {"private/key.pem", *enclave}]
-    assert ("ws/private", states[1]) in seen
-    assert ("ws/install", states[2]) in seen
+    assert ("ws/private", states[1]) in synchronised
+    assert ("ws/install", states[2]) in synchronised
+
+
+def test_a_file_of_a_profile_is_durable_before_what_is_recognised_by_it(
+    root: Path, synchronised: list[tuple[str, frozenset[str]]]
+) -> None:
+    """Else enclaves could trust the next authority, and no profile say so."""
+    for folder in (root / "install/enclaves", root / "profile"):
+        folder.mkdir(parents=True)
+    before, after = changes(root, "a"), changes(root, "b")
+    Store({root / "install": False, root / "profile": False}, root / ".keymint").change(
+        [*before, FolderChange(root / "profile", {"authorities.xml": PUBLIC}), *after]
+    )
+    states = list(dict.fromkeys(found for _, found in synchronised))
+    first, last = ({f"install/enclaves/{name}/{file}" for file in ENCLAVE} for name in "ab")
+    profile = {"profile/authorities.xml"}
+    assert states == [frozenset(), first, first | profile, first | profile | last]
+    assert ("ws/profile", states[2]) in synchronised
 
 
 def test_a_file_that_someone_adds_to_a_removed_folder_stays(
