@@ -155,10 +155,11 @@ class PolicyFiles:
 
     def _selected(self, root: Placed, steps: tuple[str, ...], where: Origin) -> Iterator[Placed]:
         """Yield what an xpointer selects, from what the file includes too; without an xpointer the root element."""
-        found = [root] if not steps or steps[0] in {"*", root.element.tag} else []
+        parents = found = [root] if not steps or steps[0] in {"*", root.element.tag} else []
         for step in steps[1:]:
+            parents = found
             found = [child for each in found for child in self.children(each) if step in {"*", child.element.tag}]
-        if not found:
+        if not found and not (parents and steps[-1] == "*"):  # all of an empty element is nothing
             raise ComArmorError(
                 f"the xpointer /{'/'.join(steps)} selects nothing in {quoted(root.file.name, 200)}", where=where,
                 help=f"the root of that file is <{root.element.tag}>", code="include-xpointer",

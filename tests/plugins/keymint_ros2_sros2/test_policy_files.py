@@ -76,6 +76,11 @@ def test_an_xpointer_selects_from_what_is_included_too(write, text: str) -> None
     assert names(path) == [each.text for each in expected.iter("topic", "service")]
 
 
+def test_all_of_an_empty_element_is_nothing(write) -> None:
+    path = write(policy(enclave("/a", include("empty.xml") + LOGGING[9:-10])), {"empty.xml": "<profile/>"})
+    assert names(path) == ["rosout"]
+
+
 def test_an_xml_base_does_not_change_silently_what_is_included(write) -> None:
     """Libxml2 reads ``sub/logging.xml`` here."""
     text = policy(enclave("/a", include("logging.xml"))).replace("<profile ", '<profile xml:base="sub/" ')
