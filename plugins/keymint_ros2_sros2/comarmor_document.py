@@ -75,6 +75,7 @@ def _node(profile: etree._Element, node: Node, written: set[Atom]) -> None:
     _comment(profile, [*node.comments, f" the node {node.name} in the namespace {node.ns or '/'} "])
     for rules in node.lists:
         made = list(_rules(node, rules, written))
+        _comment(profile, rules.introduction)
         if made or not rules.included:
             _comment(profile, rules.comments)
         profile.extend(made)

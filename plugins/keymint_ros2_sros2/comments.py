@@ -75,4 +75,5 @@ def comments_of(content: bytes, root: etree._Element) -> Comments:
     parser.EndElementHandler = scanner.end
     parser.CommentHandler = scanner.comment
     parser.Parse(content, True)
+    scanner.trailing[0] = (*scanner.trailing.get(0, ()), *scanner.pending)
     return Comments(scanner.leading, scanner.trailing, {element: number for number, element in enumerate(root.iter())})

@@ -52,7 +52,7 @@ class _Parser:
         enclaves: list[Enclave] = []
         comments: list[str] = [*root.before]
         for child in self.children(root, (inner,), f"in a policy of version {version}"):
-            comments += child.before
+            comments += (*child.introduction, *child.before)
             found = self.enclaves(child) if version == NEW else self.nodes_of_old(child)
             for enclave in found:
                 enclaves.append(_commented(enclave, comments))
@@ -77,7 +77,9 @@ class _Parser:
                     f"the enclave {quoted(child.element.get('path', ''))} has no <profiles>", where=child.where,
                     help="add them, or remove the enclave", code="schema",
                 )  # fmt: skip
-            yield Enclave(child.element.get("path", ""), groups, child.where, child.before, child.closing)
+            yield Enclave(
+                child.element.get("path", ""), groups, child.where, (*child.introduction, *child.before), child.closing
+            )
 
     def nodes_of_old(self, item: Placed) -> Iterator[Enclave]:
         """Yield an enclave for each node: up to Eloquent a node had a key of its own, named like the node."""
@@ -92,7 +94,7 @@ class _Parser:
             self.lost.append(Lost(f"the type {quoted(item.element.get('type', ''))} of <profiles>", item.where))
         children = self.children(item, ("profile",), "in <profiles>")
         nodes = tuple(self.node(child) for child in children)
-        return NodeGroup(nodes, item.where, item.before, item.closing)
+        return NodeGroup(nodes, item.where, (*item.introduction, *item.before), item.closing)
 
     def node(self, item: Placed) -> Node:
         """Return the node of a ``<profile>`` element."""
@@ -103,13 +105,13 @@ class _Parser:
                 help='to include its rules alone: xpointer="xpointer(/profile/*)"' if item.chain else "",
             )  # fmt: skip
         lists = tuple(self.rules(child) for child in self.children(item, tuple(PERMISSIONS), "in <profile>"))
-        return Node(names[0], names[1], lists, item.where, item.before, item.closing)
+        return Node(names[0], names[1], lists, item.where, (*item.introduction, *item.before), item.closing)
 
     def rules(self, item: Placed) -> RuleList:
         """Return the list of a ``<topics>``, ``<services>`` or ``<actions>`` element."""
         tag = str(item.element.tag)
         entries = tuple(
-            Entry(child.element.text or "", child.where, child.before)
+            Entry(child.element.text or "", child.where, (*child.introduction, *child.before))
             for child in self.children(item, (tag.removesuffix("s"),), f"in <{tag}>")
         )
         effects = {
@@ -117,7 +119,9 @@ class _Parser:
             for attribute, permission in PERMISSIONS[tag].items()
             if item.element.get(attribute) is not None
         }
-        return RuleList(tag, MappingProxyType(effects), entries, item.where, item.before, item.closing)
+        return RuleList(
+            tag, MappingProxyType(effects), entries, item.where, item.before, item.closing, item.introduction
+        )
 
     def children(self, item: Placed, expected: tuple[str, ...], place: str) -> Iterator[Placed]:
         """Yield the child elements, which includes may have put into the wrong place; ``<metadata>`` is left out."""

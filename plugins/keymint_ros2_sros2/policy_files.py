@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import posixpath
 from collections.abc import Iterator, Mapping
-from dataclasses import field
+from dataclasses import field, replace
 from pathlib import Path
 
 from lxml import etree
@@ -60,11 +60,19 @@ class PolicyFile:
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """An element with its file, and the places that include the file, innermost first."""
+    """An element with its file.
+
+    Attributes:
+        element: the element.
+        file: its file.
+        chain: the places that include the file, innermost first.
+        introduction: the comments in the policy's own file before the include that brings the element first.
+    """
 
     element: etree._Element
     file: PolicyFile
     chain: tuple[Origin, ...] = ()
+    introduction: tuple[str, ...] = ()
 
     @property
     def where(self) -> Origin:
@@ -74,7 +82,7 @@ class Placed:
 
     @property
     def before(self) -> tuple[str, ...]:
-        """The comments before it."""
+        """The comments before it in its file."""
         return self.file.comments.before(self.element)
 
     @property
@@ -151,7 +159,10 @@ class PolicyFiles:
                 or "copy SROS2's 'common' folder beside the policy: it is in the package sros2, test/policies/common",
             )  # fmt: skip
         file = self._file(target, where, chain)
-        yield from self._selected(Placed(file.root, file, chain), steps, where)
+        introduction = () if include.chain else include.before
+        for item in self._selected(Placed(file.root, file, chain), steps, where):
+            yield replace(item, introduction=introduction or item.introduction)
+            introduction = ()
 
     def _selected(self, root: Placed, steps: tuple[str, ...], where: Origin) -> Iterator[Placed]:
         """Yield what an xpointer selects, from what the file includes too; without an xpointer the root element."""

@@ -43,6 +43,7 @@ class RuleList:
         where: where it is written.
         comments: the comments before it.
         closing: the comments after its last name.
+        introduction: the comments before the include that brings it.
     """
 
     tag: str
@@ -51,6 +52,7 @@ class RuleList:
     where: Origin
     comments: tuple[str, ...] = ()
     closing: tuple[str, ...] = ()
+    introduction: tuple[str, ...] = ()
 
     @property
     def included(self) -> bool:

@@ -77,6 +77,15 @@ def test_comments_and_nodes(write) -> None:
     assert places == sorted(places)
 
 
+def test_a_comment_before_an_include_stays_and_those_of_what_the_library_has_do_not(write) -> None:
+    common = COMMON | {"common/node.xml": COMMON["common/node.xml"].replace("<xi:", "<!-- of SROS2 --><xi:")}
+    more = {"own.xml": '<profile><topics publish="ALLOW"><!-- inner --><topic>/x</topic></topics></profile>'}
+    include = INCLUDE.replace("common/node", "own")
+    text = written(write(policy(enclave("/n", f"<!-- for all --> {INCLUDE}<!-- ours -->{include}")), common | more))
+    assert "of SROS2" not in text
+    assert text.index("the node n") < text.index("for all") < text.index("ours") < text.index("inner")
+
+
 @pytest.mark.parametrize(
     ("ns", "node", "said"),
     [

@@ -17,4 +17,4 @@ def test_each_comment_has_its_element() -> None:
     before = {element.tag: comments.before(element) for element in root.iter()}
     assert before == {"a": ("head",), "b": ("1", "2"), "c": (), "d": ()}
     closing = {element.tag: comments.closing(element) for element in root.iter()}
-    assert closing == {"a": ("end of a",), "b": (), "c": ("end of c",), "d": ()}
+    assert closing == {"a": ("end of a", "after"), "b": (), "c": ("end of c",), "d": ()}
