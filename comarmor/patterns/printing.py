@@ -36,9 +36,13 @@ def _exact(token: Token, unescaped: str) -> str:
 def _ranges(members: Charset, unescaped: str) -> str:
     def end(code: int) -> str:
         char = chr(code)
-        return char if char.isalnum() or char in unescaped else f"\\{char}"
+        return char if char.isalnum() or (char in unescaped and char != "-") else f"\\{char}"
 
-    return "".join(end(low) if low == high else f"{end(low)}-{end(high)}" for low, high in members.ranges)
+    parts = [end(low) if low == high else f"{end(low)}-{end(high)}" for low, high in members.ranges]
+    if "-" in unescaped and r"\-" in parts:
+        parts.remove(r"\-")
+        parts.append("-")  # the last member of a set needs no escape
+    return "".join(parts)
 
 
 def canonical(tokens: Iterable[Token | Bracket]) -> str:

@@ -23,7 +23,7 @@ _PREFIX = "rt"
 _SERVICES = ("rq/", "rr/")
 """What the names of the DDS topics of services begin with."""
 _REQUEST = lazy_regex(r"rq(/.*)Request", re.DOTALL)
-_MEMBERS = " \"#$%&'()*+,./:;<=>?@_`{|}~"
+_MEMBERS = " \"#$%&'()*+,-./:;<=>?@_`{|}~"
 """Members of a set that need no escape."""
 _SPECIAL = "*?["
 

@@ -32,6 +32,8 @@ def names(kind: str, permission: str, text: str, *more) -> set[tuple[str, str, s
         ("ros_topic", "ros_publish", "x", set()),
         ("ros_topic", "ros_publish", r"/a\*b", {("topics", "ros_publish", "/a[*]b")}),
         ("ros_topic", "ros_publish", r"/\{x\}", {("topics", "ros_publish", "/{x}")}),
+        ("ros_topic", "ros_publish", r"/[a-z0-9_\-]", {("topics", "ros_publish", "/[0-9_a-z-]")}),
+        ("ros_topic", "ros_publish", "/[!-_]", {("topics", "ros_publish", "/[!_-]")}),
         ("ros_service", "ros_call", "/s", {("services", "ros_call", "/s")}),
         ("ros_action", "ros_operate", "/a*", {("actions", "ros_operate", "/a*")}),
         ("ros_parameter", "ros_write", "/n", {
