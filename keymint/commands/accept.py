@@ -60,7 +60,7 @@ def accept(run: Run, files: tuple[Path, ...], folder: Path | None, fingerprints:
     """
     keystore = keystore_of(run, folder)
     owner = Owner(frozenset(map(fingerprint, fingerprints)), new=new)
-    read = [(file, bundles.read(read_input(run, file, MAX_BYTES), Origin(str(file)))) for file in files]
+    read = [(file, bundles.read(read_input(run, file, MAX_BYTES), Origin(str(file)))) for file in dict.fromkeys(files)]
     _require_one_each(read)
     there = keystore.read()
     taken = [_taken(run, there, file, each, owner) for file, each in read]  # what is refused creates no keystore

@@ -94,7 +94,7 @@ def lacking(certificate: x509.Certificate, name: str, where: Origin) -> Iterator
         name: its name in the profile.
         where: the file, for messages.
     """
-    renew = f"'keymint authority renew {name}' adds it, where its key is"
+    renew = f"'keymint authority renew {name}' adds it, where its key is; <extensions> in authorities.xml come first"
     usage = extensions.value(certificate, x509.KeyUsage)
     if usage is not None and not usage.crl_sign:
         message = f"the certificate of {name!r} cannot sign revocation lists: its keyUsage lacks cRLSign"
