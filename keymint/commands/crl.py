@@ -73,7 +73,7 @@ def crl(run: Run, refresh: bool, rebuild: bool, valid_for: timedelta | None) -> 
 
 def _shown(run: Run, session: Session, done: Report | None = None) -> Report:
     """Show the lists, after what was done."""
-    register = complete_register(session)
+    register = complete_register(session, lossy=True)  # which names the subjects, as far as they are known
     subjects = {
         each.serial: subject_of(each.name) for each in register.certificates.values() if each.revoked and each.name
     }

@@ -113,7 +113,8 @@ class _Renewal:
         plan: what is done.
         renewed: what is renewed by it.
         unchanged: what was named, and stays as it is: a renewal would give it the dates that it has.
-        waiting: what is due and waits for the key of an authority, which is not here.
+        waiting: the enclaves that are due and wait for the key of an authority, which is not here.
+        waiting_lists: the revocation lists that wait for it.
         needs_person: there is something that only a person can do.
     """
 
@@ -122,6 +123,7 @@ class _Renewal:
     renewed: tuple[_Renewed, ...]
     unchanged: tuple[_Renewed, ...]
     waiting: tuple[Due, ...]
+    waiting_lists: tuple[Due, ...]
     needs_person: bool
 
 
@@ -146,6 +148,7 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
     session = session.after(Plan((), choice.state))
     plan = Plan((), session.state)
     waiting: list[str] = []
+    waiting_lists: tuple[Due, ...] = ()
     while names or due.lists:
         try:
             plan = _issued_again(run, session, due, names, rekey=rekey, prove=prove)
@@ -154,8 +157,11 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
             if {each.code for each in error.diagnostics} == {NOT_HERE}:
                 severity = Severity.WARNING if run.dry_run else Severity.ERROR
                 errors += (replace(each, severity=severity) for each in error.diagnostics)
-                waiting, names = [*names], []
-                break
+                late = _waiting(session, due, names, error)
+                waiting, names = [*waiting, *late.names], [name for name in names if name not in late.names]
+                due = replace(due, lists=tuple(each for each in due.lists if each not in late.lists))
+                waiting_lists += late.lists
+                continue
             defective = packages_of(session, error.diagnostics, names)
             errors += error.diagnostics
             if not alone or not defective:
@@ -168,7 +174,6 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
     taken = [each for each in due.enclaves if each.name in done]
     rows = [_Renewed(each, _end(after, each.name), bool(issuance_of(session, each.name).public_key)) for each in taken]
     changed = frozenset(_installed(plan))
-    late = frozenset(waiting)
     if due.following is not None and due.following.name in changed:  # it was named, and its dates are others now
         due = replace(due, following=None)
     return _Renewal(
@@ -176,9 +181,34 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
         plan,
         tuple(each for each in rows if each.due.name in changed),
         tuple(each for each in rows if each.due.name not in changed),
-        tuple(each for each in due.enclaves if each.name in late),
+        tuple(each for each in due.enclaves if each.name in waiting),
+        waiting_lists,
         needs_person=bool(findings),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Late:
+    """What waits for the keys of some authorities: packages, and revocation lists."""
+
+    names: tuple[str, ...]
+    lists: tuple[Due, ...]
+
+
+def _waiting(session: Session, due: Schedule, names: Sequence[str], error: KeymintError) -> _Late:
+    """Return what waits for the keys whose files an error names; all of it if nothing can do without them."""
+    files = {each.where.file for each in error.diagnostics if each.where}
+    here = {
+        each.name
+        for each in session.profile.authorities
+        if session.workspace.shown(session.workspace.authority_key(each.name)) not in files
+    }
+    packages = {name: session.package(name) for name in names}
+    late = tuple(
+        name for name, package in packages.items() if not {package.identity.issuer, package.grant.issuer} <= here
+    )
+    lists = tuple(each for each in due.lists if each.name not in here)
+    return _Late(late, lists) if late or lists else _Late(tuple(names), due.lists)
 
 
 def _issued_again(run: Run, session: Session, due: Schedule, names: Sequence[str], *, rekey: bool, prove: bool) -> Plan:
@@ -222,7 +252,8 @@ def _exit_code(run: Run, renewal: _Renewal, plan: Plan) -> ExitCode:
     failed = exit_code_of(plan)
     if failed is not ExitCode.DONE:
         return failed
-    is_due = run.dry_run and bool(renewal.schedule.lists or len(renewal.schedule.enclaves) > len(renewal.unchanged))
+    due_lists = (*renewal.schedule.lists, *renewal.waiting_lists)
+    is_due = run.dry_run and bool(due_lists or len(renewal.schedule.enclaves) > len(renewal.unchanged))
     return ExitCode.FINDINGS if renewal.needs_person or is_due else ExitCode.DONE
 
 
@@ -239,8 +270,10 @@ def _lines(run: Run, renewal: _Renewal) -> Sequence[str]:
         for each in renewal.unchanged
     ]
     lines += [f"waits for a signature: {subject_of(each.name)}: {_why(each)}" for each in renewal.waiting]
-    if not renewal.waiting:
-        lines += [f"{would} the revocation list of {each.name}: {_why(each)}" for each in renewal.schedule.lists]
+    lines += [f"{would} the revocation list of {each.name}: {_why(each)}" for each in renewal.schedule.lists]
+    lines += [
+        f"waits for a signature: the revocation list of {each.name}: {_why(each)}" for each in renewal.waiting_lists
+    ]
     own = {each.due.name for each in renewal.renewed}
     updated = _installed(renewal.plan)
     if ready := [name for name in updated if name in own]:

@@ -26,5 +26,10 @@ def begin(now: datetime, length: timedelta) -> datetime:
         less than ten days, a tenth of its length before now, in whole minutes.
     """
     if length < _SHORT:
-        return (now - length / 10).replace(second=0, microsecond=0)
+        return (now - back(length)).replace(second=0, microsecond=0)
     return now.replace(hour=0, minute=0, second=0, microsecond=0) - BACK
+
+
+def back(length: timedelta) -> timedelta:
+    """Return how long before now a period begins that is given now and has this length, see :data:`BACK`."""
+    return length / 10 if length < _SHORT else BACK

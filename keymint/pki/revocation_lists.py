@@ -19,7 +19,7 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
-from keymint.pki import certificates, extensions
+from keymint.pki import certificates, extensions, periods
 from keymint.pki.certificates import Issuer
 from keymint.pki.distinguished_names import to_text
 
@@ -34,7 +34,6 @@ _FLAGS: Mapping[str, x509.ReasonFlags | None] = MappingProxyType(
     }
 )
 _LAST = datetime.max.replace(tzinfo=UTC) - timedelta(seconds=1)
-_DAY = timedelta(days=1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,12 +91,25 @@ def issue(
         issuer: the authority, which may sign lists; see :func:`require_signs_lists`.
         revocations: all that the authority ever revoked.
         number: higher than that of every earlier list.
-        now: the clock, UTC. The list is valid from a day before, since clocks differ.
+        now: the clock, UTC. The list is valid from a day before, since clocks differ; a short one as
+            :func:`keymint.pki.periods.back` has it.
         end: its nextUpdate, at most the end of the authority's certificate, which is the default.
+
+    Raises:
+        KeymintError: the authority's certificate expired, or begins after the end of the list.
     """
     authority = issuer.certificate
-    begin = max(now.replace(microsecond=0) - _DAY, authority.not_valid_before_utc)
     last = min(end or _LAST, authority.not_valid_after_utc)
+    back = min(periods.BACK, (last - now) / 9)  # a tenth of the whole
+    begin = max(now.replace(microsecond=0) - back, authority.not_valid_before_utc)
+    if last <= max(now, begin):
+        valid = f"{authority.not_valid_before_utc:%Y-%m-%d} to {authority.not_valid_after_utc:%Y-%m-%d}"
+        raise KeymintError(
+            f"the certificate of {to_text(authority.subject)!r} is in force from {valid}, so no revocation list of it "
+            f"would be in force now ({now:%Y-%m-%d})",
+            help="compare the clock of this machine; 'keymint authority renew' issues the certificate again",
+            code="authority-not-in-force",
+        )
     builder = (
         x509.CertificateRevocationListBuilder()
         .issuer_name(authority.subject)

@@ -291,6 +291,7 @@ def list_end(session: Session, due: Due) -> datetime | None:
     """Return nextUpdate of a list that is issued again: it is as long as before; None for the end of the authority."""
     if due.why is None:
         return None
-    end = session.now - periods.BACK + (due.why.last - due.why.first)
+    length = due.why.last - due.why.first
+    end = session.now - periods.back(length) + length
     last = authority_ends(session).get(due.name)
     return None if last is None or end >= last else end

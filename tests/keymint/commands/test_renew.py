@@ -318,6 +318,28 @@ class TestWithoutTheKeysOfAuthorities:
         )
         assert content(ws) == before
 
+    def test_what_another_authority_signs_does_not_wait(self, keymint: Callable, ws: Path) -> None:
+        profile, source = ws / "profile/authorities.xml", ws / "src/talker/identities.xml"
+        other = '<authority name="other_ca"><cert><issuer_name></issuer_name></cert></authority>'
+        profile.write_text(profile.read_text().replace("</authorities>", f"{other}</authorities>"))
+        issuer = "<identity><cert><issuer_name>other_ca</issuer_name></cert></identity>"
+        source.write_text(source.read_text().replace("<identity/>", issuer))
+        assert keymint("build", cwd=ws).code == 0
+        assert keymint("install", cwd=ws).code == 0
+        (ws / "private/other_ca.key.pem").unlink()
+        outcome = keymint("renew", "--json", cwd=ws, env=at(DUE))
+        assert (outcome.code, renewed(outcome)) == (1, ["/robot1/listener"])
+        assert [each["subject"] for each in outcome.document["result"]["waiting"]] == ["/talker"]
+
+    def test_a_list_that_waits_is_not_said_to_be_renewed(self, keymint: Callable, ws: Path) -> None:
+        assert keymint("revoke", "talker", "--reason", "superseded", cwd=ws).code == 0
+        assert keymint("crl", "--refresh", "--valid-for", "30d", cwd=ws).code == 0
+        (ws / "private/identity_ca.key.pem").unlink()
+        for options, code in (((), 1), (("--dry-run",), 3)):
+            outcome = keymint("renew", *options, cwd=ws, env=at(25))
+            assert (outcome.code, "renew the" in outcome.out, "renewed the" in outcome.out) == (code, False, False)
+            assert "waits for a signature: the revocation list of identity_ca: " in outcome.out
+
     def test_nothing_is_needed_while_nothing_is_due(self, keymint: Callable, ws: Path) -> None:
         for path in AUTHORITY_KEYS:
             (ws / path).unlink()

@@ -182,6 +182,7 @@ def test_a_lost_register_with_revocations_is_the_owners_decision(provisioned: Pa
         lost = keymint(*verb, cwd=provisioned)
         assert lost.code == 1
         assert "the register of issued certificates is missing, and /talker was revoked" in lost.err
+    assert f"{before[0].serial_number:x}" in keymint("crl", cwd=provisioned).out  # to look at a list takes no register
     assert keymint("crl", "--rebuild", cwd=provisioned).code == 0
     assert keymint("revoke", "robot1/listener", "--reason", "superseded", cwd=provisioned).code == 0
     after = crl(provisioned / "public/identity_ca.crl.pem")
@@ -251,6 +252,30 @@ def test_a_damaged_list_is_issued_again_on_request(provisioned: Path, keymint) -
     assert keymint("crl", "--refresh", cwd=provisioned).code == 0
     assert {each.serial_number for each in crl(path)} == {each.serial_number for each in before}
     assert crl(path).extensions.get_extension_for_class(x509.CRLNumber).value.crl_number == 2
+
+
+def test_an_authority_that_expired_issues_no_list(provisioned: Path, keymint) -> None:
+    keymint("revoke", "talker", "--reason", "superseded", cwd=provisioned)
+    late = {"SOURCE_DATE_EPOCH": str(NOW + 4000 * 86400)}
+    before = snapshot(provisioned)
+    for words in (("crl", "--refresh"), ("install",), ("revoke", "talker", "--reason", "key-compromise")):
+        outcome = keymint(*words, "--json", cwd=provisioned, env=late)
+        assert (outcome.code, outcome.codes()) == (1, ["authority-not-in-force"]), words
+    assert snapshot(provisioned) == before
+    for name in ("identity_ca", "permissions_ca"):
+        assert keymint("authority", "renew", name, "--flag-day", cwd=provisioned, env=late).code == 0
+    assert keymint("renew", cwd=provisioned, env=late).code == 0
+    assert keymint("check", cwd=provisioned, env=late).code == 0
+
+
+def test_a_short_list_is_not_due_at_once(provisioned: Path, keymint) -> None:
+    keymint("revoke", "talker", "--reason", "superseded", cwd=provisioned)
+    assert keymint("crl", "--refresh", "--valid-for", "12h", cwd=provisioned).code == 0
+    assert keymint("renew", "--json", cwd=provisioned).document["result"]["lists"] == []
+    later = {"SOURCE_DATE_EPOCH": str(NOW + 8 * 3600)}
+    assert keymint("renew", "--json", cwd=provisioned, env=later).document["result"]["lists"] != []
+    found = crl(provisioned / "install/enclaves/talker/crl.pem")
+    assert found.next_update_utc.timestamp() == NOW + 20 * 3600
 
 
 def test_no_list_expires_at_once(provisioned: Path, keymint) -> None:
