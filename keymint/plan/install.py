@@ -143,7 +143,7 @@ def _plan_enclave(
     workspace = session.workspace
     inputs = inputs_of(session, name, {authority: minted.chain for authority, minted in authorities.items()})
     if inputs is None and build.is_built(session, name) and identity_keys.is_awaited(session.package(name)):
-        return _awaiting(session.package(name))
+        return _awaiting(session, session.package(name))
     if inputs is None:
         raise KeymintError(
             f"the package {name} is not built",
@@ -166,7 +166,7 @@ def _plan_enclave(
     package, folder = session.package(name), session.enclave(name)
     own = lifetimes.lifetimes(package)
     if identity_keys.is_awaited(package):
-        return _awaiting(package)
+        return _awaiting(session, package)
     documents = build.built_documents(session, name)
     existing, unreadable = enclave_files(session, name)
     key_pem, public = identity_keys.private_key(session, package), identity_keys.public_key(session, package)
@@ -249,8 +249,10 @@ def _outliving(
             )
 
 
-def _awaiting(package: Package) -> PackagePlan:
-    """Return the plan for a package whose robot has not yet told its public key: its enclave stays as it is."""
+def _awaiting(session: Session, package: Package) -> PackagePlan:
+    """Return the plan for a package whose robot has not yet told its public key: its enclave stays, unless revoked."""
+    if package.name in installed(session) and (reason := register_of(session).withdrawn(package.name)):
+        return PackagePlan(package.name, withdrawn=reason)
     kept = Step(STAGE, package.name, Action.KEPT, detail="waits for a request of its robot")
     diagnostics = (identity_keys.awaited(package),)
     return PackagePlan(package.name, kept, diagnostics=diagnostics, lifetimes=lifetimes.lifetimes(package))

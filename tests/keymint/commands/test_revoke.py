@@ -224,6 +224,18 @@ def test_the_key_of_an_expired_certificate_may_be_given_up(provisioned: Path, ke
     assert not [*(provisioned / "install/enclaves").rglob("cert.pem")]
 
 
+def test_an_enclave_whose_key_moves_into_a_token_is_removed_as_well(provisioned: Path, keymint) -> None:
+    identities, profile = provisioned / "src/talker/identities.xml", provisioned / "profile/keymint_profile.xml"
+    key = "<key><pkcs11>pkcs11:token=robot;object=talker</pkcs11></key>"
+    identities.write_text(identities.read_text().replace("<identity/>", f"<identity>{key}</identity>"))
+    accepted = "<accept><token_keys/></accept></profile>"
+    profile.write_text(profile.read_text().replace("</profile>", accepted))
+    assert keymint("build", cwd=provisioned).code == 0
+    assert keymint("revoke", "talker", "--reason", "key-compromise", cwd=provisioned).code == 0
+    assert not (provisioned / "install/enclaves/talker").exists()
+    assert "waits for a request" in keymint("install", cwd=provisioned).out
+
+
 def test_after_all_were_revoked_check_finds_nothing(provisioned: Path, keymint) -> None:
     assert keymint("revoke", *NAMES, "--reason", "retired", cwd=provisioned).code == 0
     assert keymint("check", cwd=provisioned).code == 0
