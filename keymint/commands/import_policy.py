@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
-from comarmor.errors import Diagnostic, Origin
-from comarmor.text import counted
+from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.text import counted, first_few
 from comarmor.xml.reader import looks_like_xml, parse
 from keymint.api import ForeignDocuments, ImportedSubject, ImportRequest, PolicyImporter
 from keymint.commands.import_proof import SubjectProof, diagnostics_of, unproven
@@ -92,7 +92,7 @@ def import_policy(
         "written": written,
         "subjects": [{"subject": proof.subject, "same": proof.is_same} for proof in proofs],
     }
-    diagnostics: list[Diagnostic] = [*imported.diagnostics, *diagnostics_of(proofs, importer.TOOL)]
+    diagnostics = [*imported.diagnostics, *diagnostics_of(proofs, importer.TOOL), *_beside(run, policy, file)]
     return Report(run.verb, None, (), diagnostics, result, dry_run=run.dry_run, notes=True)
 
 
@@ -146,6 +146,20 @@ def _refuse_other_library(run: Run, output: Path, library: Path, document: bytes
                 "the new policy would include this file, which differs from that of the policy library",
                 where=Origin(str(beside)), help="name another folder with -o", code="import-library",
             )  # fmt: skip
+
+
+def _beside(run: Run, policy: Path, file: Path) -> Iterator[Diagnostic]:
+    """Yield a warning if the folder has other files that are a part of its policy."""
+    files = sorted(path.name for path in (run.setting.cwd / file.parent).glob("*.xml"))
+    others = [name for name in files if name != file.name and not name.endswith(".test.xml")]
+    if others:
+        message = (
+            f"the policy {file.parent} consists of {first_few(others, 3)} too: the proof is about {file.name} alone"
+        )
+        help_ = (
+            f"'keymint diff {policy} {file.parent}' shows what they add; remove them, or name another folder with -o"
+        )
+        yield Diagnostic("import-beside", Severity.WARNING, message, Origin(str(file)), help_)
 
 
 def _refuse_replacing(run: Run, file: Path, document: bytes) -> None:

@@ -114,6 +114,18 @@ def test_a_document_that_is_not_proven_is_not_written(keymint, tmp_path: Path, m
     assert not (tmp_path / "comarmor.d").exists()
 
 
+def test_other_files_of_the_folder_are_a_part_of_its_policy(keymint, tmp_path: Path) -> None:
+    """The example of a new workspace, for one, would allow /talker more than SROS2 does."""
+    assert keymint("init", "ws").code == 0
+    outcome = keymint("import", "robot.policy.xml", "-o", "ws/profile/comarmor.d", "--json")
+    (found,) = outcome.document["diagnostics"]
+    assert (outcome.code, found["code"], found["severity"]) == (0, "import-beside", "warning")
+    assert "consists of talker_listener.xml too" in found["message"]
+    assert keymint("diff", "robot.policy.xml", "ws/profile/comarmor.d").code == 3
+    (tmp_path / "ws/profile/comarmor.d/talker_listener.xml").rename(tmp_path / "ws/profile/comarmor.d/x.test.xml")
+    assert keymint("import", "robot.policy.xml", "-o", "ws/profile/comarmor.d", "--json").codes() == []
+
+
 def test_an_existing_file_is_kept_unless_forced(keymint, tmp_path: Path) -> None:
     target = tmp_path / "comarmor.d/robot.xml"
     target.parent.mkdir()
