@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import ComArmorError, Diagnostic, Severity
 from comarmor.ros_names import is_subject
 from comarmor.text import quoted
 from comarmor.values import dataclass
-from keymint_ros2_sros2.names import as_read, enforced
+from keymint_ros2_sros2.names import as_read, enforced, expression
 from keymint_ros2_sros2.syntax import Enclave, Entry, Node, SourcePolicy
 
 _LONGEST_PATH = 1024
@@ -109,6 +110,13 @@ def _of_entry(enclave: Enclave, node: Node, entry: Entry) -> Iterator[Deviation]
     if not text.strip():
         help_ = "write a name, or remove the element"
         yield Deviation(_error("sros2-empty", "the name is empty", enclave, entry, help_), paths, acceptable=False)
+        return
+    try:
+        expression(as_read(node, text), entry)
+    except ComArmorError as error:
+        yield from (
+            Deviation(replace(each, subject=enclave.path), paths, acceptable=False) for each in error.diagnostics
+        )
         return
     names = f"SROS2 enforces {quoted(enforced(node, text))}, not {quoted(as_read(node, text))}"
     if text != text.strip():

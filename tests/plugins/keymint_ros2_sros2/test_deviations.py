@@ -51,6 +51,13 @@ def test_both_names_are_given(write) -> None:
     assert "SROS2 enforces '/ns/nx', not '/ns/n/x'" in found.diagnostic.message
 
 
+def test_all_names_that_are_no_expression_are_found(write) -> None:
+    found = deviations(parse(write(policy("\n", enclave("/a", topic("[z-a]")), "\n", enclave("/b", topic("[9-0]"))))))
+    assert [(each.diagnostic.code, each.diagnostic.where.line, each.acceptable) for each in found] == [
+        ("expression", 2, False), ("expression", 3, False),
+    ]  # fmt: skip
+
+
 def test_nothing_in_a_plain_policy(robot) -> None:
     assert deviations(parse(robot)) == ()
 
