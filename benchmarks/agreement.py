@@ -20,7 +20,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from documents import Writer
-from floor import authority, builder_of
+from floor import authority, builder_of, private_bytes
 
 from keymint.api import Enclave, Environment, Tier
 from keymint.graph import Edge
@@ -54,7 +54,7 @@ class Enclaves:
         encoding = serialization.Encoding.PEM
         self.files = {
             "cert.pem": builder.sign(ca_key, hashes.SHA256()).public_bytes(encoding),
-            "key.pem": key.private_bytes(encoding, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()),
+            "key.pem": private_bytes(key),
             "identity_ca.cert.pem": ca.public_bytes(encoding),
             "permissions_ca.cert.pem": self._notary.public_bytes(encoding),
         }

@@ -43,6 +43,12 @@ def authority(name: str) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
     return builder.sign(key, hashes.SHA256()), key
 
 
+def private_bytes(key: ec.EllipticCurvePrivateKey) -> bytes:
+    """Return a private key, PEM."""
+    encoding, form = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8
+    return key.private_bytes(encoding, form, serialization.NoEncryption())
+
+
 def provision(folder: Path, names: list[str], permissions: bytes, governance: bytes | None = None) -> None:
     """Write one enclave for each name into a folder.
 
@@ -77,9 +83,7 @@ def provision(folder: Path, names: list[str], permissions: bytes, governance: by
         files = signed | {
             "permissions.xml": permissions,
             "cert.pem": certificate.public_bytes(serialization.Encoding.PEM),
-            "key.pem": key.private_bytes(
-                serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
-            ),
+            "key.pem": private_bytes(key),
             "identity_ca.cert.pem": ca_pem,
             "permissions_ca.cert.pem": notary_pem,
         }

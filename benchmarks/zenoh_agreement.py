@@ -23,7 +23,7 @@ from keymint_ros2_zenoh.vendors.access_log import LoggedDecision
 from keymint_ros2_zenoh.vendors.loopback_ports import free_port
 from keymint_ros2_zenoh.vendors.zenoh_library import MissingZenohError, installed_version
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError, ZenohProcess, ZenohSystem
-from zenoh_configurations import FENCE, NAMES, ROUTER, Identities, random_access_control, random_key_expr, write
+from zenoh_configurations import FENCE, NAMES, ROUTER, Identities, random_access_control, random_key_expr
 
 _ATTEMPTS = 3
 _SHOWN = 5
@@ -54,7 +54,7 @@ def disagreements(configurations: int, keys: int, seed: int) -> Iterator[tuple[b
             model = AccessModel(control)
             port = _open_router(system, router, identities, control)
             for node, name in enumerate(NAMES):
-                file = system.file("session.json5", write(identities.session(port, f"node{node}")))
+                file = system.file("session.json5", identities.session(port, f"node{node}"))
                 sessions.open(name, file, {})
                 link = Link(name, interface="lo", protocol="tls", zid=sessions.ask("zid", session=name))
                 literal = list(dict.fromkeys(random_key_expr(randomly, literal=True) for _ in range(keys)))
@@ -71,7 +71,7 @@ def _open_router(system: ZenohSystem, router: ZenohProcess, identities: Identiti
     """Open a router on a free port; another program may take the port before it does."""
     for attempt in count():
         port = free_port()
-        file = system.file("router.json5", write(identities.router(port, control)))
+        file = system.file("router.json5", identities.router(port, control))
         try:
             router.open("router", file, {})
         except ZenohError:

@@ -3,19 +3,20 @@
 
 from __future__ import annotations
 
-import json
 import random
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
 from ipaddress import IPv4Address
 from pathlib import Path
 
+import floor
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID
 from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
+from keymint_ros2_zenoh.documents.configuration import Configuration, Tls
+from keymint_ros2_zenoh.documents.write import write
 from keymint_ros2_zenoh.keyexpr.key_expr import canonical
 from keymint_ros2_zenoh.messages import Flow, Message, Permission
 
@@ -42,119 +43,56 @@ class Identities:
     @classmethod
     def new(cls, folder: Path) -> Identities:
         """Create an authority."""
-        key = ec.generate_private_key(ec.SECP256R1())
-        name = x509.Name.from_rfc4514_string("CN=authority")
-        builder = _builder(name, name, key).add_extension(x509.BasicConstraints(ca=True, path_length=None), True)
-        certificate = builder.sign(key, hashes.SHA256())
-        folder.mkdir(parents=True, exist_ok=True)
+        certificate, key = floor.authority("authority")
         (folder / "ca.pem").write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
         return cls(folder, certificate, key)
 
-    def issue(
-        self,
-        file: str,
-        common_name: str,
-        *,
-        server: bool = False,
-        seconds: float = 864_000.0,
-    ) -> None:
+    def issue(self, file: str, common_name: str, *, server: bool = False) -> None:
         """Issue an identity: clientAuth alone for a node, serverAuth and names of loopback for a router.
 
         Args:
-            file: name of its files, without suffix.
-            common_name: common name.
-            server: it is a router's.
-            seconds: how long it is valid from now.
+            file: name of the files.
+            common_name: first common name of the subject.
+            server: for a router.
         """
         key = ec.generate_private_key(ec.SECP256R1())
         subject = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, common_name)])
         usage = ExtendedKeyUsageOID.SERVER_AUTH if server else ExtendedKeyUsageOID.CLIENT_AUTH
-        builder = _builder(subject, self.authority.subject, key, seconds)
+        builder = floor.builder_of(subject, self.authority.subject, key.public_key())
         builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         builder = builder.add_extension(x509.ExtendedKeyUsage([usage]), critical=False)
         if server:
             names = [x509.DNSName("localhost"), x509.IPAddress(IPv4Address("127.0.0.1"))]
             builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False)
         certificate = builder.sign(self.key, hashes.SHA256())
-        secret = key.private_bytes(
-            serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
-        )
         (self.folder / f"{file}.pem").write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
-        (self.folder / f"{file}.key").write_bytes(secret)
+        (self.folder / f"{file}.key").write_bytes(floor.private_bytes(key))
 
-    def router(self, port: int, access_control: AccessControl | None, file: str = "router") -> dict[str, object]:
-        """Return the configuration of a router on loopback, in the shape that Keymint writes."""
-        tls = {
-            "root_ca_certificate": str(self.folder / "ca.pem"),
-            "listen_certificate": str(self.folder / f"{file}.pem"),
-            "listen_private_key": str(self.folder / f"{file}.key"),
-            "enable_mtls": True,
-            "close_link_on_expiration": True,
-        }
-        return {
-            "mode": "router",
-            "listen": {"endpoints": [f"tls/127.0.0.1:{port}"]},
-            **_QUIET,
-            "transport": {"link": {"tls": tls}},
-            **({} if access_control is None else {"access_control": document(access_control)}),
-        }
+    def router(self, port: int, access_control: AccessControl) -> bytes:
+        """Return the configuration of a router on loopback."""
+        own = {"listen_certificate": f"{self.folder}/router.pem", "listen_key": f"{self.folder}/router.key"}
+        return write(
+            Configuration(
+                mode="router",
+                listen=(f"tls/127.0.0.1:{port}",),
+                tls=self._tls(**own),
+                access_control=access_control,
+                gossip=False,
+                multicast=False,
+            ),
+            (),
+        )
 
-    def session(self, port: int, file: str, access_control: AccessControl | None = None) -> dict[str, object]:
-        """Return the configuration of a session, in the shape that Keymint writes."""
-        tls = {
-            "root_ca_certificate": str(self.folder / "ca.pem"),
-            "connect_certificate": str(self.folder / f"{file}.pem"),
-            "connect_private_key": str(self.folder / f"{file}.key"),
-            "enable_mtls": True,
-            "verify_name_on_connect": True,
-            "close_link_on_expiration": True,
-        }
-        return {
-            "mode": "client",
-            "connect": {"endpoints": [f"tls/localhost:{port}"]},
-            "listen": {"endpoints": []},
-            **_QUIET,
-            "transport": {"link": {"tls": tls}},
-            **({} if access_control is None else {"access_control": document(access_control)}),
-        }
+    def session(self, port: int, file: str) -> bytes:
+        """Return the configuration of a session, without access control of its own."""
+        own = {"connect_certificate": f"{self.folder}/{file}.pem", "connect_key": f"{self.folder}/{file}.key"}
+        endpoint = f"tls/localhost:{port}"
+        return write(
+            Configuration(mode="client", connect=(endpoint,), tls=self._tls(**own), gossip=False, multicast=False), ()
+        )
 
-
-_QUIET: Mapping[str, object] = {"scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}}}
-
-
-def document(control: AccessControl) -> dict[str, object]:
-    """Return access control as Zenoh reads it."""
-    properties = {
-        "cert_common_names": "common_names",
-        "interfaces": "interfaces",
-        "link_protocols": "protocols",
-        "usernames": "usernames",
-        "zids": "zids",
-    }
-    return {
-        "enabled": control.enabled,
-        "default_permission": control.default_permission,
-        "rules": [
-            {
-                "id": rule.id,
-                "messages": list(rule.messages),
-                "flows": list(rule.flows),
-                "permission": rule.permission,
-                "key_exprs": list(rule.key_exprs),
-            }
-            for rule in control.rules
-        ],
-        "subjects": [
-            {
-                "id": subject.id,
-                **{
-                    name: list(getattr(subject, field)) for name, field in properties.items() if getattr(subject, field)
-                },
-            }
-            for subject in control.subjects
-        ],
-        "policies": [{"rules": list(each.rules), "subjects": list(each.subjects)} for each in control.policies],
-    }
+    def _tls(self, **own: str) -> Tls:
+        return Tls(root_ca=f"{self.folder}/ca.pem", mutual=True, close_expired=True, **own)
 
 
 def random_access_control(randomly: random.Random) -> AccessControl:
@@ -202,17 +140,3 @@ def _random_subject(randomly: random.Random, number: int) -> AclSubject:
 
 def _some(randomly: random.Random, ids: Sequence[str]) -> tuple[str, ...]:
     return tuple(randomly.sample(ids, randomly.randint(1, len(ids))))
-
-
-def _builder(
-    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePrivateKey, seconds: float = 864_000.0
-) -> x509.CertificateBuilder:
-    now = datetime.now(UTC)
-    builder = x509.CertificateBuilder().subject_name(subject).issuer_name(issuer).public_key(key.public_key())
-    builder = builder.serial_number(x509.random_serial_number())
-    return builder.not_valid_before(now - timedelta(days=1)).not_valid_after(now + timedelta(seconds=seconds))
-
-
-def write(configuration: Mapping[str, object]) -> bytes:
-    """Return a configuration as a document."""
-    return json.dumps(configuration).encode()
