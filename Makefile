@@ -47,7 +47,7 @@ lint: setup
 	$(BIN)/lint-imports
 
 bench: setup
-	$(BIN)/python benchmarks/provision.py
+	$(BIN)/python benchmarks/fleet.py --rows small,growth
 	$(BIN)/python benchmarks/verify.py
 	$(BIN)/python benchmarks/decisions.py
 	$(BIN)/python benchmarks/agreement.py

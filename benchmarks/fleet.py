@@ -130,16 +130,16 @@ class Benchmark:
         folder.mkdir()
         return folder
 
-    def _provision(self, folder: Path, text: str | None = None) -> Spent:
+    def _provision(self, folder: Path, text: str | None = None, *options: str) -> Spent:
         if text is not None:
             (folder / "policy.xml").write_text(text)
-        return spent(*KEYMINT, "provision", "policy.xml", "-w", "ws", "-q", cwd=folder)
+        return spent(*KEYMINT, "provision", "policy.xml", "-w", "ws", "-q", *options, cwd=folder)
 
-    def floor(self) -> Spent:
-        """Return what the floor of 1,000 enclaves takes."""
+    def floor(self, size: int = FLEET) -> Spent:
+        """Return what the floor of some enclaves takes."""
         folder = self._new(self._scratch)
         wall, cpu = time.perf_counter(), time.process_time()
-        floor.provision(folder, [f"robot{number}/talker" for number in range(FLEET)], self._sample)
+        floor.provision(folder, [f"robot{number}/talker" for number in range(size)], self._sample)
         return Spent(time.perf_counter() - wall, time.process_time() - cpu, 0)
 
     def _against_floor(self, name: str, must: str, measure: Callable[[int], Spent], repeat: int = 0) -> None:
@@ -215,6 +215,18 @@ class Benchmark:
             measure = lambda _, line=command, ok=codes: spent(*line, cwd=folder, codes=ok)  # noqa: E731
             self._against_floor(f"{verb}, 1,000", must, measure)
 
+    def growth(self) -> None:
+        """Processor time of an enclave by the number of enclaves, each a kind of its own; the cost is linear in N."""
+        for size in (10, 100, FLEET):
+            text, folder = policy(size, own=True), self._new(self._scratch)
+            bottom, first, again = self.floor(size), self._provision(folder, text), self._provision(folder)
+            bare = self._provision(self._new(self._scratch), text, "--no-prove")
+            print(
+                f"{f'{size:,} kinds, each':42} {first.cpu / size * 1e3:8.2f} ms {first.cpu / bottom.cpu:6.2f} x floor, "
+                f"{bare.cpu / bottom.cpu:.2f} x unproven; again {again.cpu / first.cpu:.2f}",
+                flush=True,
+            )
+
     def memory(self) -> None:
         """Peak memory of the largest process for very many enclaves."""
         for size, must in ((10_000, 400), (100_000, 1000)):
@@ -234,7 +246,7 @@ class Benchmark:
         subprocess.run([sys.executable, str(Path(__file__).with_name(script)), *arguments], check=True)
 
 
-ROWS = ("alike", "own", "small", "disk", "unchanged", "one_rule", "verbs", "decisions", "verify", "memory")
+ROWS = ("alike", "own", "small", "growth", "disk", "unchanged", "one_rule", "verbs", "decisions", "verify", "memory")
 
 
 def main() -> None:

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import product
 from pathlib import Path
 
-import provision
+from fleet import KEYMINT, policy, spent
 
 from comarmor.patterns.decision_lists import (
     Block,
@@ -153,17 +153,14 @@ def hard() -> None:
         print(f"{name:>24}  {type(result).__name__.lower():>8}  {seconds:>6.2f}s  {note}")
 
 
-def fleet(size: int) -> None:
+def enclaves(size: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
-        (root / "policy.xml").write_text(provision.policy(size))
-        provision.run("provision", str(root / "policy.xml"), "-w", str(root / "ws"), "-q", "--no-prove")
+        (root / "policy.xml").write_text(policy(size, own=True))
+        spent(*KEYMINT, "provision", "policy.xml", "-w", "ws", "-q", "--no-prove", cwd=root)
         for label in ("proven", "unchanged"):
-            start = time.perf_counter()
-            provision.run("prove", "-w", str(root / "ws"))
-            print(f"{size} enclaves {label}: {time.perf_counter() - start:.1f}s")
-        peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss // 1024
-        print(f"memory of the largest run: {peak} MB")
+            took = spent(*KEYMINT, "prove", "-w", "ws", cwd=root)
+            print(f"{size} enclaves {label}: {took.wall:.1f}s, {took.memory:.0f} MB")
 
 
 def main() -> None:
@@ -172,7 +169,7 @@ def main() -> None:
     parser.add_argument("--fleet", type=int, default=1000)
     chosen = parser.parse_args()
     if chosen.fleet:
-        fleet(chosen.fleet)  # first: the memory that the system reports of children includes that of their parent
+        enclaves(chosen.fleet)  # first: the memory that the system reports of children includes that of their parent
     equality([int(each) for each in chosen.sizes.split(",")])
     hard()
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -21,15 +20,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from fleet import KEYMINT, Spent, policy, spent
 from keymint_ros2_zenoh.documents import json5
 from keymint_ros2_zenoh.messages import Flow, Message
 from keymint_ros2_zenoh.vendors import loopback
 from keymint_ros2_zenoh.vendors.loopback_ports import free_port
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohProcess, ZenohSystem
-from provision import policy, spent
 
-KEYMINT = (sys.executable, "-m", "keymint")
-SENDER, RECEIVER = "robot0/talker", "robot1/talker"
+SENDER, RECEIVER = "robot0/talker", "robot0/listener"
 OPEN = {
     "enabled": True,
     "default_permission": "deny",
@@ -57,9 +55,7 @@ def build(folder: Path, source: Path, transport: str) -> tuple[Path, float]:
     workspace = folder / transport
     _run("init", workspace, "--policy", source, "--transport", transport)
     _run("create", "--all", "-w", workspace)
-    begin = spent()
-    _run("build", "-w", workspace)
-    return workspace, spent() - begin
+    return workspace, _run("build", "-w", workspace).cpu
 
 
 def without_rights(system: ZenohSystem, file: Path) -> Path:
@@ -118,15 +114,15 @@ def _paths(role: str, folder: Path) -> dict[str, object]:
     return loopback.path_changes({**names, f"{role}_private_key": "key.pem"}, lambda name: folder / name)
 
 
-def _run(*words: object) -> None:
-    subprocess.run([*KEYMINT, *map(str, words), "-q"], check=True)
+def _run(*words: object) -> Spent:
+    return spent(*KEYMINT, *map(str, words), "-q")
 
 
 def measure(size: int, messages: int, repeat: int) -> None:
     """Measure a size, and print a row."""
     with tempfile.TemporaryDirectory() as scratch, ZenohSystem(os.environ) as system:
         source = Path(scratch) / "policy.xml"
-        source.write_text(policy(size))
+        source.write_text(policy(size, own=True))
         _, dds = build(Path(scratch), source, "dds")
         workspace, zenoh = build(Path(scratch), source, "zenoh")
         _run("install", "--no-prove", "-w", workspace)
