@@ -3,41 +3,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from datetime import datetime
 from functools import lru_cache
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic
 from keymint.errors import KeymintError
-from keymint.pki import certificates, keys, public_keys, revocation_lists
-from keymint.pki.distinguished_names import to_text
-from keymint_ros2_dds.enclave_layout import CERTIFICATE, CRL, KEY
+from keymint.pki import certificates, revocation_lists
+from keymint.pki.identity_check import IdentityCheck
+from keymint_ros2_dds.enclave_layout import CERTIFICATE, CRL
 
 
-class CredentialCheck:
-    """Checks of one enclave that ``keymint check`` and ``keymint prove`` share.
-
-    Args:
-        files: the enclave's files by name.
-        folder: its folder as the user would type it.
-        restore: help for a file that ``keymint install`` restores.
-        subject: the subject of the findings, if they name it.
-    """
-
-    def __init__(self, files: Mapping[str, bytes], folder: str, restore: str, subject: str = "") -> None:
-        self._files = files
-        self._folder = folder
-        self._restore = restore
-        self._subject = subject
-
-    def _where(self, name: str) -> Origin:
-        return Origin(f"{self._folder}/{name}")
-
-    def _error(self, code: str, name: str, message: str, help_: str = "") -> Diagnostic:
-        """Return an error about a file; by default ``keymint install`` fixes it."""
-        return Diagnostic(code, Severity.ERROR, message, self._where(name), help_ or self._restore, self._subject)
+class CredentialCheck(IdentityCheck):
+    """Checks of one enclave that ``keymint check`` and ``keymint prove`` share."""
 
     def _revocation_list(self, chain: bytes, help_: str) -> Iterator[Diagnostic]:
         """Check the revocation list, if there is one; vendors refuse participants with an invalid one."""
@@ -45,31 +25,6 @@ class CredentialCheck:
         problem = "" if pem is None else revocation_problem(pem, self._files.get(CERTIFICATE, b""), chain)
         if problem:
             yield self._error("revocation-list", CRL, problem, help_)
-
-    def _subject_name(self, certificate: x509.Certificate, expected: x509.Name) -> Iterator[Diagnostic]:
-        if certificate.subject != expected:
-            message = f"is for {to_text(certificate.subject)!r}, not {to_text(expected)!r}"
-            yield self._error("certificate-subject", CERTIFICATE, message)
-
-    def _key(self, certificate: x509.Certificate, public_key: bytes = b"") -> Iterator[Diagnostic]:
-        """Check that the key, if the enclave has one, is that of its certificate.
-
-        Args:
-            certificate: the identity certificate.
-            public_key: the key that it must be for (PEM), if the private key is elsewhere; empty if it may be for any.
-        """
-        if public_key and not public_keys.is_of(public_key, certificate):
-            yield self._error("key-mismatch", CERTIFICATE, "is for another public key than the package has")
-        pem = self._files.get(KEY)
-        if pem is None:
-            return
-        try:
-            matches = keys.matches(keys.public_of(pem, None, self._where(KEY)), certificate)
-        except KeymintError as error:
-            yield from error.diagnostics
-            return
-        if not matches:
-            yield self._error("key-mismatch", KEY, "is not the key of the certificate beside it")
 
 
 @lru_cache(maxsize=4096)

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic
 from keymint.api import TrustAnchor, TrustAnchors
 from keymint.errors import KeymintError
 from keymint.pki import certificates, certification_path, distinguished_names, smime
+from keymint.pki.identity_check import anchor_defects, enclave_file
 from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds import token_key
 from keymint_ros2_dds.credentials import CredentialCheck
@@ -44,35 +45,8 @@ def differences(
 ) -> tuple[Diagnostic, ...]:
     """See :meth:`keymint.api.Prover.differences`."""
     del shared, shared_folder  # an enclave is complete
-    missing = tuple(_missing(anchors))
+    missing = tuple(anchor_defects(anchors.authorities[role] for role in (roles.IDENTITY, roles.PERMISSIONS)))
     return missing or tuple(_AnchorCheck(files, folder, anchors).findings())
-
-
-def _missing(anchors: TrustAnchors) -> Iterator[Diagnostic]:
-    for anchor in dict.fromkeys((anchors.authorities[roles.IDENTITY], anchors.authorities[roles.PERMISSIONS])):
-        if not anchor.chain:
-            message = (
-                f"the certificate of the authority {anchor.name!r} is missing, so enclaves cannot be compared with it"
-            )
-            help_ = "restore it from a backup of the workspace; the copy in the enclave proves nothing"
-            yield Diagnostic("authority-missing", Severity.ERROR, message, Origin(anchor.file), help_)
-            continue
-        try:
-            certificates.load_bundle(anchor.chain, Origin(anchor.file))
-        except KeymintError as error:
-            yield from error.diagnostics
-
-
-def enclave_file(files: Mapping[str, bytes], folder: str, name: str) -> bytes:
-    """Return a file of an enclave.
-
-    Raises:
-        KeymintError: it is missing.
-    """
-    if name not in files:
-        where = Origin(f"{folder}/{name}")
-        raise KeymintError("is missing", where=where, help="'keymint install' restores it", code="file-missing")
-    return files[name]
 
 
 class _AnchorCheck(CredentialCheck):
@@ -111,12 +85,8 @@ class _AnchorCheck(CredentialCheck):
             content = self._files.get(name)
             if content is None and name in enclave_files(self._anchors.layout, self._anchors.distro):
                 yield self._error("file-missing", name, "is missing")
-            elif content is not None and content != anchor.chain:
-                message = f"is not the certificate of the workspace's authority {anchor.name!r}, {anchor.file}"
-                help_ = (
-                    "the enclave trusts another authority: find out who wrote it before 'keymint install' restores it"
-                )
-                yield self._error("authority-differs", name, message, help_)
+            elif content is not None:
+                yield from self._anchored(name, anchor)
 
     def _identity(self) -> Iterator[Diagnostic]:
         where = self._where(CERTIFICATE)

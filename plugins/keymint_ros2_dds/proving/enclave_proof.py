@@ -11,6 +11,7 @@ from comarmor.values import dataclass
 from keymint.api import Claim, ProofTask, TrustAnchors, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import smime
+from keymint.pki.identity_check import enclave_file
 from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds.enclave_layout import (
     CERTIFICATE,
@@ -20,7 +21,7 @@ from keymint_ros2_dds.enclave_layout import (
     PERMISSIONS_XML,
 )
 from keymint_ros2_dds.proving import validity_terms
-from keymint_ros2_dds.proving.anchor_check import differences, enclave_file
+from keymint_ros2_dds.proving.anchor_check import differences
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
 from keymint_ros2_dds.proving.proof_cache import prove_content
 from keymint_ros2_dds.proving.questions import ProofSpec

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 
@@ -12,7 +11,7 @@ from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
 from keymint.api import ValidityTerm
 from keymint.errors import KeymintError
-from keymint.pki import certificates, distinguished_names
+from keymint.pki.identity_check import certificate_terms
 from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.credentials import revocation_period
 from keymint_ros2_dds.decision import VARIATIONS, read
@@ -33,30 +32,10 @@ def of_certificates(files: Mapping[str, bytes], folder: str) -> Iterator[Validit
     Raises:
         KeymintError: a file contains no certificate.
     """
-    for name in (CERTIFICATE, IDENTITY_CA, PERMISSIONS_CA, CA):
-        if name in files:
-            code = "certificate" if name == CERTIFICATE else "authority"
-            where = Origin(f"{folder}/{name}")
-            try:
-                periods = _certificates(files[name])
-            except KeymintError as error:
-                raise KeymintError.of([replace(diagnostic, where=where) for diagnostic in error.diagnostics]) from None
-            for subject, period in periods:
-                yield ValidityTerm(code, f"the certificate of {subject!r}", where, (period,))
+    names = (name for name in (CERTIFICATE, IDENTITY_CA, PERMISSIONS_CA, CA) if name in files)
+    yield from certificate_terms(files, folder, names)
     if CRL in files and (revocations := revocation_period(files[CRL])):
         yield ValidityTerm("revocation-list", "the revocation list", Origin(f"{folder}/{CRL}"), (revocations,))
-
-
-# Enclaves usually have the same authorities.
-@lru_cache(maxsize=64)
-def _certificates(pem: bytes) -> tuple[tuple[str, Period], ...]:
-    return tuple(
-        (
-            distinguished_names.to_text(certificate.subject),
-            (certificate.not_valid_before_utc, certificate.not_valid_after_utc),
-        )
-        for certificate in certificates.load_bundle(pem)
-    )
 
 
 def of_grants(content: bytes, place: tuple[str, int], subject_name: str) -> Iterator[ValidityTerm]:

@@ -12,7 +12,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from keymint.errors import KeymintError
-from keymint.pki import certificates, certification_path
+from keymint.pki import certificates, certification_path, extensions
 
 
 def common_name(certificate: x509.Certificate) -> str:
@@ -42,7 +42,7 @@ def refusal(certificate: bytes, authorities: bytes, at: datetime, *, server: boo
     if isinstance(key, ec.EllipticCurvePublicKey) and isinstance(key.curve, ec.SECP521R1):
         return "its key is on the curve P-521, which TLS of Zenoh does not verify"
     wanted = ExtendedKeyUsageOID.SERVER_AUTH if server else ExtendedKeyUsageOID.CLIENT_AUTH
-    usages = _extended_usages(leaf)
+    usages = extensions.value(leaf, x509.ExtendedKeyUsage)
     if usages is not None and wanted not in usages:
         return f"its extended key usage lacks {'serverAuth' if server else 'clientAuth'}"
     return ""
@@ -50,9 +50,8 @@ def refusal(certificate: bytes, authorities: bytes, at: datetime, *, server: boo
 
 def names_host(certificate: x509.Certificate, host: str) -> bool:
     """Tell whether a certificate is for a host: only its subject alternative names count, never its common name."""
-    try:
-        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    except x509.ExtensionNotFound:
+    names = extensions.value(certificate, x509.SubjectAlternativeName)
+    if names is None:
         return False
     try:
         return ip_address(host) in names.get_values_for_type(x509.IPAddress)
@@ -64,10 +63,3 @@ def names_host(certificate: x509.Certificate, host: str) -> bool:
 def _matches_host(name: str, host: str) -> bool:
     """Compare a name with a host; ``*`` stands for its first label (RFC 6125, 6.4.3)."""
     return name == host or (name.startswith("*.") and name[2:] == host.partition(".")[2])
-
-
-def _extended_usages(certificate: x509.Certificate) -> Sequence[x509.ObjectIdentifier] | None:
-    try:
-        return list(certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value)
-    except x509.ExtensionNotFound:
-        return None

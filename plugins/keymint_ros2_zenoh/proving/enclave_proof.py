@@ -10,6 +10,7 @@ from types import MappingProxyType
 from comarmor.errors import Reason
 from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDecision, Proof, ProofTask, Verdict
 from keymint.errors import KeymintError
+from keymint.pki.identity_check import enclave_file
 from keymint_ros2_zenoh.credentials import first_common_name
 from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.documents.read import read
@@ -19,7 +20,7 @@ from keymint_ros2_zenoh.proving import requirements
 from keymint_ros2_zenoh.proving.claims import MODEL, RightsQuestion, prove_rights
 from keymint_ros2_zenoh.proving.requirements import Shortcoming
 from keymint_ros2_zenoh.proving.router_side import RouterRights
-from keymint_ros2_zenoh.proving.trust import differences, missing
+from keymint_ros2_zenoh.proving.trust import differences
 from keymint_ros2_zenoh.settings import is_router
 
 CONNECT = "connect"
@@ -47,13 +48,10 @@ def prove(task: ProofTask) -> tuple[Claim, ...]:
     """
     if is_router(task.package):
         return ()
-    found = list(differences(task.files, task.folder, task.anchors, task.shared, task.shared_folder))
-    if absent := missing(task.files, task.folder, SESSION):
-        found.append(absent)
-    if found:
+    if found := differences(task.files, task.folder, task.anchors, task.shared, task.shared_folder):
         raise KeymintError.of(found)
     package = task.package
-    session = read(task.files[SESSION], f"{task.folder}/{SESSION}")
+    session = read(enclave_file(task.files, task.folder, SESSION), f"{task.folder}/{SESSION}")
     question = RightsQuestion(
         task.rules,
         package.distro,

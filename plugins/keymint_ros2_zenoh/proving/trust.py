@@ -14,7 +14,8 @@ from functools import lru_cache
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import TrustAnchor, TrustAnchors, ValidityTerm
 from keymint.errors import KeymintError
-from keymint.pki import certificates, certification_path, distinguished_names, keys, public_keys
+from keymint.pki import certificates, certification_path, distinguished_names
+from keymint.pki.identity_check import IdentityCheck, anchor_defects, certificate_terms
 from keymint_ros2_zenoh import signature
 from keymint_ros2_zenoh.authority_roles import ACCESS, IDENTITY
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, ROUTER, SIGNATURE
@@ -27,10 +28,10 @@ def differences(
 ) -> tuple[Diagnostic, ...]:
     """Return what the workspace's authorities do not vouch for; see :meth:`keymint.api.Prover.differences`."""
     identity, access = anchors.authorities[IDENTITY], anchors.authorities[ACCESS]
-    if missing := tuple(_missing((identity, access))):
+    if missing := tuple(anchor_defects((identity, access))):
         return missing
-    found = [*_identity(files, folder, anchors), *router_differences(shared, shared_folder, access)]
-    return tuple(found)
+    own = _EnclaveTrust(files, folder, _INSTALL).findings(anchors)
+    return (*own, *router_differences(shared, shared_folder, access))
 
 
 def router_differences(shared: Mapping[str, bytes], shared_folder: str, access: TrustAnchor) -> tuple[Diagnostic, ...]:
@@ -57,11 +58,6 @@ def _signature_problem(content: bytes, signed: bytes, authority: bytes) -> str:
     return signature.problem(content, signed, certificates.load_first(authority, with_lists=True))
 
 
-def missing(files: Mapping[str, bytes], folder: str, name: str) -> Diagnostic | None:
-    """Return an error if an enclave lacks a file."""
-    return None if name in files else _error("file-missing", f"{folder}/{name}", "is missing")
-
-
 def terms(
     files: Mapping[str, bytes],
     folder: str,
@@ -77,70 +73,32 @@ def terms(
         KeymintError: a file is missing, or is no certificate.
     """
     del anchors, shared, shared_folder
-    return tuple(_terms(files, folder))
+    return tuple(certificate_terms(files, folder, (CERTIFICATE, IDENTITY_CA)))
 
 
-def _terms(files: Mapping[str, bytes], folder: str) -> Iterator[ValidityTerm]:
-    for name, code in ((CERTIFICATE, "certificate"), (IDENTITY_CA, "authority")):
-        if absent := missing(files, folder, name):
-            raise KeymintError.of([absent])
-        where = Origin(f"{folder}/{name}")
-        for certificate in certificates.load_bundle(files[name], where):
-            period = certificate.not_valid_before_utc, certificate.not_valid_after_utc
-            shown = distinguished_names.to_text(certificate.subject)
-            yield ValidityTerm(code, f"the certificate of {shown!r}", where, (period,))
+class _EnclaveTrust(IdentityCheck):
+    """Checks the certificate, the key and the authority in one enclave."""
 
-
-def _missing(anchors: tuple[TrustAnchor, ...]) -> Iterator[Diagnostic]:
-    for anchor in dict.fromkeys(anchors):
-        if not anchor.chain:
-            message = f"the certificate of the authority {anchor.name!r} is missing, so nothing can be compared with it"
-            help_ = "restore it from a backup of the workspace; the copy in the enclave proves nothing"
-            yield _error("authority-missing", anchor.file, message, help_)
-            continue
+    def findings(self, anchors: TrustAnchors) -> Iterator[Diagnostic]:
+        needed = (CERTIFICATE, IDENTITY_CA) if anchors.public_key else (CERTIFICATE, KEY, IDENTITY_CA)
+        absent = [name for name in needed if name not in self._files]
+        if absent:
+            yield from (self._error("file-missing", name, "is missing") for name in absent)
+            return
+        yield from self._anchored(IDENTITY_CA, anchors.authorities[IDENTITY])
+        pem, where = self._files[CERTIFICATE], self._where(CERTIFICATE)
         try:
-            certificates.load_bundle(anchor.chain, Origin(anchor.file))
+            certificate = certificates.load(pem, where)
+            expected = distinguished_names.parse(anchors.subject_name)
         except KeymintError as error:
             yield from error.diagnostics
-
-
-def _identity(files: Mapping[str, bytes], folder: str, anchors: TrustAnchors) -> Iterator[Diagnostic]:
-    """Yield what is wrong with the certificate, the key and the authority in an enclave."""
-    needed = (CERTIFICATE, IDENTITY_CA) if anchors.public_key else (CERTIFICATE, KEY, IDENTITY_CA)
-    absent = [name for name in needed if name not in files]
-    if absent:
-        yield from (_error("file-missing", f"{folder}/{name}", "is missing") for name in absent)
-        return
-    issuer = anchors.authorities[IDENTITY]
-    if files[IDENTITY_CA] != issuer.chain:
-        message = f"is not the certificate of the workspace's authority {issuer.name!r}, {issuer.file}"
-        help_ = "the enclave trusts another authority: find out who wrote it before 'keymint install' restores it"
-        yield _error("authority-differs", f"{folder}/{IDENTITY_CA}", message, help_)
-    file = f"{folder}/{CERTIFICATE}"
-    where = Origin(file)
-    try:
-        certificate = certificates.load(files[CERTIFICATE], where)
-        expected = distinguished_names.parse(anchors.subject_name)
-    except KeymintError as error:
-        yield from error.diagnostics
-        return
-    chain = certification_path.verify_chain(files[CERTIFICATE], issuer.chain, None, where)
-    yield from (replace(each, where=each.where or where) for each in chain)
-    if certificate.subject != expected:
-        shown = distinguished_names.to_text
-        message = f"is for {shown(certificate.subject)!r}, not {shown(expected)!r}"
-        yield _error("certificate-subject", file, message)
-    if anchors.public_key and not public_keys.is_of(anchors.public_key, certificate):
-        yield _error("key-mismatch", file, "is for another public key than the package has")
-    if KEY not in files:
-        return
-    try:
-        key = keys.from_pem(files[KEY], None, Origin(f"{folder}/{KEY}"))
-        if not keys.matches(key, certificate):
-            yield _error("key-mismatch", f"{folder}/{KEY}", "is not the key of the certificate beside it")
-    except KeymintError as error:
+            return
+        chain = certification_path.verify_chain(pem, anchors.authorities[IDENTITY].chain, None, where)
+        yield from (replace(each, where=each.where or where) for each in chain)
+        yield from self._subject_name(certificate, expected)
         # An encrypted key cannot be read without its password.
-        yield from (each for each in error.diagnostics if each.code != "key-password")
+        of_key = self._key(certificate, anchors.public_key)
+        yield from (each for each in of_key if each.code != "key-password")
 
 
 def _error(code: str, file: str, message: str, help_: str = _INSTALL) -> Diagnostic:

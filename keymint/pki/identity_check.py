@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checks of the identity in an enclave: its certificate, its key, and the authority that it trusts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from datetime import datetime
+from functools import lru_cache
+
+from cryptography import x509
+
+from comarmor.errors import Diagnostic, Origin, Severity
+from keymint.api import TrustAnchor, ValidityTerm
+from keymint.errors import KeymintError
+from keymint.pki import certificates, keys, public_keys
+from keymint.pki.distinguished_names import to_text
+
+CERTIFICATE, KEY = "cert.pem", "key.pem"
+
+
+class IdentityCheck:
+    """Checks of one enclave that ``keymint check`` and ``keymint prove`` share.
+
+    Args:
+        files: the enclave's files by name.
+        folder: its folder as the user would type it.
+        restore: help for a file that ``keymint install`` restores.
+        subject: the subject of the findings, if they name it.
+    """
+
+    def __init__(self, files: Mapping[str, bytes], folder: str, restore: str, subject: str = "") -> None:
+        self._files = files
+        self._folder = folder
+        self._restore = restore
+        self._subject = subject
+
+    def _where(self, name: str) -> Origin:
+        return Origin(f"{self._folder}/{name}")
+
+    def _error(self, code: str, name: str, message: str, help_: str = "") -> Diagnostic:
+        """Return an error about a file; by default ``keymint install`` fixes it."""
+        return Diagnostic(code, Severity.ERROR, message, self._where(name), help_ or self._restore, self._subject)
+
+    def _anchored(self, name: str, anchor: TrustAnchor) -> Iterator[Diagnostic]:
+        """Check that a file has an authority of the workspace."""
+        if self._files[name] != anchor.chain:
+            message = f"is not the certificate of the workspace's authority {anchor.name!r}, {anchor.file}"
+            help_ = "the enclave trusts another authority: find out who wrote it before 'keymint install' restores it"
+            yield self._error("authority-differs", name, message, help_)
+
+    def _subject_name(self, certificate: x509.Certificate, expected: x509.Name) -> Iterator[Diagnostic]:
+        if certificate.subject != expected:
+            message = f"is for {to_text(certificate.subject)!r}, not {to_text(expected)!r}"
+            yield self._error("certificate-subject", CERTIFICATE, message)
+
+    def _key(self, certificate: x509.Certificate, public_key: bytes = b"") -> Iterator[Diagnostic]:
+        """Check that the key, if the enclave has one, is that of its certificate.
+
+        Args:
+            certificate: the identity certificate.
+            public_key: the key that it must be for (PEM), if the private key is elsewhere; empty if it may be for any.
+        """
+        if public_key and not public_keys.is_of(public_key, certificate):
+            yield self._error("key-mismatch", CERTIFICATE, "is for another public key than the package has")
+        pem = self._files.get(KEY)
+        if pem is None:
+            return
+        try:
+            matches = keys.matches(keys.public_of(pem, None, self._where(KEY)), certificate)
+        except KeymintError as error:
+            yield from error.diagnostics
+            return
+        if not matches:
+            yield self._error("key-mismatch", KEY, "is not the key of the certificate beside it")
+
+
+def anchor_defects(anchors: Iterable[TrustAnchor]) -> Iterator[Diagnostic]:
+    """Yield an error for each authority whose certificate the workspace lacks, or cannot read."""
+    for anchor in dict.fromkeys(anchors):
+        if not anchor.chain:
+            message = f"the certificate of the authority {anchor.name!r} is missing, so nothing can be compared with it"
+            help_ = "restore it from a backup of the workspace; the copy in the enclave proves nothing"
+            yield Diagnostic("authority-missing", Severity.ERROR, message, Origin(anchor.file), help_)
+            continue
+        try:
+            certificates.load_bundle(anchor.chain, Origin(anchor.file))
+        except KeymintError as error:
+            yield from error.diagnostics
+
+
+def enclave_file(files: Mapping[str, bytes], folder: str, name: str) -> bytes:
+    """Return a file of an enclave.
+
+    Raises:
+        KeymintError: the enclave lacks it.
+    """
+    if name not in files:
+        where = Origin(f"{folder}/{name}")
+        raise KeymintError("is missing", where=where, help="'keymint install' restores it", code="file-missing")
+    return files[name]
+
+
+def certificate_terms(files: Mapping[str, bytes], folder: str, names: Iterable[str]) -> Iterator[ValidityTerm]:
+    """Yield a term for each certificate in some files of an enclave.
+
+    Raises:
+        KeymintError: a file is missing, or contains no certificate.
+    """
+    for name in names:
+        content, where = enclave_file(files, folder, name), Origin(f"{folder}/{name}")
+        code = "certificate" if name == CERTIFICATE else "authority"
+        try:
+            periods = _periods(content)
+        except KeymintError as error:
+            raise KeymintError.of(replace(diagnostic, where=where) for diagnostic in error.diagnostics) from None
+        for subject, period in periods:
+            yield ValidityTerm(code, f"the certificate of {subject!r}", where, (period,))
+
+
+# Enclaves usually have the same authorities.
+@lru_cache(maxsize=64)
+def _periods(pem: bytes) -> tuple[tuple[str, tuple[datetime, datetime]], ...]:
+    return tuple(
+        (to_text(certificate.subject), (certificate.not_valid_before_utc, certificate.not_valid_after_utc))
+        for certificate in certificates.load_bundle(pem)
+    )
