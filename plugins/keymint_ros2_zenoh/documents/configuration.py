@@ -45,6 +45,19 @@ class Tls:
     close_expired: bool = False
 
 
+TLS_SETTINGS: Mapping[str, str] = {
+    "root_ca_certificate": "root_ca",
+    "listen_certificate": "listen_certificate",
+    "listen_private_key": "listen_key",
+    "connect_certificate": "connect_certificate",
+    "connect_private_key": "connect_key",
+    "enable_mtls": "mutual",
+    "verify_name_on_connect": "verify_name",
+    "close_link_on_expiration": "close_expired",
+}
+"""The attributes of :class:`Tls` by the names of Zenoh."""
+
+
 @dataclass(frozen=True, slots=True)
 class Configuration:
     """What a configuration means in its mode: settings that it lacks have Zenoh's default.

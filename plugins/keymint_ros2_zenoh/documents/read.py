@@ -19,23 +19,13 @@ from comarmor.text import did_you_mean, quoted
 from keymint.errors import KeymintError
 from keymint_ros2_zenoh.documents import json5
 from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
-from keymint_ros2_zenoh.documents.configuration import DEFAULT_LISTEN, Configuration, Tls
+from keymint_ros2_zenoh.documents.configuration import DEFAULT_LISTEN, TLS_SETTINGS, Configuration, Tls
 from keymint_ros2_zenoh.documents.json5 import Node
 from keymint_ros2_zenoh.keyexpr import key_expr
 from keymint_ros2_zenoh.messages import Flow, Message, Permission
 
 _T = TypeVar("_T")
 
-_TLS = {
-    "root_ca_certificate": "root_ca",
-    "listen_certificate": "listen_certificate",
-    "listen_private_key": "listen_key",
-    "connect_certificate": "connect_certificate",
-    "connect_private_key": "connect_key",
-    "enable_mtls": "mutual",
-    "verify_name_on_connect": "verify_name",
-    "close_link_on_expiration": "close_expired",
-}
 _MODELLED = frozenset(
     {
         "mode",
@@ -45,7 +35,7 @@ _MODELLED = frozenset(
         "scouting/multicast/enabled",
         "transport/link/protocols",
         "access_control",
-        *(f"transport/link/tls/{name}" for name in _TLS),
+        *(f"transport/link/tls/{name}" for name in TLS_SETTINGS),
     }
 )
 _AROUND_MODELLED = frozenset(path[:at] for path in _MODELLED for at, char in enumerate(path) if char == "/")
@@ -133,7 +123,7 @@ class _Reading:
             KeymintError: an id of the access control is not known, or occurs twice.
         """
         mode = self._plain("mode") or "peer"
-        tls = {attribute: self._plain(f"transport/link/tls/{name}") for name, attribute in _TLS.items()}
+        tls = {attribute: self._plain(f"transport/link/tls/{name}") for name, attribute in TLS_SETTINGS.items()}
         return Configuration(
             mode=mode,
             connect=tuple(self._in_mode("connect/endpoints", mode, ())),

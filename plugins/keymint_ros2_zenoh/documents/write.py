@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
-from keymint_ros2_zenoh.documents.configuration import Configuration, Tls
+from keymint_ros2_zenoh.documents.configuration import TLS_SETTINGS, Configuration
 
 _WIDTH = 120
 
@@ -42,20 +42,9 @@ def _settings(configuration: Configuration) -> Iterator[tuple[str, Any]]:
     yield "scouting/multicast/enabled", configuration.multicast
     if configuration.protocols:
         yield "transport/link/protocols", list(configuration.protocols)
-    for name, value in _tls(configuration.tls):
-        if value != "":
+    for name, attribute in TLS_SETTINGS.items():
+        if (value := getattr(configuration.tls, attribute)) != "":
             yield f"transport/link/tls/{name}", value
-
-
-def _tls(tls: Tls) -> Iterator[tuple[str, Any]]:
-    yield "root_ca_certificate", tls.root_ca
-    yield "listen_certificate", tls.listen_certificate
-    yield "listen_private_key", tls.listen_key
-    yield "connect_certificate", tls.connect_certificate
-    yield "connect_private_key", tls.connect_key
-    yield "enable_mtls", tls.mutual
-    yield "verify_name_on_connect", tls.verify_name
-    yield "close_link_on_expiration", tls.close_expired
 
 
 def _tree(other: Mapping[str, Any], settings: Iterable[tuple[str, Any]]) -> dict[str, Any]:

@@ -15,17 +15,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import groupby, islice
+from itertools import chain
 
 from comarmor.values import dataclass
 from keymint.api import Verdict
 from keymint.graph import Edge
-from keymint_ros2_zenoh.decision.operations import CALL, OTHER_END, PUBLISH, SUBSCRIBE, Operation, operations
+from keymint_ros2_zenoh.decision.operations import CALL, OTHER_END, PUBLISH, SUBSCRIBE, Operation
 from keymint_ros2_zenoh.transports.edge_verdict import NAMELESS
 from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel, InstalledModels
-from keymint_ros2_zenoh.transports.logged_decisions import LoggedSession, no_link
+from keymint_ros2_zenoh.transports.logged_decisions import LoggedSession, in_sessions
 from keymint_ros2_zenoh.transports.network import Network
-from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError, ZenohProcess
+from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohProcess
 
 BATCH = 500
 """Edges that are tried at a time."""
@@ -62,20 +62,13 @@ def exchange(network: Network, models: InstalledModels, edges: Iterable[Edge]) -
         KeymintError: an enclave is missing.
         ProcessFailedError: a process fails.
     """
-    for subject, group in groupby(edges, key=lambda edge: edge.subject):
-        model = models.of(subject)
-        try:
-            session = LoggedSession(network, model)
-        except ZenohError as error:
-            verdict = no_link(model, error)
-            yield from ((edge, verdict) for edge in group)
-            continue
-        while batch := list(islice(group, BATCH)):
-            needed = {edge: operations(edge) for edge in batch}
-            trials = _trials(session, models, subject, (each for found in needed.values() for each in found))
-            _try(network, models, model, list(trials.values()))
-            yield from ((edge, _verdict([trials[each] for each in needed[edge]])) for edge in batch)
-        session.close()
+
+    def verdicts(session: LoggedSession, subject: str, needed: Sequence[Sequence[Operation]]) -> Iterator[Verdict]:
+        trials = _trials(session, models, subject, chain.from_iterable(needed))
+        _try(network, models, models.of(subject), list(trials.values()))
+        return (_verdict([trials[each] for each in own]) for own in needed)
+
+    return in_sessions(network, models, edges, BATCH, verdicts)
 
 
 def _trials(

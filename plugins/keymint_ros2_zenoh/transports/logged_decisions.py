@@ -7,7 +7,7 @@ then log their decisions for all messages on these keys, and nothing is sent.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import count, groupby, islice
 
 from comarmor.errors import Origin
@@ -24,6 +24,7 @@ from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError, ZenohProcess
 BATCH = 200
 """Edges whose keys are declared at a time."""
 _FENCE = "keymint/fence"
+_Needed = Sequence[Sequence[Operation]]
 
 
 def logged_decisions(
@@ -40,25 +41,42 @@ def logged_decisions(
         KeymintError: an enclave is missing.
         ProcessFailedError: a process fails.
     """
+
+    def verdicts(session: LoggedSession, _subject: str, needed: _Needed) -> Iterable[Verdict]:
+        session.declare(operation for each in needed for operation in each)
+        return map(session.verdict, needed)
+
+    return in_sessions(network, models, edges, BATCH, verdicts)
+
+
+def in_sessions(
+    network: Network,
+    models: InstalledModels,
+    edges: Iterable[Edge],
+    size: int,
+    verdicts: Callable[[LoggedSession, str, _Needed], Iterable[Verdict]],
+) -> Iterator[tuple[Edge, Verdict]]:
+    """Yield verdicts on edges; an enclave whose session has no link to the router has one for all of them.
+
+    Args:
+        network: the router.
+        models: the enclaves.
+        edges: grouped by subject.
+        size: how many edges are decided at a time.
+        verdicts: takes a session, its subject, and the operations of each edge.
+    """
     for subject, group in groupby(edges, key=lambda edge: edge.subject):
         model = models.of(subject)
         try:
             session = LoggedSession(network, model)
         except ZenohError as error:
-            verdict = no_link(model, error)
+            reason = model.refusal or f"the session has no link to the router: {error}"
+            verdict = Verdict(allowed=False, reason=reason, where=Origin(str(model.files.file)))
             yield from ((edge, verdict) for edge in group)
             continue
-        while batch := list(islice(group, BATCH)):
-            needed = {edge: operations(edge) for edge in batch}
-            session.declare(operation for each in needed.values() for operation in each)
-            yield from ((edge, session.verdict(needed[edge])) for edge in batch)
+        while batch := list(islice(group, size)):
+            yield from zip(batch, verdicts(session, subject, list(map(operations, batch))), strict=True)
         session.close()
-
-
-def no_link(model: EnclaveModel, error: ZenohError) -> Verdict:
-    """Return the verdict on all edges of an enclave whose session has no link to the router."""
-    reason = model.refusal or f"the session has no link to the router: {error}"
-    return Verdict(allowed=False, reason=reason, where=Origin(str(model.files.file)))
 
 
 class LoggedSession:

@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Self
 
 from keymint.errors import KeymintError
-from keymint_ros2_zenoh.documents.configuration import Tls
+from keymint_ros2_zenoh.documents.configuration import TLS_SETTINGS
 from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel, RouterModel
 from keymint_ros2_zenoh.transports.installed import InstalledConfiguration
 from keymint_ros2_zenoh.vendors import access_log, loopback
@@ -108,15 +108,5 @@ class Network:
 
 
 def _paths(files: InstalledConfiguration) -> dict[str, object]:
-    return loopback.path_changes(_settings(files.configuration.tls), files.local)
-
-
-def _settings(tls: Tls) -> dict[str, str]:
-    """Return the paths of a configuration by the names of their settings."""
-    return {
-        "root_ca_certificate": tls.root_ca,
-        "listen_certificate": tls.listen_certificate,
-        "listen_private_key": tls.listen_key,
-        "connect_certificate": tls.connect_certificate,
-        "connect_private_key": tls.connect_key,
-    }
+    settings = {name: getattr(files.configuration.tls, attribute) for name, attribute in TLS_SETTINGS.items()}
+    return loopback.path_changes({name: each for name, each in settings.items() if isinstance(each, str)}, files.local)
