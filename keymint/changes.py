@@ -67,6 +67,21 @@ def changed(tree: Tree, folder: Path, files: Mapping[str, File]) -> tuple[Folder
     return (FolderChange(folder, different),) if different else ()
 
 
+def by_folder(root: Path, files: Mapping[str, File]) -> dict[Path, dict[str, File]]:
+    """Return files, given by path relative to a folder, by the folder that each lies in."""
+    folders: dict[Path, dict[str, File]] = {}
+    for path, file in files.items():
+        target = root / path
+        folders.setdefault(target.parent, {})[target.name] = file
+    return folders
+
+
+def changed_below(tree: Tree, root: Path, files: Mapping[str, bytes]) -> tuple[FolderChange, ...]:
+    """Return what :func:`changed` returns for files that are given by path relative to a folder."""
+    folders = by_folder(root, {path: File(content) for path, content in files.items()})
+    return tuple(change for folder, own in folders.items() for change in changed(tree, folder, own))
+
+
 @dataclass(frozen=True, slots=True)
 class DocumentSize:
     """Bytes of a document that was rewritten into a smaller one, and of the plain document."""

@@ -29,7 +29,7 @@ from keymint.api import (
     KeystoreFile,
     KeystoreFiles,
 )
-from keymint.changes import Action, File, FolderChange, Plan, Step
+from keymint.changes import Action, File, FolderChange, Plan, Step, changed_below
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import package_name
@@ -117,10 +117,9 @@ def _then(plan: Plan, changes: tuple[FolderChange, ...]) -> Plan:
 
 
 def _profile_files(inputs: Inputs, adoption: Adoption) -> tuple[FolderChange, ...]:
-    profile = inputs.workspace.profile
-    files = {profile / path: content for path, content in adoption.policy.files.items()}
-    files |= {profile / DEFAULTS / f"{part}.xml": content for part, content in adoption.found.defaults.items()}
-    return tuple(FolderChange(path.parent, {path.name: File(content)}) for path, content in files.items())
+    files = {**adoption.policy.files}
+    files |= {f"{DEFAULTS}/{part}.xml": content for part, content in adoption.found.defaults.items()}
+    return changed_below(inputs.tree, inputs.workspace.profile, files)
 
 
 # -- sources ------------------------------------------------------------------------------------------------------

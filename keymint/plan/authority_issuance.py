@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from comarmor.text import did_you_mean
 from keymint.api import Authority, AuthorityIssuance, AuthorityIssuanceFiles
-from keymint.changes import Action, File, Plan, Step, changed
+from keymint.changes import Action, Plan, Step, changed_below
 from keymint.errors import ExitCode, KeymintError
 from keymint.session import Session
 
@@ -52,13 +52,7 @@ def plan_authority_issuance(session: Session, new: Mapping[str, AuthorityIssuanc
             code="profile-without-issuance",
         )
     issuance = {**{each.name: each.issuance for each in profile.authorities}, **new}
-    paths = {
-        session.workspace.profile / name: File(content)
-        for name, content in plugin.with_authority_issuance(issuance).items()
-    }
-    changes = tuple(
-        change for path, file in paths.items() for change in changed(session.tree, path.parent, {path.name: file})
-    )
+    changes = changed_below(session.tree, session.workspace.profile, plugin.with_authority_issuance(issuance))
     if not changes:
         return Plan((), session.state)
     return Plan((Step(STAGE, "", Action.UPDATED, changes, detail),), session.state)

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from keymint.api import Bootstrap
-from keymint.changes import Action, File, FolderChange, Plan, Step
+from keymint.changes import Action, File, FolderChange, Plan, Step, by_folder, changed_below
 from keymint.errors import ExitCode, KeymintError
 from keymint.session import Inputs, Session
 from keymint.workspace import PROFILE_MARKER
@@ -24,11 +24,8 @@ def plan_init(inputs: Inputs, profile_type: str, request: Bootstrap) -> Plan:
     """
     root = inputs.workspace.profile
     files = inputs.plugins.profile_type(profile_type).bootstrap(request)
-    folders: dict[Path, dict[str, File]] = {}
-    for relative, content in sorted(files.items()):
-        path = root / relative
-        if inputs.tree.read(path) is None:
-            folders.setdefault(path.parent, {})[path.name] = File(content)
+    missing = {path: File(content) for path, content in sorted(files.items()) if inputs.tree.read(root / path) is None}
+    folders = by_folder(root, missing)
     # The marker makes the folder a workspace, so it is the last file to be written.
     changes = [FolderChange(folder, new) for folder, new in folders.items() if folder != root]
     ordered = dict(sorted(folders.get(root, {}).items(), key=lambda item: item[0] == PROFILE_MARKER))
@@ -72,8 +69,7 @@ def plan_policy(session: Session, policy: str) -> Plan:
     if [source.path.resolve() for source in profile.policies] == [wanted]:
         return Plan((), session.state)
     files = session.plugins.profile_type(profile.profile_type).with_policy(profile.files, policy)
-    paths = {session.workspace.profile / name: File(content) for name, content in files.items()}
-    changes = tuple(FolderChange(path.parent, {path.name: file}) for path, file in paths.items())
+    changes = changed_below(session.tree, session.workspace.profile, files)
     return Plan((Step(STAGE, "", Action.UPDATED, changes, f"policy {policy}"),), session.state)
 
 

@@ -9,7 +9,7 @@ from enum import StrEnum
 from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import HardenedPackageType, HardenedProfileType
-from keymint.changes import Action, File, Plan, Step, changed
+from keymint.changes import Action, Plan, Step, changed_below
 from keymint.errors import KeymintError
 from keymint.pki import adoption
 from keymint.pki.distinguished_names import parse, unique_suffix
@@ -112,8 +112,7 @@ def plan_names(session: Session, names: Sequence[str]) -> Plan:
     steps = []
     for name in names:
         new = package_type.with_unique_name(session.profile, name, session.package_files(name))
-        files = {file: File(content) for file, content in new.items()}
-        changes = changed(session.tree, session.workspace.src / name, files)
+        changes = changed_below(session.tree, session.workspace.src / name, new)
         steps.append(Step(STAGE, name, Action.UPDATED if changes else Action.UNCHANGED, changes, "unique subject name"))
     return Plan(tuple(steps), session.state)
 
@@ -134,13 +133,8 @@ def plan_authority(session: Session, former: str) -> Plan:
             f"the profile has an authority {name!r} already", where=session.profile_marker(),
             help="rename that authority, or name it as the signer in package.defaults/", code="authority-exists",
         )  # fmt: skip
-    root = session.workspace.profile
-    paths = {root / path: content for path, content in profile_type.with_own_signer(profile, former).items()}
-    changes = tuple(
-        change
-        for path, content in paths.items()
-        for change in changed(session.tree, path.parent, {path.name: File(content)})
-    )
+    edited = profile_type.with_own_signer(profile, former)
+    changes = changed_below(session.tree, session.workspace.profile, edited)
     return Plan((Step(STAGE, "", Action.UPDATED, changes, f"{name} signs in place of {former}"),), session.state)
 
 

@@ -15,7 +15,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, BuildResult, BuildType, Package, SharedDocuments
-from keymint.changes import Action, File, FolderChange, Step
+from keymint.changes import Action, File, FolderChange, Step, by_folder
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.plan.build_types import BUILD, build_types_of, inputs_digest, shared_builder
@@ -227,13 +227,9 @@ def removals(session: Session, folder: Path, paths: Iterable[str]) -> tuple[Fold
     return tuple(FolderChange(parent, removed=tuple(names)) for parent, names in folders.items())
 
 
-def by_folder(folder: Path, files: Mapping[str, File]) -> tuple[FolderChange, ...]:
+def written(folder: Path, files: Mapping[str, File]) -> tuple[FolderChange, ...]:
     """Return the changes that write files, given by path relative to a folder."""
-    folders: dict[Path, dict[str, File]] = {}
-    for path, file in files.items():
-        target = folder / path
-        folders.setdefault(target.parent, {})[target.name] = file
-    return tuple(FolderChange(parent, of_folder) for parent, of_folder in folders.items())
+    return tuple(FolderChange(parent, of_folder) for parent, of_folder in by_folder(folder, files).items())
 
 
 def _plan_documents(
@@ -255,7 +251,7 @@ def _plan_documents(
     different = {
         path: File(content) for path, content in built.documents.items() if session.tree.read(folder / path) != content
     }
-    changes = (*removals(session, folder, obsolete), *by_folder(folder, different))
+    changes = (*removals(session, folder, obsolete), *written(folder, different))
     action = (Action.UPDATED if stamp else Action.CREATED) if changes else Action.UNCHANGED
     shown = ", ".join(f"{path} {len(content):,} bytes" for path, content in built.documents.items())
     outputs = {path: digest(content) for path, content in built.documents.items()}

@@ -4,10 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from pathlib import Path
 
 from keymint.api import Artifact, BuildType
-from keymint.changes import Action, File, Step, changed
+from keymint.changes import Action, File, Step, by_folder, changed
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.plan.build_types import recorded_build_types
@@ -44,15 +43,11 @@ def shared_steps(
     """
     steps = []
     for copies in shared_copies(session, changed_enclaves, build_types, removed):
-        folders: dict[Path, dict[str, File]] = {}
-        for relative, artifact in copies.items():
-            path = session.workspace.install / relative
-            folders.setdefault(path.parent, {})[path.name] = File(
-                artifact.content, secret=artifact.secret, replaces_link=True
-            )
-        changes = [change for folder, files in folders.items() for change in changed(session.tree, folder, files)]
+        files = {path: File(each.content, secret=each.secret, replaces_link=True) for path, each in copies.items()}
+        folders = by_folder(session.workspace.install, files)
+        changes = [change for folder, own in folders.items() for change in changed(session.tree, folder, own)]
         if changes:
-            existed = any(session.tree.read(folder / name) for folder, files in folders.items() for name in files)
+            existed = any(session.tree.read(session.workspace.install / path) for path in files)
             action = Action.UPDATED if existed else Action.CREATED
             steps.append(Step(INSTALLED, "", action, tuple(changes), "shared by all enclaves"))
     return steps

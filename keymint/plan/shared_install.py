@@ -24,7 +24,6 @@ from keymint.plan.shared_documents import (
     SharedPlan,
     build_shared,
     built_shared,
-    by_folder,
     is_current,
     load_packages,
     record_key,
@@ -32,6 +31,7 @@ from keymint.plan.shared_documents import (
     shared_folder,
     sources_digest,
     users,
+    written,
 )
 from keymint.plan.signers import Signers
 from keymint.plan.signing import authority_of
@@ -218,7 +218,7 @@ def _plan_documents(
     }
     install = session.workspace.install
     obsolete = set(stamp.outputs if stamp else ()) - set(artifacts)
-    changes = (*removals(session, install, obsolete), *by_folder(install, different))
+    changes = (*removals(session, install, obsolete), *written(install, different))
     action = Action.UPDATED if existing else Action.CREATED
     chains = {authority: minted.chain for authority, minted in authorities.items()}
     made = Stamp(
