@@ -11,7 +11,7 @@ import click
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.commands.options import FILE, authority_argument, usage_error
 from keymint.commands.run import Run
-from keymint.commands.user_files import show_written, write_outputs
+from keymint.commands.user_files import deliver, write_outputs
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.output.report import Report
@@ -53,13 +53,8 @@ def command(run: Run, name: str, output: Path | None, chain: bool, key_file: Pat
         message = f"is the private key of the authority {name!r}: whoever has it can make any robot do anything"
         help_ = "move it to where it belongs, and delete it here"
         findings.append(Diagnostic("key-exported", Severity.WARNING, message, Origin(str(key_file)), help_))
-    if output:
-        own = write_outputs(run, output, content)
-        show_written(run, output, own)
-        written += own
-    else:
-        run.console.document(content)
-    result = {"certificate": content.decode("ascii"), "file": str(output) if output else None, "written": written}
+    own = deliver(run, output, content)
+    result = {"certificate": content.decode("ascii"), **own, "written": [*written, *own["written"]]}
     return Report(run.verb, workspace, (), findings, result)
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -66,8 +67,7 @@ def bundle(run: Run, names: tuple[str, ...], output: Path | None, staged: bool =
         return plan
 
     report = run.carry_out(workspace, make_plan)
-    result = {"bundles": write_bundles(run, output, made)}
-    return Report(run.verb, workspace, (), report.diagnostics, result, report.exit_code, dry_run=run.dry_run)
+    return replace(report, steps=(), result={"bundles": write_bundles(run, output, made)})
 
 
 def _in_force(session: Session, names: Iterable[str]) -> Mapping[str, MintedAuthority]:

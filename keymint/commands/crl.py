@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import timedelta
 from typing import Any
 
@@ -109,11 +110,4 @@ def _shown(run: Run, session: Session, done: Report | None = None) -> Report:
         run.console.table(["AUTHORITY", "NUMBER", "FROM", "UNTIL", "SERIAL", "SUBJECT", "REVOKED", "REASON"], cells)
     else:
         run.console.line("no revocation list: nothing was ever revoked")
-    return Report(
-        run.verb,
-        session.workspace,
-        done.steps if done else (),
-        done.diagnostics if done else (),
-        {"lists": rows},
-        done.exit_code if done else ExitCode.DONE,
-    )
+    return replace(done or Report(run.verb, session.workspace), result={"lists": rows})

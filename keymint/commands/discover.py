@@ -22,7 +22,7 @@ from keymint.api import DiscoveredGraph, GraphSource
 from keymint.commands.graph_sources import graph_source
 from keymint.commands.options import PATH, Number, PluginOption, usage_error
 from keymint.commands.run import Run
-from keymint.commands.user_files import exists, read_input, show_written, write_outputs
+from keymint.commands.user_files import deliver, exists, read_input
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.graph import Graph
@@ -109,18 +109,14 @@ def discover(
     graph = source.interpret(merged, fold=not no_fold)
     content = graph_json.dump(graph)
     target = output or append
-    written = write_outputs(run, target, content) if target else []
     if target:
         run.console.line(_summary(graph))
-        show_written(run, target, written)
-    else:
-        run.console.document(content)
+    delivered = deliver(run, target, content)
     result: dict[str, Any] = {
         "subjects": list(graph.subjects),
         "objects": len(graph.objects),
         "edges": len(graph.edges),
-        "file": str(target) if target else None,
-        "written": written,
+        **delivered,
         "graph": None if target else json.loads(content),
     }
     diagnostics = tuple(dict.fromkeys(said for discovered in graphs for said in discovered.diagnostics))

@@ -18,7 +18,7 @@ from keymint.commands.import_proof import diagnostics_of, unproven
 from keymint.commands.options import FILE, PATH, PolicyOptions, policy_options, usage_error
 from keymint.commands.policies import Policies
 from keymint.commands.run import Run
-from keymint.commands.user_files import exists, read_input, show_written, write_outputs
+from keymint.commands.user_files import deliver, read_input, refuse_replacing
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
@@ -61,20 +61,11 @@ def export(
     policies = Policies(run, policy_options)
     subjects = _subjects(run, policies.load(policy), listed)
     document, diagnostics = _made(run, writer, subjects, policies.distro, lossy=lossy)
-    written: list[str] = []
-    if output is None:
-        run.console.document(document)
-    else:
-        if not force and exists(run, output) and read_input(run, output) != document:
-            raise KeymintError(
-                "exists and differs from the exported policy", where=Origin(str(output)),
-                help="name another file, or replace it with --force", code="export-exists",
-            )  # fmt: skip
-        written = write_outputs(run, output, document)
-        show_written(run, output, written)
+    if output is not None and not force:
+        help_ = "name another file, or replace it with --force"
+        refuse_replacing(run, output, document, "the exported policy", help_, "export-exists")
     result: dict[str, Any] = {
-        "file": str(output) if output else None,
-        "written": written,
+        **deliver(run, output, document),
         "policy": None if output else document.decode(),
         "subjects": [each.subject for each in subjects],
     }

@@ -26,7 +26,7 @@ from keymint.commands.options import (
 )
 from keymint.commands.policies import Policies, library_rules, workspace_library_rules
 from keymint.commands.run import Run
-from keymint.commands.user_files import read_input, show_written, write_outputs
+from keymint.commands.user_files import deliver, read_input
 from keymint.commands.verb import verb
 from keymint.commands.verify_report import sources
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, choose_subjects, select_edges
@@ -245,14 +245,8 @@ def _report(
     content: bytes,
     diagnostics: tuple[Diagnostic, ...],
 ) -> Report:
-    written = write_outputs(run, output, content) if output else []
-    if output is None:
-        run.console.document(content)
-    else:
-        show_written(run, output, written)
     result: dict[str, Any] = {
-        "file": str(output) if output else None,
-        "written": written,
+        **deliver(run, output, content),
         "format": kind,
         "subjects": list(labelled.subjects),
         "objects": len({(edge.edge.domain, edge.edge.object) for edge in labelled.edges}),

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import click
 
@@ -66,8 +66,7 @@ def harden(run: Run, step: str | None, names: tuple[str, ...], applied: bool, fl
             case _:
                 return _identifiers(run, session, chosen[0], accepted=flag_day)
 
-    done = run.carry_out(workspace, make_plan)
-    return Report(run.verb, workspace, done.steps, done.diagnostics, result, done.exit_code, dry_run=done.dry_run)
+    return replace(run.carry_out(workspace, make_plan), result=result)
 
 
 def _authority(run: Run, session: Session, step: OpenStep, *, accepted: bool) -> Plan:

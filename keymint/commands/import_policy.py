@@ -18,7 +18,7 @@ from keymint.commands.options import DEFAULT_PROFILE_TYPE, FILE, PATH, PluginOpt
 from keymint.commands.policies import Policies
 from keymint.commands.proof_diagnostics import STATES, effort_of
 from keymint.commands.run import Run
-from keymint.commands.user_files import exists, read_input, show_written, write_outputs
+from keymint.commands.user_files import exists, read_input, refuse_replacing, show_written, write_outputs
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.output.report import Report
@@ -80,7 +80,8 @@ def import_policy(
         raise KeymintError.of([*imported.diagnostics, *refuted])
     _refuse_other_library(run, output, request.library, imported.document)
     if not force:
-        _refuse_replacing(run, file, imported.document)
+        help_ = "name another folder with -o, or replace it with --force"
+        refuse_replacing(run, file, imported.document, "the imported policy", help_, "import-exists")
     written = write_outputs(run, file, imported.document)
     same = sum(proof.is_same for proof in proofs)
     show_written(run, file, written)
@@ -160,11 +161,3 @@ def _beside(run: Run, policy: Path, file: Path) -> Iterator[Diagnostic]:
             f"'keymint diff {policy} {file.parent}' shows what they add; remove them, or name another folder with -o"
         )
         yield Diagnostic("import-beside", Severity.WARNING, message, Origin(str(file)), help_)
-
-
-def _refuse_replacing(run: Run, file: Path, document: bytes) -> None:
-    if exists(run, file) and read_input(run, file) != document:
-        raise KeymintError(
-            "exists and differs from the imported policy", where=Origin(str(file)),
-            help="name another folder with -o, or replace it with --force", code="import-exists",
-        )  # fmt: skip

@@ -14,7 +14,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.xml.reader import looks_like_xml
 from keymint import graph_json
 from keymint.api import LearnedPolicy, LoadedPolicy, PolicyLearner
-from keymint.commands.learn_keystore import from_keystore, refuse_replacing
+from keymint.commands.learn_keystore import from_keystore, refuse_replacing_policy
 from keymint.commands.options import PATH, PolicyOptions, policy_options, usage_error
 from keymint.commands.policies import Policies
 from keymint.commands.run import Run
@@ -92,7 +92,7 @@ def learn(
     written: list[str] = []
     if output and learned.document:
         if not force:
-            refuse_replacing(run, output, learned.document)
+            refuse_replacing_policy(run, output, learned.document)
         fragments = {f"{folder}/{name}": content for name, content in learned.fragments.items()}
         written = write_outputs(run, output, learned.document, fragments)
     _tell(run, learned, output, written, against=policy is not None)

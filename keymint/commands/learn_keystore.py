@@ -14,8 +14,7 @@ from keymint.commands.options import PolicyOptions
 from keymint.commands.policies import Policies
 from keymint.commands.proof_diagnostics import STATES, effort_of
 from keymint.commands.run import Run
-from keymint.commands.user_files import exists, read_input, show_written, write_outputs
-from keymint.errors import KeymintError
+from keymint.commands.user_files import deliver, refuse_replacing
 from keymint.output.report import Report
 
 _SECONDS = 60.0
@@ -49,20 +48,15 @@ def from_keystore(
         effort.deadline,
     )  # fmt: skip
     learned = learned_from(run.plugins, files, found, learning)
-    written: list[str] = []
-    if output is None:
-        run.console.document(learned.document)
-    else:
-        if not force:
-            refuse_replacing(run, output, learned.document)
-        written = write_outputs(run, output, learned.document)
-        show_written(run, output, written)
+    if output is not None and not force:
+        refuse_replacing_policy(run, output, learned.document)
+    delivered = deliver(run, output, learned.document)
+    if output is not None:
         subjects = counted(len(learned.granted), "subject")
         run.console.line(f"{subjects}: proven to allow, for all names, what the signed documents permit")
     result: dict[str, Any] = {
         "domains": sorted({domain for each in learned.granted for domain in _domains(each)}),
-        "file": str(output) if output else None,
-        "written": written,
+        **delivered,
         "policy": None if output else learned.document.decode(),
         "missing": [],
         "unused": [],
@@ -71,19 +65,14 @@ def from_keystore(
     return Report(run.verb, None, (), diagnostics, result, dry_run=run.dry_run)
 
 
-def refuse_replacing(run: Run, output: Path, document: bytes) -> None:
+def refuse_replacing_policy(run: Run, output: Path, document: bytes) -> None:
     """Refuse to replace a file that has other content than a learned policy.
 
     Raises:
-        KeymintError: it has.
+        KeymintError: it exists, and is different.
     """
-    if exists(run, output) and read_input(run, output) != document:
-        raise KeymintError(
-            "exists and differs from the learned policy",
-            where=Origin(str(output)),
-            help="name another file, compare it with the graph by --policy, or replace it with --force",
-            code="learn-exists",
-        )
+    help_ = "name another file, compare it with the graph by --policy, or replace it with --force"
+    refuse_replacing(run, output, document, "the learned policy", help_, "learn-exists")
 
 
 def _domains(granted: GrantedRules) -> Iterator[int]:

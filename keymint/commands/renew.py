@@ -89,10 +89,7 @@ def renew(run: Run, names: tuple[str, ...], threshold: Threshold, rekey: bool, p
     renewal = done[-1]
     for line in _lines(run, renewal):
         run.console.line(line)
-    return Report(
-        report.verb, report.workspace, report.steps, report.diagnostics, _result(renewal), report.exit_code,
-        dry_run=report.dry_run,
-    )  # fmt: skip
+    return replace(report, result=_result(renewal))
 
 
 @dataclass(frozen=True, slots=True)

@@ -83,12 +83,13 @@ def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report
         say(f"deploy and restart with the new certificate: {listed(names_again)}")
     elif reason != SUPERSEDED and revoking.packages:
         say(f"nothing is issued for {listed(revoking.packages)} until 'keymint renew --rekey'")
-    return Report(
-        report.verb, report.workspace, report.steps, report.diagnostics,
-        {"revoked": [document(each) for each in revoking.certificates], "restart": [subject_of(name) for name in peers],
-         "shared": shared, "issued_again": [subject_of(name) for name in names_again]},
-        report.exit_code, dry_run=report.dry_run,
-    )  # fmt: skip
+    result = {
+        "revoked": [document(each) for each in revoking.certificates],
+        "restart": [subject_of(name) for name in peers],
+        "shared": shared,
+        "issued_again": [subject_of(name) for name in names_again],
+    }
+    return replace(report, result=result)
 
 
 def _updated(steps: tuple[Step, ...], omitted: tuple[str, ...]) -> list[str]:

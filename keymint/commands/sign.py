@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -64,8 +65,7 @@ def sign(run: Run, files: tuple[Path, ...], typed: tuple[str, ...], output: Path
         return plan.then(numbered)
 
     report = run.carry_out(workspace, make_plan)
-    result = {"bundles": write_bundles(run, output, made)}
-    return Report(run.verb, workspace, report.steps, report.diagnostics, result, report.exit_code, dry_run=run.dry_run)
+    return replace(report, result={"bundles": write_bundles(run, output, made)})
 
 
 def _fingerprints(typed: tuple[str, ...]) -> Mapping[str, str]:

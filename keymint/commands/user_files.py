@@ -6,6 +6,7 @@ from __future__ import annotations
 import stat
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from comarmor.errors import Origin
 from keymint.changes import File, FolderChange
@@ -98,6 +99,46 @@ def show_written(run: Run, path: Path, written: list[str]) -> None:
         run.console.line(f"{file} {'would be written' if run.dry_run else 'written'}")
     if not written:
         run.console.line(f"{path} is up to date")
+
+
+def deliver(run: Run, output: Path | None, content: bytes) -> dict[str, Any]:
+    """Write a document to the file that the user named, or print it.
+
+    Args:
+        run: the run.
+        output: the file; None for standard output.
+        content: the document.
+
+    Returns:
+        What the result of a verb says about it: the file, and what was written.
+
+    Raises:
+        KeymintError: the file cannot be written.
+    """
+    if output is None:
+        run.console.document(content)
+        return {"file": None, "written": []}
+    written = write_outputs(run, output, content)
+    show_written(run, output, written)
+    return {"file": str(output), "written": written}
+
+
+def refuse_replacing(run: Run, path: Path, content: bytes, what: str, help_: str, code: str) -> None:
+    """Refuse to replace a file that has other content.
+
+    Args:
+        run: the run.
+        path: the file that the user named.
+        content: what it is to have.
+        what: the content in words.
+        help_: what to do instead.
+        code: of the error.
+
+    Raises:
+        KeymintError: it exists, and is different.
+    """
+    if exists(run, path) and read_input(run, path) != content:
+        raise KeymintError(f"exists and differs from {what}", where=Origin(str(path)), help=help_, code=code)
 
 
 def exists(run: Run, path: Path) -> bool:
