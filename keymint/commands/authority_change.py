@@ -10,11 +10,10 @@ from keymint.changes import Plan
 from keymint.commands.reissue import reissued
 from keymint.commands.run import Run
 from keymint.errors import KeymintError
-from keymint.pki import revocation_lists
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.authority_uses import refusing
 from keymint.plan.enclaves import installed
-from keymint.plan.revocation import lists
+from keymint.plan.revocation import list_of
 from keymint.session import Session
 
 REISSUED = "authority-reissued"
@@ -67,11 +66,10 @@ def issued_again(run: Run, session: Session, first: Plan, name: str) -> Plan:
 
 def _lists_to_refresh(session: Session, changed: Session, name: str) -> tuple[str, ...]:
     """Return the authority if its revocation list ends with its certificate, which ends later now, and it can sign."""
-    content = lists(session).get(name)
-    if content is None:
+    present = list_of(session, name)
+    if present is None:
         return ()
-    path = session.workspace.revocation_list(name)
-    end = revocation_lists.load(content, Origin(session.workspace.shown(path))).next_update
+    end = present.next_update
     before, after = (plan_authorities(each)[1][name] for each in (session, changed))
     ends_with_it = end == before.certificate.not_valid_after_utc < after.certificate.not_valid_after_utc
     return (name,) if ends_with_it and after.can_sign else ()

@@ -9,16 +9,15 @@ from datetime import datetime
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import Phase
-from keymint.pki import certificates, distinguished_names, extensions, keys, revocation_lists
+from keymint.pki import certificates, distinguished_names, extensions, keys
 from keymint.pki.revocation_lists import RevocationList
 from keymint.plan import authority_files
 from keymint.plan.authority_files import AuthorityFiles
 from keymint.plan.authority_uses import Use, uses
 from keymint.plan.renewal import authority_renewals, installed_terms
-from keymint.plan.revocation import lists
+from keymint.plan.revocation import list_of
 from keymint.plan.threshold import DEFAULT
 from keymint.session import Session
 
@@ -100,14 +99,8 @@ def statuses(session: Session) -> Iterator[AuthorityStatus]:
             adopted=bool(authority.certificate.adopted),
             phase=rollover.phase if rollover else None,
             other=status_of(certificates.load(rollover.certificate)) if rollover else None,
-            revocations=_list(session, authority.name),
+            revocations=list_of(session, authority.name),
         )
-
-
-def _list(session: Session, name: str) -> RevocationList | None:
-    content = lists(session).get(name)
-    where = Origin(session.workspace.shown(session.workspace.revocation_list(name)))
-    return None if content is None else revocation_lists.load(content, where)
 
 
 def status_of(certificate: x509.Certificate, due: datetime | None = None) -> CertificateStatus:

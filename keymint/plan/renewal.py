@@ -11,16 +11,15 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 
-from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import Issuance
 from keymint.errors import KeymintError
-from keymint.pki import certificates, periods, revocation_lists
+from keymint.pki import certificates, periods
 from keymint.plan import lifetimes
 from keymint.plan.authority_files import in_order
 from keymint.plan.enclaves import INSTALLED, installed, installed_certificate
 from keymint.plan.issuance import issuance_of
-from keymint.plan.revocation import lists
+from keymint.plan.revocation import list_of
 from keymint.plan.threshold import DEFAULT, Threshold
 from keymint.session import Session
 
@@ -115,15 +114,9 @@ def enclave_terms(session: Session, name: str, period: tuple[datetime, datetime]
 
 
 def _lists(session: Session, authority: str, end: datetime | None) -> Iterator[Term]:
-    content = lists(session).get(authority)
-    if content is not None:
-        where = Origin(session.workspace.shown(session.workspace.revocation_list(authority)))
-        yield session.once(("list term", authority), lambda: _list(content, where, authority, end))
-
-
-def _list(content: bytes, where: Origin, authority: str, end: datetime | None) -> Term:
-    found = revocation_lists.load(content, where)
-    return _term(LIST, found.this_update, found.next_update, authority, end)
+    found = list_of(session, authority)
+    if found is not None:
+        yield _term(LIST, found.this_update, found.next_update, authority, end)
 
 
 def _term(what: str, first: datetime, last: datetime, authority: str, end: datetime | None) -> Term:

@@ -39,6 +39,20 @@ def _lists(session: Session) -> Mapping[str, bytes]:
     return {name: content for name, content in contents.items() if content is not None}
 
 
+def list_of(session: Session, name: str) -> RevocationList | None:
+    """Return the revocation list of an authority, or None if it has none.
+
+    Raises:
+        KeymintError: it cannot be read.
+    """
+    return session.once(("revocation list", name), lambda: _list(session, name))
+
+
+def _list(session: Session, name: str) -> RevocationList | None:
+    content, path = lists(session).get(name), session.workspace.revocation_list(name)
+    return None if content is None else revocation_lists.load(content, Origin(session.workspace.shown(path)))
+
+
 def enclave_lists(session: Session) -> Mapping[str, bytes]:
     """Return the revocation lists that enclaves have as files of their own, PEM, by authority.
 
