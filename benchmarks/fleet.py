@@ -53,11 +53,12 @@ OWN = """    <ros_topic qualifier="ALLOW">
 
 @dataclass(frozen=True)
 class Spent:
-    """What a process took: wall clock and processor time in seconds, peak memory of the largest process in MB."""
+    """What a process took: wall clock and processor time in seconds, memory of the largest process in MB; its output."""
 
     wall: float
     cpu: float
     memory: float
+    out: bytes = b""
 
 
 def policy(size: int, *, own: bool = False, extra: str = "") -> str:
@@ -84,16 +85,17 @@ def spent(*command: str, cwd: Path | None = None, codes: Sequence[int] = (0,)) -
     """Run a command and return what it took; another exit code than those given ends the benchmark."""
     # An installed program has its modules compiled.
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    with tempfile.TemporaryFile() as errors:
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as errors:
         start = time.perf_counter()
-        process = subprocess.Popen(command, cwd=cwd, env=environment, stdout=subprocess.DEVNULL, stderr=errors)
+        process = subprocess.Popen(command, cwd=cwd, env=environment, stdout=out, stderr=errors)
         _, status, usage = os.wait4(process.pid, 0)
         wall = time.perf_counter() - start
         process.returncode = os.waitstatus_to_exitcode(status)
+        out.seek(0)
         if process.returncode not in codes:
             errors.seek(0)
             sys.exit(f"{' '.join(command)} ended with {process.returncode}: {errors.read().decode()[-2000:]}")
-    return Spent(wall, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024)
+        return Spent(wall, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024, out.read())
 
 
 def best(repeat: int, measure: Callable[[int], Spent]) -> Spent:

@@ -12,13 +12,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
-KEYMINT = (sys.executable, "-m", "keymint")
+from fleet import KEYMINT, spent
+
 PROFILE = """  <profile name="node{n}">
     <attachment>/robot{n}/node</attachment>
     <xi:include href="common/node.xml" parse="xml"/>
@@ -59,19 +57,6 @@ def graph(subjects: int, objects: int) -> str:
     return json.dumps({"format": "keymint-graph", "version": 1, "edges": edges})
 
 
-def measured(arguments: list[str]) -> tuple[dict, float, float]:
-    """Run keymint; return its JSON, its processor time in seconds, and its peak memory in MB."""
-    with tempfile.TemporaryFile() as out:
-        process = subprocess.Popen([*KEYMINT, *arguments], stdout=out)
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-        out.seek(0)
-        document = json.load(out)
-    if process.returncode not in (0, 3):
-        raise SystemExit(document["diagnostics"])
-    return document, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sizes", default="25x250,50x500,100x1000,200x2000", help="SUBJECTSxOBJECTS,…")
@@ -85,17 +70,17 @@ def main() -> None:
             root = Path(folder)
             (root / "policy.xml").write_text(policy(subjects))
             (root / "graph.json").write_text(graph(subjects, objects))
-            command = [*KEYMINT, "provision", str(root / "policy.xml"), "-w", str(root / "ws"), "-q"]
-            subprocess.run(command, check=True)
+            spent(*KEYMINT, "provision", "policy.xml", "-w", "ws", "-q", cwd=root)
             for transport in chosen:
-                document, seconds, peak = measured(
-                    ["verify", "-w", str(root / "ws"), "--graph", str(root / "graph.json"), "-t", transport, "--json"]
-                )
-                (outcome,) = document["result"]["transports"]
-                counts, edges = outcome["confusion"], document["result"]["edges"]
+                words = ("verify", "-w", "ws", "--graph", "graph.json", "-t", transport, "--json")
+                took = spent(*KEYMINT, *words, cwd=root, codes=(0, 3))
+                result = json.loads(took.out)["result"]
+                (outcome,) = result["transports"]
+                counts, edges = outcome["confusion"], result["edges"]
                 errors = counts["false_positive"] + counts["false_negative"]
-                cost = seconds / edges * 1e6
-                print(f"{size:>10} {transport:>16} {edges:>9} {errors:>7} {seconds:>8.1f} {cost:>8.1f} {peak:>8.0f}")
+                cost = took.cpu / edges * 1e6
+                spending = f"{took.cpu:>8.1f} {cost:>8.1f} {took.memory:>8.0f}"
+                print(f"{size:>10} {transport:>16} {edges:>9} {errors:>7} {spending}")
 
 
 if __name__ == "__main__":

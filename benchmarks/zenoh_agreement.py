@@ -1,15 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compare the model of Zenoh's access control with a real router; print counts, and exit with 1 on a disagreement.
-
-usage: python benchmarks/zenoh_agreement.py [--configurations N] [--keys N] [--seed N]
-"""
+"""Compare the model of Zenoh's access control with a real router: the part of :mod:`agreement` for Zenoh."""
 
 from __future__ import annotations
 
-import argparse
 import os
 import random
-import sys
 import tempfile
 from collections.abc import Iterator
 from itertools import count
@@ -140,17 +135,3 @@ def report(configurations: int, seed: int, keys: int = 10) -> int:
         f"{allowed} allowed, {wrong} disagreements"
     )
     return wrong
-
-
-def main() -> int:
-    """Compare; return 1 if there is a disagreement."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--configurations", type=int, default=40)
-    parser.add_argument("--keys", type=int, default=10)
-    parser.add_argument("--seed", type=int, default=2018)
-    options = parser.parse_args()
-    return 1 if report(options.configurations, options.seed, options.keys) else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
