@@ -53,7 +53,7 @@ OWN = """    <ros_topic qualifier="ALLOW">
 
 @dataclass(frozen=True)
 class Spent:
-    """What a process took: wall clock and processor time in seconds, memory of the largest process in MB; its output."""
+    """What a process took: wall clock and processor time in seconds, memory of the largest one in MB; its output."""
 
     wall: float
     cpu: float

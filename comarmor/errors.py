@@ -6,10 +6,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from enum import IntEnum, StrEnum
+from typing import TypeVar
 
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 
+_T = TypeVar("_T")
 Spot = tuple[str, int, int]
 """File, line and column of a place. The line alone does not identify a rule: a minified policy is one line."""
 
@@ -173,3 +175,35 @@ class ComArmorError(Exception):
         error.diagnostics = all_of_them
         error.args = (str(all_of_them[0]),)
         return error
+
+
+class Defects:
+    """Collects the diagnostics of errors, to raise them together: as a context, of an error that ends its block.
+
+    Attributes:
+        found: the diagnostics.
+    """
+
+    def __init__(self) -> None:
+        self.found: list[Diagnostic] = []
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> bool:
+        if not isinstance(error, ComArmorError):
+            return False
+        self.found += error.diagnostics
+        return True
+
+    def attempt(self, make: Callable[[], _T]) -> _T | None:
+        """Return the result of a function, or None if it raises an error, which is collected."""
+        result = None
+        with self:
+            result = make()
+        return result
+
+    def require_none(self) -> None:
+        """Raise the diagnostics, each once, if there are any."""
+        if self.found:
+            raise ComArmorError.of(dict.fromkeys(self.found))

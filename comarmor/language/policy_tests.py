@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from comarmor.data import locate
-from comarmor.errors import ComArmorError, Diagnostic, Origin
+from comarmor.errors import ComArmorError, Defects, Diagnostic, Origin
 from comarmor.language.source import TESTS
 from comarmor.patterns.expression import parse as parse_expression
 from comarmor.rules import Expectation
@@ -28,14 +28,11 @@ def expectations(path: Path) -> Mapping[Path, tuple[Expectation, ...]]:
         ComArmorError: a file cannot be read or is not valid, with ``file:line`` of each defect.
     """
     by_file: dict[Path, tuple[Expectation, ...]] = {}
-    defects: list[Diagnostic] = []
+    defects = Defects()
     for file in _files(path):
-        try:
+        with defects:
             by_file[file] = tuple(_read(file))
-        except ComArmorError as error:
-            defects += error.diagnostics
-    if defects:
-        raise ComArmorError.of(defects)
+    defects.require_none()
     return by_file
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Defects, Diagnostic, Origin, Severity
 from comarmor.text import counted
 from comarmor.values import dataclass
 from comarmor.xml.reader import looks_like_xml
@@ -121,10 +121,10 @@ def _formatted(run: Run, paths: Iterable[Path]) -> tuple[list[_Formatted], list[
     types = [each for each in plugins if isinstance(each, PolicyTypeWithForm)]
     files: list[_Formatted] = []
     skipped: list[Diagnostic] = []
-    errors: list[Diagnostic] = []
+    defects = Defects()
     for path, is_named in _files(run, types, paths).items():
         name = run.typed(str(path))
-        try:
+        with defects:
             content = run.setting.read(MAX_FILE + 1) if path == _STANDARD else read_input(run, path)
             if is_named and not looks_like_xml(content):
                 raise _no_xml(run, path, name)
@@ -137,10 +137,7 @@ def _formatted(run: Run, paths: Iterable[Path]) -> tuple[list[_Formatted], list[
             else:
                 note = "is no policy, nor a part or a test of one: left as it is"
                 skipped.append(Diagnostic("format-skipped", Severity.NOTE, note, Origin(name)))
-        except KeymintError as error:
-            errors += error.diagnostics
-    if errors:
-        raise KeymintError.of(errors)
+    defects.require_none()
     if not files:
         if foreign := foreign_policy(run.plugins, [run.setting.cwd / path for path in paths], ""):
             raise foreign.refusal(run.typed(str(foreign.path)))

@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import click
 
-from comarmor.errors import Diagnostic, Origin, Severity, Spot
+from comarmor.errors import Defects, Diagnostic, Origin, Severity, Spot
 from keymint.analysis.policy_tests import ExpectationChecker, ExpectationResult, diagnostics
 from keymint.api import Expectation, PolicyTypeWithTests
 from keymint.commands.options import FILE, PATH, Number, PolicyOptions, policy_options
@@ -112,16 +113,10 @@ def test(
 
 def _checked(checks: ExpectationChecker, expected: Sequence[Expectation]) -> list[ExpectationResult]:
     """Check the expectations of a file; raise the defects of all of them together."""
-    results: list[ExpectationResult] = []
-    defects: list[Diagnostic] = []
-    for expectation in expected:
-        try:
-            results.append(checks.check(expectation))
-        except KeymintError as error:
-            defects += error.diagnostics
-    if defects:
-        raise KeymintError.of(defects)
-    return results
+    defects = Defects()
+    results = [defects.attempt(partial(checks.check, expectation)) for expectation in expected]
+    defects.require_none()
+    return [result for result in results if result]
 
 
 def _own(rules: Mapping[Spot, Rule], folders: Sequence[Path], library: Path) -> dict[Spot, Rule]:

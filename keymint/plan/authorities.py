@@ -9,7 +9,7 @@ from dataclasses import field
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Defects, Diagnostic, Origin, Severity
 from comarmor.values import dataclass
 from keymint.api import SigningAuthority
 from keymint.changes import Action, File, FolderChange, Plan, Step, changed
@@ -84,22 +84,18 @@ def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, M
     minted: dict[str, MintedAuthority] = {}
     steps: list[Step] = []
     warnings: list[Diagnostic] = []
-    errors: list[Diagnostic] = []
+    defects = Defects()
     for authority in authority_files.in_order(session.profile.authorities):
         if authority.certificate.issuer and authority.certificate.issuer not in minted:
             continue  # its issuer has a defect
         files = authority_files.read_files(session, authority, deployed).as_adopted()
-        try:
+        with defects:
             result, changes, diagnostics = _plan_authority(session, files, minted, renew=authority.name in new)
-        except KeymintError as error:
-            errors += error.diagnostics
-            continue
-        minted[authority.name] = result
-        warnings += diagnostics
-        action = Action.CREATED if changes else Action.UNCHANGED
-        steps.append(Step(STAGE, authority.name, action, changes, "certificate authority"))
-    if errors:
-        raise KeymintError.of(tuple(dict.fromkeys(errors)))  # one token may fail several authorities
+            minted[authority.name] = result
+            warnings += diagnostics
+            action = Action.CREATED if changes else Action.UNCHANGED
+            steps.append(Step(STAGE, authority.name, action, changes, "certificate authority"))
+    defects.require_none()  # one token may fail several authorities
     fingerprints = {name: keys.fingerprint(certificates.public_key(each.certificate)) for name, each in minted.items()}
     authority_files.require_own_keys(session, fingerprints)
     state = key_record.record(session.state, key_record.AUTHORITIES, fingerprints)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Defects, Diagnostic, Origin
 from keymint.api import BuildOptions, BuildResult, LoadedPolicy, Package
 from keymint.changes import Action, DocumentSize, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
@@ -196,19 +196,15 @@ def _built(session: Session, package: Package, options: BuildOptions) -> BuildRe
     builders: dict[str, str] = {}
     sizes: dict[str, int] = {}
     diagnostics: list[Diagnostic] = []
-    errors: list[Diagnostic] = []
+    defects = Defects()
     for name, build_type in build_types_of(session, package).items():
-        try:
+        with defects:
             built = build_type.build(package, options)
-        except KeymintError as error:
-            errors += error.diagnostics
-            continue
-        errors += two_writers(session, package, builders, name, built.documents)
-        documents |= built.documents
-        sizes |= built.plain_sizes
-        diagnostics += built.diagnostics
-    if errors:
-        raise KeymintError.of(list(dict.fromkeys(errors)))
+            defects.found += two_writers(session, package, builders, name, built.documents)
+            documents |= built.documents
+            sizes |= built.plain_sizes
+            diagnostics += built.diagnostics
+    defects.require_none()
     return BuildResult(documents, tuple(dict.fromkeys(diagnostics)), sizes)
 
 

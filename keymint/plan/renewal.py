@@ -11,9 +11,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 
+from comarmor.errors import Defects
 from comarmor.values import dataclass
 from keymint.api import Issuance
-from keymint.errors import KeymintError
 from keymint.pki import certificates, periods
 from keymint.plan import lifetimes
 from keymint.plan.authority_files import in_order
@@ -252,17 +252,12 @@ def installed_terms(session: Session, names: Iterable[str]) -> tuple[EnclaveTerm
     """
     there = frozenset(installed(session))
     found: list[EnclaveTerms] = []
-    errors: list[KeymintError] = []
+    defects = Defects()
     for name in names:
-        try:
+        with defects:
             terms = enclave_terms(session, name) if name in there else None
-        except KeymintError as error:
-            errors.append(error)
-            continue
-        if terms is not None:
-            found.append(terms)
-    if errors:
-        raise KeymintError.of([each for error in errors for each in error.diagnostics])
+            found += [terms] if terms else []
+    defects.require_none()
     return tuple(found)
 
 

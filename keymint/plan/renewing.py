@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Defects, Diagnostic, Origin, Severity
 from comarmor.values import dataclass
 from keymint.api import BuildOptions
 from keymint.changes import FolderChange, Plan
@@ -46,22 +46,19 @@ def chosen(session: Session, names: Iterable[str], *, rekey: bool) -> Chosen:
     """
     taken: list[str] = []
     requests: list[Diagnostic] = []
-    errors: list[Diagnostic] = []
+    defects = Defects()
     stamps: dict[str, Stamp] = {}
     there = frozenset(installed(session))
     for name in names:
-        try:
+        with defects:
             if rekey and issuance_of(session, name).public_key:
                 requests.append(_request(session, name))
                 continue
             _require_certified(session, name, there, rekey=rekey)
             stamps |= _require_same(session, name)
-        except KeymintError as error:
-            errors += error.diagnostics
-        else:
             taken.append(name)
     state = session.state.updated(build.STAGE, stamps) if stamps else session.state
-    return Chosen(tuple(taken), state, tuple(requests), tuple(errors))
+    return Chosen(tuple(taken), state, tuple(requests), tuple(defects.found))
 
 
 def _request(session: Session, name: str) -> Diagnostic:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Defects, Origin
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.api import Package
@@ -67,10 +67,9 @@ def plan_requests(
             )
     requests: dict[str, Request] = {}
     owners: dict[str, str] = {}
-    errors: list[Diagnostic] = []
-    keyring = Keyring(session, _authorities(session))
+    defects, keyring = Defects(), Keyring(session, _authorities(session))
     for each in given:
-        try:
+        with defects:
             name = _package(session, each, fingerprints)
             if name in requests:
                 raise _refused(
@@ -81,12 +80,8 @@ def plan_requests(
                 raise _refused(
                     f"has the key that {subject_of(other)} asks a certificate for", each, _AGAIN, "key-shared"
                 )
-        except KeymintError as error:
-            errors += error.diagnostics
-            continue
-        requests[name] = each.request
-    if errors:
-        raise KeymintError.of(errors)
+            requests[name] = each.request
+    defects.require_none()
     new = {
         name: replace(issuance_of(session, name), public_key=request.public_key)
         for name, request in requests.items()

@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, TypeVar
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Defects, Origin
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from comarmor.xml.reader import line
@@ -287,17 +287,17 @@ def load(
         )
     subject = subject_of(name)
     plugins = {each: build_types(each, Origin(file)) for each in package_manifest.build_types}
-    diagnostics: list[Diagnostic] = []
-    issued = _attempt(partial(issuance.issuance, folder, files), diagnostics) or Issuance()
+    defects = Defects()
+    issued = defects.attempt(partial(issuance.issuance, folder, files)) or Issuance()
     in_common_name = any(isinstance(each, CommonNameIdentity) for each in plugins.values())
     values = placeholders.of_subject(subject, issued.generation, in_common_name=in_common_name)
     authorities = tuple(authority.name for authority in profile.authorities)
     loader = _PackageLoader(
         profile, name, folder, base_of(profile), files, package_manifest, values, authorities, built
     )
-    identity = _renewed(_attempt(loader.identity, diagnostics), issued)
-    grant = _renewed(_attempt(loader.grant, diagnostics), issued)
-    parts = _parts(loader, plugins.values(), diagnostics)
+    identity = _renewed(defects.attempt(loader.identity), issued)
+    grant = _renewed(defects.attempt(loader.grant), issued)
+    parts = _parts(loader, plugins.values(), defects)
     sources = PackageSources(
         name=name,
         subject=subject,
@@ -312,10 +312,10 @@ def load(
     )
     settings: dict[str, PackageSettings] = {}
     for each, plugin in plugins.items():
-        if parts.keys() >= set(plugin.PARTS) and (read := _attempt(partial(plugin.settings, sources), diagnostics)):
+        if parts.keys() >= set(plugin.PARTS) and (read := defects.attempt(partial(plugin.settings, sources))):
             settings[each] = read
-    if identity is None or grant is None or diagnostics:
-        raise KeymintError.of(diagnostics)
+    if identity is None or grant is None or defects.found:
+        raise KeymintError.of(defects.found)
     return Package(
         name=name,
         subject=subject,
@@ -341,12 +341,10 @@ def _renewed(issued: _Issued | None, issuance_: Issuance) -> _Issued | None:
     return replace(issued, validity=validity.renewed(issued.validity, issuance_.renewed))
 
 
-def _parts(
-    loader: _PackageLoader, plugins: Iterable[BuildType], diagnostics: list[Diagnostic]
-) -> Mapping[str, SourcePart]:
-    """Return the parts that build types read, without those that have defects, which become diagnostics."""
+def _parts(loader: _PackageLoader, plugins: Iterable[BuildType], defects: Defects) -> Mapping[str, SourcePart]:
+    """Return the parts that build types read, without those that have defects, which are collected."""
     names = dict.fromkeys(name for plugin in plugins for name in plugin.PARTS)
-    parts = {name: _attempt(partial(loader.part, name), diagnostics) for name in names}
+    parts = {name: defects.attempt(partial(loader.part, name)) for name in names}
     return {name: part for name, part in parts.items() if part}
 
 
@@ -375,12 +373,3 @@ def rule_places(name: str, folder: str, files: Mapping[str, bytes]) -> tuple[Ori
     path = normal_path(part.path, Origin(marker, part.line))
     grant = permissions.read(files.get(path, b""), f"{folder}/{path}", subject_of(name))
     return tuple(Origin(f"{folder}/{path}", place.line) for place in grant.places)
-
-
-def _attempt(part: Callable[[], _T], diagnostics: list[Diagnostic]) -> _T | None:
-    """Return a part of the package, or None after adding its errors to the diagnostics."""
-    try:
-        return part()
-    except KeymintError as error:
-        diagnostics += error.diagnostics
-        return None

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import lru_cache
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Defects, Diagnostic, Origin, Severity
 from keymint.api import BuildOptions, BuildResult, Package
 from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
@@ -29,25 +29,20 @@ def build(package: Package, options: BuildOptions) -> BuildResult:
     checks += token_key.check(package, allow_vendor_specific=lenient)
     checks += vendor_limits.check_root_name(package, allow_vendor_specific=lenient)
     checks += vendor_limits.check_issuers(package)
-    errors: list[Diagnostic] = []
-    notes: list[Diagnostic] = []
+    defects, notes = Defects(), list[Diagnostic]()
     emitted, governance = None, b""
-    try:
+    with defects:
         emitted = kept_documents.emitted(package) or emit_by_kind(package, options)
         notes += emitted.diagnostics
-    except KeymintError as error:
-        errors += error.diagnostics
-    try:
+    with defects:
         governance, remarks = governance_document.build(
             settings_of(package).governance, package.subject, package.distro, allow_vendor_specific=lenient
         )
         governance = kept_documents.governance(package, governance)
         notes += (*remarks, *governance_warnings.findings(package, emitted.lowered if emitted else None))
-    except KeymintError as error:
-        errors += error.diagnostics
-    errors += [item for item in checks if item.severity is Severity.ERROR]
-    if errors or emitted is None:
-        raise KeymintError.of(errors)
+    defects.found += [item for item in checks if item.severity is Severity.ERROR]
+    if defects.found or emitted is None:
+        raise KeymintError.of(defects.found)
     notes += checks
     size = vendor_limits.signed_size(emitted.document)
     notes += vendor_limits.check_size(size, PERMISSIONS, package, emitted.lowered)

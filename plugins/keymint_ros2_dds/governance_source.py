@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Defects, Diagnostic, Origin
 from comarmor.text import quoted
 from comarmor.values import dataclass
 from comarmor.xml.reader import line
@@ -51,16 +51,12 @@ def settings(sources: PackageSources) -> PackageSettings:
     Raises:
         KeymintError: with ``file:line`` of each defect, also of a grant that is incomplete for DDS.
     """
-    diagnostics: list[Diagnostic] = []
-    governance = None
-    try:
-        governance = _governance(sources, sources.parts[PART])
-    except KeymintError as error:
-        diagnostics += error.diagnostics
+    defects = Defects()
+    governance = defects.attempt(partial(_governance, sources, sources.parts[PART]))
     if sources.grant:
-        diagnostics += _grant_defects(sources.grant)
-    if governance is None or diagnostics:
-        raise KeymintError.of(diagnostics)
+        defects.found += _grant_defects(sources.grant)
+    if governance is None or defects.found:
+        raise KeymintError.of(defects.found)
     if sources.grant and sources.grant.issuer != governance.issuer:
         raise KeymintError(
             f"permissions are signed by {sources.grant.issuer!r}, governance by {governance.issuer!r}",

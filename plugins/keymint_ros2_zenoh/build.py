@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
-from typing import TypeVar
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Defects, Diagnostic, Severity
 from keymint.api import BuildOptions, BuildResult, Package
 from keymint.errors import KeymintError
 from keymint_ros2_zenoh import emission, key_limits
@@ -17,8 +16,6 @@ from keymint_ros2_zenoh.gathering import gathered
 from keymint_ros2_zenoh.lowering.key_rule import KeyRule
 from keymint_ros2_zenoh.lowering.rule_check import lower_package
 from keymint_ros2_zenoh.settings import BUILD_TYPE, is_router, settings_of
-
-_T = TypeVar("_T")
 
 _SESSION_TITLE = (
     "Zenoh session of the enclave {subject}. Written by keymint; edit the sources instead.",
@@ -38,16 +35,16 @@ def build(package: Package, options: BuildOptions) -> BuildResult:  # noqa: ARG0
         KeymintError: Zenoh cannot express a rule, or refuses the key or the certificate; with ``file:line``.
     """
     found = list(key_limits.check_identity(package))
-    defects = key_limits.errors(found)
+    defects = Defects()
+    defects.found += key_limits.errors(found)
     if is_router(package):
-        if defects:
-            raise KeymintError.of(defects)
+        defects.require_none()
         return BuildResult({}, tuple(found))
-    configuration = _attempt(partial(emission.session, package), defects)
-    lowered = _attempt(partial(lower_package, package), defects)
-    _attempt(partial(emission.common_name, package), defects)
-    if defects or configuration is None or lowered is None:
-        raise KeymintError.of(dict.fromkeys(defects))
+    configuration = defects.attempt(partial(emission.session, package))
+    lowered = defects.attempt(partial(lower_package, package))
+    defects.attempt(partial(emission.common_name, package))
+    if defects.found or configuration is None or lowered is None:
+        raise KeymintError.of(dict.fromkeys(defects.found))
     title = [line.format(subject=package.subject) for line in _SESSION_TITLE]
     return BuildResult({SESSION: write(configuration, title)}, (*found, *lowered.diagnostics))
 
@@ -60,18 +57,18 @@ def build_shared(packages: Sequence[Package], options: BuildOptions) -> BuildRes
     """
     if not packages:
         return BuildResult({})
-    defects = list(_differences(packages))
+    defects = Defects()
+    defects.found += _differences(packages)
     routers = [package for package in packages if is_router(package)]
     enclaves = emission.enclaves_of(packages)
-    if not routers and not defects:
-        _attempt(partial(emission.router_of, enclaves[0]), defects)
+    if not routers and not defects.found:
+        defects.attempt(partial(emission.router_of, enclaves[0]))
     rules: list[tuple[Package, Sequence[KeyRule]]] = []
     for package in enclaves:
-        lowered = _attempt(partial(lower_package, package), defects)
+        lowered = defects.attempt(partial(lower_package, package))
         if lowered is not None:
             rules.append((package, lowered.rules))
-    if defects:
-        raise KeymintError.of(dict.fromkeys(defects))
+    defects.require_none()
     notes = () if enclaves else (_admits_nobody(routers[0]),)
     plain = write(emission.router(routers[0], rules), _ROUTER_TITLE)
     if not options.optimise:
@@ -88,15 +85,6 @@ def _admits_nobody(router: Package) -> Diagnostic:
         settings_of(router).router.origin,
         f"write <build_type>{BUILD_TYPE}</build_type> in <export> of their keymint_package.xml", router.subject,
     )  # fmt: skip
-
-
-def _attempt(make: Callable[[], _T], defects: list[Diagnostic]) -> _T | None:
-    """Return what a function makes, or None after its defects were added to a list."""
-    try:
-        return make()
-    except KeymintError as error:
-        defects += error.diagnostics
-        return None
 
 
 def _differences(packages: Sequence[Package]) -> Iterator[Diagnostic]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Defects, Diagnostic, Severity
 from comarmor.rules import Effect
 from keymint.api import Package
 from keymint.errors import KeymintError
@@ -155,25 +155,20 @@ def require_distinct_names(packages: Iterable[Package]) -> None:
         KeymintError: some have, or a package has none; with all of them.
     """
     holders: dict[str, Package] = {}
-    defects: list[Diagnostic] = []
+    defects = Defects()
     for package in packages:
-        try:
+        with defects:
             name = common_name(package)
-        except KeymintError as error:
-            defects += error.diagnostics
-            continue
-        other = holders.setdefault(name, package)
-        if other is not package:
-            defects.append(
-                Diagnostic(
-                    "zenoh-common-name", Severity.ERROR,
+            other = holders.setdefault(name, package)
+            if other is not package:
+                message = (
                     f"{package.subject} and {other.subject} (at {other.identity.origin}) have the same common name "
-                    f"{name!r}, by which alone routers know a subject",
-                    package.identity.origin, "give one of them a subject_name with another CN", package.subject,
+                    f"{name!r}, by which alone routers know a subject"
                 )
-            )  # fmt: skip
-    if defects:
-        raise KeymintError.of(defects)
+                where, help_ = package.identity.origin, "give one of them a subject_name with another CN"
+                error = Diagnostic("zenoh-common-name", Severity.ERROR, message, where, help_, package.subject)
+                raise KeymintError.of([error])
+    defects.require_none()
 
 
 def listen_endpoint(router_: Router) -> str:
