@@ -198,10 +198,9 @@ class Defects:
 
     def attempt(self, make: Callable[[], _T]) -> _T | None:
         """Return the result of a function, or None if it raises an error, which is collected."""
-        result = None
         with self:
-            result = make()
-        return result
+            return make()
+        return None
 
     def require_none(self) -> None:
         """Raise the diagnostics, each once, if there are any."""

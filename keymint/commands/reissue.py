@@ -9,7 +9,7 @@ from datetime import datetime
 from functools import partial
 
 from keymint.api import BuildOptions, LoadedPolicy, Role
-from keymint.changes import Plan
+from keymint.changes import Action, Plan
 from keymint.commands.proof_gate import proof_stage, proven
 from keymint.commands.run import Run
 from keymint.names import name_of
@@ -17,6 +17,7 @@ from keymint.plan.authorities import plan_authorities
 from keymint.plan.authority_files import is_bundled
 from keymint.plan.build import BuildStage, is_current, options_as_built
 from keymint.plan.distribution import plan_distribution
+from keymint.plan.enclaves import INSTALLED
 from keymint.plan.enclaves import installed as installed_enclaves
 from keymint.plan.install import RIGHTS_OUTLIVE, InstallStage
 from keymint.plan.policy import policy_in_force
@@ -93,6 +94,13 @@ def reissued(
     plan = replace(plan, diagnostics=(*plan.diagnostics, *warnings))
     proof = proof_stage(run, in_force, standard_only=standard_only)
     return proven(run, session, installed.then(others), issued, partial(proof), plan)
+
+
+def updated(plan: Plan) -> list[str]:
+    """Return the packages whose enclave a plan writes."""
+    changing = {Action.UPDATED, Action.CREATED}
+    steps = (step for step in plan.steps if step.stage == INSTALLED and step.action in changing)
+    return [step.package for step in steps if step.package]
 
 
 def superseded(session: Session, installed: Plan, *, asked: bool) -> tuple[str, ...]:

@@ -13,16 +13,15 @@ import click
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted
 from comarmor.values import dataclass
-from keymint.changes import Action, Plan
+from keymint.changes import Plan
 from keymint.commands import durations
 from keymint.commands.options import complete_package, prove_option
-from keymint.commands.reissue import reissued
+from keymint.commands.reissue import reissued, updated
 from keymint.commands.run import Run, exit_code_of
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import listed, subject_of
 from keymint.output.report import Report
-from keymint.plan.enclaves import INSTALLED
 from keymint.plan.issuance import issuance_of, plan_issuance
 from keymint.plan.register import with_enclaves
 from keymint.plan.renewal import (
@@ -170,7 +169,7 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
     done = frozenset(names)
     taken = [each for each in due.enclaves if each.name in done]
     rows = [_Renewed(each, _end(after, each.name), bool(issuance_of(session, each.name).public_key)) for each in taken]
-    changed = frozenset(_installed(plan))
+    changed = frozenset(updated(plan))
     if due.following is not None and due.following.name in changed:  # it was named, and its dates are others now
         due = replace(due, following=None)
     return _Renewal(
@@ -221,14 +220,6 @@ def _issued_again(run: Run, session: Session, due: Schedule, names: Sequence[str
     return plan
 
 
-def _installed(plan: Plan) -> Sequence[str]:
-    """Return the packages whose enclave a plan changes."""
-    return [
-        step.package for step in plan.steps
-        if step.stage == INSTALLED and step.package and step.action in {Action.UPDATED, Action.CREATED}
-    ]  # fmt: skip
-
-
 def _end(session: Session, name: str) -> datetime | None:
     terms = enclave_terms(session, name)
     return terms.end() if terms else None
@@ -272,10 +263,10 @@ def _lines(run: Run, renewal: _Renewal) -> Sequence[str]:
         f"waits for a signature: the revocation list of {each.name}: {_why(each)}" for each in renewal.waiting_lists
     ]
     own = {each.due.name for each in renewal.renewed}
-    updated = _installed(renewal.plan)
-    if ready := [name for name in updated if name in own]:
+    changed = updated(renewal.plan)
+    if ready := [name for name in changed if name in own]:
         lines.append(f"deploy and restart before the old documents end: {listed(ready)}")
-    if others := [name for name in updated if name not in own]:
+    if others := [name for name in changed if name not in own]:
         lines.append(f"deploy the new revocation list and restart before the old one ends: {listed(others)}")
     if elsewhere := [each.due.name for each in renewal.renewed if each.elsewhere]:
         lines.append(f"the key is not here: 'keymint bundle' carries the new documents to {listed(elsewhere)}")

@@ -10,9 +10,9 @@ import click
 
 from comarmor.errors import Severity
 from comarmor.text import counted
-from keymint.changes import Action, Plan, Step
+from keymint.changes import Plan
 from keymint.commands.options import complete_package, prove_option
-from keymint.commands.reissue import reissued
+from keymint.commands.reissue import reissued, updated
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
@@ -59,8 +59,8 @@ def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report
 
     report = run.carry_out(workspace, make_plan)
     ((revoking, plan),) = done
-    peers = _updated(plan.steps, chosen)
-    names_again = [name for name in _updated(plan.steps, ()) if name in chosen]
+    peers = [name for name in updated(plan) if name not in chosen]
+    names_again = [name for name in updated(plan) if name in chosen]
     say = run.console.line
     for each in revoking.certificates:
         word = "would revoke" if run.dry_run else "revoked  "
@@ -90,15 +90,6 @@ def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report
         "issued_again": [subject_of(name) for name in names_again],
     }
     return replace(report, result=result)
-
-
-def _updated(steps: tuple[Step, ...], omitted: tuple[str, ...]) -> list[str]:
-    changing = (Action.UPDATED, Action.CREATED)
-    return [
-        step.package
-        for step in steps
-        if step.stage == INSTALLED and step.package and step.action in changing and step.package not in omitted
-    ]
 
 
 def document(each: IssuedCertificate) -> dict[str, Any]:

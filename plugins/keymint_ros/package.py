@@ -57,7 +57,6 @@ if TYPE_CHECKING:
 
     from keymint.api import DomainRange, Validity
 
-_T = TypeVar("_T")
 _Issued = TypeVar("_Issued", CertificateSpec, Grant)
 
 
