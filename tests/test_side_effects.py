@@ -24,12 +24,12 @@ WRITERS = {
     )
 }  # fmt: skip
 """The lock's time of change is the clock of the file system."""
-TEMPORARY = {"keymint/git.py", "keymint/verify/copies.py"}
-"""Extract trees of a revision, or copy enclaves for transports, into a temporary folder that they remove."""
+TEMPORARY = {"keymint/command_process.py", "keymint/git.py", "keymint/verify/copies.py"}
+"""Keep what a program says, trees of a revision, or enclaves for transports in temporary files that they remove."""
 VENDORS = "plugins/keymint_ros2_dds/vendors/"
 """The only folder that builds and runs foreign programs; it writes to the cache only."""
-STARTERS = {"keymint/process.py", "keymint/git.py", "keymint/commands/completion.py"}
-"""Run git, or the shell that the completion script is for."""
+STARTERS = {"keymint/command_process.py", "keymint/process.py", "keymint/git.py", "keymint/commands/completion.py"}
+"""Run probes of the vendors, git, or the shell that the completion script is for."""
 READERS = ("keymint/check/", "keymint/plan/", "keymint/verify/", "keymint/status.py")
 
 POLICY = "ws/profile/comarmor.d"

@@ -9,8 +9,10 @@ import stat
 from typing import TYPE_CHECKING
 
 import pytest
-from keymint_ros2_dds.vendors import participants, probe_builds
+from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.participants import FastDDS, ProbeError, System
+
+from keymint import command_process
 
 from .conftest import missing
 
@@ -75,7 +77,7 @@ def test_no_process_outlives_its_system(impostor: FastDDS, tmp_path: Path) -> No
 
 
 def test_a_probe_that_hangs_is_an_error(impostor: FastDDS, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(participants, "GRACE_SECONDS", 0.1)
+    monkeypatch.setattr(command_process, "GRACE_SECONDS", 0.1)
     with System(impostor) as system:
         participant = system.open(tmp_path)
         with pytest.raises(ProbeError, match="did not answer"):

@@ -7,9 +7,11 @@ import os
 from pathlib import Path
 
 import pytest
-from keymint_ros2_zenoh.vendors import zenoh_library, zenoh_processes
+from keymint_ros2_zenoh.vendors import zenoh_library
 from keymint_ros2_zenoh.vendors.zenoh_library import MissingZenohError
 from keymint_ros2_zenoh.vendors.zenoh_processes import ProcessFailedError, ZenohError, ZenohSystem
+
+from keymint import command_process
 
 from .conftest import missing
 
@@ -54,7 +56,7 @@ def test_a_process_that_hangs_is_an_error(zenoh_system: ZenohSystem, monkeypatch
 
     process = zenoh_system.start()
     process._process.send_signal(signal.SIGSTOP)
-    monkeypatch.setattr(zenoh_processes, "GRACE_SECONDS", 0.1)
+    monkeypatch.setattr(command_process, "GRACE_SECONDS", 0.1)
     with pytest.raises(ProcessFailedError, match="did not answer the command 'zid' in time"):
         process.ask("zid", session="none")
 

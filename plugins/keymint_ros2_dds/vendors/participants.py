@@ -20,26 +20,18 @@ tabs, and each line is answered by one line:
 
 from __future__ import annotations
 
-import os
-import select
-import subprocess
-import tempfile
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import field
 from pathlib import Path
-from typing import IO, Self, cast
+from typing import Self
 
 from comarmor.values import dataclass
+from keymint.command_process import GRACE_SECONDS, CommandProcess
 from keymint_ros2_dds.enclave_layout import CRL
 from keymint_ros2_dds.vendors import cyclone_access_control
 from keymint_ros2_dds.vendors.ports import FIRST_PARTICIPANT, Ports
-
-GRACE_SECONDS = 30.0
-"""How long an answer may take beyond the time of its command before the probe counts as hung."""
-
 
 _AT_ONCE = 32
 """Commands that are sent before their answers are read; they fit into a pipe."""
@@ -238,20 +230,11 @@ class ProbeEndpoint:
         return text if answer == "SAMPLE" else None
 
 
-class _ProbeProcess:
-    """A probe's process; :meth:`reap` always ends it."""
+class _ProbeProcess(CommandProcess):
+    """A probe's process."""
 
     def __init__(self, program: Path, environment: Mapping[str, str]) -> None:
-        self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
-        self._process = subprocess.Popen(  # noqa: S603 - no shell, and no word of it from outside
-            [program],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._errors,
-            env=dict(environment),
-        )
-        self._input, self._output = cast("IO[bytes]", self._process.stdin), cast("IO[bytes]", self._process.stdout)
-        self._pending = b""
+        super().__init__([str(program)], environment, "the probe", ProbeError)
 
     def ask(self, *words: str, seconds: float = 0.0) -> tuple[str, str]:
         """Send a command; return the first word of its answer, and the rest."""
@@ -262,35 +245,12 @@ class _ProbeProcess:
         """Send commands, several at a time; yield the first word of each answer, and the rest."""
         for begin in range(0, len(commands), _AT_ONCE):
             lines = list(map(_line_of, commands[begin : begin + _AT_ONCE]))
-            try:
-                self._input.write("".join(f"{line}\n" for line in lines).encode())
-                self._input.flush()
-            except BrokenPipeError:
-                raise self._died(lines[0]) from None
+            self._send(lines[0], "".join(f"{line}\n" for line in lines).encode())
             for line in lines:
-                answer, _, rest = self._line(line, time.monotonic() + seconds + GRACE_SECONDS).partition(" ")
+                answer, _, rest = self._line(line, seconds).decode(errors="replace").partition(" ")
                 if answer == "ERROR":
                     raise ProbeError(f"{line!r} was answered with {rest!r}")
                 yield answer, rest
-
-    def _line(self, command: str, deadline: float) -> str:
-        while b"\n" not in self._pending:
-            left = deadline - time.monotonic()
-            if left <= 0 or not select.select([self._output], [], [], left)[0]:
-                self.reap()
-                raise ProbeError(f"the probe did not answer {command!r} in time")
-            chunk = os.read(self._output.fileno(), 65536)
-            if not chunk:
-                raise self._died(command)
-            self._pending += chunk
-        line, self._pending = self._pending.split(b"\n", 1)
-        return line.decode(errors="replace")
-
-    def _died(self, command: str) -> ProbeError:
-        code = self._process.wait(timeout=GRACE_SECONDS)
-        self._errors.seek(0)
-        said = self._errors.read().decode(errors="replace").strip()
-        return ProbeError(f"the probe died at {command!r} with exit code {code}: {said}")
 
     def close(self) -> None:
         """Ask the process to end, and wait for it."""
@@ -299,16 +259,6 @@ class _ProbeProcess:
         if answer != "CLOSED" or code:
             raise ProbeError(f"the probe ended with {answer} and exit code {code}")
         self.reap()
-
-    def reap(self) -> None:
-        """Kill the process and close its streams; may be called again."""
-        self._process.kill()
-        self._process.wait()
-        for stream in (self._input, self._output, self._errors):
-            try:
-                stream.close()
-            except BrokenPipeError:
-                continue
 
 
 def _line_of(words: Sequence[str]) -> str:

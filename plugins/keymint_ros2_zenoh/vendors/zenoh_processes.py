@@ -4,22 +4,17 @@
 from __future__ import annotations
 
 import json
-import os
-import select
-import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import IO, Any, Self, cast
+from typing import Any, Self
 
+from keymint.command_process import GRACE_SECONDS, CommandProcess
 from keymint_ros2_zenoh.vendors import access_log
 from keymint_ros2_zenoh.vendors.access_log import LoggedDecision
-
-GRACE_SECONDS = 30.0
-"""How long an answer may take beyond the time of its command before the process counts as hung."""
 
 _PROGRAM = Path(__file__).with_name("session_program.py")
 _INHERITED = ("PATH", "LD_LIBRARY_PATH", "PYTHONPATH")
@@ -72,22 +67,14 @@ class ZenohSystem:
         return path
 
 
-class ZenohProcess:
-    """A process with any number of sessions; :meth:`reap` always ends it."""
+class ZenohProcess(CommandProcess):
+    """A process with any number of sessions."""
 
     def __init__(self, log: Path, environment: Mapping[str, str]) -> None:
         self._log = log
         self._log_offset = 0
-        self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
-        self._process = subprocess.Popen(  # noqa: S603 - no shell, and no word of it from outside
-            [sys.executable, "-P", str(_PROGRAM), str(log)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._errors,
-            env=dict(environment),
-        )
-        self._input, self._output = cast("IO[bytes]", self._process.stdin), cast("IO[bytes]", self._process.stdout)
-        self._pending = b""
+        words = [sys.executable, "-P", str(_PROGRAM), str(log)]
+        super().__init__(words, environment, "the process", ProcessFailedError)
 
     def ask(self, command: str, *, wait: float = 0.0, **members: object) -> Any:
         """Send a command and return its result.
@@ -102,13 +89,8 @@ class ZenohProcess:
             ProcessFailedError: the process hangs or has died.
         """
         seconds = {"seconds": wait} if wait else {}
-        line = json.dumps({"do": command, **members, **seconds}).encode() + b"\n"
-        try:
-            self._input.write(line)
-            self._input.flush()
-        except BrokenPipeError:
-            raise self._died(command) from None
-        answer = json.loads(self._line(command, time.monotonic() + wait + GRACE_SECONDS))
+        self._send(command, json.dumps({"do": command, **members, **seconds}).encode() + b"\n")
+        answer = json.loads(self._line(command, wait))
         if "error" in answer:
             raise ZenohError(answer["error"])
         return answer["result"]
@@ -161,32 +143,3 @@ class ZenohProcess:
             time.sleep(0.002)
             found += [each for each in self.decisions() if each.zid == zid]
         return access_log.combined(each for each in found if each.key != fence)
-
-    def reap(self) -> None:
-        """Kill the process and close its streams; may be called again."""
-        self._process.kill()
-        self._process.wait()
-        for stream in (self._input, self._output, self._errors):
-            try:
-                stream.close()
-            except BrokenPipeError:
-                continue
-
-    def _line(self, command: str, deadline: float) -> bytes:
-        while b"\n" not in self._pending:
-            left = deadline - time.monotonic()
-            if left <= 0 or not select.select([self._output], [], [], left)[0]:
-                self.reap()
-                raise ProcessFailedError(f"Zenoh did not answer the command {command!r} in time")
-            chunk = os.read(self._output.fileno(), 1 << 20)
-            if not chunk:
-                raise self._died(command)
-            self._pending += chunk
-        line, self._pending = self._pending.split(b"\n", 1)
-        return line
-
-    def _died(self, command: str) -> ProcessFailedError:
-        code = self._process.wait(timeout=GRACE_SECONDS)
-        self._errors.seek(0)
-        said = self._errors.read().decode(errors="replace").strip()
-        return ProcessFailedError(f"the process died at {command!r} with exit code {code}: {said}")
