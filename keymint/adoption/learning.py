@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import field, replace
 
 from comarmor.errors import Diagnostic, Origin, Severity
@@ -105,7 +105,9 @@ def learned_from(plugins: Plugins, files: KeystoreFiles, found: FoundKeystore, l
     policy = writer.policy_of([each.rules for each in granted], learning.name, _NOTE)
     if unproven := list(_unproven(reader, granted, policy.subjects, learning)):
         raise KeymintError.of(unproven)
-    diagnostics = (*_warnings(found), *_left_out(granted))
+    defects = (each for each in found.diagnostics if each.severity is Severity.ERROR)
+    warnings = (replace(each, severity=Severity.WARNING) for each in defects)
+    diagnostics = (*warnings, *(diagnostic for each in granted for diagnostic in each.diagnostics))
     return LearnedKeystore(policy.document, tuple(granted), policy.subjects, diagnostics)
 
 
@@ -141,15 +143,3 @@ def _example(example: Counterexample | None) -> str:
         return "unknown"
     permits = "permits" if example.document.allowed else "does not permit"
     return f"it {permits} to {example.endpoint.action} {example.endpoint.name!r}"
-
-
-def _warnings(found: FoundKeystore) -> Iterator[Diagnostic]:
-    """Yield what is wrong with the keystore: it does not concern what its documents mean."""
-    for each in found.diagnostics:
-        if each.severity is Severity.ERROR:
-            yield replace(each, severity=Severity.WARNING)
-
-
-def _left_out(granted: Iterable[GrantedRules]) -> Iterator[Diagnostic]:
-    for each in granted:
-        yield from each.diagnostics

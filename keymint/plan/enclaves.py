@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import stat
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from keymint.changes import file_mode
 from keymint.errors import KeymintError
 from keymint.names import ROOT, subject_of
 from keymint.pki import certificates
@@ -187,3 +189,9 @@ def _certificates(pem: bytes) -> Iterator[x509.Certificate]:
             yield certificate
     except KeymintError:
         return
+
+
+def has_mode(inputs: Inputs, path: Path | str, *, secret: bool) -> bool:
+    """Tell whether an installed file has its mode, or does not exist."""
+    status = inputs.tree.status(path)
+    return status is None or stat.S_IMODE(status.st_mode) & 0o777 == file_mode(secret=secret)

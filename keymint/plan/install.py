@@ -10,7 +10,7 @@ from dataclasses import replace
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.values import dataclass
 from keymint.api import Artifact, Package, Succession
-from keymint.changes import Action, File, FolderChange, Plan, Step, file_mode
+from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
 from keymint.names import ROOT, subject_of
 from keymint.pki import certificates, keys
@@ -22,6 +22,7 @@ from keymint.plan.enclaves import (
     INSTALLED,
     enclave_files,
     files_in,
+    has_mode,
     installed,
     orphans,
     require_sources,
@@ -190,7 +191,7 @@ def _plan_enclave(
     different = {
         file: item
         for file, item in files.items()
-        if existing.get(file) != item.content or not _has_mode(session, f"{folder}/{file}", secret=item.secret)
+        if existing.get(file) != item.content or not has_mode(session, f"{folder}/{file}", secret=item.secret)
     }
     # The certificate comes last: a node that starts in between fails, and admits nobody.
     ordered = dict(sorted(different.items(), key=lambda item: item[0] == CERTIFICATE))
@@ -316,7 +317,7 @@ def _has_outputs(session: Session, name: str, stamp: Stamp, inputs: str | None) 
     try:
         return stamp.inputs == inputs and all(
             session.tree.digest(f"{folder}/{file}") == value
-            and _has_mode(session, f"{folder}/{file}", secret=file in stamp.secret)
+            and has_mode(session, f"{folder}/{file}", secret=file in stamp.secret)
             for file, value in stamp.outputs.items()
         )
     except KeymintError:
@@ -339,12 +340,6 @@ def inputs_of(session: Session, name: str, chains: Mapping[str, bytes]) -> str |
     revoked = revocation.lists(session)
     more = (digest_files(revoked),) if revoked else ()
     return digest(inputs_digest(session, name), key, digest_files(chains), session.profile.layout, *built, *more)
-
-
-def _has_mode(inputs: Inputs, path: str, *, secret: bool) -> bool:
-    """Tell whether a file on the disk has the mode that it should have; planned files will have it."""
-    status = inputs.tree.status(path)
-    return status is None or stat.S_IMODE(status.st_mode) & 0o777 == file_mode(secret=secret)
 
 
 @dataclass(frozen=True, slots=True)

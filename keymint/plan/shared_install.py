@@ -7,17 +7,16 @@ a removed subject end before anything else changes.
 
 from __future__ import annotations
 
-import stat
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import cast
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import AuthorityRole, BuildOptions, BuildType, Package, SharedCredentials, SharedDocuments
-from keymint.changes import Action, File, Step, file_mode
+from keymint.changes import Action, File, Step
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.plan.authorities import MintedAuthority
-from keymint.plan.enclaves import INSTALLED
+from keymint.plan.enclaves import INSTALLED, has_mode
 from keymint.plan.shared_documents import (
     FOLDER,
     STAGE,
@@ -108,7 +107,7 @@ def is_installed(session: Session, build_type: str, names: Sequence[str], chains
         and all(
             (content := session.tree.try_read(install / path)) is not None
             and digest(content) == value
-            and _has_mode(session, path, secret=path in stamp.secret)
+            and has_mode(session, install / path, secret=path in stamp.secret)
             for path, value in stamp.outputs.items()
         )
     )
@@ -211,12 +210,12 @@ def _plan_documents(
     if foreign := [path for path in artifacts if not belongs(path, documents)]:
         raise ValueError(f"{name} installs {foreign[0]!r}, which belongs to none of its shared documents")
     stamp = session.state.stamp(INSTALLED, record_key(name))
+    install = session.workspace.install
     different = {
         path: File(artifact.content, secret=artifact.secret)
         for path, artifact in artifacts.items()
-        if existing.get(path) != artifact.content or not _has_mode(session, path, secret=artifact.secret)
+        if existing.get(path) != artifact.content or not has_mode(session, install / path, secret=artifact.secret)
     }
-    install = session.workspace.install
     obsolete = set(stamp.outputs if stamp else ()) - set(artifacts)
     changes = (*removals(session, install, obsolete), *written(install, different))
     action = Action.UPDATED if existing else Action.CREATED
@@ -270,9 +269,3 @@ def _inputs_digest(
     session: Session, names: Sequence[str], documents: Mapping[str, bytes], chains: Mapping[str, bytes]
 ) -> str:
     return digest(sources_digest(session, names), digest_files(documents), digest_files(chains))
-
-
-def _has_mode(session: Session, path: str, *, secret: bool) -> bool:
-    """Tell whether a file on the disk has the mode that it should have; planned files will have it."""
-    status = session.tree.status(session.workspace.install / path)
-    return status is None or stat.S_IMODE(status.st_mode) & 0o777 == file_mode(secret=secret)
