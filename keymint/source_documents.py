@@ -10,7 +10,7 @@ Reading does not know the document's name; :class:`Reader` inserts it into the m
 from __future__ import annotations
 
 import posixpath
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Generic, TypeVar
@@ -101,6 +101,24 @@ def place(element: etree._Element) -> Origin:
 def text(element: etree._Element | None) -> str | None:
     """Return the text of an element without surrounding white space, or None if there is no element."""
     return None if element is None else (element.text or "").strip()
+
+
+def require_new(name: str, known: Container[str], element: etree._Element, message: str, help_: str, code: str) -> None:
+    """Check that no element before this one has the same name.
+
+    Args:
+        name: what the element defines.
+        known: what the elements before it defined.
+        element: the element.
+        message: text of the error.
+        help_: what to do about it.
+        code: code of the error.
+
+    Raises:
+        KeymintError: the name is known already.
+    """
+    if name in known:
+        raise KeymintError(message, where=place(element), help=help_, code=code)
 
 
 def domains(element: etree._Element | None) -> tuple[DomainRange, ...]:

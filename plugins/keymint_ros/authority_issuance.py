@@ -15,7 +15,7 @@ from comarmor.errors import Origin
 from comarmor.text import did_you_mean
 from keymint.api import AuthorityIssuance, CertificateSpec, Phase, Rollover
 from keymint.errors import KeymintError
-from keymint.source_documents import Reader, place, text
+from keymint.source_documents import Reader, place, require_new, text
 from keymint_ros import validity
 
 if TYPE_CHECKING:
@@ -34,13 +34,8 @@ def _issuance(root: etree._Element) -> Mapping[str, tuple[AuthorityIssuance, int
     found: dict[str, tuple[AuthorityIssuance, int]] = {}
     for element in root.iterfind("authority"):
         name = element.get("name", "").strip()
-        if name in found:
-            raise KeymintError(
-                f"there are two elements for the authority {name!r}",
-                where=place(element),
-                help="remove one of them",
-                code="authority-doubled",
-            )
+        message = f"there are two elements for the authority {name!r}"
+        require_new(name, found, element, message, "remove one of them", "authority-doubled")
         renewed, rollover = element.find("renewed"), element.find("rollover")
         issuance = AuthorityIssuance(
             renewed=None if renewed is None else validity.date(renewed),

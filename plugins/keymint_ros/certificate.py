@@ -12,7 +12,7 @@ from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint.api import CertificateSpec, Extension, KeySpec, Validity
 from keymint.errors import KeymintError
-from keymint.source_documents import incomplete, place, text
+from keymint.source_documents import incomplete, place, require_new, text
 from keymint_ros import placeholders, validity
 
 if TYPE_CHECKING:
@@ -153,13 +153,11 @@ def _extensions(element: etree._Element) -> tuple[Extension, ...]:
     for item in element:
         of_2018 = item.tag == _BASIC_CONSTRAINTS
         name = "basicConstraints" if of_2018 else item.get("name", "").strip()
-        if name in extensions:
-            raise KeymintError(
-                f"the extension {name} is given twice",
-                where=place(item),
-                help="write its values into one element, separated by commas",
-                code="extension-doubled",
-            )
+        message, help_ = (
+            f"the extension {name} is given twice",
+            "write its values into one element, separated by commas",
+        )
+        require_new(name, extensions, item, message, help_, "extension-doubled")
         value = _basic_constraints(item) if of_2018 else text(item) or ""
         extensions[name] = Extension(name, value, item.get("critical", "false").strip() in _TRUE, place(item))
     return tuple(extensions.values())

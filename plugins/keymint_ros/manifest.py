@@ -10,7 +10,7 @@ from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint.api import Role
 from keymint.errors import KeymintError
-from keymint.source_documents import Reader, place, text
+from keymint.source_documents import Reader, place, require_new, text
 
 if TYPE_CHECKING:
     from lxml import etree
@@ -92,13 +92,8 @@ def build_types(elements: Iterable[etree._Element]) -> tuple[str, ...]:
     names: list[str] = []
     for element in elements:
         name = text(element) or ""
-        if name in names:
-            raise KeymintError(
-                f"the build type {name!r} is given twice",
-                where=place(element),
-                help="remove one of the elements",
-                code="build-type-doubled",
-            )
+        message = f"the build type {name!r} is given twice"
+        require_new(name, names, element, message, "remove one of the elements", "build-type-doubled")
         names.append(name)
     return tuple(names)
 
@@ -110,13 +105,8 @@ def _parts(root: etree._Element) -> Mapping[str, PackagePart]:
         parts["governance"] = _group(root, "governances", "governance", "governance.xml")
     for element in root.iterfind("parts/part"):
         name = element.get("name", "")
-        if name in parts:
-            raise KeymintError(
-                f"the part {name!r} is given twice",
-                where=place(element),
-                help="remove one of the elements",
-                code="part-doubled",
-            )
+        message = f"the part {name!r} is given twice"
+        require_new(name, parts, element, message, "remove one of the elements", "part-doubled")
         parts[name] = _part(element, element.find("path"), element.find("defaults_path"), f"{name}.xml")
     return parts
 

@@ -11,8 +11,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from keymint.api import AcceptedPackage
-from keymint.errors import KeymintError
-from keymint.source_documents import Reader, place
+from keymint.source_documents import Reader, require_new
 
 if TYPE_CHECKING:
     from lxml import etree
@@ -43,13 +42,8 @@ def _packages(root: etree._Element) -> Mapping[str, AcceptedPackage]:
 
 
 def _require_new(name: str, known: Container[str], element: etree._Element, shown: str) -> None:
-    if name in known:
-        raise KeymintError(
-            f"there are two elements for {shown}",
-            where=place(element),
-            help="remove one of them, or accept the package again",
-            code="package-doubled",
-        )
+    message, help_ = f"there are two elements for {shown}", "remove one of them, or accept the package again"
+    require_new(name, known, element, message, help_, "package-doubled")
 
 
 _read = Reader("keymint_ros", "packages_lock", _packages)
