@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from typing import Any, NoReturn, Self
+from typing import Any, Generic, NoReturn, Self, TypeVar
 
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa, utils
@@ -17,6 +17,7 @@ from comarmor.errors import Origin
 from keymint.errors import KeymintError
 from keymint.pki import keys
 
+_Public = TypeVar("_Public", ec.EllipticCurvePublicKey, rsa.RSAPublicKey)
 Sign = Callable[[bytes, str], bytes]
 """Signs with a token: takes what it signs and a mechanism of PKCS #11, e.g. ``ECDSA``, and returns the signature."""
 _RSA_MECHANISMS = {"sha256": "SHA256_RSA_PKCS", "sha384": "SHA384_RSA_PKCS", "sha512": "SHA512_RSA_PKCS"}
@@ -24,8 +25,28 @@ MISMATCH = "token-key-mismatch"
 """Code of the error on a token that has another key than the certificate."""
 
 
-class _TokenKey:
-    """What the keys of both algorithms have in common."""
+class _TokenKey(Generic[_Public]):
+    """What the keys of both algorithms have in common.
+
+    Args:
+        public: its public key, with which each signature is verified.
+        sign: signs with the token.
+        where: the place that names the key, for messages.
+    """
+
+    def __init__(self, public: _Public, sign: Sign, where: Origin | None = None) -> None:
+        self._public: _Public = public
+        self._sign = sign
+        self._where = where
+
+    @property
+    def key_size(self) -> int:
+        """The bits of its curve or modulus."""
+        return self._public.key_size
+
+    def public_key(self) -> _Public:
+        """Return its public key."""
+        return self._public
 
     def __copy__(self) -> Self:
         return self
@@ -45,33 +66,13 @@ class _TokenKey:
         _refuse()
 
 
-class TokenEcKey(_TokenKey, ec.EllipticCurvePrivateKey):
-    """A private EC key in a token.
-
-    Args:
-        public: its public key, with which each signature is verified.
-        sign: signs with the token.
-        where: the place that names the key, for messages.
-    """
-
-    def __init__(self, public: ec.EllipticCurvePublicKey, sign: Sign, where: Origin | None = None) -> None:
-        self._public = public
-        self._sign = sign
-        self._where = where
+class TokenEcKey(_TokenKey[ec.EllipticCurvePublicKey], ec.EllipticCurvePrivateKey):
+    """A private EC key in a token."""
 
     @property
     def curve(self) -> ec.EllipticCurve:
         """Its curve."""
         return self._public.curve
-
-    @property
-    def key_size(self) -> int:
-        """The bits of its curve."""
-        return self._public.key_size
-
-    def public_key(self) -> ec.EllipticCurvePublicKey:
-        """Return its public key."""
-        return self._public
 
     def sign(self, data: Any, signature_algorithm: ec.EllipticCurveSignatureAlgorithm) -> bytes:
         """Return the ECDSA signature of data in DER (RFC 3279, 2.2.3).
@@ -96,22 +97,8 @@ class TokenEcKey(_TokenKey, ec.EllipticCurvePrivateKey):
         _refuse()
 
 
-class TokenRsaKey(_TokenKey, rsa.RSAPrivateKey):
-    """A private RSA key in a token; arguments as for :class:`TokenEcKey`."""
-
-    def __init__(self, public: rsa.RSAPublicKey, sign: Sign, where: Origin | None = None) -> None:
-        self._public = public
-        self._sign = sign
-        self._where = where
-
-    @property
-    def key_size(self) -> int:
-        """The bits of its modulus."""
-        return self._public.key_size
-
-    def public_key(self) -> rsa.RSAPublicKey:
-        """Return its public key."""
-        return self._public
+class TokenRsaKey(_TokenKey[rsa.RSAPublicKey], rsa.RSAPrivateKey):
+    """A private RSA key in a token."""
 
     def sign(self, data: Any, padding: padding.AsymmetricPadding, algorithm: Any) -> bytes:
         """Return the RSASSA-PKCS1-v1_5 signature of data (RFC 8017, 8.2); errors as :meth:`TokenEcKey.sign`."""
@@ -131,7 +118,7 @@ class TokenRsaKey(_TokenKey, rsa.RSAPrivateKey):
 
 
 def token_key(public: keys.PublicKey, sign: Sign, where: Origin | None = None) -> keys.PrivateKey:
-    """Return the private key in a token of a public key; arguments as for :class:`TokenEcKey`."""
+    """Return the private key in a token of a public key; arguments as for a key of either algorithm."""
     if isinstance(public, ec.EllipticCurvePublicKey):
         return TokenEcKey(public, sign, where)
     return TokenRsaKey(public, sign, where)
