@@ -123,7 +123,7 @@ def _second_keystore(run: Run, session: Session) -> tuple[Session, Mapping[str, 
             code="rollover-none",
         )
     require_staged(run, session, replaced[0])
-    return session_ahead(session, replaced[0])
+    return session_ahead(session, replaced[0])[:2]
 
 
 def _chosen(session: Session, given: tuple[str, ...]) -> tuple[str, ...]:

@@ -43,7 +43,7 @@ def staged_keystore(run: Run, session: Session, name: str, names: Sequence[str])
     Raises:
         KeymintError: an enclave cannot be built, signed or proven; with all defects.
     """
-    ahead, authorities, listed = _ahead(session, name)
+    ahead, authorities, listed = session_ahead(session, name)
     known = set(session.packages())  # what was revoked since is withdrawn from it as well
     names = tuple(dict.fromkeys((*names, *(each for each in installed(ahead) if each in known))))
     build = BuildStage(ahead, BuildOptions(), force=False, renew=False)
@@ -62,8 +62,10 @@ def staged_keystore(run: Run, session: Session, name: str, names: Sequence[str])
     return replace(done, steps=tuple(steps), state=session.state, first=(*listed.first, *done.first))
 
 
-def session_ahead(session: Session, name: str) -> tuple[Session, Mapping[str, MintedAuthority]]:
+def session_ahead(session: Session, name: str) -> tuple[Session, Mapping[str, MintedAuthority], Plan]:
     """Return the session and the authorities as they will be, with the second keystore as the one in force.
+
+    The third value is the plan of the revocation lists in it.
 
     Args:
         session: the workspace in the phase ``stage`` of an authority's replacement, and its profile.
@@ -72,12 +74,6 @@ def session_ahead(session: Session, name: str) -> tuple[Session, Mapping[str, Mi
     Raises:
         KeymintError: an authority cannot be used; as :func:`keymint.plan.authorities.plan_authorities`.
     """
-    ahead, authorities, _ = _ahead(session, name)
-    return ahead, authorities
-
-
-def _ahead(session: Session, name: str) -> tuple[Session, Mapping[str, MintedAuthority], Plan]:
-    """Return what :func:`session_ahead` does, and the plan of the revocation lists in it."""
     ahead = session.after(plan_switch(session, name)).session()
     ahead = replace(ahead, workspace=replace(session.workspace, install=session.workspace.next_install))
     own, beside = _lists(session, name)
