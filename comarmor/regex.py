@@ -25,6 +25,9 @@ class _Regex:
     def __init__(self, pattern: Any, flags: int) -> None:
         self._source = (pattern, flags)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _Regex, self._source
+
     def __getattr__(self, name: str) -> Any:
         value = getattr(re.compile(*self._source), name)
         setattr(self, name, value)

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import re
 import subprocess
 import sys
@@ -22,6 +24,15 @@ def test_a_late_regular_expression_does_what_an_early_one_does() -> None:
         assert late.sub("<\\1>", text) == early.sub("<\\1>", text)
     assert (late.pattern, late.flags, dict(late.groupindex)) == (early.pattern, early.flags, {"end": 2})
     assert lazy_regex(b"a").fullmatch(b"a")
+
+
+@pytest.mark.parametrize("used", [True, False])
+def test_it_can_be_copied_and_pickled(used: bool) -> None:
+    late = lazy_regex("a+", re.IGNORECASE)
+    if used:
+        late.match("")
+    for other in (copy.copy(late), copy.deepcopy(late), pickle.loads(pickle.dumps(late))):
+        assert other.fullmatch("aA")
 
 
 def test_a_mistake_is_an_error_at_the_first_use() -> None:
