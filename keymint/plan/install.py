@@ -7,13 +7,15 @@ import stat
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
+from cryptography import x509
+
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.values import dataclass
 from keymint.api import Artifact, Package, Succession
 from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
 from keymint.names import ROOT, subject_of
-from keymint.pki import certificates, keys
+from keymint.pki import certificates, keys, revocation_lists
 from keymint.plan import authority_files, build, identity_keys, key_record, lifetimes, revocation
 from keymint.plan.authorities import MintedAuthority
 from keymint.plan.build_types import build_types_of, inputs_digest
@@ -195,8 +197,8 @@ def _plan_enclave(
     }
     # The certificate comes last: a node that starts in between fails, and admits nobody.
     ordered = dict(sorted(different.items(), key=lambda item: item[0] == CERTIFICATE))
-    # What another build type of the package installed before would still have effect.
-    obsolete = tuple(file for file in sorted(stamp.outputs) if file not in files and file in existing) if stamp else ()
+    issuer = authorities[package.identity.issuer].certificate
+    obsolete = _obsolete(session, package, {each: existing[each] for each in existing.keys() - files.keys()}, issuer)
     changes = (FolderChange(folder, ordered, obsolete, private=True),) if ordered or obsolete else ()
     action = (Action.UPDATED if existing else Action.CREATED) if changes else Action.UNCHANGED
     # Unreadable files that do not belong to the enclave are only reported; the others are replaced.
@@ -224,6 +226,24 @@ def _plan_enclave(
         outdated=is_recorded and not build.is_current(session, name),
         issued=issued,
     )
+
+
+def _obsolete(
+    session: Session, package: Package, left: Mapping[str, bytes], issuer: x509.Certificate
+) -> tuple[str, ...]:
+    """Return those files of an enclave that were installed and are not any more: they would still have effect.
+
+    Raises:
+        KeymintError: one is a revocation list, and what it revokes would be accepted again.
+    """
+    stamp = session.state.stamp(STAGE, package.name)
+    obsolete = tuple(file for file in sorted(stamp.outputs) if file in left) if stamp else ()
+    for file in obsolete:
+        if not revocation_lists.problem(left[file], issuer):
+            where = Origin(session.workspace.shown(session.enclave(package.name) / file))
+            in_force = revocation.lists(session).get(package.identity.issuer)
+            revocation.require_nothing_lost(left[file], in_force, where)
+    return obsolete
 
 
 def _outliving(

@@ -15,6 +15,7 @@ from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.pki import certificates, keys, revocation_lists
 from keymint.plan import authority_files
+from keymint.plan.build_types import revocation_files
 from keymint.plan.enclaves import installed, installed_certificate
 from keymint.plan.issuance import issuance_of
 from keymint.register import database
@@ -144,7 +145,7 @@ def _restored(session: Session, *, lossy: bool) -> Register:
     lost = [name for name, generation in generations.items() if generation]
     for file, name, authority in authority_files.issuers(session):
         path = session.workspace.revocation_list(file)
-        content = session.tree.read(path)
+        content = session.tree.read(path) or (_installed_list(session, authority) if lossy else None)
         if content is None:
             continue
         found = revocation_lists.load(content, Origin(session.workspace.shown(path)))
@@ -167,6 +168,19 @@ def _restored(session: Session, *, lossy: bool) -> Register:
             code="register-lost",
         )
     return register
+
+
+def _installed_list(session: Session, authority: x509.Certificate) -> bytes | None:
+    """Return the revocation list of an authority that enclaves have, which is the last one that they got, or None."""
+    profile, found = session.profile, dict[int, bytes]()
+    build_types = [session.plugins.build_type(each, session.profile_marker()) for each in profile.build_types]
+    files = dict(revocation_files(build_types, profile.distro, profile.layout, b"list"))
+    for name in installed(session):
+        for file in files:
+            content = session.tree.try_read(f"{session.enclave_folder(name)}/{file}") or b""
+            if not revocation_lists.problem(content, authority):
+                found[revocation_lists.load(content, Origin(file)).number] = content
+    return found[max(found)] if found else None
 
 
 def _found(session: Session, names: Collection[str]) -> Iterator[IssuedCertificate]:

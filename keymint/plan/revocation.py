@@ -165,12 +165,12 @@ def _require_known(session: Session, name: str, present: RevocationList, revoked
         )
 
 
-def require_nothing_lost(before: bytes | None, after: bytes, where: Origin) -> None:
+def require_nothing_lost(before: bytes | None, after: bytes | None, where: Origin) -> None:
     """Require that a list which replaces another one in an enclave has all its revocations.
 
     Args:
         before: the list that is there, or None.
-        after: the list that replaces it.
+        after: the list that replaces it; None if there is no list any more.
         where: its file, for messages.
 
     Raises:
@@ -180,13 +180,13 @@ def require_nothing_lost(before: bytes | None, after: bytes, where: Origin) -> N
         found = revocation_lists.load(before or b"", where)
     except KeymintError:
         return  # no node starts with what cannot be read
-    new = revocation_lists.load(after, where)
-    serials = {each.serial for each in new.revocations}
+    new = None if after is None else revocation_lists.load(after, where)
+    serials = {each.serial for each in new.revocations} if new else frozenset[int]()
     lost = [each for each in found.revocations if each.serial not in serials]
-    if lost and found.issuer == new.issuer:
+    if lost and (new is None or found.issuer == new.issuer):
         raise KeymintError(
             f"revokes certificates that the new list does not, e.g. the one with the serial number {lost[0].serial:x}",
             where=where,
-            help="move it away if they may be accepted again",
+            help="restore the register of issued certificates; or move the list away if they may be accepted again",
             code="revocation-list-foreign",
         )

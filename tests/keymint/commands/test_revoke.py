@@ -201,6 +201,23 @@ def test_an_old_register_does_not_take_revocations_back(provisioned: Path, keymi
     assert snapshot(provisioned) == before
 
 
+def test_a_list_in_an_enclave_is_not_removed_because_all_others_are_lost(provisioned: Path, keymint) -> None:
+    register = provisioned / "private/register.sqlite3"
+    old, stolen = register.read_bytes(), certificate(provisioned, "talker").serial_number
+    keymint("revoke", "talker", "--reason", "key-compromise", cwd=provisioned)
+    register.write_bytes(old)
+    (provisioned / "public/identity_ca.crl.pem").unlink()
+    before = snapshot(provisioned)
+    outcome = keymint("install", cwd=provisioned)
+    assert (outcome.code, "revokes certificates that the new list does not" in outcome.err) == (1, True)
+    assert snapshot(provisioned) == before
+    register.unlink()
+    assert keymint("crl", "--rebuild", cwd=provisioned).code == 0
+    found = crl(provisioned / "public/identity_ca.crl.pem")
+    assert [each.serial_number for each in found] == [stolen]
+    assert found.extensions.get_extension_for_class(x509.CRLNumber).value.crl_number == 2
+
+
 def test_an_old_register_does_not_hide_what_is_installed(provisioned: Path, keymint) -> None:
     register = provisioned / "private/register.sqlite3"
     old = register.read_bytes()
