@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import sqlite3
 from datetime import UTC, datetime
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -81,6 +82,16 @@ def test_a_damaged_file(content: bytes) -> None:
         database.load(content, WHERE)
     (found,) = caught.value.diagnostics
     assert (found.code, found.where) in {("register-damaged", WHERE), ("register-version", WHERE)}
+
+
+def test_a_tool_that_looked_into_it_may_leave_its_mode(tmp_path: Path) -> None:
+    path = tmp_path / "register.sqlite3"
+    register = Register({}, {"ca": 7}, {})
+    path.write_bytes(database.dump(register))
+    with contextlib.closing(sqlite3.connect(path)) as opened:
+        assert opened.execute("PRAGMA journal_mode = wal").fetchone() == ("wal",)
+    assert path.read_bytes() != database.dump(register)
+    assert database.load(path.read_bytes(), WHERE) == register
 
 
 def test_a_later_version() -> None:
