@@ -27,7 +27,8 @@ def outside_enclaves(session: Session, known: Collection[str]) -> Iterator[Diagn
     enclaves = {session.enclave_folder(name) for name in names if name != ROOT}
     own = {f"{session.enclave_folder(ROOT)}/{file}" for file in files_in(session, ROOT)} if ROOT in names else ()
     entries = list(session.tree.walk(workspace.install, skipped=""))
-    expected = _copies(session, names, (path for path, is_folder in entries if not is_folder))
+    outside = (path for path, is_folder in entries if not is_folder and path.rpartition("/")[0] not in enclaves)
+    expected = _copies(session, names, outside)
     all_revoked = not names and withdrawn(session)
     own_scripts = environment.scripts(
         session, session.profile.build_types if all_revoked else build_types_in_use(session)
@@ -91,10 +92,15 @@ def _script(session: Session, path: str, expected: bytes) -> Iterator[Diagnostic
         )
 
 
-def _copies(session: Session, names: Collection[str], paths: Iterable[str]) -> Mapping[str, bytes]:
+def _copies(session: Session, names: Iterable[str], outside: Iterable[str]) -> Mapping[str, bytes]:
     """Return the copies of enclaves' files that all installed build types have outside of them, by path.
 
-    If all enclaves were revoked, the copies stay for those that get a new key, and are compared with each other only.
+    If all that have them were revoked, the copies stay for those that get a new key, and are compared with each other.
+
+    Args:
+        session: the workspace and its profile.
+        names: the installed enclaves.
+        outside: paths of the files outside of them.
     """
     expected: dict[str, bytes] = {}
     sources = set(session.packages())
@@ -103,13 +109,13 @@ def _copies(session: Session, names: Collection[str], paths: Iterable[str]) -> M
         for name in names
         if name in sources or sources.isdisjoint(names)  # if all are hidden or orphaned, they still need the copies
     }
-    if not names and withdrawn(session):
-        left = {path.rpartition("/")[2]: Artifact(session.tree.try_read(path) or b"") for path in paths}
-        artifacts = {"": left}
+    left: dict[str, dict[str, Artifact]] = {}
+    if withdrawn(session):
+        left[""] = {path.rpartition("/")[2]: Artifact(session.tree.try_read(path) or b"") for path in outside}
     for info in session.plugins.infos:
-        if info.group == "keymint.build_types" and artifacts:
+        if info.group == "keymint.build_types" and (artifacts or left):
             build_type = session.plugins.build_type(info.name)
             if session.profile.layout in build_type.LAYOUTS:
-                copies = copies_of(session, build_type, artifacts)
+                copies = copies_of(session, build_type, artifacts) or copies_of(session, build_type, left)
                 expected |= {path: artifact.content for path, artifact in copies.items()}
     return expected

@@ -262,6 +262,13 @@ def test_after_all_were_revoked_check_finds_nothing(provisioned: Path, keymint) 
     assert [code for code in codes if code != "identity-revoked"] == ["file-changed", "file-unexpected"]
 
 
+def test_after_all_but_the_router_were_revoked_check_finds_nothing(keymint, policy: Path) -> None:
+    transports = ("--transport", "dds", "--transport", "zenoh")
+    assert keymint("provision", policy, "-w", "ws", *transports).code == 0
+    assert keymint("revoke", *NAMES, "--reason", "retired", "-w", "ws").code == 0
+    assert keymint("check", "-w", "ws").code == 0
+
+
 def test_a_clock_that_was_ahead_leaves_no_list_that_begins_later(provisioned: Path, keymint) -> None:
     ahead = {"SOURCE_DATE_EPOCH": str(NOW + 10 * 86400)}
     assert keymint("revoke", "talker", "--reason", "superseded", cwd=provisioned, env=ahead).code == 0
