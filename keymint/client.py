@@ -71,7 +71,7 @@ class Client:
     """
 
     def __init__(self, workspace: Path | str) -> None:
-        self._folder = Path(workspace)
+        self._folder = Path(workspace).absolute()
         self._policy: tuple[str, LoadedPolicy | None] = ("", None)
         run = self._run("client")
         self._workspace = run.workspace()

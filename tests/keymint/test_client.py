@@ -99,6 +99,15 @@ def test_renewed(fleet: Path, keymint, monkeypatch: pytest.MonkeyPatch) -> None:
     assert (first.folder / "key.pem").read_bytes() != key
 
 
+def test_the_workspace_stays_the_same_in_another_folder(fleet: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(fleet.parent)
+    client = Client(fleet.name)
+    monkeypatch.chdir("/")
+    assert client.provision("/robot1/camera").keystore == fleet / "install"
+    assert [each.subject for each in client.renew("/robot1/camera", rekey=True)] == ["/robot1/camera"]
+    assert client.bundle("/robot1/camera", fleet.parent).parent == fleet.parent
+
+
 def test_bundled(fleet: Path, keymint) -> None:
     client = Client(fleet)
     enclave = client.provision("/robot1/camera")
