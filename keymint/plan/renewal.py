@@ -73,14 +73,19 @@ class EnclaveTerms:
 
 def authority_ends(session: Session) -> Mapping[str, datetime]:
     """Return the end of the certificate of each authority whose certificate is here, UTC, issuers first."""
-    return session.once("authority ends", lambda: dict(_authority_ends(session)))
+    return session.once("authority ends", lambda: {name: end for name, (_, end) in _authority_periods(session).items()})
 
 
-def _authority_ends(session: Session) -> Iterator[tuple[str, datetime]]:
+def _authority_periods(session: Session) -> Mapping[str, tuple[datetime, datetime]]:
+    return session.once("authority periods", lambda: dict(_each_authority_period(session)))
+
+
+def _each_authority_period(session: Session) -> Iterator[tuple[str, tuple[datetime, datetime]]]:
     for authority in in_order(session.profile.authorities):
         content = session.tree.read(session.workspace.authority_certificate(authority.name))
         if content:
-            yield authority.name, certificates.load_first(content).not_valid_after_utc
+            certificate = certificates.load_first(content)
+            yield authority.name, (certificate.not_valid_before_utc, certificate.not_valid_after_utc)
 
 
 def enclave_terms(session: Session, name: str, period: tuple[datetime, datetime] | None = None) -> EnclaveTerms | None:
@@ -131,12 +136,21 @@ def authority_renewals(session: Session, terms: Iterable[EnclaveTerms]) -> Mappi
     due: dict[str, datetime] = {}
     for each in terms:
         for term in each.terms:
-            if term.what != LIST and term.authority in ends and not term.is_cut:
-                moment = ends[term.authority] - (term.last - term.first)
+            if term.what != LIST and term.authority in ends:
+                moment = session.now if term.is_cut else ends[term.authority] - (term.last - term.first)
+                moment = max(moment, _matters_from(session, term, DEFAULT))
                 due[term.authority] = min(due.get(term.authority, moment), moment)
-            elif term.what != LIST and term.authority in ends:
-                due[term.authority] = min(due.get(term.authority, session.now), session.now)
     return due
+
+
+def _matters_from(session: Session, term: Term, threshold: Threshold) -> datetime:
+    """Return from when on it matters that an authority shortens a document.
+
+    One that lasts half as long as the authority's certificate, or longer, ends near it in any case, as in a keystore of
+    ``ros2 security``, where both last ten years. It has time until the document is due itself.
+    """
+    first, last = _authority_periods(session)[term.authority]
+    return threshold.moment(term.first, term.last) if 2 * (term.last - term.first) >= last - first else term.first
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,7 +243,9 @@ def _authorities(session: Session, terms: Sequence[EnclaveTerms], threshold: Thr
         for term in each.terms:
             length = term.last - term.first
             end = ends.get(term.authority)
-            if term.what != LIST and end and (term.is_cut or periods.begin(session.now, length) + length > end):
+            if term.what == LIST or end is None or session.now < _matters_from(session, term, threshold):
+                continue
+            if term.is_cut or periods.begin(session.now, length) + length > end:
                 cut.setdefault(term.authority, {})[each.name] = None
     used = {term.authority for each in terms for term in each.terms}
     for name, end in ends.items():

@@ -7,11 +7,13 @@ import re
 import shutil
 import subprocess
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
 from tests import sros2_keystore
+from tests.conftest import NOW
 
 from .test_adopt import POLICY, made, snapshot
 
@@ -182,6 +184,21 @@ def test_a_policy_that_says_something_else(
     assert not (tmp_path / "ws").exists()
 
 
+def test_an_authority_that_ends_with_all_that_it_issued_is_due_with_it(keymint, tmp_path: Path) -> None:
+    """SROS2 gives both ten years, from 2026 on here: that is no reason for a new authority, a flag day, in 2027."""
+    made(tmp_path / "ks")
+    complete(keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws"))
+    for days, code, found in ((0, 0, []), (1800, 0, []), (2200, 3, ["authority-due"])):
+        clock = {"SOURCE_DATE_EPOCH": str(NOW + days * 86_400)}
+        outcome = keymint("renew", "-w", "ws", "--json", env=clock)
+        assert (outcome.code, outcome.codes()) == (code, found)
+    begin = int(datetime(2026, 1, 1, tzinfo=UTC).timestamp())
+    gauge = 'keymint_authority_renew_after_timestamp_seconds{authority="ca"}'
+    assert (
+        f"{gauge} {begin + 3650 * 86_400 * 66 // 100}" in keymint("status", "--format", "openmetrics", "-w", "ws").out
+    )
+
+
 def test_a_policy_in_comarmor(keymint, tmp_path: Path) -> None:
     made(tmp_path / "ks")
     complete(keymint("import", "policy.xml", "-o", "comarmor.d"))
@@ -260,7 +277,7 @@ def test_a_new_key_replaces_the_certificate_and_the_permissions(keymint, tmp_pat
     made(tmp_path / "ks")
     complete(keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws"))
     before = files(tmp_path / "ws/install")
-    assert keymint("renew", "--rekey", "talker", "-w", "ws").code == 3  # the authority ends before the new certificate
+    complete(keymint("renew", "--rekey", "talker", "-w", "ws"))
     after = files(tmp_path / "ws/install")
     assert {path for path in before if after[path] != before[path]} == {
         "enclaves/talker/cert.pem", "enclaves/talker/key.pem", "enclaves/talker/permissions.p7s",

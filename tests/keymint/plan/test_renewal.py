@@ -44,10 +44,11 @@ def planning(days: float = 0, end: datetime = END, issuer: str = "") -> Any:
         SimpleNamespace(name=name, certificate=SimpleNamespace(issuer=above))
         for name, above in (("root", ""), ("ca", issuer))
     ]
-    ends = {"root": END, "ca": end}
+    periods = {"root": (CLOCK - 3650 * DAY, END), "ca": (CLOCK - 3650 * DAY, end)}
     return SimpleNamespace(
-        now=CLOCK + days * DAY, profile=SimpleNamespace(authorities=authorities), once=lambda _key, _make: ends
-    )
+        now=CLOCK + days * DAY, profile=SimpleNamespace(authorities=authorities),
+        once=lambda key, make: periods if key == "authority periods" else make(),
+    )  # fmt: skip
 
 
 def test_the_document_that_is_due_first_decides() -> None:
