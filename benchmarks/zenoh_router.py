@@ -24,7 +24,7 @@ from fleet import KEYMINT, Spent, policy, spent
 from keymint_ros2_zenoh.documents import json5
 from keymint_ros2_zenoh.messages import Flow, Message
 from keymint_ros2_zenoh.vendors import loopback
-from keymint_ros2_zenoh.vendors.loopback import free_port
+from keymint_ros2_zenoh.vendors.loopback_ports import free_port
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohProcess, ZenohSystem
 
 SENDER, RECEIVER = "robot0/talker", "robot0/listener"

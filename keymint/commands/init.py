@@ -3,17 +3,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 import click
 
 from comarmor.errors import Origin
-from comarmor.text import did_you_mean
 from keymint.api import Bootstrap, ProfileSettings, WorkspaceProfile
 from keymint.changes import Action, Plan, Step
-from keymint.commands.options import DEFAULT_PROFILE_TYPE, PATH, ProfileOptions, profile_options, usage_error
+from keymint.commands.build_type_names import build_types_of, transports_of
+from keymint.commands.options import DEFAULT_PROFILE_TYPE, PATH, ProfileOptions, profile_options
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
@@ -21,7 +21,6 @@ from keymint.output.report import Report
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.bootstrap import plan_init, policy_path, refuse_unsupported
 from keymint.plan.foreign_policies import foreign_policy
-from keymint.plugins import Plugins
 from keymint.session import Inputs
 from keymint.workspace import PROFILE_MARKER, Workspace
 
@@ -163,40 +162,3 @@ def _refuse_other_transports(run: Run, workspace: Workspace, profile: WorkspaceP
         "which names what else is missing; or name another workspace",
         code="workspace-exists",
     )
-
-
-def build_types_of(plugins: Plugins, transports: Sequence[str]) -> tuple[str, ...]:
-    """Return the build types of transports, in the order of the command line, each once.
-
-    Raises:
-        KeymintError: no installed build type is for a transport, or several are.
-    """
-    known = _by_transport(plugins)
-    for transport in transports:
-        if transport not in known:
-            choice = f"installed are {', '.join(known)}"
-            raise usage_error(f"no build type for the transport {transport!r} is installed",
-                              did_you_mean(transport, known, choice))  # fmt: skip
-        if len(known[transport]) > 1:
-            several = " and ".join(known[transport])
-            raise usage_error(
-                f"the transport {transport!r} has several build types: {several}", "uninstall all but one"
-            )
-    return tuple(dict.fromkeys(known[transport][0] for transport in transports))
-
-
-def transports_of(plugins: Plugins, build_types: Iterable[str]) -> tuple[str, ...]:
-    """Return the transports of build types; that of a build type which is not installed is its own name."""
-    known = {names[0]: transport for transport, names in _by_transport(plugins).items()}
-    return tuple(known.get(name, name) for name in build_types)
-
-
-def _by_transport(plugins: Plugins) -> Mapping[str, Sequence[str]]:
-    """Return the names of build types by transport; ``keymint plugins`` reports those that fail to load."""
-    known: dict[str, list[str]] = {}
-    for name in plugins.names("keymint.build_types"):
-        try:
-            known.setdefault(plugins.build_type(name).TRANSPORT, []).append(name)
-        except KeymintError:
-            continue
-    return dict(sorted(known.items()))

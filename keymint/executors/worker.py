@@ -3,67 +3,22 @@
 
 from __future__ import annotations
 
-import json
 import pickle
 import tempfile
 from collections.abc import Sequence
 from datetime import datetime
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
-
-import msgspec
+from typing import Any, get_type_hints
 
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint import __version__
 from keymint.api import Environment
 from keymint.errors import ExitCode, KeymintError
+from keymint.executors import answers
 from keymint.executors.pool import Work
 from keymint.plugins import Plugins
-
-Answer = TypeVar("Answer")
-
-
-def dump(value: object) -> bytes:
-    """Return a value of data types as JSON."""
-    # The library does not write names that are not UTF-8; JSON's own escapes can.
-    return json.dumps(msgspec.to_builtins(value, enc_hook=_plain), separators=(",", ":")).encode()
-
-
-def load(content: object, kind: Any) -> Any:
-    """Return the value of a type that :func:`dump` wrote.
-
-    Raises:
-        KeymintError: the content is not bytes, not JSON, or not of this type.
-    """
-    if not isinstance(content, bytes):
-        raise _refused(f"a {type(content).__name__} in place of bytes")
-    try:
-        return msgspec.convert(json.loads(content), kind, dec_hook=_path)
-    except (ValueError, RecursionError, msgspec.ValidationError) as error:
-        raise _refused(str(error)) from error
-
-
-def _refused(why: str) -> KeymintError:
-    return KeymintError(
-        f"a worker answered something else than it was asked: {why}",
-        help="find out what runs on the cluster before you use it again",
-        code="executor-answer",
-    )
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, Path):
-        return str(value)
-    raise NotImplementedError(type(value).__name__)
-
-
-def _path(kind: type, value: object) -> object:
-    if kind is Path and isinstance(value, str):
-        return Path(value)
-    raise NotImplementedError(kind.__name__)
-
 
 DONE, REFUSED = b"+", b"-"
 """How an answer begins."""
@@ -96,8 +51,8 @@ def result_of(work: Work[Any, Any], answer: object, installed: str) -> Any:
         KeymintError: the work failed, the worker has other versions, or the answer is none.
     """
     if isinstance(answer, bytes) and answer[:1] == DONE:
-        return load(answer[1:], get_type_hints(work)["return"])
-    refusal: Refusal = load(answer[1:] if isinstance(answer, bytes) else answer, Refusal)
+        return answers.load(answer[1:], get_type_hints(work)["return"])
+    refusal: Refusal = answers.load(answer[1:] if isinstance(answer, bytes) else answer, Refusal)
     if refusal.diagnostics:
         raise KeymintError.of(refusal.diagnostics, refusal.exit_code)
     here, there = installed.splitlines(), refusal.versions.splitlines()
@@ -131,14 +86,14 @@ def carry_out(content: bytes) -> bytes:
         installed, now, inner = pickle.loads(content)  # noqa: S301 - from the user, whom a worker trusts
         plugins = _plugins(now)
         if versions(plugins) != installed:
-            return REFUSED + dump(Refusal(versions=versions(plugins)))
+            return REFUSED + answers.dump(Refusal(versions=versions(plugins)))
         work, task = pickle.loads(inner)  # noqa: S301 - the same
-        return DONE + dump(work(plugins, task))
+        return DONE + answers.dump(work(plugins, task))
     except KeymintError as error:
-        return REFUSED + dump(Refusal(error.diagnostics, error.exit_code))
+        return REFUSED + answers.dump(Refusal(error.diagnostics, error.exit_code))
     except Exception as error:  # noqa: BLE001 - the user gets one line for our bugs too
         failed = KeymintError(f"a worker failed: {type(error).__name__}: {error}", code="executor-failed")
-        return REFUSED + dump(Refusal(failed.diagnostics))
+        return REFUSED + answers.dump(Refusal(failed.diagnostics))
 
 
 @cache

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,10 +11,10 @@ from comarmor.errors import Defects, Diagnostic, Origin
 from keymint.api import BuildOptions, BuildResult, LoadedPolicy, Package
 from keymint.changes import Action, DocumentSize, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
-from keymint.names import name_of, subject_of
+from keymint.names import subject_of
 from keymint.plan import identity_keys, lifetimes, shared_documents
 from keymint.plan.build_types import BUILD, build_types_of, inputs_digest, two_writers
-from keymint.plan.policy import lazy_policy
+from keymint.plan.rule_places import RulePlaces
 from keymint.plan.stage import PackagePlan, recorded, steps_of
 from keymint.session import Inputs, Session
 from keymint.state import Stamp, digest
@@ -239,51 +239,3 @@ def _refuse_edits(inputs: Inputs, name: str, folder: Path, existing: Mapping[str
             help=f"'keymint build -f {name}' discards the edit",
             code="hand-edited",
         )
-
-
-class RulePlaces:
-    """The places of the rules of packages in the policy as it is now.
-
-    Args:
-        session: the workspace and its profile.
-        policy: its policy; loaded at the first diagnostic about a rule if it is not given.
-    """
-
-    def __init__(self, session: Session, policy: LoadedPolicy | None = None) -> None:
-        self._session = session
-        self._policy = policy
-        self._moved: dict[str, Mapping[Origin, Origin]] = {}
-
-    def in_policy(self, diagnostics: Iterable[Diagnostic], subject: str = "") -> tuple[Diagnostic, ...]:
-        """Return diagnostics about built packages with the places that their rules have now.
-
-        Args:
-            diagnostics: the diagnostics, which cite the places that the sources of the packages state.
-            subject: whose diagnostics these are; if empty, each names its own.
-        """
-        return tuple(self._now(each, subject or each.subject) for each in diagnostics)
-
-    def _now(self, diagnostic: Diagnostic, subject: str) -> Diagnostic:
-        where = diagnostic.where
-        if where is None or not subject:
-            return diagnostic
-        if subject not in self._moved:
-            self._moved[subject] = self._moves(subject)
-        place = self._moved[subject].get(where)
-        return replace(diagnostic, where=place) if place else diagnostic
-
-    def _moves(self, subject: str) -> Mapping[Origin, Origin]:
-        """Return the rules that moved: their places in the policy by those that the sources state."""
-        try:
-            stated = self._session.package(name_of(subject)).grant.rules.rules
-            if self._policy is None:
-                self._policy = lazy_policy(self._session)
-            present = self._policy.rules(subject)
-        except KeymintError:  # another stage says what is wrong with the package or the policy
-            return {}
-        now = present.rules if present else ()
-        pairs = list(zip(stated, now, strict=False))
-        if len(stated) != len(now) or any(old != replace(new, origin=old.origin) for old, new in pairs):
-            return {}  # the sources have other rules than the policy
-        moved = [(old.origin, new.origin) for old, new in pairs if old.origin != new.origin]
-        return {old.alone(): new.alone() for old, new in moved} | dict(moved)  # some diagnostics leave out the includes

@@ -4,21 +4,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from functools import lru_cache
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from lxml import etree
 
 from comarmor.language import render
 from comarmor.language.formatting import formatted
-from comarmor.language.parse import parse
-from comarmor.language.policy import Policy
-from comarmor.language.source import read_document
 from comarmor.patterns.printing import escape
-from comarmor.rules import PERMISSIONS, Effect, Rule
+from comarmor.rules import PERMISSIONS, Effect
 from comarmor.xml.reader import XINCLUDE
 from keymint.names import name_of
+from keymint_ros2_sros2.common_files import Atom, atoms, common_files
 from keymint_ros2_sros2.names import as_read, expression
 from keymint_ros2_sros2.parse import NEW
 from keymint_ros2_sros2.rules import GRAPH_TOPIC, rules_of
@@ -123,52 +120,3 @@ def _comment(parent: etree._Element, texts: Iterable[str]) -> None:
     for text in texts:
         plain = re.sub("-(?=-)", "- ", text)
         parent.append(etree.Comment(f"{plain} " if plain.endswith("-") else plain))
-
-
-Atom = tuple[Effect, str, str, str]
-"""Effect, kind, permission and expression of a part of a rule."""
-_FOLDER = "common"
-
-
-def atoms(rules: Collection[Rule]) -> frozenset[Atom]:
-    """Return the parts of rules: one for each effect, kind, permission and expression."""
-    return frozenset(
-        (rule.effect, rule.kind, permission, expression)
-        for rule in rules
-        for permission in rule.permissions
-        for expression in rule.expressions
-    )
-
-
-def common_files(library: Path, subject: str, wanted: Collection[Atom]) -> dict[str, frozenset[Atom]]:
-    """Return files of the library that a profile of a subject may include in place of rules, with what they grant.
-
-    Args:
-        library: folder of the library.
-        subject: the subject.
-        wanted: what the subject is granted; nothing beyond it is granted by the files.
-    """
-    left = set(wanted)
-    found: dict[str, frozenset[Atom]] = {}
-    candidates = [(name, atoms(policy.rules(subject))) for name, policy in _policies(library)]
-    for name, granted in sorted(candidates, key=lambda each: (-len(each[1]), each[0])):
-        if granted and granted <= left:
-            found[name] = granted
-            left -= granted
-    return found
-
-
-@lru_cache(maxsize=4)
-def _policies(library: Path) -> tuple[tuple[str, Policy], ...]:
-    return tuple(_each(library))
-
-
-def _each(library: Path) -> Iterator[tuple[str, Policy]]:
-    """Yield the files of the library, each in a profile for all subjects."""
-    for path in sorted((library / _FOLDER).rglob("*.xml")):
-        name = path.relative_to(library).as_posix()
-        profile = (
-            f'<profiles xmlns:xi="{XINCLUDE}"><profile name="p"><attachment>*</attachment>'
-            f'<xi:include href="{name}"/></profile></profiles>'
-        )
-        yield name, parse(read_document(profile.encode(), name, library))

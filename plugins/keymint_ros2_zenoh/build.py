@@ -3,21 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 
-from comarmor.errors import Defects, Diagnostic, Origin, Severity
-from comarmor.rules import Effect
+from comarmor.errors import Defects, Diagnostic, Severity
 from keymint.api import BuildOptions, BuildResult, Package
 from keymint.errors import KeymintError
 from keymint_ros2_zenoh import emission, key_limits
 from keymint_ros2_zenoh.documents.write import write
 from keymint_ros2_zenoh.enclave_layout import ROUTER, SESSION
-from keymint_ros2_zenoh.keyexpr.expansion import maximal
-from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr
+from keymint_ros2_zenoh.gathering import gathered
 from keymint_ros2_zenoh.lowering.key_rule import KeyRule
 from keymint_ros2_zenoh.lowering.rule_check import lower_package
-from keymint_ros2_zenoh.messages import Flow, Message
 from keymint_ros2_zenoh.settings import BUILD_TYPE, is_router, settings_of
 
 _SESSION_TITLE = (
@@ -122,20 +119,3 @@ def _differences(packages: Sequence[Package]) -> Iterator[Diagnostic]:
                 f"{first.grant.issuer!r}, but they stand in one file",
                 package.grant.origin, f"give both the same issuer_name, as at {first.grant.origin}", package.subject,
             )  # fmt: skip
-
-
-def gathered(rules: Iterable[KeyRule]) -> tuple[KeyRule, ...]:
-    """Return rules that decide every message and key expression as the given ones do.
-
-    The order of rules has no meaning, and a rule applies if one of its key expressions includes the key. So rules of
-    the same effect, messages and flows are one rule with all their key expressions. One that another includes is left
-    out.
-    """
-    groups: dict[tuple[Effect, tuple[Message, ...], tuple[Flow, ...]], tuple[Origin, set[KeyExpr]]] = {}
-    for rule in rules:
-        _, keys = groups.setdefault((rule.effect, rule.messages, rule.flows), (rule.origin, set()))
-        keys.update(rule.key_exprs)
-    return tuple(
-        KeyRule(effect, messages, flows, maximal(keys), origin)
-        for (effect, messages, flows), (origin, keys) in groups.items()
-    )

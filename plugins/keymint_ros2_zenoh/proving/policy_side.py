@@ -4,10 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
 
-from comarmor.patterns import glob
-from comarmor.patterns.decision_lists import Equal, ProofResult, SearchBudget
+from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.printing import exact
 from comarmor.rules import Effect
@@ -20,8 +18,7 @@ from keymint_ros2_zenoh.lowering.name_rules import NameRules
 from keymint_ros2_zenoh.lowering.names import advanced_key, data_key, graph_key, own_tokens_key
 from keymint_ros2_zenoh.lowering.slots import USERS, Place, Slot, graph_slots
 from keymint_ros2_zenoh.messages import Flow, Message
-from keymint_ros2_zenoh.proving.automaton import Automaton
-from keymint_ros2_zenoh.proving.key_search import difference, side_of
+from keymint_ros2_zenoh.proving.expansion_proof import proven_exact
 
 KeyLists = tuple[tuple[tuple[KeyExpr, ...], tuple[KeyExpr, ...]], ...]
 """For each entry the key expressions that it allows, and those that it denies."""
@@ -97,23 +94,3 @@ class PolicySide:
 def domain_ids(domains: Sequence[DomainRange]) -> tuple[int, ...]:
     """Return the ids of all domains."""
     return tuple(sorted({each for item in domains for each in range(item.first, item.last + 1)}))
-
-
-@lru_cache(maxsize=1 << 14)
-def proven_exact(pattern: Glob, states: int) -> ProofResult:
-    """Return the result of :func:`compare`, which many enclaves need for the same patterns."""
-    return compare(pattern, states)
-
-
-def compare(pattern: Glob, states: int) -> ProofResult:
-    """Compare a pattern of ROS names with its key expressions, as keys of domain 0 with any type and hash.
-
-    Args:
-        pattern: pattern of names.
-        states: the most states that the search may visit.
-    """
-    automaton = Automaton()
-    names = frozenset(automaton.names(0, rest) for rest in glob.after(pattern, "/"))
-    keys = frozenset(automaton.key_expr(data_key(0, each)) for each in key_exprs(pattern))
-    left, right = (side_of(((nodes, frozenset()),)) for nodes in (names, keys))
-    return difference(automaton, left, right, SearchBudget(states))

@@ -13,7 +13,7 @@ from keymint_ros2_zenoh.documents.configuration import TLS_SETTINGS
 from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel, RouterModel
 from keymint_ros2_zenoh.transports.installed import InstalledConfiguration
 from keymint_ros2_zenoh.vendors import access_log, loopback
-from keymint_ros2_zenoh.vendors.loopback import free_port
+from keymint_ros2_zenoh.vendors.loopback_ports import free_port
 from keymint_ros2_zenoh.vendors.zenoh_processes import ProcessFailedError, ZenohError, ZenohProcess, ZenohSystem
 
 ROUTER = "router"

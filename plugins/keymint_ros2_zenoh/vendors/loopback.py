@@ -12,7 +12,6 @@ Access control, modes, mutual TLS, scouting and all other settings are those of 
 from __future__ import annotations
 
 import re
-import socket
 from collections.abc import Callable, Mapping, Sequence
 
 LOOPBACK = ("localhost", "127.0.0.1")
@@ -75,11 +74,3 @@ def _split(endpoint: str) -> tuple[str, str, str, str]:
     """Return protocol, host, port and options."""
     found = re.fullmatch(r"([^/]*)/(.*?)(?::(\d+))?([?#].*)?", endpoint, re.DOTALL)
     return ("", "", "", "") if found is None else (found[1], found[2], found[3] or "", found[4] or "")
-
-
-def free_port() -> int:
-    """Return a TCP port of 127.0.0.1 that nothing listens on now; another program may take it before it is used."""
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port

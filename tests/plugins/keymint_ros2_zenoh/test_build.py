@@ -11,9 +11,10 @@ from types import ModuleType
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from keymint_ros2_zenoh.build import build, build_shared, gathered
+from keymint_ros2_zenoh.build import build, build_shared
 from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.documents.read import read
+from keymint_ros2_zenoh.gathering import gathered
 from keymint_ros2_zenoh.hazards import hazards
 from keymint_ros2_zenoh.key_limits import check_identity
 from keymint_ros2_zenoh.lowering.rule_check import lower_package

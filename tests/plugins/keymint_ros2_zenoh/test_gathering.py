@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from hypothesis import given
 from hypothesis import strategies as st
-from keymint_ros2_zenoh.build import gathered
+from keymint_ros2_zenoh.gathering import gathered
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr, canonical
 from keymint_ros2_zenoh.keyexpr.relations import includes
 from keymint_ros2_zenoh.lowering.key_rule import KeyRule

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Prove that the key expressions of a pattern match exactly the names that the pattern matches."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from comarmor.patterns import glob
+from comarmor.patterns.decision_lists import ProofResult, SearchBudget
+from comarmor.patterns.glob import Glob
+from keymint_ros2_zenoh.keyexpr.expansion import key_exprs
+from keymint_ros2_zenoh.lowering.names import data_key
+from keymint_ros2_zenoh.proving.automaton import Automaton
+from keymint_ros2_zenoh.proving.key_search import difference, side_of
+
+
+@lru_cache(maxsize=1 << 14)
+def proven_exact(pattern: Glob, states: int) -> ProofResult:
+    """Return the result of :func:`compare`, which many enclaves need for the same patterns."""
+    return compare(pattern, states)
+
+
+def compare(pattern: Glob, states: int) -> ProofResult:
+    """Compare a pattern of ROS names with its key expressions, as keys of domain 0 with any type and hash.
+
+    Args:
+        pattern: pattern of names.
+        states: the most states that the search may visit.
+    """
+    automaton = Automaton()
+    names = frozenset(automaton.names(0, rest) for rest in glob.after(pattern, "/"))
+    keys = frozenset(automaton.key_expr(data_key(0, each)) for each in key_exprs(pattern))
+    left, right = (side_of(((nodes, frozenset()),)) for nodes in (names, keys))
+    return difference(automaton, left, right, SearchBudget(states))
