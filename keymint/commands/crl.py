@@ -18,9 +18,8 @@ from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import subject_of
 from keymint.output.report import Report
-from keymint.pki import revocation_lists
 from keymint.plan.register import complete_register, register_change
-from keymint.plan.revocation import lists
+from keymint.plan.revocation import lists, loaded_lists
 from keymint.session import Inputs, Session
 
 
@@ -80,9 +79,8 @@ def _shown(run: Run, session: Session, done: Report | None = None) -> Report:
     }
     rows: list[dict[str, Any]] = []
     cells: list[list[str]] = []
-    for name, content in lists(session).items():
+    for name, found in loaded_lists(session).items():
         path = session.workspace.shown(session.workspace.revocation_list(name))
-        found = revocation_lists.load(content, Origin(path))
         head = [name, str(found.number), f"{found.this_update:%Y-%m-%d}", f"{found.next_update:%Y-%m-%d}"]
         cells += [
             [*head, f"{each.serial:x}", subjects.get(each.serial, "-"), f"{each.at:%Y-%m-%d}", each.reason]

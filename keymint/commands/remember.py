@@ -7,16 +7,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 from datetime import datetime
 
-from comarmor.errors import Origin
 from keymint.changes import Action, File, Plan, Step
 from keymint.folder_status import Sight
 from keymint.output.console import Console
 from keymint.output.report import Report
-from keymint.pki import revocation_lists
 from keymint.plan.authorities import STAGE as AUTHORITIES
 from keymint.plan.build_types import BUILD
 from keymint.plan.policy import recorded_files
-from keymint.plan.revocation import lists
+from keymint.plan.revocation import loaded_lists
 from keymint.session import Inputs, Session
 from keymint.store import Store
 from keymint.unchanged import Answer, Call, is_recordable, name_of, record
@@ -61,10 +59,8 @@ def _dates(session: Session) -> Iterator[datetime]:
     for authority in session.profile.authorities:
         yield authority.certificate.validity.not_before
         yield authority.certificate.validity.not_after
-    for name, content in lists(session).items():
-        yield revocation_lists.load(
-            content, Origin(session.workspace.shown(session.workspace.revocation_list(name)))
-        ).next_update
+    for found in loaded_lists(session).values():
+        yield found.next_update
 
 
 def next_report(plan: Plan, report: Report) -> Report | None:

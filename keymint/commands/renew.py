@@ -143,7 +143,7 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
     names, errors = list(choice.names), list(choice.errors)
     session = session.after(Plan((), choice.state))
     plan = Plan((), session.state)
-    waiting: list[str] = []
+    waiting: set[str] = set()
     waiting_lists: tuple[Due, ...] = ()
     while names or due.lists:
         try:
@@ -154,7 +154,8 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
                 severity = Severity.WARNING if run.dry_run else Severity.ERROR
                 errors += (replace(each, severity=severity) for each in error.diagnostics)
                 late = _waiting(session, due, names, error)
-                waiting, names = [*waiting, *late.names], [name for name in names if name not in late.names]
+                waiting |= late.names
+                names = [name for name in names if name not in late.names]
                 due = replace(due, lists=tuple(each for each in due.lists if each not in late.lists))
                 waiting_lists += late.lists
                 continue
@@ -187,7 +188,7 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
 class _Late:
     """What waits for the keys of some authorities: packages, and revocation lists."""
 
-    names: tuple[str, ...]
+    names: frozenset[str]
     lists: tuple[Due, ...]
 
 
@@ -200,11 +201,11 @@ def _waiting(session: Session, due: Schedule, names: Sequence[str], error: Keymi
         if session.workspace.shown(session.workspace.authority_key(each.name)) not in files
     }
     packages = {name: session.package(name) for name in names}
-    late = tuple(
+    late = frozenset(
         name for name, package in packages.items() if not {package.identity.issuer, package.grant.issuer} <= here
     )
     lists = tuple(each for each in due.lists if each.name not in here)
-    return _Late(late, lists) if late or lists else _Late(tuple(names), due.lists)
+    return _Late(late, lists) if late or lists else _Late(frozenset(names), due.lists)
 
 
 def _issued_again(run: Run, session: Session, due: Schedule, names: Sequence[str], *, rekey: bool, prove: bool) -> Plan:

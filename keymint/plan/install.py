@@ -15,7 +15,7 @@ from keymint.api import Artifact, Package, Succession
 from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
 from keymint.names import ROOT, subject_of
-from keymint.pki import certificates, keys, revocation_lists
+from keymint.pki import certificates, keys
 from keymint.plan import authority_files, build, identity_keys, key_record, lifetimes, revocation
 from keymint.plan.authorities import MintedAuthority
 from keymint.plan.build_types import build_types_of, inputs_digest
@@ -239,10 +239,8 @@ def _obsolete(
     stamp = session.state.stamp(STAGE, package.name)
     obsolete = tuple(file for file in sorted(stamp.outputs) if file in left) if stamp else ()
     for file in obsolete:
-        if not revocation_lists.problem(left[file], issuer):
-            where = Origin(session.workspace.shown(session.enclave(package.name) / file))
-            in_force = revocation.lists(session).get(package.identity.issuer)
-            revocation.require_nothing_lost(left[file], in_force, where)
+        where = Origin(session.workspace.shown(session.enclave(package.name) / file))
+        revocation.require_removable(session, package.identity.issuer, issuer, left[file], where)
     return obsolete
 
 

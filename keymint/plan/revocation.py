@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from datetime import datetime
 
+from cryptography import x509
+
 from comarmor.errors import Origin
 from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
@@ -46,6 +48,11 @@ def list_of(session: Session, name: str) -> RevocationList | None:
         KeymintError: it cannot be read.
     """
     return session.once(("revocation list", name), lambda: _list(session, name))
+
+
+def loaded_lists(session: Session) -> Mapping[str, RevocationList]:
+    """Return the revocation lists of :func:`lists`, read; errors as :func:`list_of`."""
+    return {name: found for name in lists(session) if (found := list_of(session, name))}
 
 
 def _list(session: Session, name: str) -> RevocationList | None:
@@ -104,9 +111,8 @@ def plan_lists(
                 steps.append(Step(STAGE, name, Action.REMOVED, (FolderChange(path.parent, removed=(path.name,)),)))
             continue
         serials = {each.serial for each in present.revocations} if present else frozenset[int]()
-        begins = max(
-            session.now, minted.certificate.not_valid_before_utc
-        )  # a clock that was ahead is no reason to wait
+        # A list that begins later than now was issued by a clock that was ahead; but none begins before its authority.
+        begins = max(session.now, minted.certificate.not_valid_before_utc)
         in_force = present is not None and present.this_update <= begins and session.now < present.next_update
         if in_force and serials >= revoked.keys() and name not in refresh:
             continue
@@ -163,6 +169,25 @@ def _require_known(session: Session, name: str, present: RevocationList, revoked
             help="restore the latest register from a backup; or remove it, and 'keymint crl --rebuild' makes it again",
             code="register-outdated",
         )
+
+
+def require_removable(
+    session: Session, authority: str, issuer: x509.Certificate, content: bytes, where: Origin
+) -> None:
+    """Require that a file which leaves an enclave is no revocation list, or only has what the list in force has.
+
+    Args:
+        session: the workspace and its profile.
+        authority: the authority that issued the certificate of the enclave.
+        issuer: its certificate.
+        content: the file.
+        where: the file, for messages.
+
+    Raises:
+        KeymintError: it revokes certificates that would be accepted again.
+    """
+    if not revocation_lists.problem(content, issuer):
+        require_nothing_lost(content, lists(session).get(authority), where)
 
 
 def require_nothing_lost(before: bytes | None, after: bytes | None, where: Origin) -> None:

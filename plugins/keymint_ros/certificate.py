@@ -153,10 +153,8 @@ def _extensions(element: etree._Element) -> tuple[Extension, ...]:
     for item in element:
         of_2018 = item.tag == _BASIC_CONSTRAINTS
         name = "basicConstraints" if of_2018 else item.get("name", "").strip()
-        message, help_ = (
-            f"the extension {name} is given twice",
-            "write its values into one element, separated by commas",
-        )
+        message = f"the extension {name} is given twice"
+        help_ = "write its values into one element, separated by commas"
         require_new(name, extensions, item, message, help_, "extension-doubled")
         value = _basic_constraints(item) if of_2018 else text(item) or ""
         extensions[name] = Extension(name, value, item.get("critical", "false").strip() in _TRUE, place(item))
