@@ -115,9 +115,6 @@ def unaccepted(run: Run, error: UnacceptedPackagesError) -> Report:
         why = f"what that changes cannot be shown, since the accepted files do not fit the policy: {reason}"
         diagnostics = (*diagnostics, Diagnostic("package-diff", Severity.WARNING, why, None, "read the files"))
     else:
-        for line in (*as_text(differences, run.place), summary(differences)):
-            run.console.line(line)
+        run.console.lines((*as_text(differences, run.place), summary(differences)))
         result["subjects"] = differences_json(differences, run.typed)
-    return Report(
-        run.verb, run.known_workspace, (), diagnostics, result, exit_code=error.exit_code, dry_run=run.dry_run
-    )
+    return run.report(result, diagnostics, error.exit_code, workspace=run.known_workspace)

@@ -76,11 +76,10 @@ def adopt(
     own, comparisons = _policy(run, build_type_name, found, policy, workspace, options, (accept, implicit))
     different = [each for each in (one.finding() for one in comparisons) if each]
     found = replace(found, diagnostics=(*found.diagnostics, *(own.diagnostics if own else ()), *different))
-    for line in summary(str(keystore), found, {each.subject: each.words for each in comparisons}):
-        run.console.line(line)
+    run.console.lines(summary(str(keystore), found, {each.subject: each.words for each in comparisons}))
     result = as_json(found, {each.subject: each.as_json() for each in comparisons})
     if not applied:
-        return Report(run.verb, None, (), found.diagnostics, result, findings_exit(found.diagnostics))
+        return run.report(result, found.diagnostics, findings_exit(found.diagnostics))
     _refuse(run, files, found, workspace)
     if own is None:
         own = learned_policy(run, build_type_name, files, found, workspace, options)

@@ -33,8 +33,7 @@ from keymint.session import Session
 )
 def command(run: Run, name: str, output: Path | None, chain: bool, key_file: Path | None) -> Report:
     """Write the certificate of an authority as PEM; never its private key, unless --with-key asks for it."""
-    workspace = run.workspace()
-    session = run.snapshot(workspace).session()
+    session = run.session()
     files = authority_files.read_files(session, authority_named(session, name), tuple)
     if files.certificate is None or files.content is None:
         raise KeymintError(
@@ -55,7 +54,7 @@ def command(run: Run, name: str, output: Path | None, chain: bool, key_file: Pat
         findings.append(Diagnostic("key-exported", Severity.WARNING, message, Origin(str(key_file)), help_))
     own = deliver(run, output, content)
     result = {"certificate": content.decode("ascii"), **own, "written": [*written, *own["written"]]}
-    return Report(run.verb, workspace, (), findings, result)
+    return run.report(result, findings, workspace=session.workspace)
 
 
 def _chain(session: Session, name: str) -> Iterator[bytes]:

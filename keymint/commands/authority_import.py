@@ -16,7 +16,7 @@ from keymint.commands.verb import verb
 from keymint.output.report import Report
 from keymint.plan.authority_renewal import plan_import
 from keymint.plan.given_authority import GivenAuthority
-from keymint.session import Inputs
+from keymint.session import Session
 
 
 @verb(dry_run=True, of="authority")
@@ -34,11 +34,10 @@ def command(run: Run, name: str, certificate: Path, key_file: Path | None, flag_
     key = read_input(run, key_file) if key_file else b""
     given = GivenAuthority(read_input(run, certificate), str(certificate), key, str(key_file or ""))
 
-    def make_plan(inputs: Inputs) -> Plan:
-        session = inputs.session()
+    def make_plan(session: Session) -> Plan:
         first = plan_import(session, name, given)
         if first.writes():
             require_flag_day(session, name, accepted=flag_day)
         return issued_again(run, session, first, name)
 
-    return run.carry_out(run.workspace(), make_plan)
+    return run.change(make_plan)

@@ -10,7 +10,7 @@ from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.output.report import Report
 from keymint.plan.authority_renewal import plan_renewal
-from keymint.session import Inputs
+from keymint.session import Session
 
 
 @verb(dry_run=True, of="authority")
@@ -24,11 +24,10 @@ def command(run: Run, name: str, flag_day: bool) -> Report:
     different certificates of it not communicate: that needs --flag-day.
     """
 
-    def make_plan(inputs: Inputs) -> Plan:
-        session = inputs.session()
+    def make_plan(session: Session) -> Plan:
         first = plan_renewal(session, name)
         if first.writes():
             require_flag_day(session, name, accepted=flag_day)
         return issued_again(run, session, first, name)
 
-    return run.carry_out(run.workspace(), make_plan)
+    return run.change(make_plan)

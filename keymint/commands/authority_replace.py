@@ -20,7 +20,7 @@ from keymint.commands.verb import verb
 from keymint.output.report import Report
 from keymint.plan import rollover
 from keymint.plan.given_authority import GivenAuthority
-from keymint.session import Inputs, Session
+from keymint.session import Session
 
 
 @verb(dry_run=True, of="authority")
@@ -70,18 +70,16 @@ def command(
     request = Request(Phase(phase) if phase else None, cancel, vendors, given)
     phases: list[str] = []
 
-    def make_plan(inputs: Inputs) -> Plan:
-        session = inputs.session()
+    def make_plan(session: Session) -> Plan:
         before = rollover.phase_of(session, name)
         plan = planned(run, session, name, request)
         reached = rollover.phase_of(session.after(plan).session(), name)
         phases[:] = [(reached or Phase.END).value]
         if run.dry_run and not cancel:
-            for line in _outline(session, name, before, reached):
-                run.console.line(line)
+            run.console.lines(_outline(session, name, before, reached))
         return replace(plan, diagnostics=(*plan.diagnostics, *_told(session, name, before, reached, cancelled=cancel)))
 
-    report = run.carry_out(run.workspace(), make_plan)
+    report = run.change(make_plan)
     return replace(report, result={"authority": name, "phase": phases[0]})
 
 

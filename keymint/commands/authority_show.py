@@ -29,16 +29,14 @@ def command(run: Run, names: tuple[str, ...]) -> Report:
 
     NAME is an authority of the profile [all].
     """
-    workspace = run.workspace()
-    session = run.snapshot(workspace).session()
+    session = run.session()
     for name in names:
         authority_named(session, name)
     shown = [each for each in statuses(session) if not names or each.name in names]
     for each in shown:
-        for line in _lines(each, session.now):
-            run.console.line(line)
+        run.console.lines(_lines(each, session.now))
     result = {"authorities": [_document(each) for each in shown]}
-    return Report(run.verb, workspace, (), _findings(session, names), result)
+    return run.report(result, _findings(session, names), workspace=session.workspace)
 
 
 def _findings(session: Session, names: tuple[str, ...]) -> list[Diagnostic]:

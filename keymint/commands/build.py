@@ -30,7 +30,7 @@ from keymint.output.report import Report
 from keymint.plan.build import BuildStage
 from keymint.plan.policy import load_policy
 from keymint.plan.policy_drift import policy_changed
-from keymint.session import Inputs, Session
+from keymint.session import Session
 
 
 @verb(jobs=True, dry_run=True, executor=True)
@@ -51,29 +51,27 @@ def build(
     edit them in between. Permissions are rewritten into a smaller form that is proven equivalent; both sizes are
     shown. NAME is a package [all].
     """
-    workspace = run.workspace()
     hinted = build_options(run, document_options)
 
-    def make_plan(inputs: Inputs) -> Plan:
-        session = inputs.session()
-        chosen = run.names(inputs, names)
+    def make_plan(session: Session) -> Plan:
+        chosen = run.names(session, names)
         run.compile_elsewhere(session, chosen, hinted.options)
         build = partial(BuildStage, options=hinted.options, force=force, renew=renew)
         run.workers.start(session, chosen, (build,))
         plan = run.planned(build(session), chosen)
-        warnings = policy_changed(session) if chosen else (no_packages(inputs),)
+        warnings = policy_changed(session) if chosen else (no_packages(session),)
         warnings = (*warnings, *policy_slips(session, plan.steps))
-        return Plan(plan.steps, plan.state, (*plan.diagnostics, *warnings, *hinted.unknown(run.names(inputs, ()))))
+        return Plan(plan.steps, plan.state, (*plan.diagnostics, *warnings, *hinted.unknown(run.names(session, ()))))
 
-    return run.carry_out(workspace, make_plan)
+    return run.change(make_plan)
 
 
-def no_packages(inputs: Inputs) -> Diagnostic:
+def no_packages(session: Session) -> Diagnostic:
     """Return the warning that the source space has no packages."""
     return Diagnostic(
         "packages-none",
         Severity.WARNING,
-        f"no packages in {inputs.workspace.shown(inputs.workspace.src)}",
+        f"no packages in {session.workspace.shown(session.workspace.src)}",
         None,
         "run 'keymint create --all'",
     )

@@ -32,7 +32,7 @@ from keymint.plan.install import InstallStage, is_current
 from keymint.plan.register import withdrawn
 from keymint.plan.rollover import phase_of
 from keymint.plan.stage import PackagePlan
-from keymint.session import Inputs, Session
+from keymint.session import Session
 
 
 @verb(dry_run=True)
@@ -50,11 +50,9 @@ def bundle(run: Run, names: tuple[str, ...], output: Path | None, staged: bool =
     has the private key if this workspace made it; then keep it as secret as the key. NAME is an installed package, and
     PATTERN matches the names of several: '/robot1/*'.
     """
-    workspace = run.workspace()
     made: list[MadeBundle] = []
 
-    def make_plan(inputs: Inputs) -> Plan:
-        session = inputs.session()
+    def make_plan(session: Session) -> Plan:
         chosen = dict.fromkeys(_chosen(session, names))
         require_output(run, output, len(chosen))
         if staged:
@@ -66,7 +64,7 @@ def bundle(run: Run, names: tuple[str, ...], output: Path | None, staged: bool =
         made[:] = bundles
         return plan
 
-    report = run.carry_out(workspace, make_plan)
+    report = run.change(make_plan)
     return replace(report, steps=(), result={"bundles": write_bundles(run, output, made)})
 
 

@@ -44,10 +44,8 @@ def check(run: Run, names: tuple[str, ...], within: timedelta, sarif: Path | Non
     Checks certificates, keys, signatures, schemas, dates, file modes, and whether the installed documents match the
     sources. Exit code 3: there are findings. NAME is a package [all].
     """
-    workspace = run.workspace()
-    inputs = run.snapshot(workspace)
-    chosen = run.names(inputs, names)
-    session = inputs.session()
+    session = run.session()
+    chosen = run.names(session, names)
     with run.pool() as pool:
         diagnostics = find(session, chosen, within, pool)
     findings = folded((*diagnostics, *(() if names else _uncreated(session, chosen))))
@@ -55,14 +53,8 @@ def check(run: Run, names: tuple[str, ...], within: timedelta, sarif: Path | Non
         write_outputs(run, sarif, sarif_log("keymint check", {}, of_diagnostics(findings), run.typed))
     number = sum(finding.severity is not Severity.NOTE for finding in findings)
     run.console.line(f"checked {counted(len(chosen), 'enclave')}: {counted(number, 'finding')}")
-    return Report(
-        run.verb,
-        workspace,
-        (),
-        findings,
-        {"checked": [subject_of(name) for name in chosen]},
-        findings_exit(findings),
-    )
+    result = {"checked": [subject_of(name) for name in chosen]}
+    return run.report(result, findings, findings_exit(findings), workspace=session.workspace)
 
 
 def _uncreated(session: Session, known: Sequence[str]) -> Sequence[Diagnostic]:

@@ -27,4 +27,4 @@ def completion(run: Run, shell: str) -> Report:
     cli = click.get_current_context().find_root().command
     source = shell_class(cli, {}, "keymint", "_KEYMINT_COMPLETE").source()
     run.console.document(source.encode())
-    return Report(run.verb, None, result={"shell": shell, "script": source})
+    return run.report({"shell": shell, "script": source})

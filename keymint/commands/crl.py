@@ -20,7 +20,7 @@ from keymint.names import subject_of
 from keymint.output.report import Report
 from keymint.plan.register import complete_register, register_change
 from keymint.plan.revocation import lists, loaded_lists
-from keymint.session import Inputs, Session
+from keymint.session import Session
 
 
 @verb(dry_run=True)
@@ -46,12 +46,11 @@ def crl(run: Run, refresh: bool, rebuild: bool, valid_for: timedelta | None) -> 
     """
     if valid_for is not None and not refresh:
         raise click.UsageError("--valid-for needs --refresh.")
-    workspace = run.workspace()
     if not refresh and not rebuild:
-        return _shown(run, run.snapshot(workspace).session())
+        return _shown(run, run.session())
 
-    def make_plan(inputs: Inputs) -> Plan:
-        session = inputs.session()
+    def make_plan(session: Session) -> Plan:
+        workspace = session.workspace
         first = Plan((), session.state)
         if rebuild:
             if session.tree.has_file(workspace.register):
@@ -64,11 +63,11 @@ def crl(run: Run, refresh: bool, rebuild: bool, valid_for: timedelta | None) -> 
                 )
             register = complete_register(session, lossy=True)
             first = Plan((), session.state, first=register_change(session, register))
-        end = None if valid_for is None else inputs.now + valid_for
+        end = None if valid_for is None else session.now + valid_for
         return reissued(run, session, first, (), refresh=tuple(lists(session)) if refresh else (), list_end=end)
 
-    report = run.carry_out(workspace, make_plan)
-    return report if run.dry_run else _shown(run, run.snapshot(workspace).session(), report)
+    report = run.change(make_plan)
+    return report if run.dry_run else _shown(run, run.session(), report)
 
 
 def _shown(run: Run, session: Session, done: Report | None = None) -> Report:
@@ -108,4 +107,4 @@ def _shown(run: Run, session: Session, done: Report | None = None) -> Report:
         run.console.table(["AUTHORITY", "NUMBER", "FROM", "UNTIL", "SERIAL", "SUBJECT", "REVOKED", "REASON"], cells)
     else:
         run.console.line("no revocation list: nothing was ever revoked")
-    return replace(done or Report(run.verb, session.workspace), result={"lists": rows})
+    return replace(done or run.report(workspace=session.workspace), result={"lists": rows})

@@ -68,12 +68,11 @@ def diff(run: Run, old: str, new: str, kind: str, budget: int, policy_options: P
         lines = markdown(differences, run.place, library, (old, new))
     else:
         lines = chain(as_text(differences, run.place), [summary(differences)])
-    for line in lines:
-        run.console.line(line)
+    run.console.lines(lines)
     result = {"equivalent": not differences, "subjects": differences_json(differences, run.typed)}
     unknown = any(change.unknown for subject in differences for change in subject.changes)
     exit_code = ExitCode.FINDINGS if has_gains(differences) else ExitCode.DONE
-    return Report(run.verb, None, (), [_UNKNOWN] if unknown else [], result, exit_code)
+    return run.report(result, [_UNKNOWN] if unknown else [], exit_code)
 
 
 def _libraries(policies: Policies, paths: Sequence[str]) -> Callable[[str], str | None]:

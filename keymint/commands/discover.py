@@ -120,7 +120,7 @@ def discover(
         "graph": None if target else json.loads(content),
     }
     diagnostics = tuple(dict.fromkeys(said for discovered in graphs for said in discovered.diagnostics))
-    return Report(run.verb, None, (), diagnostics, result, interrupted or ExitCode.DONE, run.dry_run)
+    return run.report(result, diagnostics, interrupted or ExitCode.DONE)
 
 
 def _names(typed: Iterable[str]) -> dict[str, str]:

@@ -32,13 +32,12 @@ def env(run: Run, enclave: str, shell: str) -> Report:
     All processes of a shell find the keystore, each by the name of its enclave, after 'source install/keystore.bash'
     (.zsh, .fish).
     """
-    workspace = run.workspace()
-    session = run.inputs(workspace).session()
+    session = run.inputs(run.workspace()).session()
     name = _installed(session, enclave)
     values = enclave_environment(session, name)
     run.console.document(exports(values, shell).encode(errors="surrogateescape"))
     result = {"enclave": subject_of(name), "variables": dict(values)}
-    return Report(run.verb, workspace, (), (), result)
+    return run.report(result, workspace=session.workspace)
 
 
 def _installed(session: Session, typed: str) -> str:

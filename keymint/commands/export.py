@@ -69,7 +69,7 @@ def export(
         "policy": None if output else document.decode(),
         "subjects": [each.subject for each in subjects],
     }
-    return Report(run.verb, None, (), diagnostics, result, dry_run=run.dry_run, notes=True)
+    return run.report(result, diagnostics, notes=True)
 
 
 def _made(

@@ -253,4 +253,4 @@ def _report(
         "edges": {str(outcome): labelled.counts[outcome] for outcome in EdgeOutcome if labelled.counts[outcome]},
         "content": None if output else content.decode(),
     }
-    return Report(run.verb, None, (), diagnostics, result, dry_run=run.dry_run)
+    return run.report(result, diagnostics)

@@ -18,7 +18,7 @@ from keymint.errors import KeymintError
 from keymint.output.report import Report
 from keymint.plan.authority_renewal import plan_renewal
 from keymint.plan.hardening import OpenStep, Weakness, all_installed, open_steps, plan_authority, plan_names
-from keymint.session import Inputs, Session
+from keymint.session import Session
 
 _SHOWN = 5
 
@@ -38,8 +38,7 @@ def harden(run: Run, step: str | None, names: tuple[str, ...], applied: bool, fl
 
     Private keys in the workspace are 0600 already; on robots that is 'chmod 600'.
     """
-    workspace = run.workspace()
-    session = run.snapshot(workspace).session()
+    session = run.session()
     steps = open_steps(session)
     chosen = [each for each in steps if step in {None, str(each.step)}]
     for each in chosen:
@@ -48,15 +47,14 @@ def harden(run: Run, step: str | None, names: tuple[str, ...], applied: bool, fl
         run.console.line(f"{step}: nothing to do" if step else "nothing to do: no step is open")
     result = {"steps": [{**asdict(each), "step": str(each.step), "concerns": list(each.concerns)} for each in steps]}
     if not applied or not chosen:
-        return Report(run.verb, workspace, (), (), result, dry_run=run.dry_run)
+        return run.report(result, workspace=session.workspace)
     if step is None:
         raise click.UsageError("--apply needs a STEP: each has a cost of its own.")
     if names and step != Weakness.NAMES:
         raise click.UsageError(f"the step {step!r} concerns all packages; name none.")
-    wanted = run.names(run.snapshot(workspace), names) if names else chosen[0].concerns
+    wanted = run.names(session, names) if names else chosen[0].concerns
 
-    def make_plan(inputs: Inputs) -> Plan:
-        session = inputs.session()
+    def make_plan(session: Session) -> Plan:
         match step:
             case Weakness.NAMES:
                 only = tuple(name for name in wanted if name in chosen[0].concerns)
@@ -66,7 +64,7 @@ def harden(run: Run, step: str | None, names: tuple[str, ...], applied: bool, fl
             case _:
                 return _identifiers(run, session, chosen[0], accepted=flag_day)
 
-    return replace(run.carry_out(workspace, make_plan), result=result)
+    return replace(run.change(make_plan), result=result)
 
 
 def _authority(run: Run, session: Session, step: OpenStep, *, accepted: bool) -> Plan:

@@ -94,7 +94,7 @@ def import_policy(
         "subjects": [{"subject": proof.subject, "same": proof.is_same} for proof in proofs],
     }
     diagnostics = [*imported.diagnostics, *diagnostics_of(proofs, importer.TOOL), *_beside(run, policy, file)]
-    return Report(run.verb, None, (), diagnostics, result, dry_run=run.dry_run, notes=True)
+    return run.report(result, diagnostics, notes=True)
 
 
 def _importer(run: Run, policy: Path) -> PolicyImporter:

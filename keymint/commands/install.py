@@ -32,7 +32,7 @@ from keymint.plan.policy_drift import UNCREATED, policy_changed, uncreated
 from keymint.plan.revocation import plan_lists
 from keymint.plan.revoking import plan_revocation
 from keymint.register.register import SUPERSEDED
-from keymint.session import Inputs
+from keymint.session import Session
 
 
 @verb(jobs=True, dry_run=True)
@@ -59,16 +59,14 @@ def install(
     'keymint prove --help'. Unchanged certificates and signed documents are kept. Each enclave can be copied to a robot
     by itself; private keys of authorities are never staged. NAME is a package [all].
     """
-    workspace = run.workspace()
     if names and new_authority:
         raise click.UsageError("--new-authority applies to all enclaves; do not name packages.")
 
-    def make_plan(inputs: Inputs) -> Plan:
-        session = inputs.session()
+    def make_plan(session: Session) -> Plan:
         plan, authorities = plan_authorities(session, new_authority)
         plan = plan.then(plan_lists(session.after(plan), authorities))
         after = session.after(plan)
-        chosen = run.names(inputs, names)
+        chosen = run.names(session, names)
         install = partial(InstallStage, authorities=authorities, prune=prune)
         proof = proof_stage(run, lazy_policy(session), standard_only=allow_vendor_specific) if prove else None
         run.workers.start(after, chosen, (install, *((proof,) if proof else ())))
@@ -77,8 +75,8 @@ def install(
             run.workers.close()
             first = plan_revocation(session, narrower, SUPERSEDED).plan
             return reissued(run, session, first, chosen, prove=prove, new_authority=new_authority)
-        warnings = policy_changed(session) if chosen else (no_packages(inputs),)
-        missing = () if names or (chosen and not prove) else uncreated(inputs, lazy_policy(session), chosen)
+        warnings = policy_changed(session) if chosen else (no_packages(session),)
+        missing = () if names or (chosen and not prove) else uncreated(session, lazy_policy(session), chosen)
         done = plan.then(installed)
         done = replace(done, diagnostics=(*done.diagnostics, *warnings, *missing))
         return proven(run, after, installed, chosen, proof, done, strict=strict) if proof else done
@@ -87,4 +85,4 @@ def install(
         nothing = findings_exit([finding for finding in plan.diagnostics if finding.code == UNCREATED])
         return exit_code_of(plan) or nothing
 
-    return run.carry_out(workspace, make_plan, exit_code)
+    return run.change(make_plan, exit_code)

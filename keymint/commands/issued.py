@@ -22,8 +22,7 @@ def issued(run: Run, names: tuple[str, ...], revoked: bool) -> Report:
 
     NAME is a package [all], also one whose sources are gone. --json has the fingerprints of the keys as well.
     """
-    workspace = run.workspace()
-    session = run.snapshot(workspace).session()
+    session = run.session()
     register = complete_register(session)
     chosen = {package_name(name) for name in names}
     entries = [
@@ -48,4 +47,4 @@ def issued(run: Run, names: tuple[str, ...], revoked: bool) -> Report:
     run.console.table(["SUBJECT", "GENERATION", "SERIAL", "NOT AFTER", "STATE"], cells)
     if not cells:
         run.console.line("no certificates")
-    return Report(run.verb, workspace, result={"certificates": [document(each) for each in entries]})
+    return run.report({"certificates": [document(each) for each in entries]}, workspace=session.workspace)

@@ -106,15 +106,7 @@ def learn(
         "unused": [_place(found) for found in learned.unused],
     }
     code = ExitCode.FINDINGS if learned.conflicts else ExitCode.DONE
-    return Report(
-        run.verb,
-        None,
-        (),
-        (*learned.conflicts, *learned.unused, *_about_domains(domains, output)),
-        result,
-        code,
-        dry_run=run.dry_run,
-    )
+    return run.report(result, (*learned.conflicts, *learned.unused, *_about_domains(domains, output)), code)
 
 
 def _about_domains(domains: Sequence[int], output: Path | None) -> Iterator[Diagnostic]:

@@ -62,7 +62,7 @@ def from_keystore(
         "unused": [],
     }
     diagnostics = (*learned.diagnostics, *_about_domains(learned.granted, output))
-    return Report(run.verb, None, (), diagnostics, result, dry_run=run.dry_run)
+    return run.report(result, diagnostics)
 
 
 def refuse_replacing_policy(run: Run, output: Path, document: bytes) -> None:

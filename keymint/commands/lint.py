@@ -76,7 +76,7 @@ def lint(
     like = f" and {counted(len(others), 'pattern')} of subjects" if others else ""
     run.console.line(f"{counted(number, 'finding')} in the rules of {counted(len(named), 'subject')}{like}")
     result = {"subjects": list(named), "findings": number}
-    return Report(run.verb, None, (), diagnostics, result, findings_exit(diagnostics))
+    return run.report(result, diagnostics, findings_exit(diagnostics))
 
 
 def _checkers(run: Run, policies: Policies, chosen: Sequence[str]) -> Iterator[RuleCheck]:

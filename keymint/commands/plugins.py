@@ -49,7 +49,7 @@ def plugins(run: Run) -> Report:
         "packages": [_document(each) for each in shipping],
     }
     exit_code = ExitCode.FAILURE if diagnostics else ExitCode.DONE
-    return Report(run.verb, None, (), [*diagnostics, *map(_relative, installed.relative_prefixes)], result, exit_code)
+    return run.report(result, [*diagnostics, *map(_relative, installed.relative_prefixes)], exit_code)
 
 
 def _row(run: Run, package: ShippingPackage) -> list[str]:

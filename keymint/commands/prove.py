@@ -64,54 +64,38 @@ def prove(
     Exit code 3: a claim is refuted or unknown, or with --strict has an exception; a certificate or grant is expired or
     not yet valid; an enclave does not trust the workspace's authorities; or an enclave has no source package.
     """
-    workspace = run.workspace()
-    inputs = run.snapshot(workspace)
-    session = inputs.session()
-    chosen = with_enclaves(session, run.names(inputs, names), names)
+    session = run.session()
+    chosen = with_enclaves(session, run.names(session, names), names)
     with run.console.progress(len(chosen), run.setting.monotonic) as advance, run.pool() as pool:
         policy = lazy_policy(session)  # loaded only if something is to be proven
         results = find(
             session, chosen, policy, effort_of(run, states, seconds),
             lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), standard_only=allow_vendor_specific, pool=pool,
         )  # fmt: skip
-    unknown = () if names else (*unaccounted(session), *uncreated(inputs, policy, chosen))
+    unknown = () if names else (*unaccounted(session), *uncreated(session, policy, chosen))
     # What a cluster says is a result to show, but nothing that a later run may rely on.
-    unrecorded = run.keep(inputs, results.state) if pool.trusted else ()
+    unrecorded = run.keep(session, results.state) if pool.trusted else ()
 
     def folder(name: str) -> str:
-        return workspace.shown(session.enclave_folder(name))
+        return session.workspace.shown(session.enclave_folder(name))
 
     claims = [claim for enclave in results.all for claim in enclave.claims]
     _summary(run, results)
     proven = all(claim.proof is Proof.PROVEN and not (strict and claim.excepted) for claim in claims)
     unread = any(enclave.diagnostics for enclave in results.all)
     dated = tuple(terms.merged(dated_of(results)))
-    return Report(
-        run.verb,
-        workspace,
-        (),
-        [
-            *_assumptions(results),
-            *merged_packages(
-                dict.fromkeys(
-                    diagnostic for enclave in results.all for diagnostic in diagnostics_of(enclave, strict=strict)
-                ),
-                folder,
-            ),
-            *dated,
-            *unknown,
-            *unrecorded,
-        ],
-        {
-            "at": terms.shown(results.now),
-            "until": _shown(_until(results)),
-            "assumptions": {model: list(lines) for model, lines in _taken(results).items()},
-            "enclaves": [_enclave(enclave, results.now, run) for enclave in results.enclaves],
-            "shared": [_across(each, results.now, run) for each in results.shared],
-        },
-        ExitCode.FINDINGS if unread or dated or findings_exit(unknown) or not proven else ExitCode.DONE,
-        run.dry_run,
-    )
+    found = dict.fromkeys(each for enclave in results.all for each in diagnostics_of(enclave, strict=strict))
+    diagnostics = [*_assumptions(results), *merged_packages(found, folder), *dated, *unknown, *unrecorded]
+    result = {
+        "at": terms.shown(results.now),
+        "until": _shown(_until(results)),
+        "assumptions": {model: list(lines) for model, lines in _taken(results).items()},
+        "enclaves": [_enclave(enclave, results.now, run) for enclave in results.enclaves],
+        "shared": [_across(each, results.now, run) for each in results.shared],
+    }
+    failed = unread or dated or findings_exit(unknown) or not proven
+    exit_code = ExitCode.FINDINGS if failed else ExitCode.DONE
+    return run.report(result, diagnostics, exit_code, workspace=session.workspace)
 
 
 def _summary(run: Run, results: ProofResults) -> None:

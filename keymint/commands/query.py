@@ -89,7 +89,7 @@ def query(
         warnings.append(Diagnostic("query-unknown", Severity.WARNING, "the answer is unknown"))
     failed = verdict == "unknown" or (question.head == "isolated" and verdict == "no")
     result = {"question": question.head, "answer": verdict, **more}
-    return Report(run.verb, None, (), warnings, result, ExitCode.FINDINGS if failed else ExitCode.DONE)
+    return run.report(result, warnings, ExitCode.FINDINGS if failed else ExitCode.DONE)
 
 
 def _doubts(policy: LoadedPolicy, question: PolicyQuery, partition: str, verdict: str) -> Iterator[Diagnostic]:

@@ -38,7 +38,7 @@ from keymint.plan.renewal import (
 from keymint.plan.renewing import chosen, packages_of, refuse_new_authorities
 from keymint.plan.terms import shown
 from keymint.plan.threshold import Threshold
-from keymint.session import Inputs, Session
+from keymint.session import Session
 
 NOT_HERE = "authority-key-missing"
 """Code of the error that an authority cannot sign, since its key is elsewhere."""
@@ -71,12 +71,10 @@ def renew(run: Run, names: tuple[str, ...], threshold: Threshold, rekey: bool, p
       1 something that is due was not renewed
       3 a person must renew an authority, or make a key elsewhere; with --dry-run: something is due
     """
-    workspace = run.workspace()
     done: list[_Renewal] = []
 
-    def make_plan(inputs: Inputs) -> Plan:
-        session = inputs.session()
-        packages = run.names(inputs, names)
+    def make_plan(session: Session) -> Plan:
+        packages = run.names(session, names)
         due = schedule(session, installed_terms(session, with_enclaves(session, packages, names)), threshold)
         if names:
             due = Schedule(tuple(map(Due, packages)), due.lists, due.authorities, due.following)
@@ -84,10 +82,9 @@ def renew(run: Run, names: tuple[str, ...], threshold: Threshold, rekey: bool, p
         done[:] = [renewal]
         return renewal.plan
 
-    report = run.carry_out(workspace, make_plan, lambda plan: _exit_code(run, done[-1], plan))
+    report = run.change(make_plan, lambda plan: _exit_code(run, done[-1], plan))
     renewal = done[-1]
-    for line in _lines(run, renewal):
-        run.console.line(line)
+    run.console.lines(_lines(run, renewal))
     return replace(report, result=_result(renewal))
 
 

@@ -110,7 +110,7 @@ def request(
         "enclave": subject_of(name), "fingerprint": asked.fingerprint, "signed_by_current_key": bool(vouched),
         "file": str(target), "written": written, "keystore": keystore.typed,
     }  # fmt: skip
-    return Report(run.verb, result=result)
+    return run.report(result)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ from keymint.output.report import Report
 from keymint.plan.enclaves import INSTALLED
 from keymint.plan.revoking import Revoking, plan_revocation
 from keymint.register.register import REASONS, SUPERSEDED, IssuedCertificate
-from keymint.session import Inputs
+from keymint.session import Session
 
 
 @verb(dry_run=True)
@@ -43,12 +43,10 @@ def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report
     With the reason superseded a new certificate for the same key is installed. Otherwise the enclave is removed, until
     'keymint renew --rekey NAME' makes a new key.
     """
-    workspace = run.workspace()
     chosen = tuple(dict.fromkeys(map(package_name, names)))
     done: list[tuple[Revoking, Plan]] = []
 
-    def make_plan(inputs: Inputs) -> Plan:
-        session = inputs.session()
+    def make_plan(session: Session) -> Plan:
         revoking = plan_revocation(session, chosen, reason)
         plan = reissued(run, session, revoking.plan, revoking.packages, prove=prove)
         if revoking.skipped and not plan.writes():
@@ -57,7 +55,7 @@ def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report
         found = (*plan.diagnostics, *revoking.skipped, *revoking.diagnostics)
         return Plan(plan.steps, plan.state, found, plan.first)
 
-    report = run.carry_out(workspace, make_plan)
+    report = run.change(make_plan)
     ((revoking, plan),) = done
     peers = [name for name in updated(plan) if name not in chosen]
     names_again = [name for name in updated(plan) if name in chosen]
@@ -71,7 +69,7 @@ def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report
             "old list, and until its restart accepts the revoked certificate; connections made before go on until then"
         )
     shared = [
-        workspace.shown(change.folder / file)
+        run.workspace().shown(change.folder / file)
         for step in plan.steps
         if step.stage == INSTALLED and not step.package
         for change in step.changes

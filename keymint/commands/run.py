@@ -194,6 +194,10 @@ class Run:
                 break
         return inputs
 
+    def session(self) -> Session:
+        """Return a consistent snapshot of the workspace with its profile, for verbs that do not write."""
+        return self.snapshot(self.workspace()).session()
+
     def names(self, inputs: Inputs, given: tuple[str, ...]) -> tuple[str, ...]:
         """Return the packages that a user named, or all packages.
 
@@ -260,6 +264,12 @@ class Run:
             yield pool
 
     # -- doing it ------------------------------------------------------------------------------------------------
+
+    def change(
+        self, make_plan: Callable[[Session], Plan], exit_code: Callable[[Plan], ExitCode] = exit_code_of
+    ) -> Report:
+        """Carry out a plan for the workspace and its profile; see :meth:`carry_out`."""
+        return self.carry_out(self.workspace(), lambda inputs: make_plan(inputs.session()), exit_code)
 
     def carry_out(
         self,
@@ -330,6 +340,18 @@ class Run:
         sight = Sight.of(map(str, workspace.spaces()), clock(workspace.state))
         inputs = self.inputs(workspace, sight)
         return (inputs, make_plan(inputs)), sight
+
+    def report(
+        self,
+        result: Mapping[str, Any] | None = None,
+        diagnostics: Sequence[Diagnostic] = (),
+        exit_code: ExitCode = ExitCode.DONE,
+        *,
+        workspace: Workspace | None = None,
+        notes: bool = False,
+    ) -> Report:
+        """Return the report of a verb that carried out no plan; arguments as the fields of a report."""
+        return Report(self.verb, workspace, (), diagnostics, result or {}, exit_code, self.dry_run, notes)
 
     def presented(self, report: Report) -> Report:
         """Return a report with all paths as the user would type them, and equal diagnostics merged."""

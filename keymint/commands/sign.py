@@ -24,7 +24,7 @@ from keymint.output.report import Report
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.bundles import MadeBundle, plan_bundles
 from keymint.plan.requests import Given, plan_requests
-from keymint.session import Inputs
+from keymint.session import Session
 
 
 @verb(dry_run=True)
@@ -45,7 +45,6 @@ def sign(run: Run, files: tuple[Path, ...], typed: tuple[str, ...], output: Path
     Whoever carried the request may have exchanged the key in it. So its fingerprint, as it was read at the robot, must
     be given, unless the key that the package has signed the request.
     """
-    workspace = run.workspace()
     fingerprints = _fingerprints(typed)
     given = [
         Given(requests.read(read_input(run, file, requests.MAX_BYTES), Origin(str(file))), Origin(str(file)))
@@ -54,8 +53,7 @@ def sign(run: Run, files: tuple[Path, ...], typed: tuple[str, ...], output: Path
     require_output(run, output, len(given))
     made: list[MadeBundle] = []
 
-    def make_plan(inputs: Inputs) -> Plan:
-        session = inputs.session()
+    def make_plan(session: Session) -> Plan:
         plan, chosen = plan_requests(session, given, fingerprints)
         plan = reissued(run, session, plan, list(chosen), prove=prove)
         after = session.after(plan)
@@ -64,7 +62,7 @@ def sign(run: Run, files: tuple[Path, ...], typed: tuple[str, ...], output: Path
         made[:] = bundles
         return plan.then(numbered)
 
-    report = run.carry_out(workspace, make_plan)
+    report = run.change(make_plan)
     return replace(report, result={"bundles": write_bundles(run, output, made)})
 
 

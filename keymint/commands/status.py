@@ -39,9 +39,7 @@ def status(run: Run, kind: str) -> Report:
     RENEW AFTER is from when on 'keymint renew' takes it up; 'with CA' means that it ends with this authority, which
     must be renewed before.
     """
-    workspace = run.workspace()
-    inputs = run.snapshot(workspace)
-    session = inputs.session()
+    session = run.session()
     diagnostics: list[Diagnostic] = []
     missing: list[str] = []
     try:
@@ -59,8 +57,7 @@ def status(run: Run, kind: str) -> Report:
         missing = sorted(wanted - known)
     shared = [_as_typed(run, row) for row in shared_rows(session)]
     if kind == "openmetrics":
-        for line in openmetrics(gauges(session, rows)):
-            run.console.line(line)
+        run.console.lines(openmetrics(gauges(session, rows)))
     else:
         _show(run, rows, missing, shared)
     result = {
@@ -68,7 +65,7 @@ def status(run: Run, kind: str) -> Report:
         "not_created": missing,
         "shared": [_shared_document(row) for row in shared],
     }
-    return Report(run.verb, workspace, (), diagnostics, result)
+    return run.report(result, diagnostics, workspace=session.workspace)
 
 
 def _show(run: Run, rows: Sequence[PackageRow], missing: Sequence[str], shared: Sequence[SharedRow]) -> None:

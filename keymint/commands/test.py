@@ -108,7 +108,7 @@ def test(
         "exercised": len(rules) - len(idle),
     }
     bad = broken or percent < min_coverage
-    return Report(run.verb, None, (), warnings, result, ExitCode.FINDINGS if bad else ExitCode.DONE)
+    return run.report(result, warnings, ExitCode.FINDINGS if bad else ExitCode.DONE)
 
 
 def _checked(checks: ExpectationChecker, expected: Sequence[Expectation]) -> list[ExpectationResult]:

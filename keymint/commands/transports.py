@@ -39,4 +39,4 @@ def transports(run: Run) -> Report:
             for name, usable in listed
         ]
     }
-    return Report(run.verb, None, (), (), result)
+    return run.report(result)

@@ -82,8 +82,6 @@ def _guarded(run: Run, function: Callable[[], Report]) -> ExitCode:
 
         report = unaccepted(run, error)
     except KeymintError as error:
-        report = Report(
-            run.verb, run.known_workspace, (), error.diagnostics, exit_code=error.exit_code, dry_run=run.dry_run
-        )
+        report = run.report({}, error.diagnostics, error.exit_code, workspace=run.known_workspace)
     run.console.show(run.presented(report))
     return report.exit_code

@@ -91,10 +91,8 @@ def verify(
 
     Exit code 3: there are mismatches, or an enclave does not trust the workspace's authorities.
     """
-    workspace = run.workspace()
-    inputs = run.snapshot(workspace)
-    session = inputs.session()
-    chosen_names = with_enclaves(session, run.names(inputs, names), names)
+    session = run.session()
+    chosen_names = with_enclaves(session, run.names(session, names), names)
     there = installed_scopes(session, chosen_names)
     # A transport trusts the authorities in the enclave; they must be the workspace's.
     foreign = differences(session, chosen_names)
@@ -105,7 +103,7 @@ def verify(
         load(read_input(run, graph), str(graph)), there.enclaves, only=bool(names)
     )  # fmt: skip
     with copied(
-        inputs.tree, workspace.install, there.enclaves, transports, there.others, there.infrastructure
+        session.tree, session.workspace.install, there.enclaves, transports, there.others, there.infrastructure
     ) as copies:
         total = sum((1 + len(group)) * len(there.scopes[name].enclaves) for name, group in groups.items())
         with run.console.progress(total, run.setting.monotonic) as advance:
@@ -129,13 +127,11 @@ def verify(
                 ):
                     run.console.line(f"{file} written")
     wrong = any(outcome.confusion.errors for outcome in outcomes)
-    return Report(
-        run.verb,
-        workspace,
-        (),
-        (*foreign, *_unasked(there.scopes, groups, system, Tier(tier), chosen), *diagnostics(outcomes)),
+    return run.report(
         comparisons_json(outcomes, subjects, edges, run.typed),
+        (*foreign, *_unasked(there.scopes, groups, system, Tier(tier), chosen), *diagnostics(outcomes)),
         ExitCode.FINDINGS if wrong or foreign else ExitCode.DONE,
+        workspace=session.workspace,
     )
 
 

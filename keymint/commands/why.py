@@ -63,9 +63,7 @@ def why(
 
     Exit code 3: a transport disagrees with the policy, or the enclave does not trust the workspace's authorities.
     """
-    workspace = run.workspace()
-    inputs = run.snapshot(workspace)
-    session = inputs.session()
+    session = run.session()
     granted = granted_domains(session, subject)
     if domain is None:
         domain = granted[0].first if granted else 0
@@ -73,11 +71,10 @@ def why(
     transports = choose(run.plugins, chosen, Tier.DECISION, build_types(session, edge.subject))
     explanation = explain(session, load_policy(session), edge, transports, partial(models, run.plugins))
 
-    for line in _lines(explanation, run.typed):
-        run.console.line(line)
+    run.console.lines(_lines(explanation, run.typed))
     diagnostics = [*_strange(session, explanation), *_mismatches(explanation, granted)]
-    result = _document(explanation, run.typed)
-    return Report(run.verb, workspace, (), diagnostics, result, ExitCode.FINDINGS if diagnostics else ExitCode.DONE)
+    exit_code = ExitCode.FINDINGS if diagnostics else ExitCode.DONE
+    return run.report(_document(explanation, run.typed), diagnostics, exit_code, workspace=session.workspace)
 
 
 def _strange(session: Session, explanation: Explanation) -> tuple[Diagnostic, ...]:

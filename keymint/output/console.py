@@ -6,7 +6,7 @@ from __future__ import annotations
 import io
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import IO, Any
@@ -118,6 +118,11 @@ class Console:
     def line(self, text: str = "") -> None:
         """Show a line of a result unless quiet or JSON, with unprintable characters escaped."""
         self._line(printable(text))
+
+    def lines(self, texts: Iterable[str]) -> None:
+        """Show lines of a result; see :meth:`line`."""
+        for text in texts:
+            self.line(text)
 
     def document(self, content: bytes) -> None:
         """Write a document that is the result, unless quiet or JSON.
