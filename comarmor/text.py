@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime
 from typing import Any
 
 _LONGEST_WORD = 128
@@ -33,7 +34,7 @@ def encodable(value: Any) -> Any:
     """Return a value for JSON, with lone surrogates in texts escaped, which UTF-8 cannot encode (RFC 8259, 8.1).
 
     Args:
-        value: texts, numbers, and mappings and sequences of them.
+        value: texts, numbers, moments (in ISO 8601), and mappings and sequences of them.
     """
     if isinstance(value, str):
         return value if value.isascii() else value.encode("utf-8", "backslashreplace").decode()
@@ -41,7 +42,7 @@ def encodable(value: Any) -> Any:
         return {encodable(key): encodable(item) for key, item in value.items()}
     if isinstance(value, Sequence) and not isinstance(value, bytes | bytearray):
         return [encodable(item) for item in value]
-    return value
+    return value.isoformat() if isinstance(value, datetime) else value
 
 
 def nearest_word(word: str, known: Iterable[str], similarity: float = 0.6) -> str:

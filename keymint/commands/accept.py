@@ -128,13 +128,13 @@ def _document(taken: _Taken) -> dict[str, object]:
     return {
         "enclave": manifest.enclave,
         "bundle": str(taken.file),
-        "action": str(taken.step.action),
+        "action": taken.step.action,
         "key": manifest.key,
         "authority": manifest.authority,
         "generation": manifest.generation,
         "issue": manifest.issue,
         "revocations": manifest.revocations,
-        "not_before": manifest.not_before.isoformat(),
-        "not_after": manifest.not_after.isoformat(),
+        "not_before": manifest.not_before,
+        "not_after": manifest.not_after,
         "answers_request": taken.acceptance.answered,
     }

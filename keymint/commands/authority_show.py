@@ -99,7 +99,7 @@ def _document(each: AuthorityStatus) -> dict[str, Any]:
         if each.revocations is None
         else {
             "number": each.revocations.number,
-            "next_update": each.revocations.next_update.isoformat(),
+            "next_update": each.revocations.next_update,
             "revoked": len(each.revocations.revocations),
         },
         "replacement": {"phase": each.phase.value, "certificate": _certificate(each.other)} if each.phase else None,
@@ -114,9 +114,9 @@ def _certificate(status: CertificateStatus | None) -> dict[str, Any] | None:
         "serial": f"{status.serial:x}",
         "key": status.key,
         "fingerprint": status.fingerprint,
-        "not_before": status.first.isoformat(),
-        "not_after": status.last.isoformat(),
-        "renew_after": status.renew_after.isoformat(),
+        "not_before": status.first,
+        "not_after": status.last,
+        "renew_after": status.renew_after,
         "key_usage": None if status.key_usage is None else list(status.key_usage),
         "subject_key_identifier": status.key_identifier or None,
     }

@@ -62,7 +62,7 @@ def write_bundles(run: Run, output: Path | None, made: Sequence[MadeBundle]) -> 
                 "generation": each.manifest.generation,
                 "issue": each.manifest.issue,
                 "revocations": each.manifest.revocations,
-                "not_after": each.manifest.not_after.isoformat(),
+                "not_after": each.manifest.not_after,
             }
         )
     for authority in dict.fromkeys(each.manifest.authority for each in made):

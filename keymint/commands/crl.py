@@ -90,13 +90,13 @@ def _shown(run: Run, session: Session, done: Report | None = None) -> Report:
                 "authority": name,
                 "file": path,
                 "number": found.number,
-                "this_update": found.this_update.isoformat(),
-                "next_update": found.next_update.isoformat(),
+                "this_update": found.this_update,
+                "next_update": found.next_update,
                 "revoked": [
                     {
                         "serial": f"{each.serial:x}",
                         "subject": subjects.get(each.serial),
-                        "at": each.at.isoformat(),
+                        "at": each.at,
                         "reason": each.reason,
                     }
                     for each in found.revocations

@@ -113,7 +113,7 @@ def discover(
         run.console.line(_summary(graph))
     delivered = deliver(run, target, content)
     result: dict[str, Any] = {
-        "subjects": list(graph.subjects),
+        "subjects": graph.subjects,
         "objects": len(graph.objects),
         "edges": len(graph.edges),
         **delivered,

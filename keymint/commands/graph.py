@@ -248,9 +248,9 @@ def _report(
     result: dict[str, Any] = {
         **deliver(run, output, content),
         "format": kind,
-        "subjects": list(labelled.subjects),
+        "subjects": labelled.subjects,
         "objects": len({(edge.edge.domain, edge.edge.object) for edge in labelled.edges}),
-        "edges": {str(outcome): labelled.counts[outcome] for outcome in EdgeOutcome if labelled.counts[outcome]},
+        "edges": {outcome: labelled.counts[outcome] for outcome in EdgeOutcome if labelled.counts[outcome]},
         "content": None if output else content.decode(),
     }
     return run.report(result, diagnostics)

@@ -45,7 +45,7 @@ def harden(run: Run, step: str | None, names: tuple[str, ...], applied: bool, fl
         run.console.line(f"{each.step}: {first_few(each.concerns, _SHOWN)}: {each.cost}")
     if not chosen:
         run.console.line(f"{step}: nothing to do" if step else "nothing to do: no step is open")
-    result = {"steps": [{**asdict(each), "step": str(each.step), "concerns": list(each.concerns)} for each in steps]}
+    result = {"steps": [asdict(each) for each in steps]}
     if not applied or not chosen:
         return run.report(result, workspace=session.workspace)
     if step is None:

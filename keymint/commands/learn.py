@@ -154,7 +154,7 @@ def _as_json(edge: Edge) -> dict[str, Any]:
         "subject": edge.subject,
         "permission": edge.permission,
         "object": edge.object.name,
-        "partitions": list(edge.object.partitions),
+        "partitions": edge.object.partitions,
         "domain": edge.domain,
     }
 

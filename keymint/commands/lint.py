@@ -75,7 +75,7 @@ def lint(
     number = len(diagnostics)
     like = f" and {counted(len(others), 'pattern')} of subjects" if others else ""
     run.console.line(f"{counted(number, 'finding')} in the rules of {counted(len(named), 'subject')}{like}")
-    result = {"subjects": list(named), "findings": number}
+    result = {"subjects": named, "findings": number}
     return run.report(result, diagnostics, findings_exit(diagnostics))
 
 

@@ -89,7 +89,7 @@ def prove(
     result = {
         "at": terms.shown(results.now),
         "until": _shown(_until(results)),
-        "assumptions": {model: list(lines) for model, lines in _taken(results).items()},
+        "assumptions": _taken(results),
         "enclaves": [_enclave(enclave, results.now, run) for enclave in results.enclaves],
         "shared": [_across(each, results.now, run) for each in results.shared],
     }
@@ -178,7 +178,7 @@ def _enclave(enclave: EnclaveProof, now: datetime, run: Run) -> dict[str, Any]:
 
     return {
         "subject": enclave.subject,
-        "proof": str(_whole(enclave)),
+        "proof": _whole(enclave),
         "until": _shown(terms.end(enclave.terms, now)),
         "unchanged": enclave.cached,
         "claims": [_claim(claim, until(claim), run) for claim in enclave.claims],
@@ -204,8 +204,8 @@ def _claim(claim: Claim, until: datetime | None, run: Run) -> dict[str, Any]:
         "action": claim.action,
         "domains": [{"first": each.first, "last": each.last} for each in claim.domains],
         "universe": claim.universe,
-        "proof": str(claim.proof),
-        "except": list(claim.excepted),
+        "proof": claim.proof,
+        "except": claim.excepted,
         "until": _shown(until),
         "reason": claim.reason,
         "counterexample": None if claim.counterexample is None else _counterexample(claim.counterexample, run),

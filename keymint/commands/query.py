@@ -190,8 +190,8 @@ def _what(run: Run, policy: LoadedPolicy, question: PolicyQuery) -> _Answer:
                     "subject": subject,
                     "permission": ability.permission,
                     "expression": ability.expression,
-                    "partitions": list(ability.partitions),
-                    "except": list(ability.but),
+                    "partitions": ability.partitions,
+                    "except": ability.but,
                     "audit": ability.audit,
                     "rule": {"file": ability.where.file, "line": ability.where.line},
                 }
@@ -204,7 +204,7 @@ def _what(run: Run, policy: LoadedPolicy, question: PolicyQuery) -> _Answer:
         applies = any(policy.rules(subject) is not None for subject in subjects)
         why = "no rule allows it anything" if applies else "no profile of the policy applies to it"
         run.console.line(f"{expression} can do nothing: {why}")
-    return "yes" if rows else "no", {"subjects": list(subjects), "abilities": abilities}
+    return "yes" if rows else "no", {"subjects": subjects, "abilities": abilities}
 
 
 def _flows(run: Run, channels: ChannelSearch, question: PolicyQuery) -> _Answer:
@@ -312,6 +312,6 @@ def _channel(channel: Channel) -> dict[str, Any]:
         "writer": channel.writer,
         "reader": channel.reader,
         "kind": channel.kind,
-        "permissions": list(channel.permissions),
+        "permissions": channel.permissions,
         "object": display_name(channel.kind, channel.word) or None,
     }

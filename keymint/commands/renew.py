@@ -293,8 +293,8 @@ def _result(renewal: _Renewal) -> dict[str, Any]:
         why = due.why if due else None
         return {
             "why": why.what if why else None,
-            "ends": why.last.isoformat() if why else None,
-            "due": due.after.isoformat() if due and due.after else None,
+            "ends": why.last if why else None,
+            "due": due.after if due else None,
         }
 
     following = renewal.schedule.following
@@ -303,7 +303,7 @@ def _result(renewal: _Renewal) -> dict[str, Any]:
             {
                 "subject": subject_of(each.due.name),
                 **due_document(each.due),
-                "until": each.now.isoformat() if each.now else None,
+                "until": each.now,
                 "key_elsewhere": each.elsewhere,
             }
             for each in renewal.renewed
@@ -314,7 +314,7 @@ def _result(renewal: _Renewal) -> dict[str, Any]:
         "authorities_due": [
             {
                 "authority": each.name,
-                "ends": each.end.isoformat(),
+                "ends": each.end,
                 "subjects": [subject_of(name) for name in each.packages],
             }
             for each in renewal.schedule.authorities

@@ -97,10 +97,10 @@ def document(each: IssuedCertificate) -> dict[str, Any]:
         "authority": each.authority,
         "subject": subject_of(each.name) if each.name else None,
         "generation": each.generation,
-        "not_before": each.not_before.isoformat(),
-        "not_after": each.not_after.isoformat(),
+        "not_before": each.not_before,
+        "not_after": each.not_after,
         "key": each.key or None,
         "rights": each.rights or None,
-        "revoked": each.revoked.isoformat() if each.revoked else None,
+        "revoked": each.revoked,
         "reason": each.reason or None,
     }

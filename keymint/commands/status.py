@@ -107,7 +107,7 @@ def _as_typed(run: Run, row: _Row) -> _Row:
 def _shared_document(row: SharedRow) -> dict[str, Any]:
     return {
         "build_type": row.build_type or None,
-        "documents": list(row.documents),
+        "documents": row.documents,
         "stage": row.stage,
         "stale": row.stale or None,
         "problem": row.problem or None,
@@ -137,9 +137,9 @@ def _document(row: PackageRow) -> dict[str, Any]:
         "subject": f"/{row.package}",
         "stage": row.stage,
         "stale": row.stale or None,
-        "certificate_expires": row.certificate_expires.isoformat() if row.certificate_expires else None,
-        "permissions_expire": row.permissions_expire.isoformat() if row.permissions_expire else None,
-        "renew_after": renew_after.isoformat() if renew_after else None,
+        "certificate_expires": row.certificate_expires,
+        "permissions_expire": row.permissions_expire,
+        "renew_after": renew_after,
         "ends_with": row.ends_with or None,
         "problem": row.problem or None,
     }

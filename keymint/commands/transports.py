@@ -28,15 +28,5 @@ def transports(run: Run) -> Report:
     for name, usable in listed:
         if not usable.usable:
             run.console.line(f"{name}: {usable.reason}" + (f" ({usable.help})" if usable.help else ""))
-    result = {
-        "transports": [
-            {
-                "name": name,
-                "build_type": reads[name],
-                **asdict(usable),
-                "tiers": [str(tier) for tier in usable.tiers],
-            }
-            for name, usable in listed
-        ]
-    }
+    result = {"transports": [{"name": name, "build_type": reads[name], **asdict(usable)} for name, usable in listed]}
     return run.report(result)

@@ -186,11 +186,11 @@ def _document(explanation: Explanation, typed: Callable[[str], str]) -> dict[str
 
     def rule(each: MatchedRule) -> dict[str, Any]:
         return {
-            "effect": str(each.rule.effect),
+            "effect": each.rule.effect,
             "kind": each.rule.kind,
-            "permissions": list(each.rule.permissions),
-            "expressions": list(each.rule.expressions),
-            "partitions": list(each.rule.partitions),
+            "permissions": each.rule.permissions,
+            "expressions": each.rule.expressions,
+            "partitions": each.rule.partitions,
             "audit": each.rule.audit,
             "rule": place_json(each.where, typed),
             "note": each.note or None,
@@ -211,7 +211,7 @@ def _document(explanation: Explanation, typed: Callable[[str], str]) -> dict[str
             {
                 "action": each.endpoint.action,
                 "name": each.endpoint.name,
-                "partitions": list(each.endpoint.partitions),
+                "partitions": each.endpoint.partitions,
             }
             for each in explanation.needs
         ],

@@ -39,7 +39,7 @@ def edge_json(edge: Edge) -> dict[str, Any]:
         "permission": edge.permission,
         "kind": edge.object.kind,
         "object": edge.object.name,
-        "partitions": list(edge.object.partitions),
+        "partitions": edge.object.partitions,
         "domain": edge.domain,
     }
 
@@ -89,13 +89,13 @@ def comparisons_json(
         typed: returns a path as the user would type it.
     """
     return {
-        "subjects": list(subjects),
+        "subjects": subjects,
         "edges": edges,
         "transports": [
             {
                 "name": comparison.transport,
                 "version": comparison.version,
-                "tier": str(comparison.tier),
+                "tier": comparison.tier,
                 "confusion": asdict(comparison.confusion),
                 "findings": [_mismatch(mismatch, typed) for mismatch in comparison.findings],
                 "findings_omitted": comparison.omitted,
@@ -107,7 +107,7 @@ def comparisons_json(
 
 def _mismatch(mismatch: Mismatch, typed: Typed) -> dict[str, Any]:
     return {
-        "error": str(mismatch.error),
+        "error": mismatch.error,
         "edge": edge_json(mismatch.edge),
         "request": request_text(mismatch.edge),
         "policy": decision_json(mismatch.policy, typed),

@@ -36,8 +36,7 @@ def as_json(found: FoundKeystore, comparisons: Mapping[str, Mapping[str, Any]]) 
         "form": found.form,
         "layout": found.layout or None,
         "authorities": [
-            {"name": each.name, "roles": list(each.roles), "file": each.file, **each.facts}
-            for each in found.authorities
+            {"name": each.name, "roles": each.roles, "file": each.file, **each.facts} for each in found.authorities
         ],
         "enclaves": [
             {"subject": each.subject, **each.facts, "policy": comparisons.get(each.subject)} for each in found.enclaves

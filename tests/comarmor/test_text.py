@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from datetime import UTC, datetime
 
 import pytest
 from hypothesis import given
@@ -22,6 +23,11 @@ def test_printable_text_is_one_printable_line(text: str) -> None:
 @given(ANY)
 def test_encodable_text_has_a_form_in_utf_8(text: str) -> None:
     json.dumps(encodable({text: [text]}), ensure_ascii=False).encode()
+
+
+def test_moments_are_written_in_iso_8601() -> None:
+    moment = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
+    assert encodable({"at": (moment,), "end": None}) == {"at": ["2026-01-02T03:04:05+00:00"], "end": None}
 
 
 @given(ANY, st.integers(1, 100))
