@@ -50,8 +50,6 @@ bench: setup
 	$(BIN)/python benchmarks/fleet.py --rows small,growth
 	$(BIN)/python benchmarks/verify.py
 	$(BIN)/python benchmarks/decisions.py
-	$(BIN)/python benchmarks/agreement.py
-	$(BIN)/python benchmarks/diff.py
 	$(BIN)/python benchmarks/proof.py
 	$(BIN)/python benchmarks/sizes.py
 

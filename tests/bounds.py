@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs policies through all stages and counts the steps. ``python benchmarks/bounds.py`` runs the full sweep."""
+"""Runs policies through all stages and counts the steps."""
 
 from __future__ import annotations
 

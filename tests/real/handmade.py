@@ -42,12 +42,14 @@ class Authority:
         self,
         rdns: Sequence[tuple[x509.ObjectIdentifier, str]],
         usages: Sequence[x509.ObjectIdentifier] = (ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH),
+        hosts: Sequence[x509.GeneralName] = (),
     ) -> tuple[x509.Certificate, bytes]:
         """Issue an identity with these RDNs in this order; return its certificate and its key as PEM.
 
         Args:
             rdns: its subject.
             usages: its extended key usages; none for a certificate without this extension.
+            hosts: its alternative names; none for a certificate without this extension.
         """
         key = ec.generate_private_key(ec.SECP256R1())
         subject = x509.Name([x509.NameAttribute(oid, value) for oid, value in rdns])
@@ -56,6 +58,8 @@ class Authority:
         builder = builder.add_extension(_key_usage(digital_signature=True), critical=True)
         if usages:
             builder = builder.add_extension(x509.ExtendedKeyUsage(usages), critical=False)
+        if hosts:
+            builder = builder.add_extension(x509.SubjectAlternativeName(hosts), critical=False)
         pem = key.private_bytes(
             serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
         )

@@ -1,50 +1,49 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A sample of the comparisons of ``benchmarks/open_governance.py``."""
+"""Every topic that a governance opens is reported, on random documents and policies, each in three domains."""
 
 from __future__ import annotations
 
-import runpy
-import sys
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.effort import tries
+
+from .open_governance import Bench, compare
+
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from keymint_ros2_dds.vendors.participants import Vendor
 
-
-@pytest.fixture
-def benchmark() -> dict[str, Any]:
-    folder = Path(__file__).resolve().parents[2] / "benchmarks"
-    if not folder.is_dir():
-        pytest.skip("no benchmarks beside these tests")
-    sys.path.insert(0, str(folder))
-    try:
-        return runpy.run_path(str(folder / "open_governance.py"))
-    finally:
-        sys.path.remove(str(folder))
+SEED = 2018
 
 
-def test_claims_and_models_agree_with_brute_force(benchmark: dict[str, Any]) -> None:
-    counts, wrong = benchmark["compare"](11, 100, cyclone=False)
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    return Bench()
+
+
+def test_claims_and_models_agree_with_brute_force(bench: Bench) -> None:
+    counts, wrong = compare(bench, SEED, tries(100, 3_000), bench.modelled)
     assert wrong == []
-    assert counts["model"] > 30_000
-    assert min(counts["differing"], counts["claims proven"], counts["claims counterexample"]) > 100
+    assert counts["model"] > tries(30_000, 1_400_000)
+    assert min(counts["differing"], counts["claims proven"], counts["claims counterexample"]) > tries(100, 3_000)
 
 
 @pytest.mark.cyclonedds
 @pytest.mark.usefixtures("cyclone_plugins")
-def test_cyclone_dds_decides_as_brute_force_does(benchmark: dict[str, Any]) -> None:
-    counts, wrong = benchmark["compare"](12, 60)
+def test_cyclone_dds_decides_as_brute_force_does(bench: Bench) -> None:
+    counts, wrong = compare(bench, SEED, tries(60, 3_000), bench.cyclone)
     assert wrong == []
-    assert counts["cyclone"] > 8_000
-    assert counts["cyclone allows"] > 500
+    assert counts["cyclone"] > tries(8_000, 400_000)
+    assert counts["cyclone allows"] > tries(500, 25_000)
 
 
 @pytest.mark.fastdds
-def test_fast_dds_decides_as_brute_force_does(benchmark: dict[str, Any], fastdds: Vendor) -> None:
-    counts, wrong = benchmark["compare"](13, 12, cyclone=False, fastdds=fastdds, fast_documents=12)
+def test_fast_dds_decides_as_brute_force_does(bench: Bench, fastdds: Vendor, tmp_path: Path) -> None:
+    counts, wrong = compare(bench, SEED, tries(12, 100), partial(bench.fast, fastdds, tmp_path))
     assert wrong == []
-    assert counts["fastdds"] > 500
-    assert counts["fastdds allows"] > 30
+    assert counts["fastdds"] > tries(500, 5_000)
+    assert counts["fastdds allows"] > tries(30, 250)

@@ -5,11 +5,9 @@ from __future__ import annotations
 
 import ctypes
 import os
-import runpy
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from keymint_ros2_dds.transports import cyclonedds_0_10, fastdds_2_9, real_cyclonedds, real_fastdds
@@ -18,12 +16,11 @@ from keymint.api import Enclave, EndpointTransport, Environment, Tier, Transport
 from keymint.errors import KeymintError
 from keymint.graph import Column, Edge, Object
 from keymint.pki import smime
+from tests.effort import tries
 
 from .conftest import missing_transport
 from .handmade import Authorities, criteria, governance_document, permissions_document, rule
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from .model_agreement import disagreements
 
 MODELS = {"cyclonedds": cyclonedds_0_10, "fastdds": fastdds_2_9}
 X, Y, Z = (Object("topic", f"rt/{name}") for name in "xyz")
@@ -223,26 +220,9 @@ def test_without_compiler_and_library_a_transport_reports_how_to_install_it(
         opened.label([], [], Tier.DECISION)
 
 
-def test_models_agree_on_random_documents(transport: Transport, vendor_name: str, environment: Environment) -> None:
-    """A sample of the comparisons of ``benchmarks/agreement.py``."""
-    from keymint.plugins import Plugins
-
-    benchmark = _benchmark("agreement.py")
-    documents = 100 if vendor_name == "cyclonedds" else 25
-    compared = list(benchmark(Plugins(environment=environment), vendor_name, documents, 30, 7))
-    assert len(compared) == documents * 30
+def test_models_agree_on_random_documents(transport: Transport, model: Transport, vendor_name: str) -> None:
+    documents, requests = tries(100 if vendor_name == "cyclonedds" else 25, 400), 40
+    compared = list(disagreements(transport, model, documents, requests, seed=2018))
+    assert len(compared) == documents * requests
     assert [text for _, text in compared if text] == []
     assert any(allowed for allowed, _ in compared)
-
-
-def _benchmark(name: str) -> Callable[..., object]:
-    import sys
-
-    folder = Path(__file__).resolve().parents[2] / "benchmarks"
-    if not folder.is_dir():
-        pytest.skip("no benchmarks beside these tests")
-    sys.path.insert(0, str(folder))
-    try:
-        return runpy.run_path(str(folder / name))["disagreements"]
-    finally:
-        sys.path.remove(str(folder))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``diff`` against brute force, on policies that are one edit apart. In full: ``python benchmarks/diff.py``."""
+"""``diff`` against brute force, on policies that are one edit apart."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compare the model of Zenoh's access control with a real router: the part of :mod:`agreement` for Zenoh."""
+"""Compares the model of Zenoh's access control with a real router, on random configurations."""
 
 from __future__ import annotations
 
@@ -16,13 +16,11 @@ from keymint_ros2_zenoh.messages import Flow, Message
 from keymint_ros2_zenoh.vendors import access_log
 from keymint_ros2_zenoh.vendors.access_log import LoggedDecision
 from keymint_ros2_zenoh.vendors.loopback_ports import free_port
-from keymint_ros2_zenoh.vendors.zenoh_library import MissingZenohError, installed_version
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError, ZenohProcess, ZenohSystem
-from zenoh_configurations import FENCE, NAMES, ROUTER, Identities, random_access_control, random_key_expr
+
+from .zenoh_configurations import FENCE, NAMES, ROUTER, Identities, random_access_control, random_key_expr
 
 _ATTEMPTS = 3
-_SHOWN = 5
-"""Disagreements that are printed in full."""
 
 
 def disagreements(configurations: int, keys: int, seed: int) -> Iterator[tuple[bool, str]]:
@@ -116,22 +114,3 @@ def _compared(model: AccessModel, link: Link, decision: LoggedDecision, origin: 
     if modelled.allowed == decision.allowed:
         return decision.allowed, ""
     return decision.allowed, f"{decision}, but the model says {modelled.reason}; {origin}"
-
-
-def report(configurations: int, seed: int, keys: int = 10) -> int:
-    """Compare, print the counts and the first disagreements, and return how many there are."""
-    try:
-        version = installed_version()
-    except MissingZenohError as error:
-        print(f"zenoh: not usable: {error.reason} ({error.help})")
-        return 0
-    pairs = allowed = wrong = 0
-    for was_allowed, text in disagreements(configurations, keys, seed):
-        pairs, allowed, wrong = pairs + 1, allowed + was_allowed, wrong + bool(text)
-        if text and wrong <= _SHOWN:
-            print(text)
-    print(
-        f"zenoh {version} and its model: {pairs} (configuration, request) pairs of {configurations} configurations, "
-        f"{allowed} allowed, {wrong} disagreements"
-    )
-    return wrong

@@ -1,30 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Check that every topic which a governance opens is reported, on random documents and policies.
+"""Compares decisions on random governance documents, permissions and policies.
 
 For each document and domain, every name of a small set is decided by brute force (implemented here independently), by
 the models, by the real access-control plugin of Cyclone DDS, and for a few documents by participants of Fast DDS. The
 claims must agree: if one is proven, document and policy are the same for every name, and every counterexample is real.
-Prints the counts and every disagreement; exits with 1 if there are any.
-
-usage: python benchmarks/open_governance.py [--documents N] [--fastdds N] [--seed N]
 """
 
 from __future__ import annotations
 
-import argparse
 import fnmatch
 import random
-import sys
-import tempfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from xml.sax.saxutils import escape
 
-from agreement import Enclaves
-from documents import Writer
+from cryptography.hazmat.primitives import serialization
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import VARIATIONS, DocumentEvaluator
 from keymint_ros2_dds.decision.access import DomainAccess
@@ -33,14 +26,16 @@ from keymint_ros2_dds.proving import ProofQuestion, ProofSpec, prove_document
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
 from keymint_ros2_dds.reading import signed_governance
 from keymint_ros2_dds.transports.enclave_files import subject_name
-from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
-from keymint_ros2_dds.vendors.participants import FastDDS, ProbeError, RefusedError, System
+from keymint_ros2_dds.vendors.participants import ProbeError, RefusedError, System, Vendor
 
 from comarmor.errors import Origin
 from comarmor.rules import Effect
 from keymint.api import Claim, DomainRange, Proof
 from keymint.ir import Rule, SubjectRules
+
+from .handmade import Authorities
+from .model_agreement import RDNS
 
 MODELS = ("omg", "cyclonedds-0.10", "fastdds-2.9")
 ACTIONS = ("publish", "subscribe")
@@ -52,6 +47,8 @@ _EXPRESSIONS = ("*", "*", "*", "rt/*", "rt/a", "rt/b", "rt/a*", "rt/?", "*b", "r
 _LISTED = ("<id>0</id>", "<id>0</id>", "<id>1</id>", "<id>0</id><id>2</id>",
            "<id_range><min>0</min><max>1</max></id_range>", "<id_range><min>0</min></id_range>")  # fmt: skip
 _HERE = Origin("policy")
+Check = Callable[["Case", bytes, Counter[str]], Iterable[str]]
+"""Counts, and yields the errors of a case and its permissions document."""
 
 
 @dataclass(frozen=True)
@@ -318,18 +315,15 @@ def _of_domains(case: Case, claims: Sequence[Claim]) -> Iterator[str]:
 class Bench:
     """Compares brute force with the models and the vendors."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self) -> None:
         self.now = datetime.now(UTC)
-        self._enclaves = Enclaves(Writer(seed, self.now))
-        self.files = self._enclaves.files
-        self.subject = subject_name(self.files["cert.pem"], Origin("cert.pem"))
-
-    def signed(self, content: bytes) -> bytes:
-        """Sign a document with the permissions authority."""
-        return self._enclaves.sign(content)
+        self._authorities = Authorities.new()
+        certificate, _ = self._authorities.identity.issue(RDNS)
+        self._certificate = certificate.public_bytes(serialization.Encoding.PEM)
+        self.subject = subject_name(self._certificate, Origin("cert.pem"))
 
     def modelled(self, case: Case, permissions: bytes, counts: Counter[str]) -> Iterator[str]:
-        """Yield the differences between the models and brute force."""
+        """Yield the differences between the models and brute force, and the errors of claims."""
         document, governance = decision.read(permissions), signed_governance.read(governance_of(case))
         for model in MODELS:
             variation = VARIATIONS[model]
@@ -343,15 +337,16 @@ class Bench:
                     if decided.allowed != expected:
                         request = f"{action} {name} {partitions} in {domain}"
                         yield f"model {model}: {request}: brute force {expected}, {decided}"
+        yield from wrong_claims(case, claims_of(case, permissions, self.subject), counts)
 
     def cyclone(self, case: Case, permissions: bytes, counts: Counter[str]) -> Iterator[str]:
         """Yield the differences between Cyclone DDS and brute force."""
-        ca = self.files["permissions_ca.cert.pem"]
-        signed, governance = self.signed(permissions), self.signed(governance_of(case))
+        authority = self._authorities.permissions
+        signed, governance = authority.sign(permissions.decode()), authority.sign(governance_of(case).decode())
         for domain in DOMAINS:
             with AccessControl(
-                certificate=self.files["cert.pem"],
-                permissions_ca=ca,
+                certificate=self._certificate,
+                permissions_ca=authority.pem,
                 governance=governance,
                 permissions=signed,
                 domain=domain,
@@ -368,14 +363,10 @@ class Bench:
                     if allowed != expected:
                         yield f"cyclone: {action} {name} {partitions} in {domain}: {allowed}, brute force {expected}"
 
-    def fast(
-        self, case: Case, permissions: bytes, vendor: FastDDS, folder: Path, counts: Counter[str]
-    ) -> Iterator[str]:
+    def fast(self, vendor: Vendor, folder: Path, case: Case, permissions: bytes, counts: Counter[str]) -> Iterator[str]:
         """Yield the differences between Fast DDS and brute force, in domain 0."""
-        folder.mkdir()
-        documents = {"permissions.p7s": self.signed(permissions), "governance.p7s": self.signed(governance_of(case))}
-        for name, content in {**self.files, **documents}.items():
-            (folder / name).write_bytes(content)
+        governance = governance_of(case).decode()
+        self._authorities.enclave(folder, rdns=RDNS, permissions=permissions.decode(), governance=governance)
         try:
             with System(vendor) as system:
                 try:
@@ -397,47 +388,11 @@ def _requests() -> Iterator[tuple[str, str, tuple[str, ...]]]:
     return ((action, name, partitions) for action in ACTIONS for name in NAMES for partitions in PARTITIONS)
 
 
-def compare(
-    seed: int, documents: int, *, cyclone: bool = True, fastdds: FastDDS | None = None, fast_documents: int = 0
-) -> tuple[Counter[str], list[str]]:
-    """Compare as many random cases as ``documents``; return counts and errors."""
-    cases, bench, counts, wrong = Cases(seed), Bench(seed), Counter[str](), []
-    with tempfile.TemporaryDirectory() as scratch:
-        for number in range(documents):
-            case = cases.next()
-            permissions = permissions_of(case, bench.subject, bench.now)
-            errors = [*bench.modelled(case, permissions, counts)]
-            errors += wrong_claims(case, claims_of(case, permissions, bench.subject), counts)
-            if cyclone:
-                errors += bench.cyclone(case, permissions, counts)
-            if fastdds is not None and number < fast_documents:
-                errors += bench.fast(case, permissions, fastdds, Path(scratch) / str(number), counts)
-            wrong += [f"case {number} of seed {seed}: {each}\n  {case}" for each in errors]
+def compare(bench: Bench, seed: int, documents: int, check: Check) -> tuple[Counter[str], list[str]]:
+    """Check as many random cases as ``documents``; return counts and errors."""
+    cases, counts, wrong = Cases(seed), Counter[str](), []
+    for number in range(documents):
+        case = cases.next()
+        permissions = permissions_of(case, bench.subject, bench.now)
+        wrong += [f"case {number} of seed {seed}: {each}\n  {case}" for each in check(case, permissions, counts)]
     return counts, wrong
-
-
-def main() -> int:
-    """Compare, print, and return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--documents", type=int, default=3000)
-    parser.add_argument("--fastdds", type=int, default=100, help="number of them that Fast DDS reads as well")
-    parser.add_argument("--seed", type=int, default=2018)
-    parser.add_argument("--show", type=int, default=5, help="number of disagreements to print in full")
-    options = parser.parse_args()
-    vendor: FastDDS | None = None
-    with tempfile.TemporaryDirectory() as cache:
-        try:
-            vendor = FastDDS(probe_builds.FASTDDS.build(Path(cache))) if options.fastdds else None
-        except probe_builds.MissingVendorError as error:
-            print(f"Fast DDS is not used: {error}")
-        counts, wrong = compare(options.seed, options.documents, fastdds=vendor, fast_documents=options.fastdds)
-    for each in wrong[: options.show]:
-        print(each)
-    print(f"{options.documents} documents, each with its claims in {len(DOMAINS)} domains; {len(wrong)} wrong")
-    for name, count in sorted(counts.items()):
-        print(f"  {name}: {count}")
-    return 1 if wrong else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

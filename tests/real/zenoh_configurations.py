@@ -9,16 +9,16 @@ from dataclasses import dataclass
 from ipaddress import IPv4Address
 from pathlib import Path
 
-import floor
 from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID
 from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
 from keymint_ros2_zenoh.documents.configuration import Configuration, Tls
 from keymint_ros2_zenoh.documents.write import write
 from keymint_ros2_zenoh.keyexpr.key_expr import canonical
 from keymint_ros2_zenoh.messages import Flow, Message, Permission
+
+from .handmade import Authority
 
 NAMES = ("/a", "/b", "/ns/a")
 """Common names of the sessions."""
@@ -37,15 +37,14 @@ class Identities:
     """A folder with an authority and the identities that it issued: ``<name>.pem`` and ``<name>.key``."""
 
     folder: Path
-    authority: x509.Certificate
-    key: ec.EllipticCurvePrivateKey
+    authority: Authority
 
     @classmethod
     def new(cls, folder: Path) -> Identities:
         """Create an authority."""
-        certificate, key = floor.authority("authority")
-        (folder / "ca.pem").write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
-        return cls(folder, certificate, key)
+        authority = Authority.new("authority")
+        (folder / "ca.pem").write_bytes(authority.pem)
+        return cls(folder, authority)
 
     def issue(self, file: str, common_name: str, *, server: bool = False) -> None:
         """Issue an identity: clientAuth alone for a node, serverAuth and names of loopback for a router.
@@ -55,18 +54,11 @@ class Identities:
             common_name: first common name of the subject.
             server: for a router.
         """
-        key = ec.generate_private_key(ec.SECP256R1())
-        subject = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, common_name)])
         usage = ExtendedKeyUsageOID.SERVER_AUTH if server else ExtendedKeyUsageOID.CLIENT_AUTH
-        builder = floor.builder_of(subject, self.authority.subject, key.public_key())
-        builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        builder = builder.add_extension(x509.ExtendedKeyUsage([usage]), critical=False)
-        if server:
-            names = [x509.DNSName("localhost"), x509.IPAddress(IPv4Address("127.0.0.1"))]
-            builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False)
-        certificate = builder.sign(self.key, hashes.SHA256())
+        hosts = (x509.DNSName("localhost"), x509.IPAddress(IPv4Address("127.0.0.1"))) if server else ()
+        certificate, key = self.authority.issue([(x509.NameOID.COMMON_NAME, common_name)], (usage,), hosts)
         (self.folder / f"{file}.pem").write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
-        (self.folder / f"{file}.key").write_bytes(floor.private_bytes(key))
+        (self.folder / f"{file}.key").write_bytes(key)
 
     def router(self, port: int, access_control: AccessControl) -> bytes:
         """Return the configuration of a router on loopback."""

@@ -54,12 +54,12 @@ class Writer:
         self._random = random.Random(seed)
         self._now = now
 
-    def document(self) -> bytes:
+    def document(self) -> str:
         """Return an unsigned permissions document."""
         grants = "".join(self._grant(number) for number in range(self._some([1] * 6 + [2, 3])))
-        return f'<?xml version="1.0" encoding="UTF-8"?>\n<dds><permissions>{grants}</permissions></dds>\n'.encode()
+        return f'<?xml version="1.0" encoding="UTF-8"?>\n<dds><permissions>{grants}</permissions></dds>\n'
 
-    def governance(self) -> bytes:
+    def governance(self) -> str:
         """Return an unsigned governance document; most protect all topics."""
         control = self._some([("true", "true")] * 12 + [("false", "true"), ("true", "false"), ("false", "false")])
         rules = [("*", control)]
@@ -89,7 +89,7 @@ class Writer:
             "<rtps_protection_kind>SIGN</rtps_protection_kind>"
             f"<topic_access_rules>{topic_rules}</topic_access_rules>"
             "</domain_rule></domain_access_rules></dds>\n"
-        ).encode()
+        )
 
     def requests(self, subject: str, count: int) -> list[Edge]:
         """Return ``count`` different requests, in domain 0."""
