@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from comarmor.patterns.decision_lists import SearchBudget, Universe
+from comarmor.patterns.decision_lists import SearchBudget
 from comarmor.patterns.tokens import PatternError
 from keymint.api import Inspection
 from keymint.errors import KeymintError
@@ -16,12 +16,9 @@ from keymint_ros2_dds import governance_warnings
 from keymint_ros2_dds.decision.access import DomainAccess
 from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.enclave_layout import GOVERNANCE_P7S
-from keymint_ros2_dds.proving import octets
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance, cuts
 from keymint_ros2_dds.proving.protection import STRICT, Weaker, weaker
 from keymint_ros2_dds.settings import settings_of
-
-_NAMES = Universe(octets.ALPHABET, last_nonempty=True)
 
 
 def findings(inspection: Inspection) -> Iterator[Diagnostic]:
@@ -59,9 +56,7 @@ def _weaker_protection(inspection: Inspection, governing: EnclaveGovernance) -> 
             continue
         expected = governing.source_rule(domains.first) or STRICT
         try:
-            results = list(
-                weaker(rule, expected, STANDARD, _NAMES, SearchBudget(governance_warnings.STATES), access=True)
-            )
+            results = list(weaker(rule, expected, STANDARD, SearchBudget(governance_warnings.STATES), access=True))
         except PatternError as error:
             where = document.place(rule.line)
             yield Diagnostic("governance-unread", Severity.ERROR, str(error), where, help_, subject)

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.steps import step_limit
 from comarmor.values import dataclass
-from keymint.api import BuildOptions, Claim, Package, Proof
+from keymint.api import BuildOptions, Claim, ComparisonTask, Package, Proof
 from keymint.errors import KeymintError
 from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.compiling.compile import Compiled, compile_rules, vendor_notes
@@ -22,7 +22,7 @@ from keymint_ros2_dds.enclave_layout import PERMISSIONS, PERMISSIONS_XML
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import GrantRule
 from keymint_ros2_dds.lowering.lower import Lowered
-from keymint_ros2_dds.proving import ASSUMPTIONS, ProofSpec, prove_content
+from keymint_ros2_dds.proving import ASSUMPTIONS, prove_content
 
 STATES = 50_000
 """States that a proof may visit, so that a build always ends."""
@@ -127,13 +127,15 @@ def _models(compiled: Compiled) -> tuple[str, ...]:
 
 
 def _claims(package: Package, lowered: Lowered, document: bytes, models: Sequence[str]) -> tuple[Claim, ...]:
-    return prove_content(document, (PERMISSIONS_XML, 0), proof_spec(package), models=models, lowered=lowered)
+    return prove_content(comparison(package, document), models=models, lowered=lowered)
 
 
-def proof_spec(package: Package) -> ProofSpec:
-    """Return what the permissions document of a package must permit."""
-    name = subject_name_text.of(package.grant)
-    return ProofSpec(name, package.grant.rules, package.distro, package.grant.domains, STATES, lambda: True)
+def comparison(package: Package, document: bytes) -> ComparisonTask:
+    """Return the comparison of a permissions document with what that of a package must permit."""
+    grant, name = package.grant, subject_name_text.of(package.grant)
+    return ComparisonTask(
+        document, PERMISSIONS_XML, 0, name, grant.rules, package.distro, grant.domains, STATES, lambda: True
+    )
 
 
 def _open(claims: Iterable[Claim]) -> list[Claim]:

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from keymint.api import BuildOptions, Comparison, ImportedSubject
+from keymint.api import BuildOptions, Comparison, ComparisonTask, ImportedSubject
 from keymint_ros2_dds.compiling.compile import compile_rules
 from keymint_ros2_dds.decision import OMG
 from keymint_ros2_dds.documents import permissions_document
 from keymint_ros2_dds.enclave_layout import PERMISSIONS_XML
-from keymint_ros2_dds.proving import ProofSpec, prove_content
+from keymint_ros2_dds.proving import prove_content
 from keymint_ros2_dds.rule_packages import package_of
 
 
@@ -25,12 +25,12 @@ def compare(subject: ImportedSubject, distro: str, states: int, go_on: Callable[
     compiled = compile_rules(grant, distro, BuildOptions(allow_vendor_specific=True))
     ours = permissions_document.render(grant, compiled.plain)
 
-    def spec(name: str) -> ProofSpec:
-        return ProofSpec(name, subject.rules, distro, grant.domains, states, go_on)
+    def task(document: bytes, name: str) -> ComparisonTask:
+        file = f"{subject.rules.subject}/{PERMISSIONS_XML}".lstrip("/")
+        return ComparisonTask(document, file, 0, name, subject.rules, distro, grant.domains, states, go_on)
 
-    place = (f"{subject.rules.subject}/{PERMISSIONS_XML}".lstrip("/"), 0)
     return Comparison(
-        prove_content(subject.document, place, spec(subject.subject_name), lowered=compiled.lowered),
-        prove_content(ours, place, spec(grant.subject_name), models=(OMG.name,), lowered=compiled.lowered),
+        prove_content(task(subject.document, subject.subject_name), lowered=compiled.lowered),
+        prove_content(task(ours, grant.subject_name), models=(OMG.name,), lowered=compiled.lowered),
         compiled.diagnostics,
     )

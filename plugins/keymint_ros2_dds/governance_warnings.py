@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from comarmor.patterns.decision_lists import Block, DecisionList, Equal, SearchBudget, Universe
-from comarmor.patterns.glob import EVERYTHING, Glob, normalise
+from comarmor.patterns.decision_lists import Block, DecisionList, Equal, SearchBudget
+from comarmor.patterns.glob import EVERYTHING, Glob
 from comarmor.patterns.proofs import escapes
 from comarmor.patterns.relations import union_covers
 from keymint.api import DomainRange, Package
@@ -26,7 +26,6 @@ from keymint_ros2_dds.settings import DomainRule, TopicProtection, settings_of
 
 STATES = 20_000
 """States that a search may visit; topics that are not decided count as open."""
-_PAIRS = Universe(octets.ALPHABET, fields=2, separator=permission_lists.SEPARATOR, last_nonempty=True)
 _NONE = "NONE"
 UNPROTECTED = "governance-unprotected"
 """Code of the finding on topics that are neither signed nor encrypted; a user may trust the network."""
@@ -135,11 +134,8 @@ def _controls(topic: TopicProtection, action: str) -> bool:
 def _allowed(lowered: Lowered, action: str, earlier: tuple[Glob, ...], patterns: tuple[Glob, ...]) -> bool:
     """Tell whether a policy allows all topics that a rule leaves open, in every partition."""
     opened: DecisionList = tuple(
-        Block(
-            allows,
-            tuple(normalise((*EVERYTHING, permission_lists.SEPARATOR, *octets.of_glob(topic))) for topic in topics),
-        )
+        Block(allows, tuple(octets.pair(EVERYTHING, octets.of_glob(topic)) for topic in topics))
         for allows, topics in ((False, earlier), (True, patterns))
     )
     policy = permission_lists.of_policy(lowered, action, pairs=True)
-    return isinstance(escapes((opened,), policy, _PAIRS, SearchBudget(STATES)), Equal)
+    return isinstance(escapes((opened,), policy, octets.universe(pairs=True), SearchBudget(STATES)), Equal)

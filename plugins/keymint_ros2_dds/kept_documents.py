@@ -11,11 +11,11 @@ from datetime import UTC, datetime
 from functools import lru_cache
 
 from comarmor.errors import Diagnostic, Severity
-from keymint.api import BuildOptions, ComparisonTask, Package, Relation
+from keymint.api import BuildOptions, Package, Relation
 from keymint.errors import KeymintError
 from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.compiling.compile import compile_rules
-from keymint_ros2_dds.emission import STATES, Emitted
+from keymint_ros2_dds.emission import Emitted, comparison
 from keymint_ros2_dds.enclave_layout import GOVERNANCE_XML, PERMISSIONS_XML
 from keymint_ros2_dds.keystores.governance import is_same
 from keymint_ros2_dds.proving.relation import compared
@@ -70,18 +70,7 @@ def _other_header(package: Package, grant: DocumentGrant) -> str:
 
 def _difference(package: Package, document: bytes) -> str:
     """Return how the rights of a document differ from those of the sources; empty if they do not."""
-    task = ComparisonTask(
-        document=document,
-        file=PERMISSIONS_XML,
-        offset=0,
-        subject_name=subject_name_text.of(package.grant),
-        rules=package.grant.rules,
-        distro=package.distro,
-        domains=package.grant.domains,
-        states=STATES,
-        go_on=lambda: True,
-    )
-    found = compared(task)
+    found = compared(comparison(package, document))
     if found.relation is Relation.EQUAL:
         return ""
     example = found.missing or found.excess

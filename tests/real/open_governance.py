@@ -22,7 +22,7 @@ from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import VARIATIONS, DocumentEvaluator
 from keymint_ros2_dds.decision.access import DomainAccess
 from keymint_ros2_dds.lowering.lower import lower
-from keymint_ros2_dds.proving import ProofQuestion, ProofSpec, prove_document
+from keymint_ros2_dds.proving import ProofQuestion, prove_document
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
 from keymint_ros2_dds.reading import signed_governance
 from keymint_ros2_dds.transports.enclave_files import subject_name
@@ -31,7 +31,7 @@ from keymint_ros2_dds.vendors.participants import ProbeError, RefusedError, Syst
 
 from comarmor.errors import Origin
 from comarmor.rules import Effect
-from keymint.api import Claim, DomainRange, Proof
+from keymint.api import Claim, ComparisonTask, DomainRange, Proof
 from keymint.ir import Rule, SubjectRules
 
 from .handmade import Authorities
@@ -240,9 +240,11 @@ def rules_of(case: Case, subject: str) -> SubjectRules:
 def claims_of(case: Case, permissions: bytes, subject: str) -> tuple[Claim, ...]:
     """Return the claims about the documents of a case."""
     rules = rules_of(case, "/robot")
-    spec = ProofSpec(subject, rules, "humble", (DomainRange(0, 0),), 50_000, lambda: True)
+    task = ComparisonTask(
+        permissions, "permissions.xml", 0, subject, rules, "humble", (DomainRange(0, 0),), 50_000, lambda: True
+    )
     governing = EnclaveGovernance(governance_of(case), ("governance.p7s", 0), None, "/robot", "humble")
-    return prove_document(ProofQuestion(decision.read(permissions), spec, lower(rules, "humble"), governing))
+    return prove_document(ProofQuestion(decision.read(permissions), task, lower(rules, "humble"), governing))
 
 
 def wrong_claims(case: Case, claims: Sequence[Claim], counts: Counter[str]) -> Iterator[str]:

@@ -15,7 +15,7 @@ from keymint.errors import KeymintError
 from keymint.keymake.kinds import kind_of
 from keymint_ros2_dds.compiling.compile import vendor_notes
 from keymint_ros2_dds.documents import dds_xml, permissions_document
-from keymint_ros2_dds.emission import Emitted, emit, proof_spec
+from keymint_ros2_dds.emission import Emitted, comparison, emit
 from keymint_ros2_dds.enclave_layout import PERMISSIONS, PERMISSIONS_XML
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import GrantRule
@@ -75,14 +75,14 @@ def emit_received(package: Package, options: BuildOptions) -> Emitted | None:
     try:
         document = permissions_document.render(package.grant, rules)
         dds_xml.require_valid(document, PERMISSIONS, PERMISSIONS_XML)
-        spec = proof_spec(package)
-        claims = compilation.claims if trusted else prove_content(document, (PERMISSIONS_XML, 0), spec)
+        task = comparison(package, document)
+        claims = compilation.claims if trusted else prove_content(task)
     except KeymintError:
         return None
     if not _is_proven(claims) or signed_size(document) > TIGHT:
         return None
     if trusted:
-        proof_cache.remember(document, spec, kind_of(package.grant.rules.rules), claims)
+        proof_cache.remember(task, kind_of(package.grant.rules.rules), claims)
     return Emitted(document, rules, compilation.plain_size, None, claims, tuple(vendor_notes(rules, package.grant)))
 
 

@@ -19,7 +19,7 @@ from keymint_ros2_dds.compiling.compile import Compiled, vendor_notes
 from keymint_ros2_dds.compiling.gathering import gathered
 from keymint_ros2_dds.decision import VARIATIONS
 from keymint_ros2_dds.documents import dds_xml, permissions_document
-from keymint_ros2_dds.emission import Emitted, emit, proof_spec
+from keymint_ros2_dds.emission import Emitted, comparison, emit
 from keymint_ros2_dds.enclave_layout import PERMISSIONS
 from keymint_ros2_dds.kinds.elsewhere import emit_received
 from keymint_ros2_dds.kinds.structure import PLAIN_TEXT, Signature, Structure
@@ -155,7 +155,7 @@ def _renamed(package: Package, kind: Kind, arguments: Arguments, members: _Membe
     if signed_size(document) > TIGHT:
         return None
     dds_xml.know_valid(document, PERMISSIONS)
-    proof_cache.remember(document, proof_spec(package), (kind, arguments), made.claims)
+    proof_cache.remember(comparison(package, document), (kind, arguments), made.claims)
     notes = tuple(vendor_notes(rules, grant)) if made.notes else ()
     return Emitted(document, rules, plain.size(head, names), None, made.claims, notes)
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from comarmor.patterns.decision_lists import DecisionList, ProofResult, SearchBudget, Universe
+from comarmor.patterns.decision_lists import DecisionList, ProofResult
 from comarmor.patterns.proofs import difference
 from comarmor.values import dataclass
 from keymint_ros2_dds.proving import octets, permission_lists
@@ -46,11 +46,9 @@ class Comparator:
         self._question = question
         opens = question.governance is not None and question.governance.opens()
         self.pairs = opens or permission_lists.has_partitions(question.lowered, question.document.grants)
-        self._universe = Universe(
-            octets.ALPHABET, fields=2 if self.pairs else 1, separator=permission_lists.SEPARATOR, last_nonempty=True
-        )
+        self._universe = octets.universe(pairs=self.pairs)
         self.lists = permission_lists.GrantLists(question.document.grants, pairs=self.pairs)
-        self.independent = octets.is_independent(question.document, question.spec.rules)
+        self.independent = octets.is_independent(question.document, question.task.rules)
         self._policy = {
             action: permission_lists.of_policy(question.lowered, action, pairs=self.pairs) for action in ACTIONS
         }
@@ -62,11 +60,11 @@ class Comparator:
         key = (policy, permitted)
         result = self._known.get(key)
         if result is None:
-            budget = SearchBudget(self._question.spec.states, self._question.spec.go_on)
-            result = self._known[key] = self._compared(policy, permitted, budget)
+            result = self._known[key] = self._compared(policy, permitted)
         return result
 
-    def _compared(self, policy: DecisionList, permitted: Permitted, budget: SearchBudget) -> ProofResult:
+    def _compared(self, policy: DecisionList, permitted: Permitted) -> ProofResult:
+        budget = self._question.budget()
         if permitted.regions is None:
             return difference(policy, *permitted.lists, universe=self._universe, budget=budget)
         universe = without_wildcards(self._universe) if permitted.both_ways else self._universe

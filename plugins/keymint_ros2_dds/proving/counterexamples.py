@@ -13,11 +13,28 @@ from keymint.ir import SubjectRules
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import OMG, DocumentEvaluator, EndpointDecision, Variation
 from keymint_ros2_dds.decision.access import DomainAccess
-from keymint_ros2_dds.proving import octets, permission_lists, policy_evaluator, protection
+from keymint_ros2_dds.proving import octets, policy_evaluator, protection
 from keymint_ros2_dds.proving.grant_periods import GrantPeriod
 from keymint_ros2_dds.proving.questions import ProofQuestion
 
 _DATE = "%Y-%m-%dT%H:%M:%S"
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """When two decisions are compared.
+
+    Attributes:
+        action: what somebody tries to do.
+        domain: DDS domain id.
+        inside: the policy applies in that domain.
+        era: the grant in force, and its period; None if none ever is.
+    """
+
+    action: str
+    domain: int
+    inside: bool
+    era: GrantPeriod | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,25 +55,21 @@ class Counterexamples:
     eras: tuple[GrantPeriod, ...]
     pairs: bool
 
-    def of(
-        self, action: str, domain: int, era: GrantPeriod | None, word: str, *, inside: bool, permitted: bool
-    ) -> Counterexample:
+    def of(self, situation: Situation, word: str, *, permitted: bool) -> Counterexample:
         """Return a name for which the policy and the documents decide differently, with both decisions.
 
         Args:
-            action: a key of the action.
-            domain: a domain where they differ.
-            era: the grant in force; None if none ever is.
+            situation: when they differ.
             word: the name, and its partition, in the alphabet of the engine.
-            inside: the policy applies in that domain.
             permitted: the engine finds that the documents permit it.
         """
-        spec, governance = self.question.spec, self.question.governance
-        pair = word.split(permission_lists.SEPARATOR) if self.pairs else ("", word)
+        task, governance = self.question.task, self.question.governance
+        action, domain, inside = situation.action, situation.domain, situation.inside
+        pair = word.split(octets.SEPARATOR) if self.pairs else ("", word)
         partition, topic = map(octets.in_text, pair)
-        rules = spec.rules if inside else SubjectRules(spec.rules.subject, ())
-        edges = policy_evaluator.endpoint_edges(rules.subject, spec.distro, action, topic, partition)
-        rule = policy_evaluator.decide(rules, spec.distro, action, topic, partition)
+        rules = task.rules if inside else SubjectRules(task.rules.subject, ())
+        edges = policy_evaluator.endpoint_edges(rules.subject, task.distro, action, topic, partition)
+        rule = policy_evaluator.decide(rules, task.distro, action, topic, partition)
         if rule is not None:
             verb = "allows" if rule.effect is Effect.ALLOW else "denies"
             policy = PolicyDecision(
@@ -65,41 +78,39 @@ class Counterexamples:
         else:
             reason = "no rule allows it" if inside else "not its domain"
             policy = PolicyDecision(allowed=False, where=None, reason=Reason((reason,)))
-        verdict = self._verdict(action, domain, era, (topic, partition), permitted=permitted)
-        by_governance = (
-            governance is not None and verdict.where is not None and verdict.where.file == governance.document.file
-        )
+        verdict = self._verdict(situation, topic, partition, permitted=permitted)
+        place, help_ = None, ""
+        if governance is not None and verdict.where is not None and verdict.where.file == governance.document.file:
+            place, help_ = verdict.where, protection.help_for(governance, domain)
         return Counterexample(
             Endpoint(rules.subject, action, topic, edges[0].object.partitions, domain),
             next((edge for edge in edges[1:] if policy_evaluator.is_ros_name(edge.object.name)), None),
             policy,
             verdict,
-            protection.help_for(governance, domain) if by_governance else "",
-            verdict.where if by_governance else None,
+            help_,
+            place,
         )
 
-    def _verdict(
-        self, action: str, domain: int, era: GrantPeriod | None, name: tuple[str, str], *, permitted: bool
-    ) -> Verdict:
+    def _verdict(self, situation: Situation, topic: str, partition: str, *, permitted: bool) -> Verdict:
         """Return the verdict of the decision point about a topic and partition, by this model.
 
         Where the engine finds it permitted, the permissions alone may do so: a peer evaluates its own governance.
         """
-        question, governance, (topic, partition) = self.question, self.question.governance, name
+        question, governance, era = self.question, self.question.governance, situation.era
         if self.refused:
             return Verdict(allowed=False, reason=self.refused)
         if era is None:
             return self._never()
-        now = era.begin
+        now, domain = era.begin, situation.domain
+        endpoint = situation.action, topic, (partition,) if partition else ()
 
         def ask(variation: Variation) -> EndpointDecision:
-            evaluator = DocumentEvaluator(question.document, question.spec.subject_name, now, domain, variation)
-            partitions = (partition,) if partition else ()
+            evaluator = DocumentEvaluator(question.document, question.task.subject_name, now, domain, variation)
             if governance is None:
-                return evaluator.decide(action, topic, partitions)
+                return evaluator.decide(*endpoint)
             governed = DomainAccess(governance.document, domain, variation.semantics)
-            outcome = governed.decide(evaluator, action, topic, partitions)
-            if not outcome.allowed and permitted and (alone := evaluator.decide(action, topic, partitions)).allowed:
+            outcome = governed.decide(evaluator, *endpoint)
+            if not outcome.allowed and permitted and (alone := evaluator.decide(*endpoint)).allowed:
                 reason = f"{alone.reason}; only the governance of this enclave refuses it: peers evaluate their own"
                 return replace(alone, reason=reason)
             return outcome
@@ -115,7 +126,7 @@ class Counterexamples:
 
     def _never(self) -> Verdict:
         """Return why no grant is ever in force."""
-        document, name = self.question.document, self.question.spec.subject_name
+        document, name = self.question.document, self.question.task.subject_name
         grant = next(iter(self.variation.semantics.grants(document, name)), None)
         if grant is None:
             return Verdict(allowed=False, reason=f"no grant applies to {name!r}")

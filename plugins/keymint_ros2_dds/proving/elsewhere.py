@@ -16,7 +16,7 @@ from keymint_ros2_dds.proving.proof_cache import know, prove_content
 def question(task: ProofTask) -> EnclaveQuestion:
     """See :meth:`keymint.api.RemoteProver.question`."""
     asked = local_question(task)
-    return replace(asked, spec=replace(asked.spec, go_on=_always))
+    return replace(asked, task=replace(asked.task, go_on=_always))
 
 
 def _always() -> bool:
@@ -30,7 +30,7 @@ def prove_part(_plugins: object, asked: Sequence[EnclaveQuestion]) -> tuple[tupl
 
 def _claims(asked: EnclaveQuestion) -> tuple[Claim, ...]:
     try:
-        return prove_content(asked.content, asked.place, asked.spec, governance=asked.governance)
+        return prove_content(asked.task, governance=asked.governance)
     except KeymintError:
         return ()
 
@@ -38,4 +38,4 @@ def _claims(asked: EnclaveQuestion) -> tuple[Claim, ...]:
 def receive(asked: EnclaveQuestion, claims: tuple[Claim, ...]) -> None:
     """Keep claims that are all proven; others are decided again here, with their places."""
     if claims and all(claim.proof is Proof.PROVEN for claim in claims):
-        know(asked.content, asked.spec, asked.governance, claims)
+        know(asked.task, asked.governance, claims)

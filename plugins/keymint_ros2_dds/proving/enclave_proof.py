@@ -8,7 +8,7 @@ from functools import lru_cache
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
-from keymint.api import Claim, ProofTask, TrustAnchors, ValidityTerm
+from keymint.api import Claim, ComparisonTask, ProofTask, TrustAnchors, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint.pki.identity_check import enclave_file
@@ -24,7 +24,6 @@ from keymint_ros2_dds.proving import validity_terms
 from keymint_ros2_dds.proving.anchor_check import differences
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
 from keymint_ros2_dds.proving.proof_cache import prove_content
-from keymint_ros2_dds.proving.questions import ProofSpec
 from keymint_ros2_dds.settings import settings_of
 from keymint_ros2_dds.transports.enclave_files import subject_name
 
@@ -32,16 +31,14 @@ from keymint_ros2_dds.transports.enclave_files import subject_name
 def prove(task: ProofTask, *, models: Sequence[str] | None = None) -> tuple[Claim, ...]:
     """Return the claims about an enclave, by model, action and domains; see :func:`question`."""
     asked = question(task)
-    return prove_content(asked.content, asked.place, asked.spec, models=models, governance=asked.governance)
+    return prove_content(asked.task, models=models, governance=asked.governance)
 
 
 @dataclass(frozen=True, slots=True)
 class EnclaveQuestion:
     """What the claims about an enclave depend on, once its files are verified; the arguments of ``prove_content``."""
 
-    content: bytes
-    place: tuple[str, int]
-    spec: ProofSpec
+    task: ComparisonTask
     governance: EnclaveGovernance
 
 
@@ -61,15 +58,11 @@ def question(task: ProofTask) -> EnclaveQuestion:
     if findings := differences(files, folder, task.anchors):
         raise KeymintError.of(findings)
     content, place = _document(files, folder, task.anchors, unsigned=task.unsigned)
-    spec = ProofSpec(
-        _subject_name(files, folder),
-        task.rules,
-        task.package.distro,
-        task.package.grant.domains,
-        task.states,
-        task.go_on,
+    package, name = task.package, _subject_name(files, folder)
+    held = ComparisonTask(
+        content, *place, name, task.rules, package.distro, package.grant.domains, task.states, task.go_on
     )
-    return EnclaveQuestion(content, place, spec, _read_governance(task))
+    return EnclaveQuestion(held, _read_governance(task))
 
 
 def terms(

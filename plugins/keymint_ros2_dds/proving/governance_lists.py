@@ -9,6 +9,7 @@ comparison searches, case by case, for words that some lists permit and another 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 from comarmor.patterns.decision_lists import (
@@ -21,13 +22,13 @@ from comarmor.patterns.decision_lists import (
     Unknown,
     Witness,
 )
-from comarmor.patterns.glob import EVERYTHING, Glob, normalise
+from comarmor.patterns.glob import EVERYTHING, Glob
 from comarmor.patterns.proofs import escapes
 from comarmor.patterns.tokens import Charset
 from comarmor.values import dataclass
 from keymint_ros2_dds.decision.semantics import Semantics
+from keymint_ros2_dds.proving import octets
 from keymint_ros2_dds.proving.dialects import read
-from keymint_ros2_dds.proving.permission_lists import SEPARATOR
 from keymint_ros2_dds.reading.signed_governance import DocumentDomainRule
 
 WILDCARDS = "*?["
@@ -77,9 +78,8 @@ def regions(rule: DocumentDomainRule, action: str, semantics: Semantics, *, pair
         opened.append(Block(not topic_rule.controls(action), globs))
         either.append(Block(not (topic_rule.read_controlled and topic_rule.write_controlled), globs))
         covered.append(Block(True, globs))
-    closed = not any(block.allows for block in either) and any(
-        _every(pairs=pairs) in block.patterns for block in covered
-    )
+    every = octets.pair(EVERYTHING, EVERYTHING) if pairs else EVERYTHING
+    closed = not any(block.allows for block in either) and any(every in block.patterns for block in covered)
     return Regions(tuple(opened), tuple(either), tuple(covered), closed)
 
 
@@ -90,11 +90,7 @@ def patterns(expression: str, semantics: Semantics, *, pairs: bool) -> tuple[Glo
         PatternError: implementations read it differently.
     """
     globs = read((semantics.reads_text(expression),), semantics.fnmatch)
-    return tuple(normalise((*EVERYTHING, SEPARATOR, *topic)) for topic in globs) if pairs else globs
-
-
-def _every(*, pairs: bool) -> Glob:
-    return normalise((*EVERYTHING, SEPARATOR, *EVERYTHING)) if pairs else EVERYTHING
+    return tuple(octets.pair(EVERYTHING, topic) for topic in globs) if pairs else globs
 
 
 def refused(decisions: DecisionList) -> DecisionList:
@@ -112,7 +108,7 @@ def without_wildcards(universe: Universe) -> Universe:
                 kept += [(begin, char - 1)] if begin < char else []
                 begin = char + 1
         kept += [(begin, high)] if begin <= high else []
-    return Universe(Charset(tuple(kept)), universe.fields, universe.separator, universe.last_nonempty)
+    return replace(universe, alphabet=Charset(tuple(kept)))
 
 
 def difference(

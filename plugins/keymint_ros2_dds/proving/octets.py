@@ -15,7 +15,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from comarmor.patterns.glob import Glob
+from comarmor.patterns.decision_lists import Universe
+from comarmor.patterns.glob import Glob, normalise
 from comarmor.patterns.tokens import charset
 from comarmor.regex import lazy_regex
 from keymint.ir import Rule, SubjectRules
@@ -26,6 +27,8 @@ from keymint_ros2_dds.reading.signed_permissions import DocumentCriteria, Docume
 
 ALPHABET = charset([(0x01, 0xFF)])
 """The bytes of a name."""
+SEPARATOR = "\0"
+"""What stands between a partition and a topic in a word."""
 TOPICS = (
     "every topic name of one or more bytes other than NUL (text is its bytes in UTF-8), in the default partition; "
     "nothing is permitted outside of it"
@@ -39,6 +42,16 @@ _MANY = frozenset("?[")
 _DEPENDS = "depends on the locale"
 _CLASS = lazy_regex(r"\[:(?!x?digit:\])")
 """A class that may have characters beyond ASCII."""
+
+
+def universe(*, pairs: bool) -> Universe:
+    """Return the names that claims cover: topics, or a partition and a topic."""
+    return Universe(ALPHABET, fields=2 if pairs else 1, separator=SEPARATOR, last_nonempty=True)
+
+
+def pair(partition: Glob, topic: Glob) -> Glob:
+    """Return a pattern of a partition and a topic."""
+    return normalise((*partition, SEPARATOR, *topic))
 
 
 def of_glob(glob: Glob) -> Glob:

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 
 from comarmor.patterns.decision_lists import Block, DecisionList
-from comarmor.patterns.glob import EVERYTHING, Glob, normalise, parse
+from comarmor.patterns.glob import EVERYTHING, Glob, parse
 from comarmor.patterns.matching import matches
 from comarmor.regex import lazy_regex
 from comarmor.rules import Effect
@@ -23,7 +23,6 @@ from keymint_ros2_dds.proving import octets
 from keymint_ros2_dds.proving.dialects import read
 from keymint_ros2_dds.reading.signed_permissions import DocumentCriteria, DocumentGrant, DocumentRule
 
-SEPARATOR = "\0"
 _DEFAULT: Glob = ()
 _DIFFERS = lazy_regex(r"[\[\\\s]")
 """What models may read differently: sets, escapes, and blanks, which some trim."""
@@ -185,5 +184,5 @@ def _read(expressions: Iterable[str], semantics: Semantics) -> tuple[Glob, ...]:
 
 def _words(partitions: Sequence[Glob], topics: tuple[Glob, ...], *, pairs: bool) -> tuple[Glob, ...]:
     if pairs:
-        return tuple(normalise((*partition, SEPARATOR, *topic)) for partition in partitions for topic in topics)
+        return tuple(octets.pair(partition, topic) for partition in partitions for topic in topics)
     return topics if _DEFAULT in partitions or any(matches(partition, "") for partition in partitions) else ()

@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 
-from keymint.api import Claim, DomainRange, Proof
+from keymint.api import Claim, ComparisonTask, DomainRange, Proof
 from keymint.keymake.kinds import Arguments, Kind, kind_of
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.documents import dds_xml
@@ -14,7 +14,7 @@ from keymint_ros2_dds.enclave_layout import PERMISSIONS
 from keymint_ros2_dds.lowering.lower import Lowered, lower
 from keymint_ros2_dds.proving.claims import ASSUMPTIONS, prove_document
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
-from keymint_ros2_dds.proving.questions import ProofQuestion, ProofSpec
+from keymint_ros2_dds.proving.questions import ProofQuestion
 
 MOST = 10_000
 """Number of documents whose claims are cached."""
@@ -24,9 +24,7 @@ _proven: dict[_Key, tuple[Claim, ...]] = {}
 
 
 def prove_content(
-    content: bytes,
-    place: tuple[str, int],
-    spec: ProofSpec,
+    task: ComparisonTask,
     *,
     models: Sequence[str] | None = None,
     lowered: Lowered | None = None,
@@ -35,9 +33,7 @@ def prove_content(
     """Return the claims about a document, by model, action and domains.
 
     Args:
-        content: the document, unsigned.
-        place: its file as the user would type it, and the number of lines before it there.
-        spec: what it must permit.
+        task: the document, and what it must permit.
         models: names of the models, of :data:`ASSUMPTIONS`; None: all.
         lowered: the rules in terms of DDS, if known.
         governance: the governance of the enclave; None puts everything under access control.
@@ -46,19 +42,19 @@ def prove_content(
         KeymintError: the document cannot be read, or a rule cannot be mapped.
     """
     names = tuple(ASSUMPTIONS if models is None else models)
-    if governance is not None and governance.transparent(spec.domains):
+    if governance is not None and governance.transparent(task.domains):
         # A proof without governance holds for one that puts everything under access control.
-        claims = prove_content(content, place, spec, models=models, lowered=lowered)
+        claims = prove_content(task, models=models, lowered=lowered)
         if all(claim.proof is Proof.PROVEN for claim in claims):
             return claims
-    key = _key(content, spec, kind_of(spec.rules.rules), names, b"" if governance is None else governance.key)
+    key = _key(task, kind_of(task.rules.rules), names, b"" if governance is None else governance.key)
     known = _proven.get(key)
     if known is not None:
         return known
-    document = decision.read(content, *place)
+    document = decision.read(task.document, task.file, task.offset)
     if not document.defects:
-        dds_xml.know_valid(content, PERMISSIONS)
-    question = ProofQuestion(document, spec, lower(spec.rules, spec.distro) if lowered is None else lowered, governance)
+        dds_xml.know_valid(task.document, PERMISSIONS)
+    question = ProofQuestion(document, task, lower(task.rules, task.distro) if lowered is None else lowered, governance)
     claims = prove_document(question, models=names)
     # Proofs do not depend on the place of the document; counterexamples name it.
     if all(claim.proof is Proof.PROVEN for claim in claims):
@@ -66,22 +62,21 @@ def prove_content(
     return claims
 
 
-def remember(content: bytes, spec: ProofSpec, rules: tuple[Kind, Arguments], claims: tuple[Claim, ...]) -> None:
+def remember(task: ComparisonTask, rules: tuple[Kind, Arguments], claims: tuple[Claim, ...]) -> None:
     """Remember what is proven about a document, by all models and without its governance.
 
     Args:
-        content: the document, unsigned.
-        spec: what it must permit.
+        task: the document, and what it must permit.
         rules: the kind of its rules, and the names in these.
         claims: what is proven.
     """
-    _keep(_key(content, spec, rules, tuple(ASSUMPTIONS)), claims)
+    _keep(_key(task, rules, tuple(ASSUMPTIONS)), claims)
 
 
-def know(content: bytes, spec: ProofSpec, governance: EnclaveGovernance, claims: tuple[Claim, ...]) -> None:
+def know(task: ComparisonTask, governance: EnclaveGovernance, claims: tuple[Claim, ...]) -> None:
     """Remember what is proven about a document by all models, together with its governance."""
-    key = b"" if governance.transparent(spec.domains) else governance.key
-    _keep(_key(content, spec, kind_of(spec.rules.rules), tuple(ASSUMPTIONS), key), claims)
+    key = b"" if governance.transparent(task.domains) else governance.key
+    _keep(_key(task, kind_of(task.rules.rules), tuple(ASSUMPTIONS), key), claims)
 
 
 def _keep(key: _Key, claims: tuple[Claim, ...]) -> None:
@@ -89,9 +84,7 @@ def _keep(key: _Key, claims: tuple[Claim, ...]) -> None:
         _proven[key] = claims
 
 
-def _key(
-    content: bytes, spec: ProofSpec, rules: tuple[Kind, Arguments], models: tuple[str, ...], governance: bytes = b""
-) -> _Key:
+def _key(task: ComparisonTask, rules: tuple[Kind, Arguments], models: tuple[str, ...], governance: bytes = b"") -> _Key:
     """Return everything that proven claims depend on."""
-    digest = hashlib.sha256(content).digest()
-    return digest, governance, *rules, spec.subject_name, spec.rules.subject, spec.distro, spec.domains, models
+    digest = hashlib.sha256(task.document).digest()
+    return digest, governance, *rules, task.subject_name, task.rules.subject, task.distro, task.domains, models

@@ -8,18 +8,20 @@ topic less than the sources do, weakens every claim. These claims are reported o
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 from comarmor.errors import Origin, Reason
-from comarmor.patterns.decision_lists import Block, DecisionList, SearchBudget, Universe, Unknown, Witness
+from comarmor.patterns.decision_lists import Block, DecisionList, SearchBudget, Unknown, Witness
 from comarmor.patterns.glob import EVERYTHING
 from comarmor.patterns.proofs import escapes
 from comarmor.values import dataclass
 from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDecision, Proof, Verdict
 from keymint_ros2_dds.decision.access import DomainAccess
-from keymint_ros2_dds.decision.semantics import Semantics
+from keymint_ros2_dds.decision.semantics import Semantics, Variation
 from keymint_ros2_dds.proving import octets
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance, cuts
 from keymint_ros2_dds.proving.governance_lists import patterns
+from keymint_ros2_dds.proving.questions import ProofQuestion
 from keymint_ros2_dds.reading.signed_governance import (
     ACCESS,
     DOMAIN_PROTECTIONS,
@@ -30,8 +32,14 @@ from keymint_ros2_dds.reading.signed_governance import (
     DocumentTopicRule,
 )
 
-JOINS = "every participant"
-PROTECTED = "every topic name that the claims on publish and subscribe cover"
+_CLAIMED = {
+    "join": ("every participant", "only subjects with a rule of the policy may join"),
+    "protect": (
+        "every topic name that the claims on publish and subscribe cover",
+        "the sources require stronger protection",
+    ),
+}
+"""What the claims about domains cover, and what the policy expects."""
 ACCEPT = "or accept it with <accept><open_governance/></accept> in profile/keymint_profile.xml"
 _QUALITIES = {
     "true": {"protected"},
@@ -63,83 +71,57 @@ class Weaker:
     topic: str = ""
 
 
-def help_for(governance: EnclaveGovernance | None, domain: int) -> str:
+def help_for(governance: EnclaveGovernance, domain: int) -> str:
     """Return how to fix a governance that leaves a topic or domain open, or refuses access to it."""
-    if governance is None:
-        return ""
     if governance.accepted_rule(domain) is not None:
         return "the sources differ: run 'keymint install' to sign the governance that they build"
     return f"put it under access control in the governance of the package or its defaults, {ACCEPT}"
 
 
-def claims(
-    subject: str,
-    model: str,
-    semantics: Semantics,
-    governance: EnclaveGovernance,
-    universe: Universe,
-    budget: SearchBudget,
-) -> Iterator[Claim]:
-    """Yield the claims about domains that are refuted or unknown.
-
-    Args:
-        subject: the subject.
-        model: name of the model.
-        semantics: how documents are read.
-        governance: the governance.
-        universe: names of topics.
-        budget: limits of each search.
-    """
+def claims(question: ProofQuestion, governance: EnclaveGovernance, variation: Variation) -> Iterator[Claim]:
+    """Yield the claims about domains that are refuted or unknown, as an implementation reads the governance."""
     for domains in cuts(governance.domains()):
-        rule = DomainAccess(governance.document, domains.first, semantics).rule
+        first = domains.first
+        rule = DomainAccess(governance.document, first, variation.semantics).rule
         if rule is None:
             continue
-        own, accepted = governance.source_rule(domains.first), governance.accepted_rule(domains.first)
-        for tag, opens in (
-            (JOIN, not rule.join_controlled and (accepted is None or accepted.join_controlled)),
-            (UNAUTHENTICATED, rule.unauthenticated and (accepted is None or not accepted.unauthenticated)),
-        ):
-            if opens:
-                yield _join(subject, model, governance, domains, rule, tag)
-        if own is not None and governance.differs:
-            for outcome in weaker(rule, own, semantics, universe, budget):
-                yield _protect(subject, model, governance, domains, outcome)
+        place, refuted = governance.document.place, partial(_refuted, question, variation, domains)
+        own, accepted = governance.source_rule(first), governance.accepted_rule(first)
+        where = f" domain {first}" if first else ""
+        if not rule.join_controlled and (accepted is None or accepted.join_controlled):
+            reason = f"{JOIN} is false: every identity of the authority may join{where}"
+            yield refuted("join", "", reason, place(rule.line_of(JOIN)), help_for(governance, first))
+        if rule.unauthenticated and (accepted is None or not accepted.unauthenticated):
+            reason = f"{UNAUTHENTICATED} is true: participants without identity and permissions may join{where}"
+            yield refuted("join", "", reason, place(rule.line_of(UNAUTHENTICATED)), help_for(governance, first))
+        if own is None or not governance.differs:
+            continue
+        for found in weaker(rule, own, variation.semantics, question.budget()):
+            if isinstance(found, Unknown):
+                universe, _ = _CLAIMED["protect"]
+                yield Claim(variation.name, "protect", (domains,), universe, Proof.UNKNOWN, found.reason, spent=True)
+            else:
+                scope = f"for the topic {found.topic!r}" if found.topic else f"in domain {first}"
+                reason = f"{found.tag} is {found.text} {scope}, but the sources require {found.required}"
+                help_ = "run 'keymint install' to sign the governance that the sources build"
+                yield refuted("protect", found.topic, reason, place(found.line), help_)
 
 
-def _join(
-    subject: str, model: str, governance: EnclaveGovernance, domains: DomainRange, rule: DocumentDomainRule, tag: str
-) -> Claim:
-    where = governance.document.place(rule.line_of(tag))
-    who = {
-        JOIN: f"{JOIN} is false: every identity of the authority may join",
-        UNAUTHENTICATED: f"{UNAUTHENTICATED} is true: participants without identity and permissions may join",
-    }
-    reason = f"{who[tag]}{f' domain {domains.first}' if domains.first else ''}"
-    expected = "only subjects with a rule of the policy may join"
-    endpoint = Endpoint(subject, "join", "", domain=domains.first)
-    example = _example(endpoint, expected, reason, where, help_for(governance, domains.first))
-    return Claim(model, "join", (domains,), JOINS, Proof.COUNTEREXAMPLE, "", example)
-
-
-def _protect(
-    subject: str, model: str, governance: EnclaveGovernance, domains: DomainRange, element: Weaker | Unknown
-) -> Claim:
-    if isinstance(element, Unknown):
-        return Claim(model, "protect", (domains,), PROTECTED, Proof.UNKNOWN, element.reason, None, spent=True)
-    where = governance.document.place(element.line)
-    scope = f" for the topic {element.topic!r}" if element.topic else f" in domain {domains.first}"
-    reason = f"{element.tag} is {element.text}{scope}, but the sources require {element.required}"
-    endpoint = Endpoint(subject, "protect", element.topic, domain=domains.first)
-    help_ = "run 'keymint install' to sign the governance that the sources build"
-    example = _example(endpoint, "the sources require stronger protection", reason, where, help_)
-    return Claim(model, "protect", (domains,), PROTECTED, Proof.COUNTEREXAMPLE, "", example)
-
-
-def _example(endpoint: Endpoint, expected: str, reason: str, where: Origin, help_: str) -> Counterexample:
-    policy = PolicyDecision(allowed=False, where=None, reason=Reason((expected,)))
-    return Counterexample(
-        endpoint, None, policy, Verdict(allowed=True, reason=reason, where=where), help_, where, expected
+def _refuted(
+    question: ProofQuestion, variation: Variation, domains: DomainRange,
+    action: str, topic: str, reason: str, where: Origin, help_: str,
+) -> Claim:  # fmt: skip
+    universe, expected = _CLAIMED[action]
+    example = Counterexample(
+        Endpoint(question.task.rules.subject, action, topic, domain=domains.first),
+        None,
+        PolicyDecision(allowed=False, where=None, reason=Reason((expected,))),
+        Verdict(allowed=True, reason=reason, where=where),
+        help_,
+        where,
+        expected,
     )
+    return Claim(variation.name, action, (domains,), universe, Proof.COUNTEREXAMPLE, "", example)
 
 
 STRICT = DocumentDomainRule(
@@ -161,7 +143,6 @@ def weaker(
     signed: DocumentDomainRule,
     required: DocumentDomainRule,
     semantics: Semantics,
-    universe: Universe,
     budget: SearchBudget,
     *,
     access: bool = False,
@@ -172,7 +153,6 @@ def weaker(
         signed: the rule of the document.
         required: the rule of the sources.
         semantics: how documents are read.
-        universe: names of topics, in words of one field.
         budget: limits of each search.
         access: access control counts as protection, too.
 
@@ -186,7 +166,7 @@ def weaker(
             lacking = list(_lacking(rule, own, access=access))
             if not lacking or all((rule.line, tag) in elements for tag, _, _ in lacking):
                 continue
-            outcome = escapes((region, wanted_region), (), universe, budget)
+            outcome = escapes((region, wanted_region), (), octets.universe(pairs=False), budget)
             if isinstance(outcome, Unknown):
                 yield outcome
             elif isinstance(outcome, Witness):

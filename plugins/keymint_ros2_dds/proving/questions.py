@@ -3,35 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Collection, Iterator
 
+from comarmor.patterns.decision_lists import SearchBudget
 from comarmor.values import dataclass
-from keymint.api import DomainRange
-from keymint.ir import SubjectRules
+from keymint.api import ComparisonTask, DomainRange
+from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.lowering.lower import Lowered
-from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
-from keymint_ros2_dds.reading.signed_permissions import PermissionsDocument
-
-
-@dataclass(frozen=True, slots=True)
-class ProofSpec:
-    """What a permissions document must permit, and how long a proof may take.
-
-    Attributes:
-        subject_name: the identity's, in the order of RFC 2253, e.g. ``CN=/talker,OU=0f``.
-        rules: the policy's rules for the subject.
-        distro: ROS 2 distribution whose name mapping applies.
-        domains: the domains in which the policy applies.
-        states: how many states a comparison may visit.
-        go_on: called repeatedly; a comparison ends as unknown when it returns False.
-    """
-
-    subject_name: str
-    rules: SubjectRules
-    distro: str
-    domains: tuple[DomainRange, ...]
-    states: int
-    go_on: Callable[[], bool]
+from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance, cuts
+from keymint_ros2_dds.reading.signed_permissions import DocumentDomains, DocumentRule, PermissionsDocument
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,12 +20,27 @@ class ProofQuestion:
 
     Attributes:
         document: the document.
-        spec: what it must permit.
+        task: its bytes, and what it must permit.
         lowered: its rules in terms of DDS, from :func:`keymint_ros2_dds.lowering.lower.lower`.
         governance: the governance beside it; None puts every topic, and joining, under access control.
     """
 
     document: PermissionsDocument
-    spec: ProofSpec
+    task: ComparisonTask
     lowered: Lowered
     governance: EnclaveGovernance | None = None
+
+    def domains(
+        self, rules: Collection[DocumentRule], semantics: Semantics
+    ) -> Iterator[tuple[DomainRange, bool, tuple[bool, ...]]]:
+        """Yield domains that nothing tells apart, whether the policy applies there, and which rules of grants do."""
+        ranges = [DocumentDomains(each.first, each.last) for each in self.task.domains]
+        ranges += (domains for rule in rules for domains in rule.domains)
+        ranges += () if self.governance is None else self.governance.domains()
+        for domains in cuts(ranges):
+            inside = any(each.first <= domains.first <= each.last for each in self.task.domains)
+            yield domains, inside, tuple(semantics.applies(rule, domains.first) for rule in rules)
+
+    def budget(self) -> SearchBudget:
+        """Return the limits of a search for one answer."""
+        return SearchBudget(self.task.states, self.task.go_on)

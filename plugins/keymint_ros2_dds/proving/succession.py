@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from comarmor.patterns.decision_lists import DecisionList, SearchBudget, Universe, Unknown, Witness
+from comarmor.patterns.decision_lists import DecisionList, SearchBudget, Unknown, Witness
 from comarmor.patterns.proofs import escapes
 from comarmor.patterns.tokens import PatternError
 from keymint.api import OutlivingRights
@@ -49,9 +49,7 @@ def _lost(earlier: Sequence[DocumentGrant], later: Sequence[DocumentGrant]) -> I
     """Yield an example for each action and domain in which a right is lost, or may be."""
     grants = (*earlier, *later)
     pairs = permission_lists.have_partitions(grants)
-    universe = Universe(
-        octets.ALPHABET, fields=2 if pairs else 1, separator=permission_lists.SEPARATOR, last_nonempty=True
-    )
+    universe = octets.universe(pairs=pairs)
     for domains in cuts(each for grant in grants for rule in grant.rules for each in rule.domains):
         for action in ACTIONS:
             where = f"in domain {domains.first}"
@@ -61,7 +59,7 @@ def _lost(earlier: Sequence[DocumentGrant], later: Sequence[DocumentGrant]) -> I
                     for each in denying or [NOTHING]:
                         found = escapes(permitting, each, universe, SearchBudget(_STATES))
                         if isinstance(found, Witness):
-                            word = octets.in_text(found.word.rpartition(permission_lists.SEPARATOR)[2])
+                            word = octets.in_text(found.word.rpartition(octets.SEPARATOR)[2])
                             yield f"{action} {word!r} {where}"
                         elif isinstance(found, Unknown):
                             yield f"{action} something {where} (unknown: {found.reason})"

@@ -156,7 +156,7 @@ def test_the_proof_of_a_renamed_document_is_known() -> None:
     by_kind(*loaded)
     document = build_type.build(loaded[1], USUAL).documents["permissions.xml"]
     with mock.patch.object(proving.proof_cache, "prove_document", side_effect=AssertionError):
-        claims = proving.prove_content(document, ("permissions.xml", 0), emission.proof_spec(loaded[1]))
+        claims = proving.prove_content(emission.comparison(loaded[1], document))
     assert {claim.proof for claim in claims} == {Proof.PROVEN}
 
 
@@ -180,7 +180,7 @@ class TestConditions:
     def refuted(self, first: Package, second: Package, names: Mapping[str, str]) -> bool:
         """Tell whether that document is proven to be wrong."""
         document = self.renamed(first, second, names)
-        claims = proving.prove_content(document, ("permissions.xml", 0), emission.proof_spec(second))
+        claims = proving.prove_content(emission.comparison(second, document))
         return Proof.COUNTEREXAMPLE in {claim.proof for claim in claims}
 
     def check(self, first: Package, second: Package, names: Mapping[str, str] | None = None) -> None:
@@ -230,7 +230,7 @@ class TestConditions:
         _, asked = by_kind(first, second)
         assert asked == 2
         document = emission.emit(first, USUAL).document
-        claims = proving.prove_content(document, ("permissions.xml", 0), emission.proof_spec(second))
+        claims = proving.prove_content(emission.comparison(second, document))
         assert Proof.COUNTEREXAMPLE in {claim.proof for claim in claims}
 
     def test_a_validity_that_some_vendor_reads_as_empty(self) -> None:

@@ -18,10 +18,10 @@ from functools import cache
 from itertools import product
 from xml.sax.saxutils import escape
 
-from keymint_ros2_dds.proving import ASSUMPTIONS, ProofSpec, prove_content
+from keymint_ros2_dds.proving import ASSUMPTIONS, prove_content
 from keymint_ros2_dds.vendors import cyclone_access_control, probe_builds
 
-from keymint.api import Claim, Proof
+from keymint.api import Claim, ComparisonTask, Proof
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from tests.plugins.keymint_ros2_dds.packages import DOMAIN, rule
@@ -85,8 +85,11 @@ class Case:
         """
         rules = [rule("DENY", "topic", "publish", *self.denied)] if self.denied else []
         rules.append(rule("ALLOW", "topic", "publish", *self.allowed))
-        held = ProofSpec("CN=/t", SubjectRules("/t", tuple(rules)), "jazzy", DOMAIN, 200_000, lambda: True)
-        found = prove_content(self.content(), ("permissions.xml", 0), held)
+        policy = SubjectRules("/t", tuple(rules))
+        task = ComparisonTask(
+            self.content(), "permissions.xml", 0, "CN=/t", policy, "jazzy", DOMAIN, 200_000, lambda: True
+        )
+        found = prove_content(task)
         return tuple(claim for claim in found if claim.action == "publish")
 
 

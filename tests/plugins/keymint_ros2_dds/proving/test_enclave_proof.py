@@ -14,7 +14,7 @@ from keymint_ros2_dds.lowering.lower import lower
 from keymint_ros2_dds.transports.enclave_files import subject_name
 
 from comarmor.errors import Origin
-from keymint.api import BuildOptions, DomainRange, Proof, ProofTask
+from keymint.api import BuildOptions, ComparisonTask, DomainRange, Proof, ProofTask
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, smime
 from tests.effort import tries
@@ -289,7 +289,9 @@ def test_a_document_that_is_not_signed_yet(old, new):
     content = ENCLAVE["permissions.xml"].decode().replace(old, new).encode()
     rules = PLAIN.grant.rules
     name = subject_name(ENCLAVE["cert.pem"], Origin("cert.pem"))
-    held = proving.ProofSpec(name, rules, PLAIN.distro, PLAIN.grant.domains, states=200_000, go_on=lambda: True)
+    held = ComparisonTask(
+        content, "permissions.xml", 0, name, rules, PLAIN.distro, PLAIN.grant.domains, 200_000, lambda: True
+    )
     question = proving.ProofQuestion(decision.read(content), held, lower(rules, PLAIN.distro))
     found = proving.prove_document(question)
     signed = proving.prove(obligation(PLAIN, {**ENCLAVE, "permissions.xml": content, "permissions.p7s": sign(content)}))

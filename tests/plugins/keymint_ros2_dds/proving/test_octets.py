@@ -9,7 +9,7 @@ from keymint_ros2_dds.decision import fnmatch
 from keymint_ros2_dds.proving import octets
 
 from comarmor.patterns import glob
-from keymint.api import BuildOptions, Proof
+from keymint.api import BuildOptions, ComparisonTask, Proof
 from keymint.errors import KeymintError
 from tests.effort import tries
 from tests.plugins.keymint_ros2_dds.packages import package, rule
@@ -105,13 +105,11 @@ def test_a_line_end_within_a_name_is_not_part_of_the_model_of_cyclone():
 
 def test_partitions_are_names_as_well():
     loaded = package(rule("ALLOW", "topic", "publish", "a", partitions=("p",)))
-    held = proving.ProofSpec(
-        "CN=/talker,OU=x1", loaded.grant.rules, "jazzy", loaded.grant.domains, 10_000, lambda: True
-    )
+    held = (0, "CN=/talker,OU=x1", loaded.grant.rules, "jazzy", loaded.grant.domains, 10_000, lambda: True)
     content = Case((), (), ((True, ("a",)),)).content().replace(b"CN=/t<", b"CN=/talker,OU=x1<")
     for extra in ("é", "p\\", "\x7f"):
         listed = f"</topics><partitions><partition>p</partition><partition>{extra}</partition></partitions>".encode()
-        claims = proving.prove_content(content.replace(b"</topics>", listed), ("p.xml", 0), held)
+        claims = proving.prove_content(ComparisonTask(content.replace(b"</topics>", listed), "p.xml", *held))
         found = {claim.model: claim for claim in claims if claim.action == "publish"}
         for model in VENDORS:
             example = found[model].counterexample

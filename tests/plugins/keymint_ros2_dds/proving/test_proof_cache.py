@@ -7,9 +7,9 @@ from unittest import mock
 
 import pytest
 from keymint_ros2_dds import build_type
-from keymint_ros2_dds.proving import ProofSpec, proof_cache, prove_content
+from keymint_ros2_dds.proving import proof_cache, prove_content
 
-from keymint.api import BuildOptions, DomainRange, Proof
+from keymint.api import BuildOptions, ComparisonTask, DomainRange, Proof
 from tests.plugins.keymint_ros2_dds.packages import package, rule
 
 LOADED = package(rule("ALLOW", "ros_topic", "ros_publish", "/once"))
@@ -17,6 +17,8 @@ LOADED = package(rule("ALLOW", "ros_topic", "ros_publish", "/once"))
 
 def proven(document: bytes, *, models=None, **fields):
     usual = {
+        "file": "permissions.xml",
+        "offset": 0,
         "subject_name": "CN=/talker,OU=x1",
         "rules": LOADED.grant.rules,
         "distro": "jazzy",
@@ -24,7 +26,7 @@ def proven(document: bytes, *, models=None, **fields):
         "states": 1000,
         "go_on": lambda: True,
     }
-    return prove_content(document, ("permissions.xml", 0), ProofSpec(**{**usual, **fields}), models=models)
+    return prove_content(ComparisonTask(document, **{**usual, **fields}), models=models)
 
 
 @pytest.fixture
