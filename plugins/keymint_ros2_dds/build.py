@@ -25,7 +25,7 @@ def build(package: Package, options: BuildOptions) -> BuildResult:
         KeymintError: the package is invalid or cannot be expressed portably; every defect with its ``file:line``.
     """
     lenient = options.allow_vendor_specific
-    checks = [*_check(package), *vendor_limits.check_key(package.identity.key, package, allow_vendor_specific=lenient)]
+    checks = [*_check(package), *vendor_limits.check_key(package, allow_vendor_specific=lenient)]
     checks += token_key.check(package, allow_vendor_specific=lenient)
     checks += vendor_limits.check_root_name(package, allow_vendor_specific=lenient)
     checks += vendor_limits.check_issuers(package)

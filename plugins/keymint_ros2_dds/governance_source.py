@@ -15,7 +15,14 @@ from comarmor.xml.reader import line
 from keymint.api import DomainRange, Grant, PackageSettings, PackageSources, SourcePart
 from keymint.errors import KeymintError
 from keymint.source_documents import DEFAULT_DOMAINS, Reader, domains, incomplete, signer, text
-from keymint_ros2_dds.settings import DdsSettings, DomainRule, Governance, TopicProtection
+from keymint_ros2_dds.settings import (
+    STRICT_DOMAIN,
+    STRICT_TOPIC,
+    DdsSettings,
+    DomainRule,
+    Governance,
+    TopicProtection,
+)
 
 if TYPE_CHECKING:
     from lxml import etree
@@ -26,23 +33,6 @@ OPEN_GOVERNANCE = "open_governance"
 """What a profile accepts that leaves topics without access control."""
 KEY_URIS = "token_keys"
 """What a profile accepts that only participants of Fast DDS can use."""
-_STRICT_DOMAIN: Mapping[str, Any] = {
-    "allow_unauthenticated_participants": False,
-    "enable_join_access_control": True,
-    "discovery_protection_kind": "ENCRYPT",
-    "liveliness_protection_kind": "ENCRYPT",
-    "rtps_protection_kind": "SIGN",
-}
-"""Settings of a domain rule where neither a package's document nor its defaults give them."""
-_STRICT_TOPIC: Mapping[str, Any] = {
-    "enable_discovery_protection": True,
-    "enable_liveliness_protection": True,
-    "enable_read_access_control": True,
-    "enable_write_access_control": True,
-    "metadata_protection_kind": "ENCRYPT",
-    "data_protection_kind": "ENCRYPT",
-}
-"""The same for a topic rule."""
 
 
 def settings(sources: PackageSources) -> PackageSettings:
@@ -126,7 +116,7 @@ def _domain_rule_element(element: etree._Element) -> _DomainRuleElement:
         line=line(element),
         issuer=text(element.find("issuer_name")) or "",
         domains=domains(element.find("domains")),
-        settings=_settings(element, _STRICT_DOMAIN),
+        settings=_settings(element, STRICT_DOMAIN),
         topic_rules=tuple(_topic_rule_element(rule) for rule in element.iterfind("topic_access_rules/*")),
     )
 
@@ -134,7 +124,7 @@ def _domain_rule_element(element: etree._Element) -> _DomainRuleElement:
 def _topic_rule_element(element: etree._Element) -> _TopicRuleElement:
     kind = str(element.tag).removesuffix("_rule")
     expression = element.find(f"{kind.removeprefix('ros_')}_expression")
-    return _TopicRuleElement(line(element), kind, text(expression) or "", _settings(element, _STRICT_TOPIC))
+    return _TopicRuleElement(line(element), kind, text(expression) or "", _settings(element, STRICT_TOPIC))
 
 
 def _settings(element: etree._Element, known: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -172,7 +162,7 @@ def _base(content: bytes, file: str) -> tuple[DomainRule, Mapping[str, Any]]:
         domains=defaults.domains or DEFAULT_DOMAINS,
         topic_rules=tuple(_topic_protection(rule, general, file) for rule in defaults.topic_rules),
         origin=Origin(file, defaults.line),
-        **{**_STRICT_DOMAIN, **defaults.settings},
+        **{**STRICT_DOMAIN, **defaults.settings},
     )
     return rule, general
 
@@ -208,5 +198,5 @@ def _complete(
 
 
 def _topic_protection(rule: _TopicRuleElement, general: Mapping[str, Any], file: str) -> TopicProtection:
-    settings = {**_STRICT_TOPIC, **general, **rule.settings}
+    settings = {**STRICT_TOPIC, **general, **rule.settings}
     return TopicProtection(rule.kind, rule.expression, origin=Origin(file, rule.line), **settings)

@@ -78,7 +78,7 @@ def _is_closed(rule: DomainRule) -> bool:
     return (
         rule.enable_join_access_control
         and not rule.allow_unauthenticated_participants
-        and all(_controls(topic, action) for topic in rule.topic_rules for action in ACCESS)
+        and all(getattr(topic, tag) for topic in rule.topic_rules for tag in ACCESS.values())
         and not any(_kinds(rule, topic) == {_NONE} for topic in rule.topic_rules)
     )
 
@@ -103,7 +103,7 @@ def _open_topics(
         effective = [pattern for pattern in patterns if not union_covers(tuple(earlier), pattern)]
         if not effective:
             continue
-        open_ = [action for action in ACCESS if not _controls(topic, action)]
+        open_ = [action for action, tag in ACCESS.items() if not getattr(topic, tag)]
         if open_ and inside and lowered is None:
             lowered = lower(package.grant.rules, package.distro)
         for action in open_:
@@ -125,10 +125,6 @@ def _open_topics(
 
 def _kinds(rule: DomainRule, topic: TopicProtection) -> set[str]:
     return {rule.rtps_protection_kind, topic.metadata_protection_kind, topic.data_protection_kind}
-
-
-def _controls(topic: TopicProtection, action: str) -> bool:
-    return topic.enable_write_access_control if action == "publish" else topic.enable_read_access_control
 
 
 def _allowed(lowered: Lowered, action: str, earlier: tuple[Glob, ...], patterns: tuple[Glob, ...]) -> bool:

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import field
+from typing import Any
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
@@ -12,6 +14,23 @@ from keymint.source_documents import incomplete
 
 BUILD_TYPE = "keymint_ros2_dds"
 """The name by which packages ask for this build type."""
+STRICT_DOMAIN: Mapping[str, Any] = {
+    "allow_unauthenticated_participants": False,
+    "enable_join_access_control": True,
+    "discovery_protection_kind": "ENCRYPT",
+    "liveliness_protection_kind": "ENCRYPT",
+    "rtps_protection_kind": "SIGN",
+}
+"""Settings of a domain rule in the order of a document, and what holds where neither a package nor its defaults say."""
+STRICT_TOPIC: Mapping[str, Any] = {
+    "enable_discovery_protection": True,
+    "enable_liveliness_protection": True,
+    "enable_read_access_control": True,
+    "enable_write_access_control": True,
+    "metadata_protection_kind": "ENCRYPT",
+    "data_protection_kind": "ENCRYPT",
+}
+"""The same for a topic rule."""
 
 
 @dataclass(frozen=True, slots=True)

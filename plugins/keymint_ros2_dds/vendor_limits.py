@@ -22,10 +22,10 @@ SIGNATURE = 1_450
 _ACCEPTED_KEYS = ("RSA with 2048 bits", "SECP256R1")
 
 
-def check_key(key: KeySpec, package: Package, *, allow_vendor_specific: bool) -> Iterator[Diagnostic]:
+def check_key(package: Package, *, allow_vendor_specific: bool) -> Iterator[Diagnostic]:
     """Yield the defects of an identity's key: vendors accept RSA with 2048 bits or EC with 256 bits."""
     try:
-        name = _key_name(key, package.identity.origin)
+        name = _key_name(package.identity.key, package.identity.origin)
     except KeymintError as error:
         yield from error.diagnostics
         return

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -16,7 +16,6 @@ from comarmor.patterns.printing import exact
 from comarmor.patterns.relations import covers, union_covers
 from comarmor.regex import lazy_regex
 from comarmor.rules import PARTS
-from comarmor.text import did_you_mean
 from keymint.errors import KeymintError
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import check_domains
@@ -24,10 +23,7 @@ from keymint_ros2_dds.enclave_layout import GOVERNANCE
 from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS
 from keymint_ros2_dds.lowering.mapping import ARDENT, dds_patterns, parse_expression
 from keymint_ros2_dds.lowering.portable import NotPortableError, portable_expressions
-from keymint_ros2_dds.settings import DomainRule, Governance, TopicProtection
-
-KINDS = ("NONE", "SIGN", "ENCRYPT", "SIGN_WITH_ORIGIN_AUTHENTICATION", "ENCRYPT_WITH_ORIGIN_AUTHENTICATION")
-DATA_KINDS = ("NONE", "SIGN", "ENCRYPT")
+from keymint_ros2_dds.settings import STRICT_DOMAIN, STRICT_TOPIC, DomainRule, Governance, TopicProtection
 
 _ODD = lazy_regex(r"[^A-Za-z0-9_/*?\[\]!^\\-]|//|(?<=.)/$")
 """Characters and slashes that no ROS name has; expression syntax aside (ROS 2 design, "Topic and Service Names")."""
@@ -55,23 +51,13 @@ def build(
         allow_vendor_specific: where vendors differ, follow the standard and warn.
 
     Raises:
-        KeymintError: a kind of protection is unknown, or a rule cannot be expressed portably; each with its place.
+        KeymintError: a rule cannot be expressed portably; each with its place.
     """
-    content = _without_findings(governance, distro, allow_vendor_specific)
-    if content:
-        return content, ()
     content, diagnostics = _compile(governance, _places(governance), distro, allow_vendor_specific)
     diagnostics = tuple(replace(item, subject=subject) for item in diagnostics)
     if errors := [item for item in diagnostics if item.severity is Severity.ERROR]:
         raise KeymintError.of(errors)
     return content, diagnostics
-
-
-@lru_cache(maxsize=64)
-def _without_findings(governance: Governance, distro: str, lenient: bool) -> bytes:
-    """Return the document, empty if there is something to report; cached, since most packages have an equal one."""
-    content, problems = _compile(governance, _places(governance), distro, lenient)
-    return b"" if problems else content
 
 
 def _places(governance: Governance) -> _Places:
@@ -95,12 +81,8 @@ def _compile(governance: Governance, _: _Places, distro: str, lenient: bool) -> 
 
 
 def _check(governance: Governance, lenient: bool) -> Iterator[Diagnostic]:
-    if not governance.domain_rules:
-        yield Diagnostic("governance-empty", Severity.ERROR, "the governance has no domain rule")
     for rule in governance.domain_rules:
         yield from check_domains(rule.domains, rule.domains_origin or rule.origin, "")
-        for name in ("discovery", "liveliness", "rtps"):
-            yield from _kind(f"{name}_protection_kind", getattr(rule, f"{name}_protection_kind"), KINDS, rule.origin)
         if rule.allow_unauthenticated_participants and rule.rtps_protection_kind != "NONE":
             yield Diagnostic(
                 "portability-unauthenticated",
@@ -110,35 +92,15 @@ def _check(governance: Governance, lenient: bool) -> Iterator[Diagnostic]:
                 rule.origin,
                 "set rtps_protection_kind to NONE, or do not allow unauthenticated participants",
             )
-        for topic in rule.topic_rules:
-            yield from _kind("metadata_protection_kind", topic.metadata_protection_kind, KINDS, topic.origin)
-            yield from _kind("data_protection_kind", topic.data_protection_kind, DATA_KINDS, topic.origin)
-            if topic.kind not in _PERMISSIONS:
-                message = f"unknown kind of topic rule {topic.kind!r}"
-                yield Diagnostic(
-                    "governance-kind", Severity.ERROR, message, topic.origin, did_you_mean(topic.kind, _PERMISSIONS)
-                )
-
-
-def _kind(element: str, value: str, known: Sequence[str], where: Origin) -> Iterator[Diagnostic]:
-    if value not in known:
-        message = f"{element} is {value!r}, expected one of {', '.join(known)}"
-        yield Diagnostic("protection-kind", Severity.ERROR, message, where, did_you_mean(value, known))
 
 
 def _domain_rule(parent: etree._Element, rule: DomainRule, distro: str, lenient: bool) -> Iterator[Diagnostic]:
     element = dds_xml.child(parent, "domain_rule")
     dds_xml.domains(element, rule.domains)
-    dds_xml.child(element, "allow_unauthenticated_participants", _boolean(rule.allow_unauthenticated_participants))
-    dds_xml.child(element, "enable_join_access_control", _boolean(rule.enable_join_access_control))
-    dds_xml.child(element, "discovery_protection_kind", rule.discovery_protection_kind)
-    dds_xml.child(element, "liveliness_protection_kind", rule.liveliness_protection_kind)
-    dds_xml.child(element, "rtps_protection_kind", rule.rtps_protection_kind)
+    _settings(element, rule, STRICT_DOMAIN)
     topics = dds_xml.child(element, "topic_access_rules")
     covered: list[Glob] = []
     for topic in rule.topic_rules:
-        if topic.kind not in _PERMISSIONS:
-            continue
         topic_patterns = patterns(topic, distro)
         if problem := _never_matches(topic, topic_patterns):
             yield problem
@@ -171,7 +133,7 @@ def _domain_rule(parent: etree._Element, rule: DomainRule, distro: str, lenient:
             "no topic rule matches every topic; a last one is added for '*', with access control and encryption",
             last, "end with a rule for '*' that says how all other topics are protected",
         )  # fmt: skip
-        _topic_rule(topics, "*", _strictest(rule))
+        _topic_rule(topics, "*", TopicProtection("topic", "*", origin=rule.origin, **STRICT_TOPIC))
 
 
 def _never_matches(topic: TopicProtection, topic_patterns: Sequence[Glob]) -> Diagnostic | None:
@@ -231,18 +193,11 @@ def _expressions(pattern: Glob, topic: TopicProtection, lenient: bool) -> tuple[
 def _topic_rule(parent: etree._Element, expression: str, topic: TopicProtection) -> None:
     element = dds_xml.child(parent, "topic_rule")
     dds_xml.child(element, "topic_expression", expression)
-    dds_xml.child(element, "enable_discovery_protection", _boolean(topic.enable_discovery_protection))
-    dds_xml.child(element, "enable_liveliness_protection", _boolean(topic.enable_liveliness_protection))
-    dds_xml.child(element, "enable_read_access_control", _boolean(topic.enable_read_access_control))
-    dds_xml.child(element, "enable_write_access_control", _boolean(topic.enable_write_access_control))
-    dds_xml.child(element, "metadata_protection_kind", topic.metadata_protection_kind)
-    dds_xml.child(element, "data_protection_kind", topic.data_protection_kind)
+    _settings(element, topic, STRICT_TOPIC)
 
 
-def _strictest(rule: DomainRule) -> TopicProtection:
-    """Return the protection of topics that no rule matches: access control and encryption."""
-    return TopicProtection("topic", "*", True, True, True, True, "ENCRYPT", "ENCRYPT", rule.origin)
-
-
-def _boolean(value: bool) -> str:
-    return "true" if value else "false"
+def _settings(element: etree._Element, rule: DomainRule | TopicProtection, names: Iterable[str]) -> None:
+    """Append an element for each setting of a rule: booleans as XML has them."""
+    for name in names:
+        value = getattr(rule, name)
+        dds_xml.child(element, name, value if isinstance(value, str) else str(value).lower())

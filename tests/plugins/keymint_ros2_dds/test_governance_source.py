@@ -10,6 +10,11 @@ from keymint.api import DomainRange
 from tests.plugins.keymint_ros.workspaces import Workspace, diagnostic_of
 
 
+def topic_rule(settings: str, kind: str = "topic") -> str:
+    rule = f"<{kind}_rule><topic_expression>*</topic_expression>{settings}</{kind}_rule>"
+    return f"<topic_access_rules>{rule}</topic_access_rules>"
+
+
 @pytest.fixture
 def workspace() -> Workspace:
     return Workspace.new()
@@ -53,6 +58,11 @@ def test_a_governance_overrides_its_defaults_and_keeps_their_last_rule(workspace
     [
         ("<domains><id_range><min>5</min><max>4</max></id_range></domains>", "domain-range", "exchange"),
         ("<rtps_protection_kind>SING</rtps_protection_kind>", "schema", "did you mean 'SIGN'?"),
+        ("<discovery_protection_kind>ENCRYP</discovery_protection_kind>", "schema", "did you mean 'ENCRYPT'?"),
+        ("<liveliness_protection_kind>ENCRYP</liveliness_protection_kind>", "schema", "did you mean 'ENCRYPT'?"),
+        (topic_rule("<metadata_protection_kind>sign</metadata_protection_kind>"), "schema", "did you mean 'SIGN'?"),
+        (topic_rule("<data_protection_kind>SIGN_WITH_ORIGIN_AUTHENTICATION</data_protection_kind>"), "schema", ""),
+        (topic_rule("", kind="ros_topics"), "schema", "did you mean 'ros_topic_rule'?"),
     ],
 )
 def test_a_defect_is_reported_with_its_place_and_a_hint(workspace: Workspace, rule: str, code: str, hint: str) -> None:
