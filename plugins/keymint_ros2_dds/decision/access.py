@@ -70,8 +70,7 @@ class DomainAccess:
             where = self._document.place(rule.line)
             reason = f"{ACCESS[action]} is false for {rule.expression!r}"
             return EndpointDecision(DecisionOutcome.ALLOWED, 0, reason, where)
-        checked = rule.read_controlled and rule.write_controlled
-        return evaluator.decide(action, topic, partitions, topic_checked=checked)
+        return evaluator.decide(action, topic, partitions, topic_checked=rule.controlled)
 
     def absent(self, evaluator: DocumentEvaluator) -> EndpointDecision | None:
         """Return why there is no participant with any endpoint, or None."""

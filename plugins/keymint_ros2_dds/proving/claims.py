@@ -121,9 +121,7 @@ class _Model:
         groups: dict[tuple[object, ...], list[DomainRange]] = {}
         for domains, inside, applying in self._question.domains(rules.values(), self._semantics):
             rule = self._rule(domains.first)
-            opens = rule is not None and any(
-                not topic_rule.controls(action) for topic_rule in rule.topic_rules for action in ACTIONS
-            )
+            opens = rule is not None and rule.opens
             # Without rules in the policy or the document there is nothing to compare.
             if inside or opens or (self._semantics.domains_count and (permits_more or any(applying))):
                 accepted = None if self._governance is None else self._governance.accepted_rule(domains.first)

@@ -95,12 +95,7 @@ class EnclaveGovernance:
 
     def opens(self) -> bool:
         """Tell whether any rule leaves a topic open."""
-        return any(
-            not topic.controls(action)
-            for rule in self.document.domain_rules
-            for topic in rule.topic_rules
-            for action in ACTIONS
-        )
+        return any(rule.opens for rule in self.document.domain_rules)
 
     def excepted(self, rule: DocumentDomainRule, action: str, domain: int) -> Iterator[str]:
         """Yield what a rule of the document leaves open in a domain, and the profile accepts."""

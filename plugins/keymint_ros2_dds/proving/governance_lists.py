@@ -76,7 +76,7 @@ def regions(rule: DocumentDomainRule, action: str, semantics: Semantics, *, pair
     for topic_rule in rule.topic_rules:
         globs = patterns(topic_rule.expression, semantics, pairs=pairs)
         opened.append(Block(not topic_rule.controls(action), globs))
-        either.append(Block(not (topic_rule.read_controlled and topic_rule.write_controlled), globs))
+        either.append(Block(not topic_rule.controlled, globs))
         covered.append(Block(True, globs))
     every = octets.pair(EVERYTHING, EVERYTHING) if pairs else EVERYTHING
     closed = not any(block.allows for block in either) and any(every in block.patterns for block in covered)

@@ -52,6 +52,11 @@ class DocumentTopicRule:
     protections: tuple[str, ...]
     line: int
 
+    @property
+    def controlled(self) -> bool:
+        """Whether permissions are checked for both actions."""
+        return self.read_controlled and self.write_controlled
+
     def controls(self, action: str) -> bool:
         """Tell whether permissions are checked for ``publish`` or ``subscribe``."""
         return self.write_controlled if action == "publish" else self.read_controlled
@@ -82,9 +87,12 @@ class DocumentDomainRule:
     @property
     def joins_without_rule(self) -> bool:
         """Whether a participant needs no rule to join: joining is not controlled, or some topic is not (1.1, 9.4.3)."""
-        return not self.join_controlled or not all(
-            rule.read_controlled and rule.write_controlled for rule in self.topic_rules
-        )
+        return not self.join_controlled or self.opens
+
+    @property
+    def opens(self) -> bool:
+        """Whether some topic is not under access control."""
+        return not all(rule.controlled for rule in self.topic_rules)
 
     def line_of(self, tag: str) -> int:
         """Return the line of an element, or of the rule if there is no such element."""

@@ -97,8 +97,7 @@ class EnclaveModel:
                 return rule is not None
             if endpoint.object.partitions:
                 return self.decide(variation, endpoint).allowed
-            checked = rule.read_controlled and rule.write_controlled
-            return evaluator.allows(endpoint.permission, name, topic_checked=checked)
+            return evaluator.allows(endpoint.permission, name, topic_checked=rule.controlled)
 
         rules = _topic_rules(endpoints, access.rule, variation)
         return bytes(admits(each, *found) for each, found in zip(endpoints.requests, rules, strict=True))
