@@ -83,7 +83,7 @@ class _Model:
         if governance is not None and not self._refused:
             self._refused = semantics.refusal(governance.document)
             if not self._refused:
-                odd = semantics.unmodelled(governance.document) or governance.outlandish()
+                odd = semantics.unmodelled(governance.document) or governance.unread(semantics)
                 self._unmodelled = self._unmodelled or odd
         eras = () if self._refused else grant_periods(question.document, question.task.subject_name, semantics)
         self._eras = tuple(eras)
@@ -132,7 +132,7 @@ class _Model:
     def _claim(self, action: str, domains: tuple[DomainRange, ...], *, inside: bool) -> Claim:
         domain = domains[0].first
         universe = octets.PAIRS if self._comparison.pairs else octets.TOPICS
-        if self._both_ways(domain, action):
+        if not self._unmodelled and self._both_ways(domain, action):
             universe += f"; without {' '.join(WILDCARDS)}, which topic rules of the governance are compared with"
         claim = partial(Claim, self._variation.name, action, domains, universe)
         if self._unmodelled:

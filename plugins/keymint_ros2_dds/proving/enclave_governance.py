@@ -10,9 +10,9 @@ from itertools import pairwise
 
 from comarmor.patterns.tokens import PatternError
 from keymint.api import DomainRange
-from keymint_ros2_dds.decision.semantics import STANDARD
+from keymint_ros2_dds.decision.semantics import STANDARD, Semantics
 from keymint_ros2_dds.documents import governance_document
-from keymint_ros2_dds.proving.governance_lists import regions
+from keymint_ros2_dds.proving.governance_lists import patterns, regions
 from keymint_ros2_dds.reading import signed_governance
 from keymint_ros2_dds.reading.signed_governance import (
     ACCESS,
@@ -89,9 +89,9 @@ class EnclaveGovernance:
         """
         return not self.differs and _transparent(self._contents[0], domains)
 
-    def outlandish(self) -> str:
-        """Return why a match depends on the locale of a process, or an empty text."""
-        return _outlandish(self.document)
+    def unread(self, semantics: Semantics) -> str:
+        """Return which expression has no meaning, or one that depends on the locale of a process; or an empty text."""
+        return _unread(self.document, semantics)
 
     def opens(self) -> bool:
         """Tell whether any rule leaves a topic open."""
@@ -118,17 +118,14 @@ class EnclaveGovernance:
 @lru_cache(maxsize=64)
 def _transparent(content: bytes, domains: tuple[DomainRange, ...]) -> bool:
     document = signed_governance.read(content)
-    if document.quirks or _outlandish(document):
+    if document.quirks or _unread(document, STANDARD):
         return False
-    try:
-        closed = all(
-            rule.join_controlled
-            and not rule.unauthenticated
-            and all(regions(rule, action, STANDARD, pairs=False).closed for action in ACTIONS)
-            for rule in document.domain_rules
-        )
-    except PatternError:
-        return False
+    closed = all(
+        rule.join_controlled
+        and not rule.unauthenticated
+        and all(regions(rule, action, STANDARD, pairs=False).closed for action in ACTIONS)
+        for rule in document.domain_rules
+    )
     exact = all(
         item.last is not None and item.first is not None for rule in document.domain_rules for item in rule.domains
     )
@@ -136,12 +133,15 @@ def _transparent(content: bytes, domains: tuple[DomainRange, ...]) -> bool:
     return closed and exact and all(document.rule(domain) is not None for domain in wanted)
 
 
-def _outlandish(document: GovernanceDocument) -> str:
-    for rule in document.domain_rules:
-        for topic in rule.topic_rules:
-            if not topic.expression.isascii() or "[:" in topic.expression:
-                what = f"the expression {topic.expression!r} has characters beyond ASCII, or a class"
-                return f"{document.place(topic.line)}: {what}: what it matches depends on the locale"
+def _unread(document: GovernanceDocument, semantics: Semantics) -> str:
+    for topic in (topic for rule in document.domain_rules for topic in rule.topic_rules):
+        if not topic.expression.isascii() or "[:" in topic.expression:
+            what = f"the expression {topic.expression!r} has characters beyond ASCII, or a class"
+            return f"{document.place(topic.line)}: {what}: what it matches depends on the locale"
+        try:
+            patterns(topic.expression, semantics, pairs=False)
+        except PatternError as error:
+            return f"{document.place(topic.line)}: {error}"
     return ""
 
 

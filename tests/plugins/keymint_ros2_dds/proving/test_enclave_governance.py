@@ -83,6 +83,20 @@ def test_a_topic_without_a_rule_is_refused() -> None:
     }
 
 
+def test_an_expression_that_means_nothing_is_unknown() -> None:
+    rule_ = re.search(r" *<topic_rule>.*?</topic_rule>\n", built(PLAIN), re.DOTALL)
+    assert rule_ is not None
+    odd = rule_[0].replace(">*<", ">[[.a.]]<")
+    seen = found(PLAIN, built(PLAIN).replace(rule_[0], odd + rule_[0]).encode())
+    by_model = {model: {claim.proof for claim in seen if claim.model == model} for model in MODELS}
+    assert by_model == {
+        "omg": {Proof.UNKNOWN},
+        "cyclonedds-0.10": {Proof.PROVEN},  # whose expressions have no such notation
+        "fastdds-2.9": {Proof.UNKNOWN},
+    }
+    assert all("governance.p7s:" in claim.reason for claim in seen if claim.proof is Proof.UNKNOWN)
+
+
 def test_a_domain_without_a_rule_is_refused() -> None:
     wrong = refuted(found(PLAIN, built(PLAIN).replace("<id>0</id>", "<id>1</id>").encode()))
     assert {key: value[2:] for key, value in wrong.items()} == {
