@@ -16,7 +16,7 @@ from keymint.adoption.workspace import Adoption, plan_adoption
 from keymint.api import Bootstrap, DocumentComparer, FoundEnclave, FoundKeystore, KeystoreFiles
 from keymint.changes import Plan
 from keymint.commands.adopted_policy import SECONDS, learned_policy, named_policy
-from keymint.commands.options import DEFAULT_PROFILE_TYPE, PATH, PluginOption, PolicyOptions
+from keymint.commands.options import DEFAULT_PROFILE_TYPE, PATH, PluginOption, PolicyOptions, distro_option
 from keymint.commands.proof_diagnostics import effort_of
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
@@ -41,7 +41,7 @@ _OLD = "eloquent"
     show_default=True,
     help="POLICY of another tool has the rules that this tool adds by itself.",
 )
-@click.option("--distro", metavar="NAME", help="ROS 2 distribution [$ROS_DISTRO, else jazzy].")
+@distro_option
 @click.option(
     "--profile-type", cls=PluginOption, group="keymint.profile_types", default=DEFAULT_PROFILE_TYPE, show_default=True,
     help="Plugin that makes the profile.",

@@ -17,8 +17,8 @@ from keymint.api import BuildOptions, LoadedPolicy
 from keymint.changes import Action, Plan, Step
 from keymint.commands.options import (
     DocumentOptions,
-    complete_package,
     document_options,
+    packages_argument,
     renew_option,
 )
 from keymint.commands.run import Run
@@ -34,7 +34,7 @@ from keymint.session import Session
 
 
 @verb(jobs=True, dry_run=True, executor=True)
-@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
+@packages_argument
 @click.option("-f", "--force", is_flag=True, help="Rebuild everything; discard manual edits.")
 @renew_option
 @document_options

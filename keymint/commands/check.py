@@ -13,7 +13,7 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted
 from keymint.check import check as find
 from keymint.commands.durations import period
-from keymint.commands.options import FILE, complete_package
+from keymint.commands.options import FILE, packages_argument
 from keymint.commands.run import Run
 from keymint.commands.user_files import write_outputs
 from keymint.commands.verb import verb
@@ -29,7 +29,7 @@ from keymint.session import Session
 
 @verb()
 @click.option("-j", "--jobs", type=click.IntRange(1, 256), metavar="N", help="Use N processes [all cores].")
-@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
+@packages_argument
 @click.option(
     "--within",
     callback=period,

@@ -15,7 +15,7 @@ from comarmor.text import did_you_mean, quoted
 from keymint.api import LoadedPolicy, PolicyExporter, PolicyFormat
 from keymint.commands.import_policy import proofs_of
 from keymint.commands.import_proof import diagnostics_of, unproven
-from keymint.commands.options import FILE, PATH, PolicyOptions, policy_options, usage_error
+from keymint.commands.options import FILE, PATH, PolicyOptions, force_option, policy_options, usage_error
 from keymint.commands.policies import Policies
 from keymint.commands.run import Run
 from keymint.commands.user_files import deliver, read_input, refuse_replacing
@@ -36,7 +36,7 @@ _FORMATS = "keymint.policy_formats"
     "--subjects", "listed", type=FILE, metavar="FILE", help="Further subjects, one a line, for profiles with wildcards."
 )
 @click.option("--lossy", is_flag=True, help="Leave out ALLOW rules that the format cannot express; each is listed.")
-@click.option("-f", "--force", is_flag=True, help="Replace an existing file with different content.")
+@force_option
 @policy_options
 def export(
     run: Run,

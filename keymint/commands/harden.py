@@ -10,7 +10,7 @@ import click
 from comarmor.text import first_few
 from keymint.changes import Plan
 from keymint.commands.authority_change import issued_again, require_flag_day
-from keymint.commands.options import complete_package, flag_day_option
+from keymint.commands.options import flag_day_option, packages_argument
 from keymint.commands.reissue import reissued
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
@@ -25,7 +25,7 @@ _SHOWN = 5
 
 @verb(dry_run=True)
 @click.argument("step", type=click.Choice([str(each) for each in Weakness]), required=False)
-@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
+@packages_argument
 @click.option("--apply", "applied", is_flag=True, help="Do the step; without it, see its cost and change nothing.")
 @flag_day_option
 def harden(run: Run, step: str | None, names: tuple[str, ...], applied: bool, flag_day: bool) -> Report:

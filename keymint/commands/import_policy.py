@@ -14,7 +14,7 @@ from comarmor.text import counted, first_few
 from comarmor.xml.reader import looks_like_xml, parse
 from keymint.api import ForeignDocuments, ImportedSubject, ImportRequest, PolicyImporter
 from keymint.commands.import_proof import SubjectProof, diagnostics_of, unproven
-from keymint.commands.options import DEFAULT_PROFILE_TYPE, FILE, PATH, PluginOption, PolicyOptions
+from keymint.commands.options import FILE, PATH, PolicyOptions, distro_option, force_option, library_option
 from keymint.commands.policies import Policies
 from keymint.commands.proof_diagnostics import STATES, effort_of
 from keymint.commands.run import Run
@@ -40,12 +40,9 @@ _SECONDS = 60.0
     "--implicit/--no-implicit", default=True, show_default=True,
     help="With the rules that the other tool adds by itself.",
 )  # fmt: skip
-@click.option("-f", "--force", is_flag=True, help="Replace an existing file with different content.")
-@click.option("--distro", metavar="NAME", help="ROS 2 distribution [$ROS_DISTRO, else jazzy].")
-@click.option(
-    "--profile-type", cls=PluginOption, group="keymint.profile_types", default=DEFAULT_PROFILE_TYPE, show_default=True,
-    help="Plugin that ships the policy library.",
-)  # fmt: skip
+@force_option
+@distro_option
+@library_option
 def import_policy(
     run: Run,
     policy: Path,

@@ -11,8 +11,8 @@ import click
 from keymint.changes import Plan
 from keymint.commands.build import no_packages
 from keymint.commands.options import (
-    complete_package,
     new_authority_option,
+    packages_argument,
     prove_option,
     prune_option,
     revoke_superseded_option,
@@ -36,7 +36,7 @@ from keymint.session import Session
 
 
 @verb(jobs=True, dry_run=True)
-@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
+@packages_argument
 @prune_option
 @new_authority_option
 @prove_option

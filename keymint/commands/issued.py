@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import click
 
-from keymint.commands.options import complete_package
+from keymint.commands.options import packages_argument
 from keymint.commands.revoke import document
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
@@ -15,7 +15,7 @@ from keymint.plan.register import complete_register
 
 
 @verb()
-@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
+@packages_argument
 @click.option("--revoked", is_flag=True, help="Only certificates that were revoked.")
 def issued(run: Run, names: tuple[str, ...], revoked: bool) -> Report:
     """List the certificates that were issued: serial number, subject, generation, dates, and whether it is revoked.

@@ -15,7 +15,7 @@ from comarmor.xml.reader import looks_like_xml
 from keymint import graph_json
 from keymint.api import LearnedPolicy, LoadedPolicy, PolicyLearner
 from keymint.commands.learn_keystore import from_keystore, refuse_replacing_policy
-from keymint.commands.options import PATH, PolicyOptions, policy_options, usage_error
+from keymint.commands.options import PATH, PolicyOptions, force_option, policy_options, usage_error
 from keymint.commands.policies import Policies
 from keymint.commands.run import Run
 from keymint.commands.user_files import read_input, show_written, write_outputs
@@ -34,7 +34,7 @@ from keymint.plan.foreign_policies import foreign_policy
 )  # fmt: skip
 @click.option("--policy", type=PATH, metavar="EXISTING", help="Keep this policy; generate only what it lacks.")
 @click.option("-o", "--output", type=PATH, metavar="FILE", help="Write the policy to this file [standard output].")
-@click.option("-f", "--force", is_flag=True, help="Replace an existing file with different content.")
+@force_option
 @policy_options
 def learn(
     run: Run,

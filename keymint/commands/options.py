@@ -83,6 +83,10 @@ def complete_package(context: click.Context, _parameter: click.Parameter, incomp
     return [slash + name for name in names if (slash + name).startswith(incomplete)]
 
 
+packages_argument = click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
+force_option = click.option("-f", "--force", is_flag=True, help="Replace an existing file with different content.")
+
+
 def option_group(parameter: str, group: type, *options: Decorator) -> Decorator:
     """Return a decorator that adds options whose values reach the verb together, as one argument.
 
@@ -169,6 +173,16 @@ def common_options(*, workspace: bool, jobs: bool, dry_run: bool, executor: bool
 
 # -- policies outside of a workspace ---------------------------------------------------------------------------------
 
+distro_option = click.option("--distro", metavar="NAME", help="ROS 2 distribution [$ROS_DISTRO, else jazzy].")
+library_option = click.option(
+    "--profile-type",
+    cls=PluginOption,
+    group="keymint.profile_types",
+    default=DEFAULT_PROFILE_TYPE,
+    show_default=True,
+    help="Plugin that ships the policy library.",
+)
+
 
 @dataclass(frozen=True, slots=True)
 class PolicyOptions:
@@ -195,14 +209,7 @@ policy_options = option_group(
         metavar="NAME",
         help="ROS 2 distribution of the policy library [the workspace's, else $ROS_DISTRO, else jazzy].",
     ),
-    click.option(
-        "--profile-type",
-        cls=PluginOption,
-        group="keymint.profile_types",
-        default=DEFAULT_PROFILE_TYPE,
-        show_default=True,
-        help="Plugin that ships the policy library.",
-    ),
+    library_option,
     click.option(
         "--policy-type",
         cls=PluginOption,
@@ -252,7 +259,7 @@ profile_options = option_group(
         group="keymint.profile_types",
         help=f"Plugin that makes the profile; 'keymint plugins' lists them [{DEFAULT_PROFILE_TYPE}].",
     ),
-    click.option("--distro", metavar="NAME", help="ROS 2 distribution [$ROS_DISTRO, else jazzy]."),
+    distro_option,
     click.option(
         "--transport",
         "transports",

@@ -15,7 +15,7 @@ from comarmor.text import counted
 from comarmor.values import dataclass
 from keymint.changes import Plan
 from keymint.commands import durations
-from keymint.commands.options import complete_package, prove_option
+from keymint.commands.options import packages_argument, prove_option
 from keymint.commands.reissue import reissued, updated
 from keymint.commands.run import Run, exit_code_of
 from keymint.commands.verb import verb
@@ -45,7 +45,7 @@ NOT_HERE = "authority-key-missing"
 
 
 @verb(dry_run=True)
-@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
+@packages_argument
 @click.option(
     "--threshold",
     callback=durations.threshold,

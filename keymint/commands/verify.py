@@ -12,7 +12,7 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted
 from keymint.api import Tier, Transport
 from keymint.changes import Action, Step
-from keymint.commands.options import FILE, PATH, complete_package, transport_option
+from keymint.commands.options import FILE, PATH, packages_argument, transport_option
 from keymint.commands.policies import workspace_library_rules
 from keymint.commands.run import Run
 from keymint.commands.user_files import read_input, write_outputs
@@ -42,7 +42,7 @@ from keymint.verify.verification import Asking, Verification
 
 
 @verb(executor=True)
-@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
+@packages_argument
 @click.option(
     "-g",
     "--graph",
