@@ -1,18 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the verbs that change an authority have in common: all installed enclaves follow in the same run."""
+"""What the verbs that change an authority have in common: the files that they take, and that all enclaves follow."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.changes import Plan
 from keymint.commands.reissue import reissued
 from keymint.commands.run import Run
+from keymint.commands.user_files import read_input
 from keymint.errors import KeymintError
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.authority_uses import refusing
-from keymint.plan.enclaves import installed
+from keymint.plan.enclaves import installed, with_sources
+from keymint.plan.given_authority import GivenAuthority
 from keymint.plan.revocation import list_of
 from keymint.session import Session
 
@@ -20,19 +23,23 @@ REISSUED = "authority-reissued"
 """Code of the warning of :func:`keymint.plan.authorities.plan_authorities`, which knows no transport."""
 
 
-def require_flag_day(session: Session, name: str, *, accepted: bool) -> None:
-    """Require consent to a change after which old and new enclaves do not work together.
+def given_authority(run: Run, certificate: Path, key: Path | None) -> GivenAuthority:
+    """Read the certificate of an authority that was made elsewhere, and its key if it is given.
 
-    Args:
-        session: the workspace before the change, and its profile.
-        name: the authority whose certificate changes.
-        accepted: the user consents.
+    Raises:
+        KeymintError: a file cannot be read.
+    """
+    content = read_input(run, key) if key else b""
+    return GivenAuthority(read_input(run, certificate), str(certificate), content, str(key or ""))
+
+
+def _require_flag_day(session: Session, name: str) -> None:
+    """Require that old and new enclaves work together after a change of an authority's certificate.
 
     Raises:
         KeymintError: there are installed enclaves, and an implementation does not accept both certificates.
     """
-    titles = refusing(session, name, (), "reissues") if installed(session) else ()
-    if titles and not accepted:
+    if titles := refusing(session, name, (), "reissues") if installed(session) else ():
         raise KeymintError(
             f"a new certificate of {name!r} is a flag day: with {' and '.join(titles)}, subjects that have the old one "
             "and subjects that have the new one do not communicate",
@@ -43,7 +50,7 @@ def require_flag_day(session: Session, name: str, *, accepted: bool) -> None:
         )
 
 
-def issued_again(run: Run, session: Session, first: Plan, name: str) -> Plan:
+def issued_again(run: Run, session: Session, first: Plan, name: str, *, flag_day: bool) -> Plan:
     """Return a plan that changes an authority, followed by what all installed enclaves get from it.
 
     Args:
@@ -51,12 +58,16 @@ def issued_again(run: Run, session: Session, first: Plan, name: str) -> Plan:
         session: the workspace before the plan, and its profile.
         first: what changes the profile, the key and the certificate of the authority.
         name: the authority.
+        flag_day: the user accepts that old and new enclaves do not work together.
 
     Raises:
-        KeymintError: an enclave cannot be built, signed or proven; with all defects.
+        KeymintError: an enclave cannot be built, signed or proven; with all defects. Or the plan is a flag day, which
+            the user did not accept.
     """
+    if first.writes() and not flag_day:
+        _require_flag_day(session, name)
     changed = session.after(first).session()
-    names = [each for each in installed(changed) if each in set(changed.packages())]
+    names = with_sources(changed)
     if not names:
         minted, _ = plan_authorities(changed)
         return _told(first.then(minted), changed, name)

@@ -3,14 +3,12 @@
 
 from __future__ import annotations
 
-from keymint.changes import Plan
-from keymint.commands.authority_change import issued_again, require_flag_day
+from keymint.commands.authority_change import issued_again
 from keymint.commands.options import authority_argument, flag_day_option
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.output.report import Report
 from keymint.plan.authority_renewal import plan_renewal
-from keymint.session import Session
 
 
 @verb(dry_run=True, of="authority")
@@ -23,11 +21,4 @@ def command(run: Run, name: str, flag_day: bool) -> Report:
     with the new one work together. If it signs documents, these are signed again, and vendors let subjects that hold
     different certificates of it not communicate: that needs --flag-day.
     """
-
-    def make_plan(session: Session) -> Plan:
-        first = plan_renewal(session, name)
-        if first.writes():
-            require_flag_day(session, name, accepted=flag_day)
-        return issued_again(run, session, first, name)
-
-    return run.change(make_plan)
+    return run.change(lambda session: issued_again(run, session, plan_renewal(session, name), name, flag_day=flag_day))

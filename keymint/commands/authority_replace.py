@@ -12,14 +12,13 @@ import click
 from comarmor.errors import Diagnostic, Severity
 from keymint.api import Phase
 from keymint.changes import Plan
+from keymint.commands.authority_change import given_authority
 from keymint.commands.options import FILE, authority_argument, usage_error
 from keymint.commands.rollover_phases import Request, planned
 from keymint.commands.run import Run
-from keymint.commands.user_files import read_input
 from keymint.commands.verb import verb
 from keymint.output.report import Report
 from keymint.plan import rollover
-from keymint.plan.given_authority import GivenAuthority
 from keymint.session import Session
 
 
@@ -63,10 +62,7 @@ def command(
             "these options do not go together",
             "give --phase, --cancel, or what begins it (--vendor, --certificate, --key)",
         )
-    given = None
-    if certificate:
-        key = read_input(run, key_file) if key_file else b""
-        given = GivenAuthority(read_input(run, certificate), str(certificate), key, str(key_file or ""))
+    given = given_authority(run, certificate, key_file) if certificate else None
     request = Request(Phase(phase) if phase else None, cancel, vendors, given)
     phases: list[str] = []
 

@@ -139,7 +139,7 @@ def _formatted(run: Run, paths: Iterable[Path]) -> tuple[list[_Formatted], list[
                 skipped.append(Diagnostic("format-skipped", Severity.NOTE, note, Origin(name)))
     defects.require_none()
     if not files:
-        if foreign := foreign_policy(run.plugins, [run.setting.cwd / path for path in paths], ""):
+        if foreign := foreign_policy(run.plugins, [run.setting.cwd / path for path in paths]):
             raise foreign.refusal(run.typed(str(foreign.path)))
         shown = str(next(iter(paths), "."))
         help_ = "name a ComArmor file, or a directory with *.xml files"
@@ -149,7 +149,7 @@ def _formatted(run: Run, paths: Iterable[Path]) -> tuple[list[_Formatted], list[
 
 def _no_xml(run: Run, path: Path, name: str) -> KeymintError:
     """Return the error for a file that is not XML, as a table of rules."""
-    foreign = foreign_policy(run.plugins, [run.setting.cwd / path], "")
+    foreign = foreign_policy(run.plugins, [run.setting.cwd / path])
     return KeymintError(
         f"is {foreign.noun if foreign else 'not XML'}, and 'keymint fmt' is for policies in XML",
         where=Origin(name),
@@ -160,7 +160,7 @@ def _no_xml(run: Run, path: Path, name: str) -> KeymintError:
 
 def _unknown(run: Run, path: Path, name: str) -> KeymintError:
     """Return the error for a file that no plugin can format."""
-    if foreign := foreign_policy(run.plugins, [run.setting.cwd / path], ""):
+    if foreign := foreign_policy(run.plugins, [run.setting.cwd / path]):
         return foreign.refusal(name)
     return KeymintError(
         "is no policy, nor a part or a test of one",

@@ -9,15 +9,16 @@ import click
 
 from comarmor.text import first_few
 from keymint.changes import Plan
-from keymint.commands.authority_change import issued_again, require_flag_day
+from keymint.commands.authority_change import issued_again
 from keymint.commands.options import flag_day_option, packages_argument
-from keymint.commands.reissue import reissued
+from keymint.commands.reissue import reissued, reissued_by_profile
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.output.report import Report
 from keymint.plan.authority_renewal import plan_renewal
-from keymint.plan.hardening import OpenStep, Weakness, all_installed, open_steps, plan_authority, plan_names
+from keymint.plan.enclaves import with_sources
+from keymint.plan.hardening import OpenStep, Weakness, open_steps, plan_authority, plan_names
 from keymint.session import Session
 
 _SHOWN = 5
@@ -74,9 +75,7 @@ def _authority(run: Run, session: Session, step: OpenStep, *, accepted: bool) ->
         KeymintError: the user does not accept that all robots restart together.
     """
     _require(step, accepted=accepted)
-    first = plan_authority(session, step.concerns[0])
-    after = session.after(first).session()
-    return first.then(reissued(run, after, Plan((), after.state), all_installed(after)))
+    return reissued_by_profile(run, session, plan_authority(session, step.concerns[0]), with_sources(session))
 
 
 def _identifiers(run: Run, session: Session, step: OpenStep, *, accepted: bool) -> Plan:
@@ -87,9 +86,8 @@ def _identifiers(run: Run, session: Session, step: OpenStep, *, accepted: bool) 
     """
     plan = Plan((), session.state)
     for name in step.concerns:
-        require_flag_day(session, name, accepted=accepted)
         renewal = plan_renewal(session, name)
-        plan = plan.then(issued_again(run, session, renewal, name))
+        plan = plan.then(issued_again(run, session, renewal, name, flag_day=accepted))
         session = session.after(plan).session()
     return plan
 

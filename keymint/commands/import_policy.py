@@ -101,7 +101,7 @@ def _importer(run: Run, policy: Path) -> PolicyImporter:
         KeymintError: there is no such file, or no plugin imports it.
     """
     content = read_input(run, policy)
-    foreign = foreign_policy(run.plugins, [run.setting.cwd / policy], "")
+    foreign = foreign_policy(run.plugins, [run.setting.cwd / policy])
     importer: object = None if foreign is None else run.plugins.policy_type(foreign.policy_type)
     if foreign is None and looks_like_xml(content):
         parse(content, str(policy))  # raises an error if it is no document, which nothing recognises

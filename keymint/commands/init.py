@@ -51,7 +51,7 @@ def init(
         refuse_contradiction(run, workspace, profile, policy)
         return _again(run, workspace)
     request = bootstrap_request(run, workspace, policy, profile)
-    foreign = foreign_policy(run.plugins, [run.setting.cwd / policy], "") if policy is not None else None
+    foreign = foreign_policy(run.plugins, [run.setting.cwd / policy]) if policy is not None else None
     if foreign is not None and foreign.imported:
         raise foreign.refusal(run.typed(str(foreign.path)))
 
@@ -105,7 +105,7 @@ def bootstrap_request(run: Run, workspace: Workspace, policy: Path | None, profi
 
 def _policy_type(run: Run, policy: Path) -> str:
     """Return the plugin for a policy that it recognises, and that need not be imported; empty for the usual one."""
-    foreign = None if policy.is_dir() or policy.suffix == ".xml" else foreign_policy(run.plugins, [policy], "")
+    foreign = None if policy.is_dir() or policy.suffix == ".xml" else foreign_policy(run.plugins, [policy])
     return foreign.policy_type if foreign and not foreign.imported else ""
 
 

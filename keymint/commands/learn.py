@@ -80,7 +80,7 @@ def learn(
     if policy_options.distro:
         policies.shipped()  # an unknown distribution is an error even without --policy
     content = read_input(run, graph)
-    if looks_like_xml(content) and (foreign := foreign_policy(run.plugins, [run.setting.cwd / graph], "")):
+    if looks_like_xml(content) and (foreign := foreign_policy(run.plugins, [run.setting.cwd / graph])):
         raise foreign.refusal(str(graph))
     wanted = graph_json.load(content, str(graph))
     existing = policies.at(run.setting.cwd / policy, str(policy), foreign=False) if policy else None

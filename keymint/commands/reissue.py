@@ -17,8 +17,7 @@ from keymint.plan.authorities import plan_authorities
 from keymint.plan.authority_files import is_bundled
 from keymint.plan.build import BuildStage, is_current, options_as_built
 from keymint.plan.distribution import plan_distribution
-from keymint.plan.enclaves import INSTALLED
-from keymint.plan.enclaves import installed as installed_enclaves
+from keymint.plan.enclaves import INSTALLED, with_sources
 from keymint.plan.install import RIGHTS_OUTLIVE, InstallStage
 from keymint.plan.policy import policy_in_force
 from keymint.plan.register import complete_register
@@ -71,8 +70,7 @@ def reissued(
     revoked = plan_lists(session, authorities, register=complete_register(session), refresh=refresh, end=list_end)
     session = session.after(revoked)
     if revoked.writes() and any(map(is_bundled, session.profile.authorities)):
-        known = set(session.packages())  # their authorities' file has the revocation lists
-        names = tuple(dict.fromkeys((*names, *(name for name in installed_enclaves(session) if name in known))))
+        names = tuple(dict.fromkeys((*names, *with_sources(session))))  # their authorities' file has the lists
     of_package = {name: options or options_as_built(session, name) for name in names}
 
     def build(name: str) -> BuildStage:
@@ -94,6 +92,22 @@ def reissued(
     plan = replace(plan, diagnostics=(*plan.diagnostics, *warnings))
     proof = proof_stage(run, in_force, standard_only=standard_only)
     return proven(run, session, installed.then(others), issued, partial(proof), plan)
+
+
+def reissued_by_profile(run: Run, session: Session, first: Plan, names: Sequence[str]) -> Plan:
+    """Return a plan that changes the profile, followed by what issues packages again as the changed profile says.
+
+    Args:
+        run: the run.
+        session: the workspace before the plan, and its profile.
+        first: what changes the profile.
+        names: the packages to issue again.
+
+    Raises:
+        KeymintError: as :func:`reissued`.
+    """
+    after = session.after(first).session()
+    return first.then(reissued(run, after, Plan((), after.state), names))
 
 
 def updated(plan: Plan) -> list[str]:

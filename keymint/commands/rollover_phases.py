@@ -12,7 +12,7 @@ from comarmor.values import dataclass
 from keymint.api import Phase
 from keymint.changes import Plan
 from keymint.commands.options import usage_error
-from keymint.commands.reissue import reissued
+from keymint.commands.reissue import reissued, reissued_by_profile
 from keymint.commands.run import Run
 from keymint.commands.second_keystore import dropped_keystore, exchanged_keystore, staged_keystore
 from keymint.errors import KeymintError
@@ -22,7 +22,7 @@ from keymint.plan import install, rollover
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.authority_issuance import authority_named
 from keymint.plan.authority_uses import refusing
-from keymint.plan.enclaves import installed
+from keymint.plan.enclaves import with_sources
 from keymint.plan.given_authority import GivenAuthority
 from keymint.session import Session
 
@@ -80,15 +80,14 @@ def planned(run: Run, session: Session, name: str, request: Request) -> Plan:
     return _went_on(run, session, name, names)
 
 
-def _names(session: Session, name: str) -> list[str]:
+def _names(session: Session, name: str) -> Sequence[str]:
     """Return the packages whose enclaves follow.
 
     Raises:
         KeymintError: nothing is installed.
     """
     authority_named(session, name)
-    known = set(session.packages())
-    names = [each for each in installed(session) if each in known]
+    names = with_sources(session)
     if not names:
         raise KeymintError(
             "nothing is installed, so nobody trusts an authority yet",
@@ -151,15 +150,13 @@ def _went_on(run: Run, session: Session, name: str, names: Sequence[str]) -> Pla
     if phase is Phase.STAGE:
         return exchanged_keystore(run, session, name, names)
     first = rollover.plan_switch(session, name) if phase is Phase.DISTRIBUTE else rollover.plan_end(session, name)
-    after = session.after(first).session()
-    return first.then(reissued(run, after, Plan((), after.state), names))
+    return reissued_by_profile(run, session, first, names)
 
 
 def _ended(run: Run, session: Session, name: str, names: Sequence[str]) -> Plan:
     """Return what is missing of an end that a killed run began; nothing is if there was none."""
     first = Plan((*rollover.left_over(session, name), *dropped_keystore(session)), session.state)
-    after = session.after(first)
-    return first.then(reissued(run, after, Plan((), after.state), names))
+    return reissued_by_profile(run, session, first, names)
 
 
 def _cancelled(run: Run, session: Session, name: str, names: Sequence[str]) -> Plan:
@@ -167,8 +164,7 @@ def _cancelled(run: Run, session: Session, name: str, names: Sequence[str]) -> P
         return _ended(run, session, name, names)
     first = rollover.plan_cancel(session, name)
     first = replace(first, steps=(*first.steps, *dropped_keystore(session)))
-    after = session.after(first).session()
-    return first.then(reissued(run, after, Plan((), after.state), names))
+    return reissued_by_profile(run, session, first, names)
 
 
 def _require_current(session: Session, names: Sequence[str], what: str, help_: str) -> None:

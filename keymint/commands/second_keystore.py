@@ -15,12 +15,12 @@ from pathlib import Path
 from keymint.api import BuildOptions
 from keymint.changes import Action, File, FolderChange, Plan, Step, changed
 from keymint.commands.proof_gate import proof_stage, proven
-from keymint.commands.reissue import reissued
+from keymint.commands.reissue import reissued_by_profile
 from keymint.commands.run import Run
 from keymint.plan.authorities import MintedAuthority, plan_authorities
 from keymint.plan.authority_files import NEXT
 from keymint.plan.build import BuildStage
-from keymint.plan.enclaves import installed
+from keymint.plan.enclaves import with_sources
 from keymint.plan.gitignore import NAME as GITIGNORE
 from keymint.plan.install import InstallStage
 from keymint.plan.policy import lazy_policy
@@ -44,8 +44,7 @@ def staged_keystore(run: Run, session: Session, name: str, names: Sequence[str])
         KeymintError: an enclave cannot be built, signed or proven; with all defects.
     """
     ahead, authorities, listed = session_ahead(session, name)
-    known = set(session.packages())  # what was revoked since is withdrawn from it as well
-    names = tuple(dict.fromkeys((*names, *(each for each in installed(ahead) if each in known))))
+    names = tuple(dict.fromkeys((*names, *with_sources(ahead))))  # what was revoked since is withdrawn from it as well
     build = BuildStage(ahead, BuildOptions(), force=False, renew=False)
     built = build.plan([build.package(each) for each in names])
     ahead = ahead.after(built)
@@ -108,8 +107,7 @@ def exchanged_keystore(run: Run, session: Session, name: str, names: Sequence[st
     copied = (*_copied(session), *_moved_list(session, name))
     copies = Step("install", "", Action.UPDATED, copied, "the second keystore")
     first = replace(switch, steps=(key, copies, *profile))
-    after = session.after(first).session()
-    done = first.then(reissued(run, after, Plan((), after.state), names))
+    done = reissued_by_profile(run, session, first, names)
     # The profile comes late: until then a run that was killed is recognised by the key, and copies the rest.
     others = done.steps[len(first.steps) :]
     return replace(done, steps=(key, copies, *others, *profile, *dropped_keystore(session)))

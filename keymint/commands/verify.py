@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import click
@@ -186,10 +186,8 @@ def _write(run: Run, verified: Sequence[Verification], sarif: Path | None, junit
     """Write the requested reports."""
     outcomes = [(outcome, each.subjects) for each in verified for outcome in each.comparisons]
     results = [outcome for outcome, _ in outcomes]
-    documents: Mapping[Path | None, Callable[[], bytes]] = {
-        sarif: lambda: sarif_log("keymint verify", SARIF_RULES, sarif_results(results), run.typed, Severity.ERROR),
-        junit: lambda: junit_document("keymint verify", junit_suites(outcomes)),
-    }
-    for path, document in documents.items():
-        if path is not None:
-            write_outputs(run, path, document())
+    if sarif is not None:
+        log = sarif_log("keymint verify", SARIF_RULES, sarif_results(results), run.typed, Severity.ERROR)
+        write_outputs(run, sarif, log)
+    if junit is not None:
+        write_outputs(run, junit, junit_document("keymint verify", junit_suites(outcomes)))

@@ -44,6 +44,12 @@ def _installed(session: Session) -> tuple[str, ...]:
     return tuple(sorted(names))
 
 
+def with_sources(session: Session) -> tuple[str, ...]:
+    """Return the names of the installed enclaves that have a source package, sorted."""
+    known = frozenset(session.packages())
+    return tuple(name for name in installed(session) if name in known)
+
+
 def orphans(session: Session) -> tuple[str, ...]:
     """Return the installed enclaves without a source package, sorted, except those that KEYMINT_IGNORE hides."""
     return tuple(name for name, marker in _unknown(session) if marker is None)

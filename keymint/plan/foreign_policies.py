@@ -45,13 +45,13 @@ class ForeignPolicy:
         return KeymintError(f"this is {self.noun}", where=Origin(shown), help=help_, code="policy-foreign")
 
 
-def foreign_policy(plugins: Plugins, paths: Iterable[Path], expected: str) -> ForeignPolicy | None:
+def foreign_policy(plugins: Plugins, paths: Iterable[Path], expected: str = "") -> ForeignPolicy | None:
     """Return the first file of some policies that another policy type recognises, or None.
 
     Args:
         plugins: the plugins.
         paths: files, and folders with policies directly in them.
-        expected: name of the policy type that could not load them.
+        expected: name of the policy type that could not load them; empty if none was tried.
     """
     known: dict[str, RecognisedPolicy] = {}
     for name in plugins.names("keymint.policy_types"):

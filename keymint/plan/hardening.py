@@ -15,7 +15,6 @@ from keymint.pki import adoption
 from keymint.pki.distinguished_names import parse, unique_suffix
 from keymint.plan.authority_files import read_files
 from keymint.plan.authority_uses import uses
-from keymint.plan.enclaves import installed
 from keymint.session import Session
 
 STAGE = "harden"
@@ -136,11 +135,6 @@ def plan_authority(session: Session, former: str) -> Plan:
     edited = profile_type.with_own_signer(profile, former)
     changes = changed_below(session.tree, session.workspace.profile, edited)
     return Plan((Step(STAGE, "", Action.UPDATED, changes, f"{name} signs in place of {former}"),), session.state)
-
-
-def all_installed(session: Session) -> tuple[str, ...]:
-    """Return the packages whose enclaves are installed."""
-    return tuple(name for name in installed(session) if name in set(session.packages()))
 
 
 def _unsupported(session: Session, what: str) -> KeymintError:
