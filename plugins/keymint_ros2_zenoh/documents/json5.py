@@ -71,39 +71,30 @@ def parse(content: bytes, name: str) -> Node:
             ``file:line``.
     """
     if len(content) > FILE_BYTES:
-        raise KeymintError(
-            f"the file has more than the {FILE_BYTES:,} bytes allowed", where=Origin(name), code="json5-limit"
-        )
+        raise _refused(f"the file has more than the {FILE_BYTES:,} bytes allowed", name, code="json5-limit")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
-        raise KeymintError(
-            "the file is not UTF-8", where=Origin(name, line), help="save it as UTF-8", code="json5-syntax"
-        ) from None
+        raise _refused("the file is not UTF-8", name, line, "save it as UTF-8") from None
     if odd := _REFUSED.search(text):
-        raise KeymintError(
-            f"the character U+{ord(odd[0]):04X} is not allowed",
-            where=Origin(name, text.count("\n", 0, odd.start()) + 1),
-            help="remove it, or write it as an escape sequence",
-            code="json5-syntax",
-        )
+        line = text.count("\n", 0, odd.start()) + 1
+        help_ = "remove it, or write it as an escape sequence"
+        raise _refused(f"the character U+{ord(odd[0]):04X} is not allowed", name, line, help_)
     try:
         value = pyjson5.decode(text, DEPTH)
     except pyjson5.Json5NestingTooDeep:
-        raise KeymintError(
-            f"values are nested more than {DEPTH} deep", where=Origin(name), code="json5-limit"
-        ) from None
+        raise _refused(f"values are nested more than {DEPTH} deep", name, code="json5-limit") from None
     except pyjson5.Json5DecoderException as error:
         raise _syntax(error, text, name) from None
     root = _Scanner(text, name).root()
     if not _same(root.plain(), value):
-        raise KeymintError(
-            "the file is not plain JSON5: readers may understand it differently",
-            where=Origin(name),
-            code="json5-syntax",
-        )
+        raise _refused("the file is not plain JSON5: readers may understand it differently", name)
     return root
+
+
+def _refused(message: str, name: str, line: int = 0, help_: str = "", code: str = "json5-syntax") -> KeymintError:
+    return KeymintError(message, where=Origin(name, line), help=help_, code=code)
 
 
 def _syntax(error: pyjson5.Json5DecoderException, text: str, name: str) -> KeymintError:
@@ -111,7 +102,7 @@ def _syntax(error: pyjson5.Json5DecoderException, text: str, name: str) -> Keymi
     near = _NEAR.search(message)
     line = text.count("\n", 0, int(near[1])) + 1 if near else 0
     reason = re.sub(r"b'(\w+)'", r"\1", message.partition(" near ")[0]).removesuffix(" starting")
-    return KeymintError(f"not well-formed JSON5: {quoted(reason)}", where=Origin(name, line), code="json5-syntax")
+    return _refused(f"not well-formed JSON5: {quoted(reason)}", name, line)
 
 
 def _same(first: Any, second: Any) -> bool:
@@ -142,9 +133,9 @@ class _Scanner:
         Raises:
             KeymintError: a key occurs twice, or a form that other readers may understand differently.
         """
-        node = self._value(*self._next())
-        if self._next()[0] != "end":
-            raise self._refused("more follows after the value")
+        node = self._value(*next(self._parts))
+        if next(self._parts)[0] != "end":
+            raise self._odd("more follows after the value")
         return node
 
     def _scan(self, text: str) -> Iterator[tuple[str, str]]:
@@ -158,10 +149,7 @@ class _Scanner:
             yield kind, part
             if kind == "text":
                 self._line += part.count("\n")
-        raise self._refused(f"{quoted(text[position : position + 1])} is not expected here")
-
-    def _next(self) -> tuple[str, str]:
-        return next(self._parts)
+        raise self._odd(f"{quoted(text[position : position + 1])} is not expected here")
 
     def _value(self, kind: str, part: str) -> Node:
         line = self._line
@@ -177,42 +165,38 @@ class _Scanner:
             number = pyjson5.decode(part)
             if isinstance(number, float) or -(2**63) <= number < 2**64:
                 return Node(number, line)
-        raise self._refused(f"{quoted(part)} is not a value that all readers understand in the same way")
+        raise self._odd(f"{quoted(part)} is not a value that all readers understand in the same way")
 
     def _members(self) -> dict[str, Node]:
         members: dict[str, Node] = {}
-        kind, part = self._next()
+        kind, part = next(self._parts)
         while part != "}":
             line = self._line
             key = self._text(part) if kind == "text" else part
             if kind not in {"text", "word"} or (kind == "word" and "\\" in part):
-                raise self._refused(f"{quoted(part)} is not a key that all readers understand in the same way")
+                raise self._odd(f"{quoted(part)} is not a key that all readers understand in the same way")
             if key in members:
-                raise KeymintError(
-                    f"the key {quoted(key)} occurs twice, first on line {members[key].line}",
-                    where=Origin(self._name, line),
-                    help="remove one of them",
-                    code="json5-doubled",
-                )
-            self._next()  # the colon
-            members[key] = Node(self._value(*self._next()).value, line)
-            kind, part = self._next()
+                message = f"the key {quoted(key)} occurs twice, first on line {members[key].line}"
+                raise _refused(message, self._name, line, "remove one of them", "json5-doubled")
+            next(self._parts)  # the colon
+            members[key] = Node(self._value(*next(self._parts)).value, line)
+            kind, part = next(self._parts)
             if part == ",":
-                kind, part = self._next()
+                kind, part = next(self._parts)
         return members
 
     def _items(self) -> list[Node]:
         items: list[Node] = []
-        kind, part = self._next()
+        kind, part = next(self._parts)
         while part != "]":
             items.append(self._value(kind, part))
-            kind, part = self._next()
+            kind, part = next(self._parts)
             if part == ",":
-                kind, part = self._next()
+                kind, part = next(self._parts)
         return items
 
     def _text(self, part: str) -> str:
         return str(pyjson5.decode(part)) if "\\" in part else part[1:-1]
 
-    def _refused(self, message: str) -> KeymintError:
-        return KeymintError(message, where=Origin(self._name, self._line), code="json5-syntax")
+    def _odd(self, message: str) -> KeymintError:
+        return _refused(message, self._name, self._line)
