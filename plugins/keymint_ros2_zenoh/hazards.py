@@ -4,65 +4,32 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import quoted
-from comarmor.values import dataclass
 from keymint_ros2_zenoh.documents.access_control import AclSubject
-from keymint_ros2_zenoh.documents.configuration import Configuration
+from keymint_ros2_zenoh.documents.configuration import TLS, Configuration
 from keymint_ros2_zenoh.messages import Permission
 
-
-@dataclass(frozen=True, slots=True)
-class _Setting:
-    """A setting that must have the value of the sources.
-
-    Attributes:
-        path: its path in a configuration.
-        code: code of the finding.
-        of: returns its value.
-        reason: what any other value does.
-    """
-
-    path: str
-    code: str
-    of: Callable[[Configuration], Any]
-    reason: str
-
-
-_TLS = "transport/link/tls"
-_SETTINGS = (
-    _Setting("mode", "zenoh-mode", lambda it: it.mode, "in another mode, no router decides what it exchanges"),
-    _Setting("connect/endpoints", "zenoh-endpoint", lambda it: it.connect, "the policy names the router alone"),
-    _Setting("listen/endpoints", "zenoh-listen", lambda it: it.listen, "others reach it there past the router"),
-    _Setting(
-        "scouting/gossip/enabled", "zenoh-scouting", lambda it: it.gossip, "gossip tells sessions to bypass the router"
-    ),
-    _Setting(
-        "scouting/multicast/enabled", "zenoh-scouting", lambda it: it.multicast, "multicast lets anyone answer first"
-    ),
-    _Setting(
-        "transport/link/protocols", "zenoh-endpoint", lambda it: it.protocols, "other links have no common name"
-    ),
-    _Setting(f"{_TLS}/root_ca_certificate", "zenoh-tls", lambda it: it.tls.root_ca, "it decides whom to trust"),
-    _Setting(f"{_TLS}/listen_certificate", "zenoh-tls", lambda it: it.tls.listen_certificate, "it is another identity"),
-    _Setting(f"{_TLS}/listen_private_key", "zenoh-tls", lambda it: it.tls.listen_key, "it is another identity"),
-    _Setting(
-        f"{_TLS}/connect_certificate", "zenoh-tls", lambda it: it.tls.connect_certificate, "it is another identity"
-    ),
-    _Setting(f"{_TLS}/connect_private_key", "zenoh-tls", lambda it: it.tls.connect_key, "it is another identity"),
-    _Setting(f"{_TLS}/enable_mtls", "zenoh-tls", lambda it: it.tls.mutual, "without it the router sees no identity"),
-    _Setting(
-        f"{_TLS}/verify_name_on_connect", "zenoh-tls", lambda it: it.tls.verify_name,
-        "without it any certificate can stand for the router",
-    ),
-    _Setting(
-        f"{_TLS}/close_link_on_expiration", "zenoh-tls", lambda it: it.tls.close_expired,
-        "without it a link outlives its certificate",
-    ),
-)  # fmt: skip
+_SETTINGS: Mapping[str, tuple[str, str]] = {
+    "mode": ("zenoh-mode", "in another mode, no router decides what it exchanges"),
+    "connect/endpoints": ("zenoh-endpoint", "the policy names the router alone"),
+    "listen/endpoints": ("zenoh-listen", "others reach it there past the router"),
+    "scouting/gossip/enabled": ("zenoh-scouting", "gossip tells sessions to bypass the router"),
+    "scouting/multicast/enabled": ("zenoh-scouting", "multicast lets anyone answer first"),
+    "transport/link/protocols": ("zenoh-endpoint", "other links have no common name"),
+    f"{TLS}/root_ca_certificate": ("zenoh-tls", "it decides whom to trust"),
+    f"{TLS}/listen_certificate": ("zenoh-tls", "it is another identity"),
+    f"{TLS}/listen_private_key": ("zenoh-tls", "it is another identity"),
+    f"{TLS}/connect_certificate": ("zenoh-tls", "it is another identity"),
+    f"{TLS}/connect_private_key": ("zenoh-tls", "it is another identity"),
+    f"{TLS}/enable_mtls": ("zenoh-tls", "without it the router sees no identity"),
+    f"{TLS}/verify_name_on_connect": ("zenoh-tls", "without it any certificate can stand for the router"),
+    f"{TLS}/close_link_on_expiration": ("zenoh-tls", "without it a link outlives its certificate"),
+}
+"""The settings that must have the value of the sources: the code of the finding, and what any other value does."""
 
 
 def hazards(found: Configuration, expected: Configuration, file: str) -> Iterator[Diagnostic]:
@@ -73,15 +40,16 @@ def hazards(found: Configuration, expected: Configuration, file: str) -> Iterato
         expected: what the sources build.
         file: the installed file as the user would type it.
     """
-    for setting in _SETTINGS:
-        value, wanted = setting.of(found), setting.of(expected)
-        if value != wanted:
-            message = f"{setting.path} is {_shown(value)}, expected {_shown(wanted)}: {setting.reason}"
-            yield _error(setting.code, message, found, setting.path, file)
+    wanted = expected.settings()
+    for path, value in found.settings().items():
+        if value != wanted[path]:
+            code, reason = _SETTINGS[path]
+            message = f"{path} is {_shown(value)}, expected {_shown(wanted[path])}: {reason}"
+            yield _error(code, message, found, path, file)
     for path in sorted(found.other.keys() | expected.other.keys()):
-        value, wanted = found.other.get(path), expected.other.get(path)
-        if value != wanted:
-            message = f"{path} is {_shown(value)}, expected {_shown(wanted)}"
+        value, other = found.other.get(path), expected.other.get(path)
+        if value != other:
+            message = f"{path} is {_shown(value)}, expected {_shown(other)}"
             yield _error("zenoh-setting", message, found, path, file, Severity.WARNING)
     yield from _access_control(found, file)
 
@@ -114,7 +82,7 @@ def _problem(subject: AclSubject, counts: Counter[str]) -> tuple[str, str] | Non
         return "zenoh-common-name", message
     if len(subject.common_names) > 1:
         return "zenoh-common-name", f"{shown} has {len(subject.common_names)} common names, which share its rights"
-    if subject.usernames or subject.interfaces or subject.protocols or subject.zids:
+    if subject.depends_on_more:
         return "zenoh-subject", f"{shown} has more properties than a common name: its rules do not apply to every link"
     return None
 

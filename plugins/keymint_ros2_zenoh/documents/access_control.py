@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint_ros2_zenoh.messages import Flow, Message, Permission
@@ -29,6 +31,16 @@ class AclRule:
     where: Origin | None = None
 
 
+PROPERTIES: Mapping[str, str] = {
+    "cert_common_names": "common_names",
+    "usernames": "usernames",
+    "interfaces": "interfaces",
+    "link_protocols": "protocols",
+    "zids": "zids",
+}
+"""The properties of :class:`AclSubject` by their names in a document."""
+
+
 @dataclass(frozen=True, slots=True)
 class AclSubject:
     """Links that a policy applies to: one of the values of each property that is given; an empty property is any.
@@ -50,6 +62,11 @@ class AclSubject:
     protocols: tuple[str, ...] = ()
     zids: tuple[str, ...] = ()
     where: Origin | None = None
+
+    @property
+    def depends_on_more(self) -> bool:
+        """Whether it gives other properties than common names."""
+        return any((self.usernames, self.interfaces, self.protocols, self.zids))
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import field
+from operator import attrgetter
 from typing import Any
 
 from comarmor.errors import Origin
@@ -45,17 +46,24 @@ class Tls:
     close_expired: bool = False
 
 
-TLS_SETTINGS: Mapping[str, str] = {
-    "root_ca_certificate": "root_ca",
-    "listen_certificate": "listen_certificate",
-    "listen_private_key": "listen_key",
-    "connect_certificate": "connect_certificate",
-    "connect_private_key": "connect_key",
-    "enable_mtls": "mutual",
-    "verify_name_on_connect": "verify_name",
-    "close_link_on_expiration": "close_expired",
+TLS = "transport/link/tls"
+SETTINGS: Mapping[str, str] = {
+    "mode": "mode",
+    "connect/endpoints": "connect",
+    "listen/endpoints": "listen",
+    "scouting/gossip/enabled": "gossip",
+    "scouting/multicast/enabled": "multicast",
+    "transport/link/protocols": "protocols",
+    f"{TLS}/root_ca_certificate": "tls.root_ca",
+    f"{TLS}/listen_certificate": "tls.listen_certificate",
+    f"{TLS}/listen_private_key": "tls.listen_key",
+    f"{TLS}/connect_certificate": "tls.connect_certificate",
+    f"{TLS}/connect_private_key": "tls.connect_key",
+    f"{TLS}/enable_mtls": "tls.mutual",
+    f"{TLS}/verify_name_on_connect": "tls.verify_name",
+    f"{TLS}/close_link_on_expiration": "tls.close_expired",
 }
-"""The attributes of :class:`Tls` by the names of Zenoh."""
+"""The attributes of :class:`Configuration` by the paths of their settings, in the order of documents."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +93,10 @@ class Configuration:
     access_control: AccessControl = field(default_factory=lambda: AccessControl(False, Permission.DENY))
     other: Mapping[str, Any] = field(default_factory=dict)
     places: Mapping[str, Origin] = field(default_factory=dict, compare=False, repr=False)
+
+    def settings(self) -> dict[str, Any]:
+        """Return the settings that have an attribute, by their path."""
+        return {path: attrgetter(attribute)(self) for path, attribute in SETTINGS.items()}
 
     def place(self, path: str, file: str) -> Origin:
         """Return the place of a setting, or of the closest one around it, or the file.

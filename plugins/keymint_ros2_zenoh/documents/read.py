@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
-from typing import Any, TypeVar
+from typing import Any
 
 import fastjsonschema
 
@@ -18,26 +18,15 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import did_you_mean, quoted
 from keymint.errors import KeymintError
 from keymint_ros2_zenoh.documents import json5
-from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
-from keymint_ros2_zenoh.documents.configuration import DEFAULT_LISTEN, TLS_SETTINGS, Configuration, Tls
+from keymint_ros2_zenoh.documents.access_control import PROPERTIES, AccessControl, AclPolicy, AclRule, AclSubject
+from keymint_ros2_zenoh.documents.configuration import DEFAULT_LISTEN, SETTINGS, Configuration, Tls
 from keymint_ros2_zenoh.documents.json5 import Node
 from keymint_ros2_zenoh.keyexpr import key_expr
 from keymint_ros2_zenoh.messages import Flow, Message, Permission
 
-_T = TypeVar("_T")
-
-_MODELLED = frozenset(
-    {
-        "mode",
-        "connect/endpoints",
-        "listen/endpoints",
-        "scouting/gossip/enabled",
-        "scouting/multicast/enabled",
-        "transport/link/protocols",
-        "access_control",
-        *(f"transport/link/tls/{name}" for name in TLS_SETTINGS),
-    }
-)
+_LISTS = {"rules": "rule", "subjects": "subject", "policies": "policy"}
+"""The lists of an access control, and what an item of each is."""
+_MODELLED = frozenset((*SETTINGS, "access_control"))
 _AROUND_MODELLED = frozenset(path[:at] for path in _MODELLED for at, char in enumerate(path) if char == "/")
 
 
@@ -112,37 +101,29 @@ class _Reading:
             else:  # also {} and null: the name alone says which plugin to load
                 self._other[inner] = member.plain()
 
-    def _plain(self, path: str) -> Any:
-        node = self._found.get(path)
-        return None if node is None else node.plain()
-
     def configuration(self) -> Configuration:
         """Return the configuration.
 
         Raises:
             KeymintError: an id of the access control is not known, or occurs twice.
         """
-        mode = self._plain("mode") or "peer"
-        tls = {attribute: self._plain(f"transport/link/tls/{name}") for name, attribute in TLS_SETTINGS.items()}
+        mode = self._in_mode("mode", "") or "peer"
+        own: dict[str, Any] = {"listen": DEFAULT_LISTEN[mode]}
+        tls: dict[str, Any] = {}
+        for path, attribute in SETTINGS.items():
+            value = self._in_mode(path, mode)
+            if value is not None:
+                outer, _, inner = attribute.rpartition(".")
+                (tls if outer else own)[inner] = tuple(value) if isinstance(value, list) else value
         return Configuration(
-            mode=mode,
-            connect=tuple(self._in_mode("connect/endpoints", mode, ())),
-            listen=tuple(self._in_mode("listen/endpoints", mode, DEFAULT_LISTEN[mode])),
-            gossip=self._in_mode("scouting/gossip/enabled", mode, True),
-            multicast=self._in_mode("scouting/multicast/enabled", mode, True),
-            protocols=tuple(self._plain("transport/link/protocols") or ()),
-            tls=Tls(**{attribute: value for attribute, value in tls.items() if value is not None}),
-            access_control=self._access_control(),
-            other=self._other,
-            places=self._places,
+            **own, tls=Tls(**tls), access_control=self._access_control(), other=self._other, places=self._places
         )
 
-    def _in_mode(self, path: str, mode: str, default: _T) -> _T:
-        """Return a setting that may have one value for all modes, or one for each."""
-        value = self._plain(path)
-        if isinstance(value, dict):
-            value = value.get(mode)
-        return default if value is None else value
+    def _in_mode(self, path: str, mode: str) -> Any:
+        """Return a setting that may have one value for all modes, or one for each; None if it has none."""
+        node = self._found.get(path)
+        value = None if node is None else node.plain()
+        return value.get(mode) if isinstance(value, dict) else value
 
     def _access_control(self) -> AccessControl:
         node = self._found.get("access_control")
@@ -157,7 +138,7 @@ class _Reading:
             policies=tuple(self._policy(item) for item in _items(members, "policies")),
             where=Origin(self._name, node.line),
         )
-        missing = [key for key in ("rules", "subjects", "policies") if key not in members or members[key].value is None]
+        missing = [key for key in _LISTS if key not in members or members[key].value is None]
         if control.enabled and missing:
             raise KeymintError(
                 f"the access control has no {' and no '.join(missing)}",
@@ -165,7 +146,7 @@ class _Reading:
                 help="Zenoh refuses it at start: give all three lists",
                 code="zenoh-configuration",
             )
-        if defects := [*self._ids(control), *self._policy_ids(members), *self._key_exprs(control)]:
+        if defects := [*self._ids(control, members), *self._key_exprs(control)]:
             raise KeymintError.of(defects)
         return control
 
@@ -173,61 +154,41 @@ class _Reading:
         members = node.value
         return AclRule(
             id=members["id"].value,
-            messages=tuple(Message(item.value) for item in members["messages"].value),
-            flows=tuple(Flow(item.value) for item in _items(members, "flows")) or (Flow.EGRESS, Flow.INGRESS),
+            messages=tuple(map(Message, _texts(members, "messages"))),
+            flows=tuple(map(Flow, _texts(members, "flows"))) or (Flow.EGRESS, Flow.INGRESS),
             permission=Permission(members["permission"].value),
-            key_exprs=tuple(item.value for item in members["key_exprs"].value),
+            key_exprs=_texts(members, "key_exprs"),
             where=Origin(self._name, node.line),
         )
 
     def _subject(self, node: Node) -> AclSubject:
-        def texts(key: str) -> tuple[str, ...]:
-            return tuple(item.value for item in _items(node.value, key))
-
-        return AclSubject(
-            id=node.value["id"].value,
-            common_names=texts("cert_common_names"),
-            usernames=texts("usernames"),
-            interfaces=texts("interfaces"),
-            protocols=texts("link_protocols"),
-            zids=texts("zids"),
-            where=Origin(self._name, node.line),
-        )
+        members = node.value
+        properties = {attribute: _texts(members, name) for name, attribute in PROPERTIES.items()}
+        return AclSubject(members["id"].value, **properties, where=Origin(self._name, node.line))
 
     def _policy(self, node: Node) -> AclPolicy:
-        return AclPolicy(
-            rules=tuple(item.value for item in node.value["rules"].value),
-            subjects=tuple(item.value for item in node.value["subjects"].value),
-            where=Origin(self._name, node.line),
-        )
+        members = node.value
+        return AclPolicy(_texts(members, "rules"), _texts(members, "subjects"), Origin(self._name, node.line))
 
-    def _ids(self, control: AccessControl) -> Iterator[Diagnostic]:
+    def _ids(self, control: AccessControl, members: Mapping[str, Node]) -> Iterator[Diagnostic]:
         """Yield ids that occur twice and ids that nothing has; Zenoh refuses both at start."""
-        known: dict[str, set[str]] = {"rule": set(), "subject": set()}
-        named: tuple[tuple[str, Sequence[AclRule | AclSubject]], ...] = (
-            ("rule", control.rules),
-            ("subject", control.subjects),
-        )
-        for kind, items in named:
-            for item in items:
-                if item.id in known[kind]:
-                    yield self._defect(f"the {kind} {quoted(item.id)} occurs twice", item.where, "give each its own id")
-                known[kind].add(item.id)
+        known: dict[str, set[str]] = {}
+        for key, kind in _LISTS.items():
+            own = known[kind] = set()
+            for item in _items(members, key):
+                name = _value(item.value, "id", None)
+                if name is None:
+                    continue  # a policy need not have one
+                if name in own:
+                    where = Origin(self._name, item.line)
+                    yield self._defect(f"the {kind} {quoted(name)} occurs twice", where, "give each its own id")
+                own.add(name)
         for policy in control.policies:
             for kind, names in (("rule", policy.rules), ("subject", policy.subjects)):
                 for unknown in dict.fromkeys(names):
                     if unknown not in known[kind]:
                         help_ = did_you_mean(unknown, known[kind], f"declare the {kind}, or remove its id")
                         yield self._defect(f"there is no {kind} {quoted(unknown)}", policy.where, help_)
-
-    def _policy_ids(self, members: Mapping[str, Node]) -> Iterator[Diagnostic]:
-        known: set[str] = set()
-        for policy in _items(members, "policies"):
-            name = _value(policy.value, "id", None)
-            if name in known:
-                where = Origin(self._name, policy.line)
-                yield self._defect(f"the policy {quoted(name)} occurs twice", where, "give each its own id")
-            known |= set() if name is None else {name}
 
     def _key_exprs(self, control: AccessControl) -> Iterator[Diagnostic]:
         """Yield the key expressions that are illegal or not canonical; Zenoh refuses them at start."""
@@ -243,9 +204,13 @@ class _Reading:
         return Diagnostic("zenoh-configuration", Severity.ERROR, message, where, help_)
 
 
-def _items(members: Mapping[str, Node], key: str) -> list[Node]:
-    node = members.get(key)
-    return [] if node is None or node.value is None else node.value
+def _items(members: Mapping[str, Node], key: str) -> Sequence[Node]:
+    items: Sequence[Node] = _value(members, key, ())
+    return items
+
+
+def _texts(members: Mapping[str, Node], key: str) -> tuple[str, ...]:
+    return tuple(item.value for item in _items(members, key))
 
 
 def _value(members: Mapping[str, Node], key: str, default: Any) -> Any:

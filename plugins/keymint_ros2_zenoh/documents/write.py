@@ -7,8 +7,8 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
-from keymint_ros2_zenoh.documents.configuration import TLS_SETTINGS, Configuration
+from keymint_ros2_zenoh.documents.access_control import PROPERTIES, AccessControl, AclPolicy, AclRule, AclSubject
+from keymint_ros2_zenoh.documents.configuration import Configuration
 
 _WIDTH = 120
 
@@ -35,16 +35,9 @@ def write(configuration: Configuration, title: Sequence[str], settings: Mapping[
 
 
 def _settings(configuration: Configuration) -> Iterator[tuple[str, Any]]:
-    yield "mode", configuration.mode
-    yield "connect/endpoints", list(configuration.connect)
-    yield "listen/endpoints", list(configuration.listen)
-    yield "scouting/gossip/enabled", configuration.gossip
-    yield "scouting/multicast/enabled", configuration.multicast
-    if configuration.protocols:
-        yield "transport/link/protocols", list(configuration.protocols)
-    for name, attribute in TLS_SETTINGS.items():
-        if (value := getattr(configuration.tls, attribute)) != "":
-            yield f"transport/link/tls/{name}", value
+    for path, value in configuration.settings().items():
+        if value not in ("", ()) or path.endswith("/endpoints"):
+            yield path, value
 
 
 def _tree(other: Mapping[str, Any], settings: Iterable[tuple[str, Any]]) -> dict[str, Any]:
@@ -83,27 +76,21 @@ def _list(name: str, items: Sequence[Any], member: Any, end: str = ",") -> Itera
 def _rule(rule: AclRule) -> Iterator[tuple[str, Any]]:
     yield "id", rule.id
     yield "permission", rule.permission
-    yield "flows", list(rule.flows)
-    yield "messages", list(rule.messages)
-    yield "key_exprs", list(rule.key_exprs)
+    yield "flows", rule.flows
+    yield "messages", rule.messages
+    yield "key_exprs", rule.key_exprs
 
 
 def _subject(subject: AclSubject) -> Iterator[tuple[str, Any]]:
     yield "id", subject.id
-    for name, values in (
-        ("cert_common_names", subject.common_names),
-        ("usernames", subject.usernames),
-        ("interfaces", subject.interfaces),
-        ("link_protocols", subject.protocols),
-        ("zids", subject.zids),
-    ):
-        if values:
-            yield name, list(values)
+    for name, attribute in PROPERTIES.items():
+        if values := getattr(subject, attribute):
+            yield name, values
 
 
 def _policy(policy: AclPolicy) -> Iterator[tuple[str, Any]]:
-    yield "subjects", list(policy.subjects)
-    yield "rules", list(policy.rules)
+    yield "subjects", policy.subjects
+    yield "rules", policy.rules
 
 
 def _text(value: Any) -> str:
@@ -114,10 +101,10 @@ def _text(value: Any) -> str:
 def _value(value: Any, indent: int) -> str:
     """Return a value on one line if it fits, else one member on each line."""
     line = _text(value)
-    if indent + len(line) < _WIDTH or not value or not isinstance(value, dict | list):
+    if indent + len(line) < _WIDTH or not value or not isinstance(value, dict | list | tuple):
         return line
     inner = " " * (indent + 2)
-    if isinstance(value, list):
+    if not isinstance(value, dict):
         return "\n".join(["[", *_filled([_value(item, indent + 2) for item in value], inner), " " * indent + "]"])
     parts = [f"{inner}{_text(key)}: {_value(item, indent + 2)}" for key, item in value.items()]
     return "\n".join(["{", ",\n".join(parts), " " * indent + "}"])

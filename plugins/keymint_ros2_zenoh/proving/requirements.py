@@ -6,13 +6,13 @@ Each requirement is stated here by itself, and not taken from what the compiler 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import Package
-from keymint_ros2_zenoh.documents.configuration import Configuration
+from keymint_ros2_zenoh.documents.configuration import TLS, Configuration
 from keymint_ros2_zenoh.emission import ROUTER_SETTINGS, SESSION_SETTINGS
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, enclave_folder
 from keymint_ros2_zenoh.messages import Permission
@@ -44,24 +44,8 @@ def of_session(found: Configuration, package: Package, router_name: str, file: s
         router_name: common name of the router's certificate.
         file: the installed file as the user would type it.
     """
-    check = _Check(found, file)
-    wanted = settings_of(package).router.endpoint
-    yield from check(
-        "mode", found.mode == "client", f"the mode is {found.mode}, and only a client sends all to routers"
-    )
-    yield from check("connect/endpoints", found.connect == (wanted,), f"it does not connect to {wanted} alone")
-    yield from check("listen/endpoints", not found.listen, "it listens, so that others reach it past the router")
-    yield from _scouting(check, found)
-    yield from _links(check, found)
-    tls = found.tls
-    yield from check(
-        "transport/link/tls/verify_name_on_connect", tls.verify_name, "it does not check the router's name"
-    )
-    yield from _paths(check, found, package, connects=True)
-    control = found.access_control
-    closed = control.enabled and control.default_permission is Permission.DENY
-    yield from check("access_control", closed, "its access control does not refuse everyone but the router")
-    for subject in control.subjects:
+    yield from _unmet(found, file, _of_session(found, package))
+    for subject in found.access_control.subjects:
         if subject.common_names != (router_name,):
             message = f"the subject {subject.id!r} of its access control is not the router {router_name!r} alone"
             yield Shortcoming(message, subject.where or Origin(file))
@@ -75,18 +59,7 @@ def of_router(found: Configuration, package: Package, file: str) -> Iterator[Sho
         package: the router's package.
         file: the installed file as the user would type it.
     """
-    check = _Check(found, file)
-    yield from check("mode", found.mode == "router", f"the mode is {found.mode}, not router")
-    yield from check("connect/endpoints", not found.connect, "it connects to others, whose rights are not in its file")
-    for endpoint in found.listen:
-        secured = endpoint.partition("/")[0] in AUTHENTICATED
-        yield from check("listen/endpoints", secured, f"it listens on {endpoint}, where links have no certificate")
-        # They override the settings of TLS, such as the authority: tls/[::]:7447#root_ca_certificate_file=/tmp/ca.pem
-        plain = not any(mark in endpoint for mark in "?#")
-        yield from check("listen/endpoints", plain, f"it listens on {endpoint}, which has settings of its own")
-    yield from _scouting(check, found)
-    yield from _links(check, found)
-    yield from _paths(check, found, package, connects=False)
+    return _unmet(found, file, _of_router(found, package))
 
 
 def unmodelled(found: Configuration, router: bool) -> str:
@@ -106,46 +79,52 @@ def unmodelled(found: Configuration, router: bool) -> str:
     return missing and f"the setting {missing} is missing; what its default does to access is not known"
 
 
-class _Check:
-    """Makes shortcomings of one configuration."""
-
-    def __init__(self, found: Configuration, file: str) -> None:
-        self._found = found
-        self._file = file
-
-    def __call__(self, path: str, met: bool, message: str) -> Iterator[Shortcoming]:
-        if not met:
-            yield Shortcoming(message, self._found.place(path, self._file))
+_Requirement = tuple[str, bool, str]
+"""The path of a setting, whether it is as it must be, and what is wrong if it is not."""
 
 
-_Checker = Callable[[str, bool, str], Iterator[Shortcoming]]
+def _unmet(found: Configuration, file: str, requirements: Iterable[_Requirement]) -> Iterator[Shortcoming]:
+    return (Shortcoming(message, found.place(path, file)) for path, met, message in requirements if not met)
 
 
-def _scouting(check: _Checker, found: Configuration) -> Iterator[Shortcoming]:
-    yield from check("scouting/gossip/enabled", not found.gossip, "gossip is on, which tells others how to bypass it")
-    yield from check(
-        "scouting/multicast/enabled", not found.multicast, "multicast scouting is on, which anyone answers"
-    )
+def _of_session(found: Configuration, package: Package) -> Iterator[_Requirement]:
+    wanted, control = settings_of(package).router.endpoint, found.access_control
+    yield "mode", found.mode == "client", f"the mode is {found.mode}, and only a client sends all to routers"
+    yield "connect/endpoints", found.connect == (wanted,), f"it does not connect to {wanted} alone"
+    yield "listen/endpoints", not found.listen, "it listens, so that others reach it past the router"
+    yield from _of_both(found)
+    yield f"{TLS}/verify_name_on_connect", found.tls.verify_name, "it does not check the router's name"
+    yield from _paths(found, package, "connect")
+    closed = control.enabled and control.default_permission is Permission.DENY
+    yield "access_control", closed, "its access control does not refuse everyone but the router"
 
 
-def _links(check: _Checker, found: Configuration) -> Iterator[Shortcoming]:
+def _of_router(found: Configuration, package: Package) -> Iterator[_Requirement]:
+    yield "mode", found.mode == "router", f"the mode is {found.mode}, not router"
+    yield "connect/endpoints", not found.connect, "it connects to others, whose rights are not in its file"
+    for endpoint in found.listen:
+        secured = endpoint.partition("/")[0] in AUTHENTICATED
+        yield "listen/endpoints", secured, f"it listens on {endpoint}, where links have no certificate"
+        # They override the settings of TLS, such as the authority: tls/[::]:7447#root_ca_certificate_file=/tmp/ca.pem
+        plain = not any(mark in endpoint for mark in "?#")
+        yield "listen/endpoints", plain, f"it listens on {endpoint}, which has settings of its own"
+    yield from _of_both(found)
+    yield from _paths(found, package, "listen")
+
+
+def _of_both(found: Configuration) -> Iterator[_Requirement]:
+    yield "scouting/gossip/enabled", not found.gossip, "gossip is on, which tells others how to bypass it"
+    yield "scouting/multicast/enabled", not found.multicast, "multicast scouting is on, which anyone answers"
     secured = bool(found.protocols) and set(found.protocols) <= set(AUTHENTICATED)
-    yield from check("transport/link/protocols", secured, "links of protocols without certificates are possible")
-    yield from check("transport/link/tls/enable_mtls", found.tls.mutual, "only one side of a link shows a certificate")
-    message = "a link outlives its certificate"
-    yield from check("transport/link/tls/close_link_on_expiration", found.tls.close_expired, message)
+    yield "transport/link/protocols", secured, "links of protocols without certificates are possible"
+    yield f"{TLS}/enable_mtls", found.tls.mutual, "only one side of a link shows a certificate"
+    yield f"{TLS}/close_link_on_expiration", found.tls.close_expired, "a link outlives its certificate"
 
 
-def _paths(check: _Checker, found: Configuration, package: Package, *, connects: bool) -> Iterator[Shortcoming]:
-    """Yield the files that are not those of the enclave, to which all other claims refer."""
-    folder = enclave_folder(settings_of(package).keystore, package.subject)
-    side = "connect" if connects else "listen"
-    tls = found.tls
-    named = {
-        "root_ca_certificate": (tls.root_ca, IDENTITY_CA),
-        f"{side}_certificate": (tls.connect_certificate if connects else tls.listen_certificate, CERTIFICATE),
-        f"{side}_private_key": (tls.connect_key if connects else tls.listen_key, KEY),
-    }
-    for path, (value, name) in named.items():
-        message = f"{path} is not the file {folder}/{name}"
-        yield from check(f"transport/link/tls/{path}", value == f"{folder}/{name}", message)
+def _paths(found: Configuration, package: Package, side: str) -> Iterator[_Requirement]:
+    """Yield that the files are those of the enclave, to which all other claims refer."""
+    folder, settings = enclave_folder(settings_of(package).keystore, package.subject), found.settings()
+    files = {"root_ca_certificate": IDENTITY_CA, f"{side}_certificate": CERTIFICATE, f"{side}_private_key": KEY}
+    for name, file in files.items():
+        path, wanted = f"{TLS}/{name}", f"{folder}/{file}"
+        yield path, settings[path] == wanted, f"{name} is not the file {wanted}"

@@ -65,7 +65,7 @@ class RouterRights:
             return LinkRights(((),), open=True, where=control.where)
         # Subjects with equal properties are one entry.
         matching = [self._named.get(name, []) for name in dict.fromkeys((common_name, ""))]
-        other = next((each for group in matching for each in group if _has_other_properties(each)), None)
+        other = next((each for group in matching for each in group if each.depends_on_more), None)
         unmodelled = "" if other is None else f"the subject {other.id!r} also depends on more than certificates"
         entries = tuple(tuple(self._rules_of(group)) for group in matching if group)
         return LinkRights(entries or ((),), control.default_permission is Permission.ALLOW, unmodelled, control.where)
@@ -74,10 +74,6 @@ class RouterRights:
         policies = (policy for subject in subjects for policy in self._policies.get(subject.id, ()))
         for name in dict.fromkeys(name for policy in policies for name in policy.rules):
             yield self._rules[name]
-
-
-def _has_other_properties(subject: AclSubject) -> bool:
-    return any((subject.usernames, subject.interfaces, subject.protocols, subject.zids))
 
 
 def _keys(rules: Iterable[AclRule], message: Message, flow: Flow, permission: Permission) -> tuple[KeyExpr, ...]:

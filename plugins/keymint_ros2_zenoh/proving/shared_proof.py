@@ -105,7 +105,7 @@ def _problem(entry: AclSubject, known: Collection[str]) -> str:
         return "has no common name, so that it is everyone"
     if len(entry.common_names) > 1:
         return "has several common names"
-    if entry.usernames or entry.interfaces or entry.protocols or entry.zids:
+    if entry.depends_on_more:
         return "depends on more than certificates"
     [name] = entry.common_names
     return "" if name in known else f"has the common name {name!r}, but no enclave of the workspace has it"

@@ -9,7 +9,6 @@ from types import TracebackType
 from typing import Self
 
 from keymint.errors import KeymintError
-from keymint_ros2_zenoh.documents.configuration import TLS_SETTINGS
 from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel, RouterModel
 from keymint_ros2_zenoh.transports.installed import InstalledConfiguration
 from keymint_ros2_zenoh.vendors import access_log, loopback
@@ -108,5 +107,4 @@ class Network:
 
 
 def _paths(files: InstalledConfiguration) -> dict[str, object]:
-    settings = {name: getattr(files.configuration.tls, attribute) for name, attribute in TLS_SETTINGS.items()}
-    return loopback.path_changes({name: each for name, each in settings.items() if isinstance(each, str)}, files.local)
+    return loopback.path_changes(files.configuration.settings(), files.local)

@@ -14,8 +14,9 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 
+from keymint_ros2_zenoh.documents.configuration import TLS
+
 LOOPBACK = ("localhost", "127.0.0.1")
-_TLS = "transport/link/tls"
 
 
 def router_changes(listen: Sequence[str], ports: Mapping[str, str]) -> dict[str, object]:
@@ -40,19 +41,19 @@ def session_changes(connect: Sequence[str], ports: Mapping[str, str]) -> dict[st
         _changed(each, name if name in LOOPBACK else "localhost", ports.get(port(each), port(each)))
         for each, name in zip(connect, hosts, strict=True)
     ]
-    unnamed = {} if set(hosts) <= set(LOOPBACK) else {f"{_TLS}/verify_name_on_connect": False}
+    unnamed = {} if set(hosts) <= set(LOOPBACK) else {f"{TLS}/verify_name_on_connect": False}
     return {"connect/endpoints": endpoints, **unnamed}
 
 
-def path_changes(paths: Mapping[str, str], local: Callable[[str], object]) -> dict[str, object]:
+def path_changes(settings: Mapping[str, object], local: Callable[[str], object]) -> dict[str, object]:
     """Return the changed paths of certificates and keys.
 
     Args:
-        paths: paths that a configuration names, by the name of their setting; empty ones are not set.
+        settings: settings of a configuration by their path; those of TLS that are texts are paths.
         local: returns where a file is on this machine, or None.
     """
-    found = {name: local(path) for name, path in paths.items() if path}
-    return {f"{_TLS}/{name}": str(file) for name, file in found.items() if file is not None}
+    named = ((path, value) for path, value in settings.items() if path.startswith(TLS) and isinstance(value, str))
+    return {path: str(file) for path, value in named if value and (file := local(value)) is not None}
 
 
 def port(endpoint: str) -> str:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from keymint_ros2_zenoh.documents.configuration import Configuration, Tls
 from keymint_ros2_zenoh.vendors import loopback
 
 
@@ -27,8 +28,8 @@ def test_a_port_that_the_router_does_not_have_stays() -> None:
 
 
 def test_only_paths_that_are_set_and_found_here_change() -> None:
-    paths = {"connect_certificate": "/robot/cert.pem", "listen_certificate": "", "root_ca_certificate": "/gone"}
-    changes = loopback.path_changes(paths, {"/robot/cert.pem": "/here/cert.pem"}.get)
+    settings = Configuration(tls=Tls(connect_certificate="/robot/cert.pem", root_ca="/gone")).settings()
+    changes = loopback.path_changes(settings, {"/robot/cert.pem": "/here/cert.pem"}.get)
     assert changes == {"transport/link/tls/connect_certificate": "/here/cert.pem"}
 
 
