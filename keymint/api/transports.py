@@ -12,6 +12,7 @@ from typing import Protocol, runtime_checkable
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
+from keymint.errors import KeymintError
 from keymint.graph import Column, Edge
 
 
@@ -46,6 +47,21 @@ class Availability:
     help: str = ""
     tiers: tuple[Tier, ...] = ()
     by_default: bool = True
+
+    def require(self, tier: Tier, name: str) -> None:
+        """Check that a transport supports a tier.
+
+        Args:
+            tier: the tier.
+            name: name of the transport.
+
+        Raises:
+            KeymintError: it does not.
+        """
+        if tier not in self.tiers:
+            reason = self.reason or f"it has no tier {tier}"
+            message = f"the transport {name!r} cannot be used at tier {tier}: {reason}"
+            raise KeymintError(message, help=self.help, code="transport-unusable")
 
 
 @dataclass(frozen=True, slots=True)

@@ -74,6 +74,17 @@ def render(name: x509.Name, where: Origin | None = None) -> str:
     return shown
 
 
+def of_any(name: x509.Name) -> str:
+    """Return the text of ``<subject_name>``; a name that vendors compare differently as it is.
+
+    ``keymint check`` reports such a name.
+    """
+    try:
+        return render(name)
+    except KeymintError:
+        return name.rfc4514_string()
+
+
 def has_empty_part(text: str) -> bool:
     """Tell whether a name has an empty part before its end, between ``,``, ``/`` and ``|``.
 

@@ -12,7 +12,6 @@ from comarmor.values import dataclass
 from keymint.api import DomainRange, KeystoreFiles
 from keymint.errors import KeymintError
 from keymint.pki import certificates, extensions, key_files, keys, smime
-from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.enclave_layout import GOVERNANCE, PERMISSIONS
 from keymint_ros2_dds.reading import signed_governance, signed_permissions
 from keymint_ros2_dds.reading.signed_permissions import DocumentDomains, PermissionsDocument
@@ -101,14 +100,6 @@ def is_authority(certificate: x509.Certificate) -> bool:
     """Tell whether a certificate may issue others."""
     constraints = extensions.value(certificate, x509.BasicConstraints)
     return constraints is not None and constraints.ca
-
-
-def subject_of(name: x509.Name) -> str:
-    """Return a distinguished name as the text of ``<subject_name>``; one that vendors compare differently as it is."""
-    try:
-        return subject_name_text.render(name)
-    except KeymintError:
-        return name.rfc4514_string()
 
 
 def as_ranges(domains: Iterable[DocumentDomains]) -> Iterator[DomainRange]:

@@ -16,6 +16,7 @@ from keymint.errors import KeymintError
 from keymint.names import name_of, package_name
 from keymint.pki import certificates, certification_path, keys, smime
 from keymint.pki.distinguished_names import MAX_COMMON_NAME, attributes, to_text
+from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.domains import in_words, merged, uncovered
 from keymint_ros2_dds.enclave_layout import (
     CA,
@@ -31,7 +32,7 @@ from keymint_ros2_dds.enclave_layout import (
     PERMISSIONS_P7S,
     PERMISSIONS_XML,
 )
-from keymint_ros2_dds.keystores.contents import Contents, as_ranges, subject_of
+from keymint_ros2_dds.keystores.contents import Contents, as_ranges
 from keymint_ros2_dds.keystores.places import EnclavePlace
 from keymint_ros2_dds.reading import dates, signed_governance, signed_permissions
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant
@@ -250,7 +251,7 @@ class _Enclave:
         yield from self._rules(grant)
 
     def _grant_header(self, grant: DocumentGrant) -> Iterator[Diagnostic]:
-        expected = subject_of(self._certificate.subject) if self._certificate else grant.subject_name
+        expected = subject_name_text.of_any(self._certificate.subject) if self._certificate else grant.subject_name
         if grant.subject_name != expected:
             message = f"grants to {grant.subject_name!r}, but the certificate is for {expected!r}"
             yield self._error("adopt-grant-subject", PERMISSIONS_P7S, message, "sign permissions for this certificate")

@@ -24,10 +24,10 @@ from keymint.api import DomainRange, FoundEnclave, GrantedRules, KeystoreFiles
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.pki import certificates, smime
+from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.domains import in_words, merged
 from keymint_ros2_dds.enclave_layout import CA, CERTIFICATE, PERMISSIONS_CA, PERMISSIONS_P7S
-from keymint_ros2_dds.keystores.contents import subject_of
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.ros_rules import in_ros
 from keymint_ros2_dds.proving.enclave_governance import cuts
@@ -55,7 +55,7 @@ def granted(keystore: KeystoreFiles, enclave: FoundEnclave, distro: str) -> Gran
     if document.defects:
         raise KeymintError.of(document.defects)
     place = Origin(f"{keystore.folder}/{_path(keystore, enclave, CERTIFICATE)}")
-    name = subject_of(certificates.load(enclave.certificate, place).subject)
+    name = subject_name_text.of_any(certificates.load(enclave.certificate, place).subject)
     rules, domains, findings = rules_of(document, name, enclave.subject, distro)
     return GrantedRules(
         SubjectRules(enclave.subject, rules), signed.content, where.file, signed.lines_before, name, domains, findings

@@ -17,6 +17,7 @@ from keymint.errors import KeymintError
 from keymint.names import package_name
 from keymint.pki import certificates, extensions, key_files, smime
 from keymint.pki.distinguished_names import attributes
+from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.enclave_layout import (
     CA,
     CERTIFICATE,
@@ -26,7 +27,7 @@ from keymint_ros2_dds.enclave_layout import (
     PERMISSIONS_CA,
     PERMISSIONS_P7S,
 )
-from keymint_ros2_dds.keystores.contents import Contents, is_authority, subject_of
+from keymint_ros2_dds.keystores.contents import Contents, is_authority
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant
 
 FORMS: Mapping[str, str] = {
@@ -134,7 +135,7 @@ def _is_read(keystore: KeystoreFiles, path: str, certificate: x509.Certificate) 
 
 
 def _is_for(grants: Sequence[DocumentGrant], certificate: x509.Certificate) -> bool:
-    name = subject_of(certificate.subject)
+    name = subject_name_text.of_any(certificate.subject)
     return any(grant.subject_name.strip() == name for grant in grants)
 
 

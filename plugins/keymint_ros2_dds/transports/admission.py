@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import groupby
 
 from keymint.api import Enclave, Verdict
@@ -13,7 +14,7 @@ from keymint_ros2_dds.decision import Variation
 from keymint_ros2_dds.enclave_layout import reads_revocations
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import enclave_files
-from keymint_ros2_dds.transports.enclave_model import EnclaveModel, EnclaveModels
+from keymint_ros2_dds.transports.enclave_model import EnclaveModels
 from keymint_ros2_dds.vendors.participants import (
     ProbeError,
     ProbeParticipant,
@@ -31,28 +32,28 @@ def unsayable(endpoint: Edge) -> str:
     return "" if endpoint.object.name else "no DDS topic has an empty name"
 
 
-def verdict(
-    enclave_model: EnclaveModel, model: Variation, needed: Sequence[Edge], answers: Iterator[tuple[bool, str]]
-) -> Verdict:
-    """Combine a vendor's answers about the endpoints of an edge: all must be allowed.
+@contextmanager
+def participants(vendor: Vendor, subject: str) -> Iterator[System]:
+    """Open a system of participants, which tests what a subject may do.
 
-    Args:
-        enclave_model: finds the rule that decided, and why the vendor deviates from the standard.
-        model: the model of the vendor.
-        needed: the endpoints.
-        answers: whether each is allowed, and the vendor's reason; consumed up to the first denial.
+    Raises:
+        KeymintError: a process of the vendor fails.
     """
-    deviation, line, message = "", 0, ""
-    allowed = bool(needed)
-    for endpoint in needed:
-        allowed, message = next(answers)
-        deviation = deviation or enclave_model.deviation(model, endpoint, allowed=allowed)
-        modelled = enclave_model.decide(model, endpoint)
-        line = modelled.line if modelled.allowed == allowed else 0
-        if not allowed:
-            break
-    reason = message or ("it is allowed" if allowed else "it is denied")
-    return Verdict(allowed, reason, enclave_model.place(line), deviation)
+    try:
+        with System(vendor) as system:
+            yield system
+    except ProbeError as error:
+        raise KeymintError(f"{subject}: {error}", code="transport-failed") from None
+
+
+def joined(system: System, enclave: Enclave, domain: int, *, conforming: bool = True) -> ProbeParticipant:
+    """Return a participant of an enclave; see :meth:`System.open`.
+
+    Raises:
+        RefusedError: the vendor refuses it.
+    """
+    revocations = reads_revocations(enclave.distro)
+    return system.open(enclave.folder, domain, conforming=conforming, revocations=revocations)
 
 
 def admission(
@@ -70,22 +71,19 @@ def admission(
         KeymintError: an enclave is missing, or the vendor's process fails.
     """
     for (subject, domain), group in groupby(edges, key=lambda edge: (edge.subject, edge.domain)):
-        enclave, enclave_model = models.enclave(subject), models.of(subject, domain)
+        enclave, enclave_model = models.enclaves[subject], models.of(subject, domain)
         enclave_files.refuse_unusable_key(enclave)
-        try:
-            with System(vendor) as system:
-                try:
-                    participant = system.open(enclave.folder, domain, revocations=reads_revocations(enclave.distro))
-                except RefusedError as error:
-                    reason = f"the participant is refused: {error}"
-                    refused = Verdict(allowed=False, reason=reason, where=enclave_model.place())
-                    yield from ((edge, refused) for edge in group)
-                    continue
-                for edge in group:
-                    needed = endpoints(enclave.distro, edge)
-                    yield edge, verdict(enclave_model, model, needed, _asked(participant, needed))
-        except ProbeError as error:
-            raise KeymintError(f"{subject}: {error}", code="transport-failed") from None
+        with participants(vendor, subject) as system:
+            try:
+                participant = joined(system, enclave, domain)
+            except RefusedError as error:
+                reason = f"the participant is refused: {error}"
+                refused = Verdict(allowed=False, reason=reason, where=enclave_model.place())
+                yield from ((edge, refused) for edge in group)
+                continue
+            for edge in group:
+                needed = endpoints(enclave.distro, edge)
+                yield edge, enclave_model.verdict(model, needed, asked(participant, needed))
 
 
 def admitted(vendor: Vendor, enclave: Enclave, domain: int, endpoints: Sequence[Edge]) -> Sequence[bool]:
@@ -102,18 +100,15 @@ def admitted(vendor: Vendor, enclave: Enclave, domain: int, endpoints: Sequence[
     """
     enclave_files.refuse_unusable_key(enclave)
     topics = [(each.permission, each.object.name, *each.object.partitions) for each in endpoints]
-    try:
-        with System(vendor) as system:
-            try:
-                opened = system.open(enclave.folder, domain, revocations=reads_revocations(enclave.distro))
-                return opened.allow(topics)
-            except RefusedError:
-                return ()
-    except ProbeError as error:
-        raise KeymintError(f"{enclave.subject}: {error}", code="transport-failed") from None
+    with participants(vendor, enclave.subject) as system:
+        try:
+            return joined(system, enclave, domain).allow(topics)
+        except RefusedError:
+            return ()
 
 
-def _asked(participant: ProbeParticipant, needed: Iterable[Edge]) -> Iterator[tuple[bool, str]]:
+def asked(participant: ProbeParticipant, needed: Iterable[Edge]) -> Iterator[tuple[bool, str]]:
+    """Yield whether a participant may have each endpoint, and why not."""
     for endpoint in needed:
         reason = unsayable(endpoint)
         if reason:

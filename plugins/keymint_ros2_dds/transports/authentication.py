@@ -19,10 +19,10 @@ from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.api import Enclave
+from keymint.api.installed_enclaves import installed_file
 from keymint.pki import certificates, revocation_lists
 from keymint_ros2_dds.decision import Semantics
 from keymint_ros2_dds.enclave_layout import CA, CERTIFICATE, CRL, IDENTITY_CA, KEY, KEY_URI, reads_revocations
-from keymint_ros2_dds.transports import enclave_files
 
 _LIST = lazy_regex(rb"-----BEGIN X509 CRL-----.*?-----END X509 CRL-----", re.DOTALL)
 
@@ -111,13 +111,11 @@ def load(enclave: Enclave, now: datetime) -> Authentication:
     """
     folder = enclave.folder
     trusted = IDENTITY_CA if (folder / IDENTITY_CA).exists() else CA  # the layout of Ardent has one file for both
-    bundle, pem = enclave_files.content(folder, trusted), b""
+    bundle = installed_file(folder / trusted)
     reads = reads_revocations(enclave.distro) and (folder / CRL).exists()
-    if reads:
-        pem = enclave_files.content(folder, CRL)
-    listed = revocation_lists.first(pem) if reads else None
+    listed = revocation_lists.first(installed_file(folder / CRL)) if reads else None
     return Authentication(
-        certificates.load(enclave_files.content(folder, CERTIFICATE), Origin(CERTIFICATE)),
+        certificates.load(installed_file(folder / CERTIFICATE), Origin(CERTIFICATE)),
         certificates.load_bundle(bundle, Origin(trusted)),
         listed,
         reads and listed is None,

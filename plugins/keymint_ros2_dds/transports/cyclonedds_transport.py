@@ -47,7 +47,7 @@ class CycloneDDSTransport(RealTransport):
         subject, opened = "", dict[int, "AccessControl | str"]()
         with ExitStack() as stack:
             for edge in edges:
-                enclave = models.enclave(edge.subject)
+                enclave = models.enclaves[edge.subject]
                 if edge.subject != subject:
                     stack.pop_all().close()
                     subject, opened = edge.subject, {}
@@ -59,7 +59,7 @@ class CycloneDDSTransport(RealTransport):
                     yield edge, Verdict(allowed=False, reason=access, where=enclave_model.place())
                     continue
                 needed = endpoints(enclave.distro, edge)
-                yield edge, admission.verdict(enclave_model, self.MODEL, needed, _answers(access, needed))
+                yield edge, enclave_model.verdict(self.MODEL, needed, _answers(access, needed))
 
     def _decide(self, enclave: Enclave, domain: int, endpoints: Sequence[Edge]) -> Iterable[bool]:
         enclave_model = EnclaveModel(enclave, self._environment, domain)

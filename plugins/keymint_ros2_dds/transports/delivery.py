@@ -13,23 +13,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import groupby, islice
+from itertools import groupby, islice, repeat
 from typing import cast
 
 from comarmor.values import dataclass
 from keymint.api import Enclave, Verdict
-from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint_ros2_dds.decision import Variation
-from keymint_ros2_dds.enclave_layout import reads_revocations
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import admission
 from keymint_ros2_dds.transports.enclave_model import EnclaveModels
 from keymint_ros2_dds.vendors.participants import (
     DeniedError,
     ProbeEndpoint,
-    ProbeError,
-    ProbeParticipant,
     RefusedError,
     System,
     Vendor,
@@ -72,19 +68,16 @@ def exchange(
     Raises:
         KeymintError: an enclave is missing, or a process of the vendor fails.
     """
-    for (subject, _), group in groupby(edges, key=lambda edge: (edge.subject, edge.domain)):
+    for _, group in groupby(edges, key=lambda edge: (edge.subject, edge.domain)):
         while batch := list(islice(group, BATCH)):
-            try:
-                yield from _batch(vendor, model, models, batch)
-            except ProbeError as error:
-                raise KeymintError(f"{subject}: {error}", code="transport-failed") from None
+            yield from _batch(vendor, model, models, batch)
 
 
 def _batch(
     vendor: Vendor, model: Variation, models: EnclaveModels, batch: Sequence[Edge]
 ) -> Iterator[tuple[Edge, Verdict]]:
     subject, domain = batch[0].subject, batch[0].domain
-    enclave, enclave_model = models.enclave(subject), models.of(subject, domain)
+    enclave, enclave_model = models.enclaves[subject], models.of(subject, domain)
     trials = _admitted(vendor, model, models, batch)
     with_peer: dict[str, list[_Trial]] = {}
     for trial in trials.values():
@@ -95,7 +88,7 @@ def _batch(
         _intrude(vendor, enclave, group)
     for edge in batch:
         needed = endpoints(enclave.distro, edge)
-        yield edge, admission.verdict(enclave_model, model, needed, (_answer(trials[endpoint]) for endpoint in needed))
+        yield edge, enclave_model.verdict(model, needed, (_answer(trials[endpoint]) for endpoint in needed))
 
 
 def _peer(endpoint: Edge, models: EnclaveModels, model: Variation) -> Enclave | None:
@@ -104,51 +97,43 @@ def _peer(endpoint: Edge, models: EnclaveModels, model: Variation) -> Enclave | 
     One that refuses the subject in the handshake, or is refused by it, is taken if there is no other.
     """
     wildcards = set("*?[")
-    if endpoint.permission not in _OTHER_END or any(wildcards & set(p) for p in endpoint.object.partitions):
+    if admission.unsayable(endpoint) or endpoint.permission not in _OTHER_END:
+        return None
+    if any(wildcards & set(partition) for partition in endpoint.object.partitions):
         return None  # two expressions never match each other (DDS 1.4, 2.2.3.13)
     own, stranger = models.of(endpoint.subject, endpoint.domain), None
-    for subject in models.subjects():
+    for subject in sorted(models.enclaves):
         if subject != endpoint.subject:
             other = replace(endpoint, subject=subject, permission=_OTHER_END[endpoint.permission])
             peer = models.of(subject, endpoint.domain)
             if peer.decide(model, other).allowed:
                 if not peer.refuses(own, model) and not own.refuses(peer, model):
-                    return models.enclave(subject)
-                stranger = stranger or models.enclave(subject)
+                    return models.enclaves[subject]
+                stranger = stranger or models.enclaves[subject]
     return stranger
 
 
 def _admitted(vendor: Vendor, model: Variation, models: EnclaveModels, batch: Sequence[Edge]) -> dict[Edge, _Trial]:
     """Return all endpoints of the edges, and whether the vendor admits them to a participant of the subject."""
-    enclave = models.enclave(batch[0].subject)
+    enclave = models.enclaves[batch[0].subject]
     needed = dict.fromkeys(endpoint for edge in batch for endpoint in endpoints(enclave.distro, edge))
-    trials: dict[Edge, _Trial] = {}
-    with System(vendor) as system:
+    with admission.participants(vendor, enclave.subject) as system:
+        answers: Iterable[tuple[bool, str]]
         try:
-            participant: ProbeParticipant | None = system.open(
-                enclave.folder, batch[0].domain, revocations=reads_revocations(enclave.distro)
-            )
-            refusal = ""
+            answers = admission.asked(admission.joined(system, enclave, batch[0].domain), needed)
         except RefusedError as error:
-            participant, refusal = None, f"the participant is refused: {error}"
-        for endpoint in needed:
-            reason = admission.unsayable(endpoint)
-            if participant is None or reason:
-                admitted, answer = False, refusal or reason
-            else:
-                admitted, answer = participant.ask(
-                    endpoint.permission, endpoint.object.name, endpoint.object.partitions
-                )
-            peer = None if reason else _peer(endpoint, models, model)
-            trials[endpoint] = _Trial(endpoint, admitted, answer, peer)
-    return trials
+            answers = repeat((False, f"the participant is refused: {error}"))
+        return {
+            endpoint: _Trial(endpoint, *answer, _peer(endpoint, models, model))
+            for endpoint, answer in zip(needed, answers, strict=False)
+        }
 
 
 def _deliver(vendor: Vendor, enclave: Enclave, trials: Sequence[_Trial]) -> None:
     """Send a sample over each endpoint between two conforming participants."""
     if not trials:
         return
-    with System(vendor) as system:
+    with admission.participants(vendor, enclave.subject) as system:
         pairs = _pairs(system, enclave, trials, conforming=True)
         for trial, ends in pairs:
             trial.delivered = ends is not None and ends.arrives(DELIVERY_SECONDS)
@@ -159,7 +144,7 @@ def _intrude(vendor: Vendor, enclave: Enclave, trials: Sequence[_Trial]) -> None
     denied = [trial for trial in trials if not trial.admitted]
     if not denied:
         return
-    with System(vendor) as system:
+    with admission.participants(vendor, enclave.subject) as system:
         shown = [trial for trial in trials if trial.admitted and trial.delivered][:1]
         pairs = _pairs(system, enclave, [*denied, *shown], conforming=False)
         known = any(ends is not None and trial.admitted and ends.arrives(DELIVERY_SECONDS) for trial, ends in pairs)
@@ -192,8 +177,8 @@ def _pairs(
     domain, peer = trials[0].endpoint.domain, cast("Enclave", trials[0].peer)
     pairs: list[tuple[_Trial, _SentSample | None]] = []
     try:
-        other = system.open(peer.folder, domain, revocations=reads_revocations(peer.distro))
-        own = system.open(enclave.folder, domain, conforming=conforming, revocations=reads_revocations(enclave.distro))
+        other = admission.joined(system, peer, domain)
+        own = admission.joined(system, enclave, domain, conforming=conforming)
     except RefusedError:
         return [(trial, None) for trial in trials]
     for number, trial in enumerate(trials):

@@ -8,10 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from cryptography import x509
-
 from comarmor.errors import Origin
 from keymint.api import Enclave, Environment
+from keymint.api.installed_enclaves import installed_file
 from keymint.errors import KeymintError
 from keymint.pki import certificates, mime, smime
 from keymint_ros2_dds import subject_name_text
@@ -45,9 +44,9 @@ def signed_documents(folder: Path, environment: Environment) -> SignedDocuments:
         KeymintError: a file cannot be read, or a signature is not valid.
     """
     # The layout of Ardent has one file for both authorities.
-    authority = content(folder, PERMISSIONS_CA if (folder / PERMISSIONS_CA).exists() else CA)
-    permissions, governance = content(folder, PERMISSIONS_P7S), content(folder, GOVERNANCE_P7S)
-    certificate = content(folder, CERTIFICATE)
+    authority = installed_file(folder / (PERMISSIONS_CA if (folder / PERMISSIONS_CA).exists() else CA))
+    permissions, governance = installed_file(folder / PERMISSIONS_P7S), installed_file(folder / GOVERNANCE_P7S)
+    certificate = installed_file(folder / CERTIFICATE)
     files = (authority, permissions, governance, certificate)
     key = b"".join(hashlib.sha256(file).digest() for file in files)
     documents = environment.opened.get(key)
@@ -70,7 +69,8 @@ def unverified_permissions(folder: Path) -> PermissionsDocument:
     Raises:
         KeymintError: it cannot be read.
     """
-    return signed_permissions.read(smime.signed_content(content(folder, PERMISSIONS_P7S), Origin(PERMISSIONS_P7S)))
+    signed = installed_file(folder / PERMISSIONS_P7S)
+    return signed_permissions.read(smime.signed_content(signed, Origin(PERMISSIONS_P7S)))
 
 
 def document_topics(enclave: Enclave) -> tuple[tuple[str, tuple[str, ...]], ...]:
@@ -97,34 +97,13 @@ def rules_file(folder: Path) -> Path:
     return folder / (PERMISSIONS_XML if (folder / PERMISSIONS_XML).exists() else PERMISSIONS_P7S)
 
 
-def content(folder: Path, name: str) -> bytes:
-    """Return a file of an enclave.
-
-    Raises:
-        KeymintError: it cannot be read.
-    """
-    try:
-        return (folder / name).read_bytes()
-    except OSError as error:
-        raise KeymintError(
-            f"{name} cannot be read: {error.strerror}",
-            where=Origin(str(folder / name)),
-            help="run 'keymint install'",
-            code="enclave-file",
-        ) from None
-
-
 def subject_name(certificate: bytes, where: Origin) -> str:
     """Return the subject of an identity as grants name it: in the order of RFC 2253, last RDN first.
 
     Raises:
         KeymintError: it is not a certificate.
     """
-    loaded: x509.Certificate = certificates.load(certificate, where)
-    try:
-        return subject_name_text.render(loaded.subject)
-    except KeymintError:  # not portable; ``keymint check`` reports it
-        return loaded.subject.rfc4514_string()
+    return subject_name_text.of_any(certificates.load(certificate, where).subject)
 
 
 def refuse_unusable_key(enclave: Enclave) -> None:
@@ -139,7 +118,7 @@ def refuse_unusable_key(enclave: Enclave) -> None:
             help="use transports that need no key: -t omg -t fastdds-2.9",
             code="key-in-token",
         )
-    if (enclave.folder / KEY).is_file() and b"ENCRYPTED" in content(enclave.folder, KEY):
+    if (enclave.folder / KEY).is_file() and b"ENCRYPTED" in installed_file(enclave.folder / KEY):
         raise KeymintError(
             f"the private key of {enclave.subject} is encrypted, and participants cannot be given the password",
             help="use transports that need no key: -t omg -t cyclonedds-0.10 -t fastdds-2.9",

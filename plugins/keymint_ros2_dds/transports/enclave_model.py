@@ -7,7 +7,8 @@ from collections.abc import Iterable, Sequence
 from functools import lru_cache
 
 from comarmor.errors import Origin
-from keymint.api import Enclave, Environment
+from keymint.api import Enclave, Environment, Verdict
+from keymint.api.installed_enclaves import EnclavesBySubject
 from keymint.errors import KeymintError
 from keymint.graph import Column, Edge
 from keymint_ros2_dds import decision
@@ -90,7 +91,6 @@ class EnclaveModel:
         evaluator, access = self._evaluators.get(variation.name) or self._opened(variation, self.documents)
         if access.rule is None or access.absent(evaluator) is not None:
             return refused
-        rules = _topic_rules(endpoints, access.rule, variation)
 
         def admits(endpoint: Edge, name: str, rule: DocumentTopicRule | None) -> bool:
             if rule is None or not rule.controls(endpoint.permission):
@@ -101,6 +101,25 @@ class EnclaveModel:
 
         rules = _topic_rules(endpoints, access.rule, variation)
         return bytes(admits(each, *found) for each, found in zip(endpoints.requests, rules, strict=True))
+
+    def verdict(self, variation: Variation, needed: Sequence[Edge], answers: Iterable[tuple[bool, str]]) -> Verdict:
+        """Combine a vendor's answers about the endpoints of an edge: all must be allowed.
+
+        Args:
+            variation: the model of the vendor: it finds the rule that decided, and explains deviations.
+            needed: the endpoints.
+            answers: whether each is allowed, and why; consumed up to the first denial.
+        """
+        verdict, deviation = Verdict(False, "this maps to no DDS endpoint", self.place()), ""
+        for endpoint, (allowed, reason) in zip(needed, answers, strict=False):
+            deviation = deviation or self.deviation(variation, endpoint, allowed=allowed)
+            modelled = self.decide(variation, endpoint)
+            line = modelled.line if modelled.allowed == allowed else 0
+            shown = reason or ("it is allowed" if allowed else "it is denied")
+            verdict = Verdict(allowed, shown, self.place(line), deviation)
+            if not allowed:
+                break
+        return verdict
 
     def place(self, line: int = 0) -> Origin:
         """Return a place in the permissions document, for verdicts."""
@@ -139,29 +158,16 @@ class EnclaveModels:
         enclaves: the enclaves.
         environment: the clock, and what was read before in this run.
         keep_all: keep the models of all subjects; otherwise of one, because edges come grouped by subject.
+
+    Attributes:
+        enclaves: the enclaves by subject.
     """
 
     def __init__(self, enclaves: Iterable[Enclave], environment: Environment, *, keep_all: bool = False) -> None:
-        self._enclaves = {enclave.subject: enclave for enclave in enclaves}
+        self.enclaves = EnclavesBySubject((enclave.subject, enclave) for enclave in enclaves)
         self._environment = environment
         self._keep_all = keep_all
         self._models: dict[tuple[str, int], EnclaveModel] = {}
-
-    def subjects(self) -> list[str]:
-        """Return the subjects of the enclaves in alphabetical order."""
-        return sorted(self._enclaves)
-
-    def enclave(self, subject: str) -> Enclave:
-        """Return the enclave of a subject.
-
-        Raises:
-            KeymintError: there is none.
-        """
-        if subject not in self._enclaves:
-            raise KeymintError(
-                f"{subject} has no installed enclave", help="run 'keymint install'", code="enclave-missing"
-            )
-        return self._enclaves[subject]
 
     def of(self, subject: str, domain: int) -> EnclaveModel:
         """Return the model of a subject in a domain.
@@ -169,7 +175,7 @@ class EnclaveModels:
         Raises:
             KeymintError: the subject has no enclave.
         """
-        enclave = self.enclave(subject)
+        enclave = self.enclaves[subject]
         key = subject, domain
         if key not in self._models:
             if not self._keep_all and any(kept != subject for kept, _ in self._models):

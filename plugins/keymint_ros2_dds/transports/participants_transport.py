@@ -60,11 +60,7 @@ class RealTransport:
 
     def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`."""
-        usable = self.usable()
-        if tier not in usable.tiers:
-            reason = usable.reason or f"it has no tier {tier}"
-            message = f"the transport {self.NAME!r} cannot be used at tier {tier}: {reason}"
-            raise KeymintError(message, help=usable.help, code="transport-unusable")
+        self.usable().require(tier, self.NAME)
         models = EnclaveModels(enclaves, self._environment, keep_all=tier is Tier.EXCHANGE)
         if tier is Tier.DECISION:
             return self._decision(models, edges)

@@ -31,7 +31,7 @@ class Simulated:
         models = EnclaveModels(enclaves, self.environment)
         for edge in edges:
             enclave_model = models.of(edge.subject, edge.domain)
-            yield edge, self._verdict(enclave_model, endpoints(models.enclave(edge.subject).distro, edge))
+            yield edge, self._verdict(enclave_model, endpoints(models.enclaves[edge.subject].distro, edge))
 
     def admitted(self, enclave: Enclave, endpoints: Column, tier: Tier) -> bytes:
         """See :meth:`keymint.api.EndpointTransport.admitted`."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import Enclave, Environment, Verdict
-from keymint.errors import KeymintError
+from keymint.api.installed_enclaves import EnclavesBySubject
 from keymint.graph import Edge
 from keymint_ros2_zenoh.decision import admission
 from keymint_ros2_zenoh.decision.access import AccessDecision, AccessModel, Link
@@ -82,22 +82,24 @@ class EnclaveModel:
 
     def decide(self, request: Request) -> Verdict:
         """Return the decision on a message, with the place that decided: the router's if both allow."""
-        if self.refusal:
-            return Verdict(allowed=False, reason=self.refusal, where=Origin(self._session_file))
         own = self.at_session(request)
-        decision, file = (self.at_router(request), self._router_file) if own.allowed else (own, self._session_file)
-        return Verdict(decision.allowed, f"{request}: {decision.reason}", decision.where or Origin(file))
+        if self.refusal or own.allowed:
+            return self.decide_at_router(request)
+        return _verdict(request, own, self._session_file)
 
     def decide_at_router(self, request: Request) -> Verdict:
         """Return the decision on a message of a session that ignores its own access control."""
         if self.refusal:
             return Verdict(allowed=False, reason=self.refusal, where=Origin(self._session_file))
-        decision = self.at_router(request)
-        return Verdict(decision.allowed, f"{request}: {decision.reason}", decision.where or Origin(self._router_file))
+        return _verdict(request, self.at_router(request), self._router_file)
 
     def label(self, edge: Edge) -> Verdict:
         """Return the decision on an edge."""
         return edge_verdict(operations(edge), self.decide, self.decide_at_router)
+
+
+def _verdict(request: Request, decision: AccessDecision, file: str) -> Verdict:
+    return Verdict(decision.allowed, f"{request}: {decision.reason}", decision.where or Origin(file))
 
 
 class InstalledModels:
@@ -106,29 +108,16 @@ class InstalledModels:
     Args:
         enclaves: the enclaves.
         environment: the clock, and what was read before in this run.
+
+    Attributes:
+        enclaves: the enclaves by subject.
     """
 
     def __init__(self, enclaves: Iterable[Enclave], environment: Environment) -> None:
-        self._enclaves = {enclave.subject: enclave for enclave in enclaves}
+        self.enclaves = EnclavesBySubject((enclave.subject, enclave) for enclave in enclaves)
         self._environment = environment
         self._routers: dict[Path, RouterModel] = {}
         self._models: dict[str, EnclaveModel] = {}
-
-    def subjects(self) -> list[str]:
-        """Return the subjects of the enclaves in alphabetical order."""
-        return sorted(self._enclaves)
-
-    def enclave(self, subject: str) -> Enclave:
-        """Return the enclave of a subject.
-
-        Raises:
-            KeymintError: there is none.
-        """
-        if subject not in self._enclaves:
-            raise KeymintError(
-                f"{subject} has no installed enclave", help="run 'keymint install'", code="enclave-missing"
-            )
-        return self._enclaves[subject]
 
     def of(self, subject: str) -> EnclaveModel:
         """Return the model of a subject.
@@ -137,7 +126,7 @@ class InstalledModels:
             KeymintError: the subject has no enclave, or a file of it cannot be read.
         """
         if subject not in self._models:
-            enclave = self.enclave(subject)
+            enclave = self.enclaves[subject]
             self._models[subject] = EnclaveModel(enclave, self.router(enclave.install), self._environment)
         return self._models[subject]
 

@@ -82,7 +82,7 @@ def _trials(
 def _peer(models: InstalledModels, subject: str, operation: Operation) -> str:
     """Return the first other subject, by name, that may do the other end by the model; empty if there is none."""
     other = Operation(OTHER_END[operation.permission], operation.key)
-    for each in models.subjects():
+    for each in sorted(models.enclaves):
         if each != subject and all(models.of(each).decide(request).allowed for request in other.requests):
             return each
     return ""

@@ -17,6 +17,7 @@ from cryptography import x509
 from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import Enclave, Environment
+from keymint.api.installed_enclaves import installed_file
 from keymint.errors import KeymintError
 from keymint.pki import certificates
 from keymint_ros2_zenoh.decision import admission
@@ -59,7 +60,7 @@ class InstalledConfiguration:
                 else (f"{self.file.name} does not name the certificates and keys that it needs")
             )
             raise KeymintError(missing, where=Origin(str(self.file)), help="run 'keymint install'", code="enclave-file")
-        return _content(found)
+        return installed_file(found)
 
     def certificate(self, path: str) -> x509.Certificate:
         """Return the first certificate of a file that the configuration names.
@@ -107,21 +108,9 @@ def router_name(found: InstalledConfiguration) -> str:
 
 
 def _read(file: Path, install: Path, environment: Environment) -> InstalledConfiguration:
-    content = _content(file)
+    content = installed_file(file)
     digest = hashlib.sha256(f"zenoh {file}\n".encode() + content).digest()
     known = environment.opened.get(digest)
     if known is None:
         known = environment.opened[digest] = documents.read(content, str(file))
     return InstalledConfiguration(file, install, cast("Configuration", known))
-
-
-def _content(file: Path) -> bytes:
-    try:
-        return file.read_bytes()
-    except OSError as error:
-        raise KeymintError(
-            f"{file.name} cannot be read: {error.strerror}",
-            where=Origin(str(file)),
-            help="run 'keymint install'",
-            code="enclave-file",
-        ) from None
