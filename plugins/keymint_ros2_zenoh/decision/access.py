@@ -59,17 +59,9 @@ class AccessDecision:
     where: Origin | None = None
 
 
-_Key = tuple[Flow, Message]
-_Rules = Mapping[_Key, tuple[tuple[AclRule, KeyExpr], ...]]
+_Entry = Mapping[tuple[Permission, Flow, Message], tuple[tuple[AclRule, KeyExpr], ...]]
+"""The rules of all subjects with the same properties."""
 _Properties = tuple[str | None, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class _Entry:
-    """The rules of all subjects with the same properties."""
-
-    deny: _Rules
-    allow: _Rules
 
 
 class AccessModel:
@@ -109,14 +101,11 @@ class AccessModel:
             for properties in {each for name in policy.subjects for each in _properties(subjects[name])}:
                 applying[properties].update(own)
         for properties, own in applying.items():
-            found: dict[Permission, dict[_Key, tuple[tuple[AclRule, KeyExpr], ...]]] = {
-                permission: {} for permission in Permission
-            }
+            entry: dict[tuple[Permission, Flow, Message], tuple[tuple[AclRule, KeyExpr], ...]] = {}
             for rule in own.values():
-                for key in product(rule.flows, rule.messages):
-                    lists = found[rule.permission]
-                    lists[key] = lists.get(key, ()) + parsed[rule.id]
-            self._entries[properties] = _Entry(found[Permission.DENY], found[Permission.ALLOW])
+                for key in product((rule.permission,), rule.flows, rule.messages):
+                    entry[key] = entry.get(key, ()) + parsed[rule.id]
+            self._entries[properties] = entry
             name = properties[0]
             (self._any_name if name is None else self._of_name.setdefault(name, [])).append(properties)
 
@@ -141,7 +130,7 @@ class LinkAccess:
             return frozenset()
         if control.default_permission is Permission.DENY:
             return frozenset(Flow)
-        return frozenset(flow for entry in self._entries for rules in (entry.deny, entry.allow) for flow, _ in rules)
+        return frozenset(flow for entry in self._entries for _, flow, _ in entry)
 
     def decide(self, message: Message, flow: Flow, key_expr: str) -> AccessDecision:
         """Return the decision on a message.
@@ -160,11 +149,11 @@ class LinkAccess:
         if not self._entries:
             reason = f"no subject has the link's certificate; the default is {control.default_permission}"
             return AccessDecision(default, reason, where=control.where)
-        key, asked = (flow, message), parse(key_expr)
+        asked = parse(key_expr)
         denial: AccessDecision | None = None
         for entry in self._entries:
-            deny = _including(entry.deny.get(key, ()), asked)
-            allow = None if deny else _including(entry.allow.get(key, ()), asked)
+            deny = _including(entry.get((Permission.DENY, flow, message), ()), asked)
+            allow = None if deny else _including(entry.get((Permission.ALLOW, flow, message), ()), asked)
             if allow:
                 return AccessDecision(allowed=True, reason=_reason(allow), rule=allow[0], where=allow[0].where)
             if deny is None and default:

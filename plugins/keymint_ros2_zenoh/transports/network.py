@@ -3,17 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from itertools import count
-from types import TracebackType
-from typing import Self
 
 from keymint.errors import KeymintError
 from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel, RouterModel
 from keymint_ros2_zenoh.transports.installed import InstalledConfiguration
 from keymint_ros2_zenoh.vendors import access_log, loopback
 from keymint_ros2_zenoh.vendors.loopback_ports import free_port
-from keymint_ros2_zenoh.vendors.zenoh_processes import ProcessFailedError, ZenohError, ZenohProcess, ZenohSystem
+from keymint_ros2_zenoh.vendors.zenoh_processes import ProcessFailedError, ZenohError, ZenohSystem
 
 ROUTER = "router"
 _ATTEMPTS = 5
@@ -21,50 +20,38 @@ _ATTEMPTS = 5
 _NO_ACCESS_CONTROL: Mapping[str, object] = {"access_control": {"enabled": False}}
 
 
-class Network:
-    """A router that runs as long as the context, and sessions that connect to it.
+@contextmanager
+def running(router: RouterModel, variables: Mapping[str, str]) -> Iterator[Network]:
+    """Start a router, to which sessions can connect; its processes end with the context.
 
     Args:
         router: the router's files.
         variables: environment variables.
 
+    Raises:
+        KeymintError: Zenoh refuses the router's configuration, or a process fails.
+    """
+    try:
+        with ZenohSystem(variables) as system:
+            yield Network(router, system)
+    except (ProcessFailedError, ZenohError) as error:
+        raise KeymintError(str(error), code="transport-failed") from None
+
+
+class Network:
+    """A router, and sessions that connect to it; made by :func:`running`.
+
     Attributes:
         router: the process of the router; it logs its decisions.
         sessions: the process of all sessions; it logs the decisions of their own access control.
-
-    Raises:
-        KeymintError: Zenoh refuses the router's configuration, or its process fails.
     """
 
-    router: ZenohProcess
-    sessions: ZenohProcess
-
-    def __init__(self, router: RouterModel, variables: Mapping[str, str]) -> None:
-        self._model = router
-        self._system = ZenohSystem(variables)
+    def __init__(self, router: RouterModel, system: ZenohSystem) -> None:
+        self.router = system.start(log=access_log.FILTER)
+        self.sessions = system.start(log=access_log.FILTER)
         self._ports: Mapping[str, str] = {}
         self._numbers = count()
-
-    def __enter__(self) -> Self:
-        self._system.__enter__()
-        try:
-            self.router = self._system.start(log=access_log.FILTER)
-            self.sessions = self._system.start(log=access_log.FILTER)
-            self._open_router()
-        except ProcessFailedError as error:
-            self._system.__exit__()
-            raise KeymintError(str(error), code="transport-failed") from None
-        except BaseException:
-            self._system.__exit__()
-            raise
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._system.__exit__()
-        if isinstance(error, (ProcessFailedError, ZenohError)):
-            raise KeymintError(str(error), code="transport-failed") from None
+        self._open_router(router.files)
 
     def open(self, model: EnclaveModel, *, conforming: bool = True) -> str:
         """Open a session of an enclave and return its name in commands.
@@ -92,8 +79,7 @@ class Network:
         """Close a session."""
         self.sessions.ask("close", session=session)
 
-    def _open_router(self) -> None:
-        files = self._model.files
+    def _open_router(self, files: InstalledConfiguration) -> None:
         listen = files.configuration.listen
         for attempt in range(_ATTEMPTS):
             self._ports = {loopback.port(endpoint): str(free_port()) for endpoint in listen}

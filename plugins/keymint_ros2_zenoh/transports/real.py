@@ -8,12 +8,11 @@ from functools import cached_property
 from itertools import groupby
 
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
-from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint_ros2_zenoh.transports.enclave_model import InstalledModels
 from keymint_ros2_zenoh.transports.exchange import exchange
 from keymint_ros2_zenoh.transports.logged_decisions import logged_decisions
-from keymint_ros2_zenoh.transports.network import Network
+from keymint_ros2_zenoh.transports.network import Network, running
 from keymint_ros2_zenoh.vendors.zenoh_library import MissingZenohError, installed_version
 
 _Labeller = Callable[[Network, InstalledModels, Iterable[Edge]], Iterator[tuple[Edge, Verdict]]]
@@ -42,17 +41,13 @@ class RealZenoh:
 
     def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`."""
-        usable = self.usable()
-        if tier not in usable.tiers:
-            message = f"the transport 'zenoh' cannot be used at tier {tier}: {usable.reason}"
-            raise KeymintError(message, help=usable.help, code="transport-unusable")
-        models = InstalledModels(enclaves, self._environment)
-        label = exchange if tier is Tier.EXCHANGE else logged_decisions
-        return self._label(label, models, edges)
+        self.usable().require(tier, "zenoh")
+        return self._label(exchange if tier is Tier.EXCHANGE else logged_decisions, enclaves, edges)
 
     def _label(
-        self, label: _Labeller, models: InstalledModels, edges: Iterable[Edge]
+        self, label: _Labeller, enclaves: Sequence[Enclave], edges: Iterable[Edge]
     ) -> Iterator[tuple[Edge, Verdict]]:
-        for install, group in groupby(edges, key=lambda edge: models.enclave(edge.subject).install):
-            with Network(models.router(install), self._environment.variables) as network:
+        models = InstalledModels(enclaves, self._environment)
+        for install, group in groupby(edges, key=lambda edge: models.enclaves[edge.subject].install):
+            with running(models.router(install), self._environment.variables) as network:
                 yield from label(network, models, group)
