@@ -19,6 +19,7 @@ from keymint.pki import adoption
 from keymint.plan import authority_files
 from keymint.plan.authority_issuance import authority_named
 from keymint.plan.authority_status import AuthorityStatus, CertificateStatus, statuses
+from keymint.plan.terms import days_left
 from keymint.session import Session
 
 
@@ -73,8 +74,7 @@ def _lines(each: AuthorityStatus, now: datetime) -> Iterator[str]:
 
 
 def _of_certificate(status: CertificateStatus, now: datetime) -> Iterator[tuple[str, str]]:
-    days = (status.last - now).days
-    left = f"{days} d" if status.last >= now else f"expired {-days} d ago"
+    left = days_left(status.last, now)
     yield "subject", status.subject
     yield "key", f"{status.key}, SHA-256 {status.fingerprint}"
     yield (

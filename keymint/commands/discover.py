@@ -7,9 +7,10 @@ import json
 import signal
 import threading
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -103,9 +104,7 @@ def discover(
     else:
         observed, interrupted = _observe(run, source, domain, seconds, names)
         graphs.append(observed)
-    merged = Graph(subjects=(), edges=())
-    for discovered in graphs:
-        merged = graph_json.merge(merged, discovered.graph)
+    merged = reduce(graph_json.merge, (each.graph for each in graphs), Graph(subjects=(), edges=()))
     graph = source.interpret(merged, fold=not no_fold)
     content = graph_json.dump(graph)
     target = output or append
@@ -158,18 +157,16 @@ def _observe(
         )
     chosen = _domain(run) if domain is None else domain
     start = run.setting.monotonic()
-    with ended_by_signals() as ending:
-        observed = source.observe(
-            chosen, lambda: ending.exit_code is None and run.setting.monotonic() < start + seconds, names
-        )
-    if ending.exit_code is not None:
+    with ended_by_signals() as ended:
+        observed = source.observe(chosen, lambda: not ended and run.setting.monotonic() < start + seconds, names)
+    if ended:
         early = Diagnostic(
             "discovery-interrupted",
             Severity.WARNING,
             f"interrupted after {run.setting.monotonic() - start:.0f} of {seconds:g} s: the graph is incomplete",
             help="--append GRAPH observes again and adds to the graph",
         )
-        return replace(observed, diagnostics=(*observed.diagnostics, early)), ending.exit_code
+        return replace(observed, diagnostics=(*observed.diagnostics, early)), ended[0]
     return observed, None
 
 
@@ -189,23 +186,12 @@ def _summary(graph: Graph) -> str:
     return f"{len(graph.subjects)} subjects, {len(graph.edges)} edges, objects: {kinds}"
 
 
-class Ending:
-    """Whether a signal requested the end.
-
-    Attributes:
-        exit_code: the exit code of the first signal, or None if there was none.
-    """
-
-    def __init__(self) -> None:
-        self.exit_code: ExitCode | None = None
-
-
 @contextmanager
-def ended_by_signals() -> Iterator[Ending]:
-    """Record the first SIGINT or SIGTERM within the block; a second one has its usual effect."""
-    ending = Ending()
+def ended_by_signals() -> Iterator[Sequence[ExitCode]]:
+    """Yield what gets the exit code of the first SIGINT or SIGTERM within the block; a second has its usual effect."""
+    ended: list[ExitCode] = []
     if threading.current_thread() is not threading.main_thread():  # only the main thread can set handlers
-        yield ending
+        yield ended
         return
     before = {number: signal.getsignal(number) for number in _EXIT_CODES}
 
@@ -214,13 +200,13 @@ def ended_by_signals() -> Iterator[Ending]:
             signal.signal(number, handler)
 
     def note(number: int, _frame: FrameType | None) -> None:
-        ending.exit_code = _EXIT_CODES[signal.Signals(number)]
+        ended.append(_EXIT_CODES[signal.Signals(number)])
         restore()
 
     for number, handler in before.items():
         if handler is not signal.SIG_IGN:  # nohup and background jobs of shells ignore it
             signal.signal(number, note)
     try:
-        yield ending
+        yield ended
     finally:
         restore()

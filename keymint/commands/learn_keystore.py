@@ -86,17 +86,17 @@ def _about_domains(granted: Sequence[GrantedRules], output: Path | None) -> Iter
     for each in granted:
         if domains := tuple(_domains(each)):
             groups.setdefault(domains, []).append(each.rules.subject)
-    where = Origin(str(output)) if output else None
     if len(groups) > 1:
         shown = "; ".join(f"{_in_words(domains)} ({subjects[0]})" for domains, subjects in groups.items())
         message = f"the documents are for different domains: {shown}; the policy allows all in each"
         help_ = "to keep the domains separate, have one keystore and one workspace for each"
-        yield Diagnostic("learn-domain", Severity.WARNING, message, where, help_)
-    for domains in groups if len(groups) == 1 else ():
-        if domains != (0,):
-            message = f"the documents are for {_in_words(domains)}; policies contain no domain"
-            help_ = f"keymint provision {output or 'POLICY'} --domain {domains[0]}"
-            yield Diagnostic("learn-domain", Severity.WARNING, message, where, help_)
+    elif groups.keys() <= {(0,)}:
+        return
+    else:
+        (domains,) = groups
+        message = f"the documents are for {_in_words(domains)}; policies contain no domain"
+        help_ = f"keymint provision {output or 'POLICY'} --domain {domains[0]}"
+    yield Diagnostic("learn-domain", Severity.WARNING, message, Origin(str(output)) if output else None, help_)
 
 
 def _in_words(domains: Sequence[int]) -> str:

@@ -16,7 +16,7 @@ from comarmor.patterns.glob import literal, parse
 from comarmor.ros_names import RAW_PREFIXES
 from comarmor.text import counted
 from keymint.analysis.channels import Channel, ChannelSearch
-from keymint.analysis.effective_permissions import effective_permissions
+from keymint.analysis.effective_permissions import EffectivePermission, effective_permissions
 from keymint.analysis.query import FORMS, HEADS, PolicyQuery, parse_query
 from keymint.analysis.rule_lists import RAW, allow_only, display_name, find_permitted, query_pattern
 from keymint.analysis.subject_patterns import rules_of, unknown_subject
@@ -27,6 +27,7 @@ from keymint.commands.policies import Policies
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode
+from keymint.output.json import line_json
 from keymint.output.report import Report
 
 _MOST = 20
@@ -74,8 +75,8 @@ def query(
         parse_query(["who", "can", "publish", expression])  # checks the expression
     policies = Policies(run, policy_options)
     policy = policies.load(path)
-    common = policies.common(path) if question.head in ("flows", "isolated") and not infrastructure else None
-    channels = ChannelSearch(policy, but, common) if common else ChannelSearch(policy, but)
+    separates = question.head in ("flows", "isolated") and not infrastructure
+    channels = ChannelSearch(policy, but, policies.common(path) if separates else lambda _: False)
     answer: Callable[[], _Answer] = {
         "who": lambda: _who(run, policy, question, partition),
         "can": lambda: _can(run, policy, question, partition),
@@ -119,20 +120,23 @@ def _read(words: Sequence[str], folder: Path) -> tuple[Path | None, PolicyQuery]
     return path, parse_query([each for one in rest for each in one.split()])
 
 
-def _who(run: Run, policy: LoadedPolicy, question: PolicyQuery, partition: str) -> _Answer:
+def _holders(policy: LoadedPolicy, question: PolicyQuery, partition: str) -> list[PermissionHolder]:
+    """Return who has the permission that a question is about, of the subjects that it names, else of all."""
+    subjects = parse(next(iter(question.subjects), "*"))
     name = query_pattern(question.kind, question.object, partition)
-    holders = list(who_can(policy, parse("*"), question.kind, question.permission, name))
-    for holder in holders:
-        run.console.line(_holder(run, holder, question))
+    return list(who_can(policy, subjects, question.kind, question.permission, name))
+
+
+def _who(run: Run, policy: LoadedPolicy, question: PolicyQuery, partition: str) -> _Answer:
+    holders = _holders(policy, question, partition)
+    run.console.lines(_holder(run, holder, question) for holder in holders)
     if not holders:
         run.console.line(f"nobody: no subject can {question.permission} {question.object}, whatever its name")
     return _verdict(holders), {"holders": [_as_data(holder, question) for holder in holders]}
 
 
 def _can(run: Run, policy: LoadedPolicy, question: PolicyQuery, partition: str) -> _Answer:
-    name = query_pattern(question.kind, question.object, partition)
-    (subject,) = question.subjects
-    holders = list(who_can(policy, parse(subject), question.kind, question.permission, name))
+    holders = _holders(policy, question, partition)
     certain = next((holder for holder in holders if not holder.unknown), None)
     shown = certain or (holders[0] if holders else None)
     if certain:
@@ -140,7 +144,7 @@ def _can(run: Run, policy: LoadedPolicy, question: PolicyQuery, partition: str) 
     elif shown:
         run.console.line(f"not known: {_holder(run, shown, question)}")
     else:
-        run.console.line(f"no: {subject} can never {question.permission} {question.object}")
+        run.console.line(f"no: {question.subjects[0]} can never {question.permission} {question.object}")
     return _verdict(holders), {"witness": _as_data(shown, question) if shown else None}
 
 
@@ -165,46 +169,48 @@ def _as_data(holder: PermissionHolder, question: PolicyQuery) -> dict[str, Any]:
         "like": holder.like or None,
         "permission": question.permission,
         "object": display_name(question.kind, holder.word) or None,
-        "rule": {"file": holder.where.file, "line": holder.where.line} if holder.where else None,
+        "rule": line_json(holder.where),
         "unknown": holder.unknown or None,
     }
 
 
 def _what(run: Run, policy: LoadedPolicy, question: PolicyQuery) -> _Answer:
-    channels = ChannelSearch(policy, ())
     (expression,) = question.subjects
-    abilities: list[dict[str, Any]] = []
-    rows: list[list[str]] = []
-    subjects = channels.named(expression)
-    for subject in subjects:
-        for ability in effective_permissions(rules_of(policy, subject)):
-            audit = "  AUDIT" if ability.audit else ""
-            partitions = "".join(f" in partition {one!r}" for one in ability.partitions)
-            but = f" but {', '.join(ability.but)}" if ability.but else ""
-            objects = f"{ability.expression}{partitions}{but}{audit}"
-            rows.append(
-                [*([subject] if len(subjects) > 1 else []), ability.permission, objects, run.place(ability.where)]
-            )
-            abilities.append(
-                {
-                    "subject": subject,
-                    "permission": ability.permission,
-                    "expression": ability.expression,
-                    "partitions": ability.partitions,
-                    "except": ability.but,
-                    "audit": ability.audit,
-                    "rule": {"file": ability.where.file, "line": ability.where.line},
-                }
-            )
-    if rows:
-        run.console.table([*(["SUBJECT"] if len(subjects) > 1 else []), "PERMISSION", "OBJECTS", "RULE"], rows)
+    subjects = ChannelSearch(policy).named(expression)
+    found = [(subject, each) for subject in subjects for each in effective_permissions(rules_of(policy, subject))]
+    if found:
+        several = len(subjects) > 1
+        rows = [
+            [*[subject] * several, ability.permission, _objects(ability), run.place(ability.where)]
+            for subject, ability in found
+        ]
+        run.console.table([*["SUBJECT"] * several, "PERMISSION", "OBJECTS", "RULE"], rows)
     elif not subjects:
         run.console.line(f"no profile of the policy applies to any subject that {expression} matches")
     else:
         applies = any(policy.rules(subject) is not None for subject in subjects)
         why = "no rule allows it anything" if applies else "no profile of the policy applies to it"
         run.console.line(f"{expression} can do nothing: {why}")
-    return "yes" if rows else "no", {"subjects": subjects, "abilities": abilities}
+    abilities = [
+        {
+            "subject": subject,
+            "permission": ability.permission,
+            "expression": ability.expression,
+            "partitions": ability.partitions,
+            "except": ability.but,
+            "audit": ability.audit,
+            "rule": line_json(ability.where),
+        }
+        for subject, ability in found
+    ]
+    return "yes" if found else "no", {"subjects": subjects, "abilities": abilities}
+
+
+def _objects(ability: EffectivePermission) -> str:
+    audit = "  AUDIT" if ability.audit else ""
+    partitions = "".join(f" in partition {one!r}" for one in ability.partitions)
+    but = f" but {', '.join(ability.but)}" if ability.but else ""
+    return f"{ability.expression}{partitions}{but}{audit}"
 
 
 def _flows(run: Run, channels: ChannelSearch, question: PolicyQuery) -> _Answer:
@@ -215,41 +221,33 @@ def _flows(run: Run, channels: ChannelSearch, question: PolicyQuery) -> _Answer:
             run.console.line(f"no profile of the policy applies to any subject that {expression} matches")
     path = channels.path(sources, targets) if sources and targets else None
     if path is None:
-        apart = list(_infrastructure(channels, [(sources, targets)]))
+        apart = _infrastructure(channels, _pairs(sources, targets))
         run.console.line(f"no: nothing flows from {one} to {other}{_but_for(channels, apart)}")
         return "no", {"path": None, "infrastructure": [_channel(each) for each in apart]}
     run.console.line(f"yes: in {counted(len(path), 'step')}")
-    for step in path:
-        run.console.line(f"  {_step(step)}")
+    run.console.lines(f"  {_step(step)}" for step in path)
     verdict = "yes" if all(step.word for step in path) else "unknown"
     return verdict, {"path": [_channel(step) for step in path], "infrastructure": []}
 
 
 def _isolated(run: Run, channels: ChannelSearch, question: PolicyQuery) -> _Answer:
     one, other = question.subjects
-    certain: list[Channel] = []
-    perhaps: list[Channel] = []
-    for first, second in ((one, other), (other, one)):
-        for writer in channels.named(first):
-            for reader in channels.named(second):
-                shared_channels = channels.between(writer, reader) if writer != reader else ()
-                certain += (channel for channel in shared_channels if channel.word)
-        perhaps += _unnamed(channels, first, second)
     writers, readers = channels.named(one), channels.named(other)
-    common = list(_infrastructure(channels, [(writers, readers), (readers, writers)]))
-    known = {(channel.kind, channel.word) for channel in certain}
-    perhaps = [channel for channel in perhaps if (channel.kind, channel.word) not in known]
+    pairs = [*_pairs(writers, readers), *_pairs(readers, writers)]
+    certain = [channel for pair in pairs for channel in channels.between(*pair) if channel.word]
     together: dict[tuple[str, str], list[Channel]] = {}
     for channel in certain:
         together.setdefault((channel.kind, channel.word), []).append(channel)
+    unnamed = [*_unnamed(channels, one, other), *_unnamed(channels, other, one)]
+    perhaps = [channel for channel in unnamed if (channel.kind, channel.word) not in together]
+    common = _infrastructure(channels, pairs)
     for shared in list(together.values())[:_MOST]:
         more = len(shared) - 1
         also = f" (and {counted(more, 'other pair')})" if more else ""
         run.console.line(f"{_step(shared[0])}{also}")
     if len(together) > _MOST:
         run.console.line(f"… and {len(together) - _MOST} other channels")
-    for channel in perhaps[:_MOST]:
-        run.console.line(f"perhaps: {_step(channel)}")
+    run.console.lines(f"perhaps: {_step(channel)}" for channel in perhaps[:_MOST])
     verdict = "no" if certain else "unknown" if perhaps else "yes"
     apart = f"{one} and {other}"
     run.console.line(
@@ -268,16 +266,16 @@ def _isolated(run: Run, channels: ChannelSearch, question: PolicyQuery) -> _Answ
     }
 
 
-def _infrastructure(channels: ChannelSearch, pairs: Sequence[tuple[Sequence[str], Sequence[str]]]) -> Iterator[Channel]:
-    """Yield the channels that rules for every node allow, one for each name and direction."""
-    seen: set[tuple[str, tuple[str, str], str]] = set()
-    for writers, readers in pairs:
-        for writer, reader in product(writers, readers):
-            for channel in channels.infrastructure(writer, reader) if writer != reader else ():
-                key = (channel.kind, channel.permissions, channel.word)
-                if key not in seen:
-                    seen.add(key)
-                    yield channel
+def _pairs(writers: Sequence[str], readers: Sequence[str]) -> list[tuple[str, str]]:
+    return [(writer, reader) for writer, reader in product(writers, readers) if writer != reader]
+
+
+def _infrastructure(channels: ChannelSearch, pairs: Sequence[tuple[str, str]]) -> Sequence[Channel]:
+    """Return the channels that rules for every node allow, one for each name and direction."""
+    found: dict[tuple[str, tuple[str, str], str], Channel] = {}
+    for channel in (each for pair in pairs for each in channels.infrastructure(*pair)):
+        found.setdefault((channel.kind, channel.permissions, channel.word), channel)
+    return tuple(found.values())
 
 
 def _but_for(channels: ChannelSearch, infrastructure: Sequence[Channel]) -> str:

@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from datetime import datetime
-from functools import partial
 
 from keymint.api import BuildOptions, LoadedPolicy, Role
 from keymint.changes import Action, Plan
@@ -72,12 +71,9 @@ def reissued(
     if revoked.writes() and any(map(is_bundled, session.profile.authorities)):
         names = tuple(dict.fromkeys((*names, *with_sources(session))))  # their authorities' file has the lists
     of_package = {name: options or options_as_built(session, name) for name in names}
-
-    def build(name: str) -> BuildStage:
-        return BuildStage(session, of_package[name], force=False, renew=name in rekey)
-
+    packages = [BuildStage(session, of_package[name], force=False, renew=name in rekey).package(name) for name in names]
     shared = options or next(iter(of_package.values()), BuildOptions())
-    built = BuildStage(session, shared, force=False, renew=False).plan([build(name).package(name) for name in names])
+    built = BuildStage(session, shared, force=False, renew=False).plan(packages)
     session = session.after(built)
     install = InstallStage(session, authorities, prune=False)
     planned = [install.package(name) for name in names]
@@ -91,7 +87,7 @@ def reissued(
     in_force, warnings = (policy, ()) if policy else policy_in_force(session)
     plan = replace(plan, diagnostics=(*plan.diagnostics, *warnings))
     proof = proof_stage(run, in_force, standard_only=standard_only)
-    return proven(run, session, installed.then(others), issued, partial(proof), plan)
+    return proven(run, session, installed.then(others), issued, proof, plan)
 
 
 def reissued_by_profile(run: Run, session: Session, first: Plan, names: Sequence[str]) -> Plan:

@@ -150,11 +150,11 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
             if {each.code for each in error.diagnostics} == {NOT_HERE}:
                 severity = Severity.WARNING if run.dry_run else Severity.ERROR
                 errors += (replace(each, severity=severity) for each in error.diagnostics)
-                late = _waiting(session, due, names, error)
-                waiting |= late.names
-                names = [name for name in names if name not in late.names]
-                due = replace(due, lists=tuple(each for each in due.lists if each not in late.lists))
-                waiting_lists += late.lists
+                late, late_lists = _waiting(session, due, names, error)
+                waiting |= late
+                names = [name for name in names if name not in late]
+                due = replace(due, lists=tuple(each for each in due.lists if each not in late_lists))
+                waiting_lists += late_lists
                 continue
             defective = packages_of(session, error.diagnostics, names)
             errors += error.diagnostics
@@ -181,16 +181,13 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Late:
-    """What waits for the keys of some authorities: packages, and revocation lists."""
+def _waiting(
+    session: Session, due: Schedule, names: Sequence[str], error: KeymintError
+) -> tuple[frozenset[str], tuple[Due, ...]]:
+    """Return the packages and the revocation lists that wait for the keys whose files an error names.
 
-    names: frozenset[str]
-    lists: tuple[Due, ...]
-
-
-def _waiting(session: Session, due: Schedule, names: Sequence[str], error: KeymintError) -> _Late:
-    """Return what waits for the keys whose files an error names; all of it if nothing can do without them."""
+    It is all of them if nothing can do without these keys.
+    """
     files = {each.where.file for each in error.diagnostics if each.where}
     here = {
         each.name
@@ -202,7 +199,7 @@ def _waiting(session: Session, due: Schedule, names: Sequence[str], error: Keymi
         name for name, package in packages.items() if not {package.identity.issuer, package.grant.issuer} <= here
     )
     lists = tuple(each for each in due.lists if each.name not in here)
-    return _Late(late, lists) if late or lists else _Late(frozenset(names), due.lists)
+    return (late, lists) if late or lists else (frozenset(names), due.lists)
 
 
 def _issued_again(run: Run, session: Session, due: Schedule, names: Sequence[str], *, rekey: bool, prove: bool) -> Plan:

@@ -19,6 +19,7 @@ from keymint.output.openmetrics import openmetrics
 from keymint.output.report import Report
 from keymint.plan.create import packages_to_create
 from keymint.plan.policy import lazy_policy
+from keymint.plan.terms import days_left
 from keymint.status import PackageRow, SharedRow, package_rows, shared_rows
 
 _Row = TypeVar("_Row", PackageRow, SharedRow)
@@ -87,12 +88,8 @@ def _show(run: Run, rows: Sequence[PackageRow], missing: Sequence[str], shared: 
         for row in shared
     ]
     run.console.table(["PACKAGE", "STAGE", "STALE", "CERTIFICATE", "PERMISSIONS", "RENEW AFTER"], cells)
-    for row in rows:
-        if row.problem:
-            run.console.line(f"{row.package}: {row.problem}")
-    for each in shared:
-        if each.problem:
-            run.console.line(f"{each.build_type or 'shared documents'}: {each.problem}")
+    run.console.lines(f"{row.package}: {row.problem}" for row in rows if row.problem)
+    run.console.lines(f"{each.build_type or 'shared documents'}: {each.problem}" for each in shared if each.problem)
     if not cells:
         run.console.line("no packages; run 'keymint create --all'")
 
@@ -116,10 +113,7 @@ def _shared_document(row: SharedRow) -> dict[str, Any]:
 
 def _when(end: datetime | None, now: datetime) -> str:
     """Return a date with the number of days until it."""
-    if end is None:
-        return "-"
-    days = (end - now).days
-    return f"{end:%Y-%m-%d} ({f'expired {-days} d ago' if end < now else f'{days} d'})"
+    return f"{end:%Y-%m-%d} ({days_left(end, now)})" if end else "-"
 
 
 def _renewal(row: PackageRow, now: datetime) -> str:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import astuple
 from pathlib import Path
 
 import click
@@ -163,17 +164,7 @@ def _unasked(
 def _show(run: Run, outcomes: Sequence[Comparison], subjects: int, edges: int) -> None:
     """Show the confusion table."""
     columns = ["TRANSPORT", "VERSION", "TRUE POSITIVE", "FALSE NEGATIVE", "FALSE POSITIVE", "TRUE NEGATIVE"]
-    rows = [
-        [
-            outcome.transport,
-            outcome.version or "-",
-            str(outcome.confusion.true_positive),
-            str(outcome.confusion.false_negative),
-            str(outcome.confusion.false_positive),
-            str(outcome.confusion.true_negative),
-        ]
-        for outcome in outcomes
-    ]
+    rows = [[outcome.transport, outcome.version or "-", *map(str, astuple(outcome.confusion))] for outcome in outcomes]
     run.console.table(columns, rows)
     wrong = sum(outcome.confusion.errors for outcome in outcomes)
     run.console.line(

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from comarmor.errors import Diagnostic, Origin, Severity, cited
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import AppliedProfile, DomainRange, Tier, Verdict
 from keymint.commands.options import transport_option
 from keymint.commands.run import Run
@@ -36,6 +36,8 @@ from keymint.verify.usable_transports import choose, models
 from keymint.verify.why import Explanation, MatchedRule, Need, build_types, explain, granted_domains, request
 
 _PERMISSIONS = [permission for permissions in LABELLED.values() for permission in permissions]
+Place = Callable[[Origin | None], str]
+"""Returns a place as the user would type it."""
 
 
 @verb()
@@ -71,7 +73,7 @@ def why(
     transports = choose(run.plugins, chosen, Tier.DECISION, build_types(session, edge.subject))
     explanation = explain(session, load_policy(session), edge, transports, partial(models, run.plugins))
 
-    run.console.lines(_lines(explanation, run.typed))
+    run.console.lines(_lines(explanation, run.place))
     diagnostics = [*_strange(session, explanation), *_mismatches(explanation, granted)]
     exit_code = ExitCode.FINDINGS if diagnostics else ExitCode.DONE
     return run.report(_document(explanation, run.typed), diagnostics, exit_code, workspace=session.workspace)
@@ -114,14 +116,14 @@ def _remedy(label: Mismatch, granted: Sequence[DomainRange]) -> str:
     return f"{edge.subject} is granted domain {domains}, not {edge.domain}: leave out --domain"
 
 
-def _lines(explanation: Explanation, typed: Callable[[str], str]) -> Iterator[str]:
+def _lines(explanation: Explanation, place: Place) -> Iterator[str]:
     """Yield the explanation in words, layer by layer."""
 
     def rule(each: MatchedRule) -> str:
         decides = "decides: " if each.where == explanation.policy.where else ""
-        return f"{decides}{rule_text(each.rule)} ({_at(each.where, typed)})"
+        return f"{decides}{rule_text(each.rule)} ({place(each.where)})"
 
-    layers: dict[str, list[str]] = {"profiles": [_profile(each, typed) for each in explanation.profiles]}
+    layers: dict[str, list[str]] = {"profiles": [_profile(each, place) for each in explanation.profiles]}
     if not explanation.profiles:
         layers["profiles"] = [f"none applies to {explanation.edge.subject}, so it has no permission"]
     if explanation.similar:
@@ -137,7 +139,7 @@ def _lines(explanation: Explanation, typed: Callable[[str], str]) -> Iterator[st
     if not explanation.packaged:
         layers["package"] = ["missing ('keymint create' creates it)"]
     layers["needs"] = [_need(each) for each in explanation.needs]
-    layers["enclave"] = list(_labels(explanation, typed))
+    layers["enclave"] = list(_labels(explanation, place))
     in_domain = f" in domain {explanation.edge.domain}" if explanation.edge.domain else ""
     yield f"{request_text(explanation.edge)}{in_domain}: the policy {verb_of(explanation.policy.allowed)} it"
     for title, lines in layers.items():
@@ -151,22 +153,18 @@ def _need(need: Need) -> str:
     return f"{endpoint.action} on the {need.noun} {endpoint.name!r}{partitions}"
 
 
-def _at(where: Origin, typed: Callable[[str], str]) -> str:
-    return cited(typed(where.file), where.line)
+def _profile(profile: AppliedProfile, place: Place) -> str:
+    return f"{profile.name!r} applies ({place(profile.where)}){' AUDIT' if profile.audit else ''}"
 
 
-def _profile(profile: AppliedProfile, typed: Callable[[str], str]) -> str:
-    return f"{profile.name!r} applies ({_at(profile.where, typed)}){' AUDIT' if profile.audit else ''}"
-
-
-def _labels(explanation: Explanation, typed: Callable[[str], str]) -> Iterator[str]:
+def _labels(explanation: Explanation, place: Place) -> Iterator[str]:
     """Yield the decisions of transports, one line for all with the same reason."""
     if not explanation.installed:
         yield "not installed ('keymint status' shows whether it waits for 'keymint install', or was revoked)"
     together: dict[tuple[str, str], list[str]] = {}
     for name, label in explanation.labels.items():
         deviation = f"; deviates from the standard: {label.verdict.deviation}" if label.verdict.deviation else ""
-        reason = f"{_at(label.document, typed)}: {label.reason or 'no reason is given'}{deviation}"
+        reason = f"{place(label.document)}: {label.reason or 'no reason is given'}{deviation}"
         together.setdefault((_decision(label.verdict), reason), []).append(name)
     for (decision, reason), names in together.items():
         yield f"{decision} by {enumerated(names)} ({reason})"

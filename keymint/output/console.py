@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import IO, Any
 
@@ -77,11 +78,20 @@ class Console:
         if not self._streams.progress or self._json or self._verbosity < 0:
             yield lambda _step: None
             return
-        bar = _Bar(self._streams.err, total, clock)
-        try:
-            yield bar.advance
-        finally:
-            bar.close()
+        start, done = clock(), itertools.count(1)
+        with ExitStack() as stack:
+            bar: Any = None
+
+            def advance(step: Step) -> None:
+                nonlocal bar
+                number = next(done)
+                if bar is None and clock() - start >= _PROGRESS_AFTER:
+                    bar = stack.enter_context(_bar(self._streams.err))
+                    bar.add_task(step.stage, total=total)
+                if bar is not None:
+                    bar.update(bar.task_ids[0], completed=number, description=step.stage)
+
+            yield advance
 
     # -- when it is done -----------------------------------------------------------------------------------------
 
@@ -205,31 +215,9 @@ def _paint(text: str, code: str, *, colour: bool) -> str:
     return f"\033[{code}m{text}\033[0m" if colour else text
 
 
-class _Bar:
-    """A progress bar that appears when work has gone on for a while."""
+def _bar(stream: IO[str]) -> Any:
+    """Return a progress bar."""
+    from rich.console import Console as RichConsole  # noqa: PLC0415 - slow, and only for long work
+    from rich.progress import Progress  # noqa: PLC0415
 
-    def __init__(self, stream: IO[str], total: int, clock: Any) -> None:
-        self._stream = stream
-        self._total = total
-        self._clock = clock
-        self._start = clock()
-        self._done = 0
-        self._progress: Any = None
-        self._task: Any = None
-
-    def advance(self, step: Step) -> None:
-        self._done += 1
-        if self._progress is None:
-            if self._clock() - self._start < _PROGRESS_AFTER:
-                return
-            from rich.console import Console as RichConsole  # noqa: PLC0415 - slow, and only for long work
-            from rich.progress import Progress  # noqa: PLC0415
-
-            self._progress = Progress(console=RichConsole(file=self._stream, force_terminal=True), transient=True)
-            self._progress.start()
-            self._task = self._progress.add_task(step.stage, total=self._total)
-        self._progress.update(self._task, completed=self._done, description=step.stage)
-
-    def close(self) -> None:
-        if self._progress is not None:
-            self._progress.stop()
+    return Progress(console=RichConsole(file=stream, force_terminal=True), transient=True)

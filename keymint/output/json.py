@@ -32,6 +32,11 @@ def place_json(where: Origin | None, typed: Typed) -> Mapping[str, Any] | None:
     }
 
 
+def line_json(where: Origin | None, typed: Typed = str) -> Mapping[str, Any] | None:
+    """Return the file and the line of a place."""
+    return {"file": typed(where.file), "line": where.line or None} if where else None
+
+
 def edge_json(edge: Edge) -> dict[str, Any]:
     """Return an edge as JSON data."""
     return {
@@ -133,9 +138,7 @@ def differences_json(differences: Sequence[SubjectChanges], typed: Typed) -> lis
                     "pattern": change.pattern,
                     "whole": change.whole,
                     "example": change.example or None,
-                    "rule": {"file": typed(change.where.file), "line": change.where.line or None}
-                    if change.where
-                    else None,
+                    "rule": line_json(change.where, typed),
                     "unknown": change.unknown or None,
                 }
                 for change in each.changes

@@ -23,6 +23,12 @@ def shown(moment: datetime) -> str:
     return moment.astimezone(UTC).replace(microsecond=0, tzinfo=None).isoformat() + "Z"
 
 
+def days_left(end: datetime, now: datetime) -> str:
+    """Return the time until an end in days, as a table shows it: ``30 d``."""
+    days = (end - now).days
+    return f"expired {-days} d ago" if end < now else f"{days} d"
+
+
 def terms_of(terms: Sequence[ValidityTerm], models: Collection[str]) -> tuple[ValidityTerm, ...]:
     """Return the terms that apply to some models; vendors may read one date differently."""
     selected: list[ValidityTerm] = []
