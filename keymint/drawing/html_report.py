@@ -90,7 +90,7 @@ def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: 
 
 def _groups(labelled: LabelledGraph, options: DrawingOptions, page: _Page) -> Iterator[Mapping[str, Any]]:
     """Yield the groups of the picture, each with a picture of its subjects."""
-    for name, members in simplify(labelled, options).groups.items():
+    for name, members in page.groups.items():
         if len(members) > 1:
             part = replace(select_edges(labelled, subjects=set(members)), title=name)
             drawn = draw(part, replace(options, group=False), page.number)
@@ -119,8 +119,8 @@ class _Page:
         self.transports = [printable(name) for name in labelled.transports]
         self.objects: list[DomainObject] = sorted({one.edge.domain_object for one in labelled.edges})
         self._numbers: dict[NodeKey, int] = {}
-        groups = simplify(labelled, options).groups
-        keys: list[NodeKey] = [*labelled.subjects, *self.objects, *groups]
+        self.groups = simplify(labelled, options).groups
+        keys: list[NodeKey] = [*labelled.subjects, *self.objects, *self.groups]
         for key in keys:
             self._numbers.setdefault(key, len(self._numbers))
 

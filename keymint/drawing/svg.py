@@ -31,7 +31,12 @@ _SHEET = 1500.0
 """Maximum width of a row of panels, in pixels."""
 _LEAST_WIDTH = 760.0
 _HEAD = 8.0
-
+_BEND = 0.45
+"""How far the control points of a curve (cubic Bézier) are from its ends, as a part of its width."""
+_AT = 0.11
+_DOT_ACROSS = _AT**3 + 3 * _AT**2 * (1 - _AT) * (1 - _BEND) + 3 * _AT * (1 - _AT) ** 2 * _BEND
+_DOT_DOWN = _AT**3 + 3 * _AT**2 * (1 - _AT)
+"""Where the dot of an AUDIT rule is on a curve, as parts of its width and height."""
 
 NodeNumber = Callable[[NodeKey], int]
 """Returns the number of a subject, group or object in a page, which describes it at ``#n<number>``."""
@@ -50,7 +55,7 @@ def environment() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    templates.filters["breakable"] = _breakable
+    templates.filters |= {"breakable": _breakable, "px": _number}
     return templates
 
 
@@ -103,12 +108,12 @@ def draw(labelled: LabelledGraph, options: DrawingOptions, number: NodeNumber | 
             margin=MARGIN,
             legend=samples,
             legend_top=legend_top,
-            rule_y=_number(panel_top - 12),
+            rule_y=panel_top - 12,
             panels=[
                 {
                     "heading": panel.heading,
-                    "x": _number(left + x),
-                    "y": _number(panel_top + y),
+                    "x": left + x,
+                    "y": panel_top + y,
                     "lines": [
                         _line(line, labelled, options, drawn, number)
                         for line in sorted(panel.lines, key=lambda line: -priority(line.labelled, options.transport))
@@ -190,22 +195,12 @@ def _box(box: NodeBox, labelled: LabelledGraph, drawn: SimplifiedGraph, number: 
     group = isinstance(key, str) and len(members) > 1
     common = [sentence(one, labelled.transports) for one in drawn.marks.get(key, ())] if isinstance(key, str) else []
     return {
+        "box": box,
         "classes": f"box {box.kind}" + (" pattern" if pattern else "") + (" group" if group else ""),
         "title": title + (", an expression of the policy" if pattern else ""),
-        "label": box.label,
-        "x": _number(box.x),
-        "y": _number(box.y),
-        "width": _number(box.width),
-        "height": _number(box.height),
-        "bullet": box.kind != "subject",
-        "text_x": _number(box.x + (10 if box.kind == "subject" else 22)),
-        "text_y": _number(box.y + box.height / 2 + 4.2 - (8 if box.mark else 0)),
         "group": group,
-        "mark": box.mark,
-        "mark_y": _number(box.y + box.height / 2 + 12.2),
         "mark_title": "\n".join(common),
-        "middle": _number(box.y + box.height / 2),
-        "number": number(box.key) if number else None,
+        "number": number(key) if number else None,
         "numbers": _numbers(members, number),
     }
 
@@ -222,7 +217,7 @@ def _line(
     forward = math.copysign(1.0, line.x2 - line.x1)
     start = line.x1 + (size * forward if line.inward else 0.0)
     end = line.x2 - (size * forward if line.outward else 0.0)
-    bend = 0.45 * (end - start)
+    bend = _BEND * (end - start)
     curve = f"M{_number(start)} {_number(line.y1)}C{_number(start + bend)} {_number(line.y1)} "
     curve += f"{_number(end - bend)} {_number(line.y2)} {_number(end)} {_number(line.y2)}"
     barred = outcome is not EdgeOutcome.UNLABELLED and not outcome.allowed
@@ -232,7 +227,6 @@ def _line(
     if line.inward:
         heads.append(_head(line.x1, line.y1, -forward * size, barred=barred))
     edge = line.labelled.edge
-    at = 0.11
     return {
         "outcome": str(outcome),
         "classes": f"edge {edge_classes(outcome, labels=bool(labelled.transports))}",
@@ -240,11 +234,11 @@ def _line(
         "curve": curve,
         "heads": "".join(heads),
         "audit": line.labelled.audit,
-        "dot_x": _number(start + (end - start) * (at**3 + 3 * at**2 * (1 - at) * 0.55 + 3 * at * (1 - at) ** 2 * 0.45)),
-        "dot_y": _number(line.y1 + (line.y2 - line.y1) * (at**3 + 3 * at**2 * (1 - at))),
+        "dot_x": start + (end - start) * _DOT_ACROSS,
+        "dot_y": line.y1 + (line.y2 - line.y1) * _DOT_DOWN,
         "danger": outcome is EdgeOutcome.FALSE_POSITIVE,
-        "middle_x": _number((start + end) / 2),
-        "middle_y": _number((line.y1 + line.y2) / 2),
+        "middle_x": (start + end) / 2,
+        "middle_y": (line.y1 + line.y2) / 2,
         "subject": _numbers(drawn.groups[edge.subject], number),
         "object": _numbers(drawn.members[edge.domain_object], number),
     }
