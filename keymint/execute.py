@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from comarmor.errors import Origin
 from keymint.changes import Action, File, Plan, Step
 from keymint.errors import KeymintError
 from keymint.plan import gitignore, key_record
@@ -85,7 +84,7 @@ def require_register(plan: Plan, workspace: Workspace, tree: Tree) -> None:
         if present != tree.digest(path):
             raise KeymintError(
                 "was changed by another run meanwhile, so nothing was written",
-                where=Origin(workspace.shown(path)),
+                where=workspace.origin(path),
                 help="run the command again",
                 code="register-changed",
             )

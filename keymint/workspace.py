@@ -96,6 +96,10 @@ class Workspace:
         """Return a path as the user would type it."""
         return shown(path, self.shown_from)
 
+    def origin(self, path: Path | str) -> Origin:
+        """Return a file as the place that a message is about."""
+        return Origin(self.shown(path))
+
     def authority_key(self, name: str) -> Path:
         """Return the path of an authority's private key."""
         return self.private / f"{name}.key.pem"

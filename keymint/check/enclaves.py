@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import field
 from datetime import timedelta
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Severity
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, BuildResult, BuildType, Inspection, Package
 from keymint.changes import file_mode
@@ -171,7 +171,7 @@ def _unexpected(session: Session, package: Package, files: Iterable[str]) -> Ite
     layout = session.profile.layout
     known = frozenset[str]().union(*(each.files(layout) for each in build_types_of(session, package).values()))
     for file in sorted({*files} - known):
-        where = Origin(session.workspace.shown(session.enclave(package.name) / file))
+        where = session.workspace.origin(session.enclave(package.name) / file)
         message = f"does not belong to the layout {layout!r}"
         yield Diagnostic("file-unexpected", Severity.WARNING, message, where, "remove it", package.subject)
 
@@ -192,14 +192,14 @@ def _identity_key(
         pem = session.tree.read(path)
         if pem is None and not package.issuance.public_key and not package.identity.key.uri:
             message = f"the private key of {subject} is not here"
-            where, help_ = Origin(session.workspace.shown(path)), f"'keymint build {package.name}' restores it"
+            where, help_ = session.workspace.origin(path), f"'keymint build {package.name}' restores it"
             return "", (Diagnostic("key-missing", Severity.NOTE, message, where, help_, subject),)
         key = identity_keys.public_key(session, package)
         fingerprint = keys.fingerprint(key)
         identity_keys.require_own(session, package, keyring, key)
         if pem is not None and package.issuance.public_key:
             message = f"is a private key of {subject}, whose certificate is for a key elsewhere: nothing uses this one"
-            where, help_ = Origin(session.workspace.shown(path)), "remove it, once no installed enclave uses it"
+            where, help_ = session.workspace.origin(path), "remove it, once no installed enclave uses it"
             return fingerprint, (Diagnostic("key-unused", Severity.WARNING, message, where, help_, subject),)
     except KeymintError as error:
         return fingerprint, tuple(key_defects(error, subject))
@@ -215,7 +215,7 @@ def _link(session: Session, name: str, path: str) -> Diagnostic:
     if session.package(name).kept:
         help_ = f"copy what it leads to as well ('cp -L', 'rsync -L'), or {help_}"
     severity = Severity.NOTE if session.package(name).kept else Severity.ERROR
-    return Diagnostic("file-link", severity, message, Origin(session.workspace.shown(path)), help_, subject_of(name))
+    return Diagnostic("file-link", severity, message, session.workspace.origin(path), help_, subject_of(name))
 
 
 def _on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterator[Diagnostic]:
@@ -252,7 +252,7 @@ def _on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterato
                 "file-changed",
                 Severity.ERROR,
                 "was changed after it was installed",
-                Origin(session.workspace.shown(f"{folder}/{file}")),
+                session.workspace.origin(f"{folder}/{file}"),
                 f"'keymint install {name}' restores it",
                 subject_of(name),
             )

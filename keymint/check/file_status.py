@@ -84,7 +84,7 @@ def linked_twice(inputs: Inputs, path: Path | str, subject: str) -> Iterator[Dia
             "key-linked",
             Severity.ERROR,
             f"is a private key with {status.st_nlink} names: another one leads to it from elsewhere",
-            Origin(inputs.workspace.shown(path)),
+            inputs.workspace.origin(path),
             f"find the others with 'find / -xdev -inum {status.st_ino}', and remove them",
             subject,
         )
@@ -109,7 +109,7 @@ def _kinds(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:
                 "file-kind",
                 Severity.ERROR,
                 f"is {_kind(mode)}, where files and folders are expected",
-                Origin(inputs.workspace.shown(each.path)),
+                inputs.workspace.origin(each.path),
                 "remove it",
             )
 
@@ -163,7 +163,7 @@ def _owned_by_others(inputs: Inputs, entries: list[_Entry], owners: frozenset[in
             "file-owner",
             Severity.ERROR,
             f"belongs to {_user(each.status.st_uid)}, who can change it{more}",
-            Origin(inputs.workspace.shown(each.path)),
+            inputs.workspace.origin(each.path),
             f"chown {_user(min(owners - {0}, default=0))} {inputs.workspace.shown(each.path)}",
         )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Severity
 from keymint.api import Artifact
 from keymint.check.file_status import modes
 from keymint.names import ROOT, subject_of
@@ -50,7 +50,7 @@ def outside_enclaves(session: Session, known: Collection[str]) -> Iterator[Diagn
                 "file-unexpected",
                 Severity.WARNING,
                 "is in the install space, but belongs to no enclave",
-                Origin(workspace.shown(path)),
+                workspace.origin(path),
                 "remove it",
             )
         else:
@@ -60,19 +60,19 @@ def outside_enclaves(session: Session, known: Collection[str]) -> Iterator[Diagn
                     "file-changed",
                     Severity.ERROR,
                     "differs from the enclaves' content",
-                    Origin(workspace.shown(path)),
+                    workspace.origin(path),
                     "'keymint install' restores it",
                 )
     for folder in empty:
         message = "is an empty folder in the install space that Keymint did not create"
-        yield Diagnostic("folder-unexpected", Severity.WARNING, message, Origin(workspace.shown(folder)), "remove it")
+        yield Diagnostic("folder-unexpected", Severity.WARNING, message, workspace.origin(folder), "remove it")
     for relative in expected:
         if session.tree.status(workspace.install / relative) is None:
             yield Diagnostic(
                 "file-missing",
                 Severity.ERROR,
                 "is missing",
-                Origin(workspace.shown(workspace.install / relative)),
+                workspace.origin(workspace.install / relative),
                 "'keymint install' restores it",
             )
 
@@ -87,7 +87,7 @@ def _script(session: Session, path: str, expected: bytes) -> Iterator[Diagnostic
             "file-changed",
             Severity.ERROR,
             "differs from what Keymint writes, and shells that source it may use another keystore",
-            Origin(session.workspace.shown(path)),
+            session.workspace.origin(path),
             "'keymint install' restores it" if is_ours else "rename it or remove it, and run 'keymint install'",
         )
 

@@ -24,7 +24,7 @@ def lists_in_force(session: Session) -> Iterator[Diagnostic]:
     register = register_of(session)
     for name, _, issuer in issuers(session):  # others are reported with the authorities
         path = session.workspace.revocation_list(name)
-        where = Origin(session.workspace.shown(path))
+        where = session.workspace.origin(path)
         revoked = {each.serial for each in register.revoked(issuer_of(issuer))}
         content = session.tree.read(path)
         try:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from datetime import timedelta
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Severity
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, SharedInspection
 from keymint.changes import file_mode
@@ -91,12 +91,12 @@ def _on_disk(session: Session, name: str, inspection: SharedInspection) -> Itera
     install, files = session.workspace.install, inspection.files
     stamp = session.state.stamp(INSTALLED, record_key(name))
     for path in sorted({*inspection.documents, *(stamp.outputs if stamp else ())} - files.keys()):
-        where, help_ = Origin(session.workspace.shown(install / path)), "'keymint build' and 'keymint install' write it"
+        where, help_ = session.workspace.origin(install / path), "'keymint build' and 'keymint install' write it"
         yield Diagnostic("file-missing", Severity.ERROR, "is missing", where, help_)
     for path, content in files.items():
         yield from modes(session, install / path, file_mode(secret=stamp is not None and path in stamp.secret), "")
         if stamp is not None and stamp.outputs.get(path, digest(content)) != digest(content):
-            where = Origin(session.workspace.shown(install / path))
+            where = session.workspace.origin(install / path)
             message, help_ = "was changed after it was installed", "'keymint install' restores it"
             yield Diagnostic("file-changed", Severity.ERROR, message, where, help_)
     if stamp is None and files:

@@ -141,14 +141,14 @@ def _refuse(run: Run, files: KeystoreFiles, found: FoundKeystore, workspace: Wor
         raise KeymintError.of(found.diagnostics, ExitCode.FAILURE)
     if workspace.exists():
         raise KeymintError(
-            "there is a workspace already", where=Origin(workspace.shown(workspace.profile)),
+            "there is a workspace already", where=workspace.origin(workspace.profile),
             help="name another folder with -w", code="workspace-exists",
         )  # fmt: skip
     keystore = (run.setting.cwd / files.folder).resolve()
     if workspace.root.is_relative_to(keystore) or keystore.is_relative_to(workspace.install):
         raise KeymintError(
             "the workspace would lie in the keystore, or the keystore in its install space",
-            where=Origin(workspace.shown(workspace.root)), help="name a folder beside it with -w", code="space-overlap",
+            where=workspace.origin(workspace.root), help="name a folder beside it with -w", code="space-overlap",
         )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Severity
 from keymint.changes import Plan
 from keymint.commands.reissue import reissued
 from keymint.commands.run import Run
@@ -43,7 +43,7 @@ def _require_flag_day(session: Session, name: str) -> None:
         raise KeymintError(
             f"a new certificate of {name!r} is a flag day: with {' and '.join(titles)}, subjects that have the old one "
             "and subjects that have the new one do not communicate",
-            where=Origin(session.workspace.shown(session.workspace.authority_certificate(name))),
+            where=session.workspace.origin(session.workspace.authority_certificate(name)),
             help=f"plan a common restart of all robots and say --flag-day, or stage a second keystore with "
             f"'keymint authority replace {name}'",
             code="authority-flag-day",
@@ -92,7 +92,7 @@ def _told(plan: Plan, session: Session, name: str) -> Plan:
     if not plan.writes() or not installed(session):
         return replace(plan, diagnostics=others)
     titles = refusing(session, name, (), "reissues")
-    where = Origin(session.workspace.shown(session.workspace.authority_certificate(name)))
+    where = session.workspace.origin(session.workspace.authority_certificate(name))
     if titles:
         message = f"the certificate of the authority {name!r} is reissued: all robots restart together"
         help_ = f"copy the keystore to all of them first; {' and '.join(titles)} do not accept both certificates"

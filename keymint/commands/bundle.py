@@ -9,7 +9,6 @@ from pathlib import Path
 
 import click
 
-from comarmor.errors import Origin
 from comarmor.patterns.glob import parse
 from comarmor.patterns.matching import matches
 from comarmor.patterns.tokens import SPECIAL
@@ -88,7 +87,7 @@ def _in_force(session: Session, names: Iterable[str]) -> Mapping[str, MintedAuth
         if plan.writes() or not (is_current(after, name, chains) or _would_stay(install.package(name))):
             raise KeymintError(
                 f"the enclave {subject_of(name)} is not installed as its sources and authorities are now",
-                where=Origin(session.workspace.shown(session.enclave_folder(name))),
+                where=session.workspace.origin(session.enclave_folder(name)),
                 help=f"run 'keymint build {name}' and 'keymint install {name}' first",
                 code="not-installed",
             )

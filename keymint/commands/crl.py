@@ -9,7 +9,6 @@ from typing import Any
 
 import click
 
-from comarmor.errors import Origin
 from keymint.changes import Plan
 from keymint.commands import durations
 from keymint.commands.reissue import reissued
@@ -56,7 +55,7 @@ def crl(run: Run, refresh: bool, rebuild: bool, valid_for: timedelta | None) -> 
             if session.tree.has_file(workspace.register):
                 raise KeymintError(
                     "the register of issued certificates is there, so there is nothing to rebuild",
-                    where=Origin(workspace.shown(workspace.register)),
+                    where=workspace.origin(workspace.register),
                     help="remove it first if it is the wrong one",
                     code="register-exists",
                     exit_code=ExitCode.USAGE,

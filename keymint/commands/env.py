@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import click
 
-from comarmor.errors import Origin
 from comarmor.text import did_you_mean
 from keymint.commands.options import complete_package
 from keymint.commands.run import Run
@@ -49,7 +48,7 @@ def _installed(session: Session, typed: str) -> str:
     name, known = package_name(typed), installed(session)
     if name in known:
         return name
-    where = Origin(session.workspace.shown(session.enclaves))
+    where = session.workspace.origin(session.enclaves)
     if name in session.packages():
         raise KeymintError(
             f"the enclave {subject_of(name)} is not installed", where=where, help=f"run 'keymint install {name}'",

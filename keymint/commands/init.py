@@ -141,7 +141,7 @@ def refuse_contradiction(run: Run, workspace: Workspace, given: ProfileOptions, 
             has = f"has {option} {present[option]!r}" if option in present else f"exists and keeps its {option}"
             raise KeymintError(
                 f"the workspace {has}, so --{option} {value} cannot take effect",
-                where=Origin(workspace.shown(workspace.profile / places[0])),
+                where=workspace.origin(workspace.profile / places[0]),
                 help=f"change it in {' and '.join(workspace.shown(workspace.profile / place) for place in places)}, "
                 "or name another workspace",
                 code="workspace-exists",

@@ -178,7 +178,7 @@ def _require_current(session: Session, names: Sequence[str], what: str, help_: s
     if stale:
         raise KeymintError(
             f"{what} is not complete: {counted(len(stale), 'enclave')} not up to date, e.g. {subject_of(stale[0])}",
-            where=Origin(session.workspace.shown(session.enclave_folder(stale[0]))),
+            where=session.workspace.origin(session.enclave_folder(stale[0])),
             help=help_,
             code="rollover-incomplete",
         )

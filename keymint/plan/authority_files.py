@@ -326,7 +326,7 @@ def require_own_keys(inputs: Inputs, fingerprints: Mapping[str, str]) -> None:
             wrong = name if stamped else other
             raise KeymintError(
                 f"the authorities {other!r} and {name!r} have one and the same key",
-                where=Origin(inputs.workspace.shown(inputs.workspace.authority_certificate(wrong))),
+                where=inputs.workspace.origin(inputs.workspace.authority_certificate(wrong)),
                 help=f"restore the key and certificate of {wrong!r}; {new_authority_help(wrong)}",
                 code="authority-key-shared",
             )

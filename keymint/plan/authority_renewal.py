@@ -52,7 +52,7 @@ def plan_renewal(session: Session, name: str) -> Plan:
 def _adopted_again(session: Session, name: str, minted: MintedAuthority, start: datetime) -> bytes:
     """Return the successor of an imported certificate, or the certificate itself if it is from today."""
     certificate = minted.certificate
-    where = Origin(session.workspace.shown(session.workspace.authority_certificate(name)))
+    where = session.workspace.origin(session.workspace.authority_certificate(name))
     first, last = certificate.not_valid_before_utc, certificate.not_valid_after_utc
     end = start + (last - (authority_named(session, name).issuance.renewed or first))
     if last >= end and not any(adoption.lacking(certificate, name, where)):

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from comarmor.errors import Defects, Diagnostic, Origin
+from comarmor.errors import Defects, Diagnostic
 from keymint.api import BuildOptions, BuildResult, LoadedPolicy, Package
 from keymint.changes import Action, DocumentSize, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
@@ -225,7 +225,7 @@ def _refuse_edits(inputs: Inputs, name: str, folder: Path, existing: Mapping[str
     for file, content in existing.items():
         if content is None or inputs.state.wrote(STAGE, name, file, content):
             continue
-        where = Origin(inputs.workspace.shown(folder / file))
+        where = inputs.workspace.origin(folder / file)
         if inputs.state.stamp(STAGE, name) is None:
             raise KeymintError(
                 "is not from a build of this workspace, and differs from what its sources give",

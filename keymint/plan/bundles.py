@@ -9,7 +9,7 @@ from datetime import datetime
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.api import Package
 from keymint.bundles import bundle as bundles
@@ -102,12 +102,12 @@ def _bundle(
     if CERTIFICATE not in files:
         raise KeymintError(
             f"the enclave {subject_of(name)} is not installed",
-            where=Origin(session.workspace.shown(folder)),
+            where=session.workspace.origin(folder),
             help=f"run 'keymint install {name}'",
             code="not-installed",
         )
     issuer = authorities[package.identity.issuer].issuer
-    certificate = certificates.load(files[CERTIFICATE], Origin(session.workspace.shown(folder / CERTIFICATE)))
+    certificate = certificates.load(files[CERTIFICATE], session.workspace.origin(folder / CERTIFICATE))
     first, last = _in_force(package, certificate, files)
     manifest = Manifest(
         enclave=package.subject,
@@ -124,7 +124,7 @@ def _bundle(
     )
     content = bundles.write(manifest, files, issuer)
     try:
-        bundles.read(content, Origin(session.workspace.shown(folder)))
+        bundles.read(content, session.workspace.origin(folder))
     except KeymintError as error:  # e.g. the enclave was installed with an authority that was replaced since
         raise KeymintError(
             f"no robot would take a bundle of {subject_of(name)}: {error.diagnostics[0].message}",

@@ -12,7 +12,6 @@ from pathlib import Path
 
 from cryptography import x509
 
-from comarmor.errors import Origin
 from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
 from keymint.pki import certificates
@@ -58,7 +57,7 @@ def plan_distribution(before: Session, session: Session, omitted: Collection[str
         if not different:
             continue
         for file, item in different.items():
-            where = Origin(session.workspace.shown(folder / file))
+            where = session.workspace.origin(folder / file)
             require_nothing_lost(session.tree.try_read(f"{folder}/{file}"), item.content, where)
         steps.append(Step(INSTALLED, name, Action.UPDATED, (FolderChange(folder, different),), "revocation list"))
         stamp = session.state.stamp(INSTALLED, name)

@@ -68,7 +68,7 @@ def unaccounted(session: Session) -> Iterator[Diagnostic]:
             message = f"the enclave {subject_of(name)} is installed, but has no source package"
             help_ = "'keymint install --prune' removes it"
         else:
-            code, where = "enclave-ignored", Origin(session.workspace.shown(marker))
+            code, where = "enclave-ignored", session.workspace.origin(marker)
             message = (
                 f"hides the source package of the installed enclave {subject_of(name)}, which is not checked or updated"
             )
@@ -94,7 +94,7 @@ def require_sources(inputs: Inputs) -> None:
     if inputs.tree.status(src) is None and not inputs.tree.names(src):
         raise KeymintError(
             "there is no source space, so it is unknown which enclaves are orphaned",
-            where=Origin(inputs.workspace.shown(src)),
+            where=inputs.workspace.origin(src),
             help="set it with --src-space, or create it to remove all enclaves",
             code="sources-missing",
         )
@@ -139,7 +139,7 @@ def enclave_files(session: Session, name: str) -> tuple[dict[str, bytes], tuple[
         try:
             content = session.tree.read(path)
         except KeymintError as error:
-            where = Origin(session.workspace.shown(path))
+            where = session.workspace.origin(path)
             unreadable += (
                 replace(each, where=where, help=each.help or "remove it", subject=subject_of(name))
                 for each in error.diagnostics

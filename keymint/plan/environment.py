@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Severity
 from keymint.api import EnvironmentVariable, ProcessEnvironment
 from keymint.changes import Action, File, Step, changed
 from keymint.errors import KeymintError
@@ -96,6 +96,6 @@ def _kept(session: Session, name: str, message: str) -> Diagnostic:
         "script-foreign",
         Severity.WARNING,
         f"{message}: no script is written there, by which shells find the keystore",
-        Origin(session.workspace.shown(session.workspace.install / name)),
+        session.workspace.origin(session.workspace.install / name),
         "rename it or remove it, and run 'keymint install'",
     )

@@ -79,7 +79,7 @@ def _require_issuer(session: Session, issuer: str, certificate: x509.Certificate
     above = certificate
     if issuer:
         path = session.workspace.authority_certificate(issuer)
-        above = certificates.load(session.tree.read(path) or b"", Origin(session.workspace.shown(path)))
+        above = certificates.load(session.tree.read(path) or b"", session.workspace.origin(path))
     if not certificates.is_issued_by(certificate, above):
         expected = f"the authority {issuer!r}" if issuer else "itself"
         raise KeymintError(

@@ -37,7 +37,7 @@ def _new(name: str) -> str:
 
 def load(inputs: Inputs, package: Package, path: str, pem: bytes) -> keys.PublicKey:
     """Load the public key of a package's stored key; errors as :func:`keymint.plan.private_keys.load_key`."""
-    identity, shown = package.identity, Origin(inputs.workspace.shown(path))
+    identity, shown = package.identity, inputs.workspace.origin(path)
     remedy = _remedy(package.name)
     return load_key(keys.public_of, pem, identity.key, inputs.environment, shown, identity.origin, remedy)
 
@@ -153,7 +153,7 @@ def restore_or_mint(session: Session, package: Package, path: str) -> tuple[Fold
     if there != known:
         raise KeymintError(
             f"the private key of {subject_of(package.name)} is missing",
-            where=Origin(session.workspace.shown(path)),
+            where=session.workspace.origin(path),
             help=f"restore it from a backup, or mint a new one with {_new(package.name)}",
             code="key-missing",
         )
@@ -247,7 +247,7 @@ class Keyring:
         return fingerprint
 
     def _place(self, path: str) -> Origin:
-        return Origin(self._session.workspace.shown(path))
+        return self._session.workspace.origin(path)
 
     @functools.cached_property
     def _owners(self) -> Mapping[str, Sequence[str]]:
@@ -268,7 +268,7 @@ def shared_keys(inputs: Inputs, fingerprints: Mapping[str, str]) -> Iterator[Dia
     for name, fingerprint in fingerprints.items():
         other = owners.setdefault(fingerprint, name)
         if other != name:
-            where = Origin(inputs.workspace.shown(inputs.workspace.identity_key(name)))
+            where = inputs.workspace.origin(inputs.workspace.identity_key(name))
             yield from (replace(each, subject=subject_of(name)) for each in _shared(name, other, where).diagnostics)
 
 

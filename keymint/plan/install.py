@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Severity
 from comarmor.values import dataclass
 from keymint.api import Artifact, Package, Succession
 from keymint.changes import Action, File, FolderChange, Plan, Step
@@ -152,13 +152,13 @@ def _plan_enclave(
             f"the package {name} is not built",
             help=f"run 'keymint build {name}'",
             code="not-built",
-            where=Origin(workspace.shown(workspace.build / name)),
+            where=workspace.origin(workspace.build / name),
         )
     status = session.tree.status(session.enclave_folder(name))
     if status is not None and stat.S_ISLNK(status.st_mode):
         raise KeymintError(
             "is a symbolic link, which is refused: an enclave must be a folder",
-            where=Origin(workspace.shown(session.enclave_folder(name))),
+            where=workspace.origin(session.enclave_folder(name)),
             help="remove the link",
             code="symlink-refused",
         )
@@ -181,7 +181,7 @@ def _plan_enclave(
     in_force = revocation.enclave_lists(session).get(package.identity.issuer)
     for file, artifact in artifacts.items():
         if in_force and artifact.content == in_force:
-            where = Origin(workspace.shown(folder / file))
+            where = workspace.origin(folder / file)
             revocation.require_nothing_lost(existing.get(file), in_force, where)
     paths = {workspace.shown(folder / file) for file in artifacts} if unreadable else set()
     if blocking := [each for each in unreadable if _is_blocking(each, paths)]:
@@ -239,7 +239,7 @@ def _obsolete(
     stamp = session.state.stamp(STAGE, package.name)
     obsolete = tuple(file for file in sorted(stamp.outputs) if file in left) if stamp else ()
     for file in obsolete:
-        where = Origin(session.workspace.shown(session.enclave(package.name) / file))
+        where = session.workspace.origin(session.enclave(package.name) / file)
         revocation.require_removable(session, package.identity.issuer, issuer, left[file], where)
     return obsolete
 
@@ -262,7 +262,7 @@ def _outliving(
                 Severity.WARNING,
                 f"the signed rights that are replaced allow more, e.g. to {found.example}, and their holder may "
                 f"present them until {shown(found.until)}",
-                Origin(session.workspace.shown(session.enclave_folder(package.name))),
+                session.workspace.origin(session.enclave_folder(package.name)),
                 f"'keymint revoke {package.name} --reason superseded' ends them; so does --revoke-superseded",
                 package.subject,
             )
@@ -294,7 +294,7 @@ def _outdated(inputs: Inputs, names: Sequence[str]) -> Sequence[Diagnostic]:
             OUTDATED,
             Severity.WARNING,
             "is stale; signing the existing build" + ("" if one else f" [{len(names)} packages]"),
-            Origin(inputs.workspace.shown(inputs.workspace.build / name)),
+            inputs.workspace.origin(inputs.workspace.build / name),
             f"'keymint build {name}' rebuilds it" if one else "'keymint build' rebuilds all stale packages",
             subject_of(name) if one else "",
         ),
@@ -308,7 +308,7 @@ def _edits(inputs: Inputs, name: str, documents: Mapping[str, bytes]) -> Sequenc
             HAND_EDITED,
             Severity.WARNING,
             "was edited by hand; signing the edited document",
-            Origin(inputs.workspace.shown(inputs.workspace.build / name / file)),
+            inputs.workspace.origin(inputs.workspace.build / name / file),
             f"'keymint build -f {name}' discards the edit",
             subject_of(name),
         )

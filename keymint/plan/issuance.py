@@ -32,7 +32,7 @@ def place_of(session: Session, name: str) -> Origin:
     files = session.issuance_files
     if files is None:
         return session.package_marker(name)
-    return Origin(session.workspace.shown(session.workspace.src / name / files.ISSUANCE))
+    return session.workspace.origin(session.workspace.src / name / files.ISSUANCE)
 
 
 def plan_issuance(session: Session, stage: str, new: Mapping[str, Issuance], detail: str = "") -> Plan:

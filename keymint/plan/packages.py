@@ -267,7 +267,7 @@ def _refuse_edited_copies(session: Session, shipped: Sequence[ShippedFile]) -> N
 
 
 def _marker(session: Session, path: Path) -> Origin:
-    return Origin(session.workspace.shown(path))
+    return session.workspace.origin(path)
 
 
 def _diagnostics(shipped: Sequence[ShippedFile], found: Mapping[ShippedFile, UnacceptedFile]) -> Iterator[Diagnostic]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted, first_few
 from keymint.api import LoadedPolicy
 from keymint.errors import KeymintError
@@ -77,7 +77,7 @@ def uncreated(inputs: Inputs, policy: LoadedPolicy, known: Sequence[str]) -> tup
             UNCREATED,
             Severity.NOTE if known else Severity.WARNING,
             f"the policy names {subjects} no source package: {shown}",
-            Origin(inputs.workspace.shown(marker)) if marker else None,
+            inputs.workspace.origin(marker) if marker else None,
             "remove this file" if marker else "run 'keymint create --all', then build and install",
         ),
     )

@@ -148,7 +148,7 @@ def _restored(session: Session, *, lossy: bool) -> Register:
         content = session.tree.read(path) or (_installed_list(session, authority) if lossy else None)
         if content is None:
             continue
-        found = revocation_lists.load(content, Origin(session.workspace.shown(path)))
+        found = revocation_lists.load(content, session.workspace.origin(path))
         issuer = issuer_of(authority)
         register = register.with_number(issuer, found.number or 1)
         for each in found.revocations:
@@ -162,7 +162,7 @@ def _restored(session: Session, *, lossy: bool) -> Register:
         who = f"/{lost[0]} was revoked" if lost else f"{len(unknown)} certificates were revoked"
         raise KeymintError(
             f"the register of issued certificates is missing, and {who}: its keys and certificates cannot be told",
-            where=Origin(session.workspace.shown(session.workspace.register)),
+            where=session.workspace.origin(session.workspace.register),
             help="restore it from a backup; or 'keymint crl --rebuild' makes it again: what the revocation lists here "
             "have stays revoked, but a key that was revoked as compromised may be certified again",
             code="register-lost",

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 
-from comarmor.errors import Defects, Diagnostic, Origin, Severity
+from comarmor.errors import Defects, Diagnostic, Severity
 from comarmor.values import dataclass
 from keymint.api import BuildOptions
 from keymint.changes import FolderChange, Plan
@@ -87,7 +87,7 @@ def _require_certified(session: Session, name: str, there: Collection[str], *, r
     elif name not in there:
         raise KeymintError(
             f"the enclave {subject_of(name)} is not installed, so there is nothing to renew",
-            where=Origin(session.workspace.shown(session.enclave_folder(name))),
+            where=session.workspace.origin(session.enclave_folder(name)),
             help=f"run 'keymint build {name}' and 'keymint install {name}'",
             code="enclave-missing",
         )
@@ -108,7 +108,7 @@ def _require_same(session: Session, name: str) -> Mapping[str, Stamp]:
         raise KeymintError(
             f"the sources of {subject_of(name)} changed since its documents were built, and a renewal changes "
             "nothing but dates",
-            where=Origin(session.workspace.shown(session.workspace.src / name)),
+            where=session.workspace.origin(session.workspace.src / name),
             help=f"run 'keymint build {name}' and 'keymint install {name}' first",
             code="sources-changed",
         )
@@ -140,7 +140,7 @@ def refuse_new_authorities(session: Session, plan: Plan) -> None:
             raise KeymintError(
                 f"the profile asks for another certificate than the authority {step.package!r} has, and a renewal of "
                 "enclaves changes no authority",
-                where=Origin(session.workspace.shown(session.workspace.authority_certificate(step.package))),
+                where=session.workspace.origin(session.workspace.authority_certificate(step.package)),
                 help=f"run 'keymint authority renew {step.package}' first",
                 code="authority-changed",
             )

@@ -57,7 +57,7 @@ def loaded_lists(session: Session) -> Mapping[str, RevocationList]:
 
 def _list(session: Session, name: str) -> RevocationList | None:
     content, path = lists(session).get(name), session.workspace.revocation_list(name)
-    return None if content is None else revocation_lists.load(content, Origin(session.workspace.shown(path)))
+    return None if content is None else revocation_lists.load(content, session.workspace.origin(path))
 
 
 def enclave_lists(session: Session) -> Mapping[str, bytes]:
@@ -117,7 +117,7 @@ def plan_lists(
         if in_force and serials >= revoked.keys() and name not in refresh:
             continue
         number = 1 + max(register.numbers.get(issuer, 0), present.number if present else 0)
-        where = Origin(session.workspace.shown(session.workspace.authority_certificate(name)))
+        where = session.workspace.origin(session.workspace.authority_certificate(name))
         revocation_lists.require_signs_lists(minted.certificate, where)
         revocations = [Revocation(each.serial, each.revoked or session.now, each.reason) for each in revoked.values()]
         pem = revocation_lists.issue(minted.issuer, revocations, number, session.now, end)
@@ -143,7 +143,7 @@ def _present(
     Raises:
         KeymintError: the list is damaged, and not issued again from the register.
     """
-    shown = Origin(session.workspace.shown(session.workspace.revocation_list(name)))
+    shown = session.workspace.origin(session.workspace.revocation_list(name))
     try:
         present = revocation_lists.load(content, shown)
     except KeymintError:
@@ -165,7 +165,7 @@ def _require_known(session: Session, name: str, present: RevocationList, revoked
         raise KeymintError(
             f"does not know {len(unknown)} of the revocations in {shown}, e.g. of the serial number "
             f"{unknown[0].serial:x}: it is older than the list",
-            where=Origin(session.workspace.shown(session.workspace.register)),
+            where=session.workspace.origin(session.workspace.register),
             help="restore the latest register from a backup; or remove it, and 'keymint crl --rebuild' makes it again",
             code="register-outdated",
         )

@@ -18,7 +18,6 @@ from pathlib import Path
 
 from cryptography import x509
 
-from comarmor.errors import Origin
 from keymint.api import Authority, AuthorityIssuance, Phase, Rollover
 from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
@@ -177,7 +176,7 @@ def _made(session: Session, authority: Authority) -> tuple[bytes, bytes]:
         present = certificates.load(spec.adopted)
         first, last = present.not_valid_before_utc, present.not_valid_after_utc
         end = begin_of(session.now) + (last - (authority.issuance.renewed or first))
-        where = Origin(session.workspace.shown(session.workspace.authority_certificate(name)))
+        where = session.workspace.origin(session.workspace.authority_certificate(name))
         validity = replace(spec.validity, not_before=first, not_after=max(end, last))
         return adoption.issued_like(present, key, validity, above, where), pem
     if spec.serial is not None:
@@ -219,7 +218,7 @@ def _require_distinct(session: Session, name: str, present: x509.Certificate, fo
     Raises:
         KeymintError: they have one name, and one of them has no key identifier; or they have different names.
     """
-    where = Origin(session.workspace.shown(session.workspace.authority_certificate(name)))
+    where = session.workspace.origin(session.workspace.authority_certificate(name))
     if any(extensions.value(each, x509.SubjectKeyIdentifier) is None for each in (present, following)):
         raise KeymintError(
             f"an authority {name!r} without subjectKeyIdentifier cannot be told from another one of its name",
@@ -255,12 +254,12 @@ def _stored_key(session: Session, authority: Authority, suffix: str) -> tuple[by
         return None
     spec = authority.certificate
     secret = password(spec.key, session.environment, spec.origin)
-    return pem, keys.from_pem(pem, secret, Origin(session.workspace.shown(path)))
+    return pem, keys.from_pem(pem, secret, session.workspace.origin(path))
 
 
 def _stored_certificate(session: Session, name: str) -> x509.Certificate:
     path = session.workspace.authority_certificate(name)
-    return certificates.load(session.tree.read(path) or b"", Origin(session.workspace.shown(path)))
+    return certificates.load(session.tree.read(path) or b"", session.workspace.origin(path))
 
 
 def _certificate_in_force(session: Session, authority: Authority) -> x509.Certificate:
@@ -287,7 +286,7 @@ def _former(session: Session, authority: Authority, present: x509.Certificate, f
     name = authority.name
     raise KeymintError(
         f"the former certificate of {name!r} is neither here nor in an enclave",
-        where=Origin(session.workspace.shown(session.workspace.authority_certificate(name))),
+        where=session.workspace.origin(session.workspace.authority_certificate(name)),
         help="restore it from a backup",
         code="authority-lost",
     )
@@ -321,7 +320,7 @@ def _without_key(session: Session, name: str, suffix: str) -> tuple[Step, ...]:
 def _wrong_key(session: Session, name: str, suffix: str) -> KeymintError:
     return KeymintError(
         f"is not the private key of the next certificate of {name!r}",
-        where=Origin(session.workspace.shown(_key_path(session, name, suffix))),
+        where=session.workspace.origin(_key_path(session, name, suffix)),
         help=f"restore it, or give up with 'keymint authority replace {name} --cancel'",
         code="authority-key-mismatch",
     )

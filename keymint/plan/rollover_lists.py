@@ -45,7 +45,7 @@ def _other(session: Session, authority: Authority) -> MintedAuthority:
     pem = rollover.certificate if rollover else b""
     certificate = certificates.load(pem)
     path = session.workspace.authority_key(f"{authority.name}.{authority_files.other(authority)}")
-    where = Origin(session.workspace.shown(path))
+    where = session.workspace.origin(path)
     content = session.tree.read(path)
     if content is not None:
         try:

@@ -11,7 +11,7 @@ from dataclasses import field
 from pathlib import Path
 from typing import cast
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Severity
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, BuildResult, BuildType, Package, SharedDocuments
@@ -267,7 +267,7 @@ def _refuse_edits(session: Session, key: str, documents: Mapping[str, bytes]) ->
         if existing is not None and existing != content and not session.state.wrote(STAGE, key, path, existing):
             raise KeymintError(
                 "was edited by hand, and its sources changed too",
-                where=Origin(session.workspace.shown(file)),
+                where=session.workspace.origin(file),
                 help="'keymint build -f' discards the edit",
                 code="hand-edited",
             )

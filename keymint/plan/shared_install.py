@@ -232,14 +232,14 @@ def _plan_documents(
 def _not_built(session: Session, name: str) -> KeymintError:
     return KeymintError(
         f"the shared documents of {name} are not built",
-        where=Origin(session.workspace.shown(shared_folder(session))),
+        where=session.workspace.origin(shared_folder(session)),
         help="run 'keymint build'",
         code="not-built",
     )
 
 
 def _places(session: Session, documents: Iterable[str]) -> Sequence[Origin]:
-    return [Origin(session.workspace.shown(shared_folder(session) / path)) for path in documents]
+    return [session.workspace.origin(shared_folder(session) / path) for path in documents]
 
 
 def _outdated(session: Session, documents: Iterable[str]) -> Diagnostic:
