@@ -17,41 +17,38 @@ from comarmor.xml.reader import XINCLUDE
 from keymint.names import name_of
 from keymint_ros2_sros2.common_files import Atom, atoms, common_files
 from keymint_ros2_sros2.names import as_read, expression
-from keymint_ros2_sros2.parse import NEW
 from keymint_ros2_sros2.rules import GRAPH_TOPIC, rules_of
-from keymint_ros2_sros2.syntax import KINDS, Enclave, Node, RuleList, SourcePolicy
+from keymint_ros2_sros2.syntax import KINDS, Enclave, Node, RuleList
 
 _INCLUDE = f"{{{XINCLUDE}}}include"
 _GRAPH: frozenset[Atom] = frozenset((Effect.ALLOW, "topic", each, GRAPH_TOPIC) for each in ("publish", "subscribe"))
 """What SROS2 allows by itself."""
 
 
-def document(
-    policy: SourcePolicy, enclaves: Iterable[Sequence[Enclave]], library: Path, *, implicit: bool = True
-) -> bytes:
-    """Return the policy as a ComArmor document.
+def document(enclaves: Iterable[Sequence[Enclave]], closing: Iterable[str], library: Path, *, graph: bool) -> bytes:
+    """Return a policy as a ComArmor document.
 
     Args:
-        policy: the policy.
         enclaves: its enclaves; those with the same path become one profile.
+        closing: the comments at its end.
         library: folder of the policy library.
-        implicit: with what SROS2 allows by itself, from version 0.2.0 on.
+        graph: with what SROS2 allows by itself.
     """
     root = etree.Element("profiles", nsmap={"xi": XINCLUDE})
     for group in enclaves:
-        root.append(_profile(group, library, graph=implicit and policy.version == NEW, policy=policy))
-    _comment(root, policy.closing)
+        root.append(_profile(group, library, graph=graph))
+    _comment(root, closing)
     text = render.document(root)
     # A prefix that nothing uses would only puzzle.
     content = (text if "<xi:include" in text else text.replace(f' xmlns:xi="{XINCLUDE}"', "", 1)).encode()
     return formatted(content, "the new policy") or content  # comments have the indentation of the old policy
 
 
-def _profile(enclaves: Sequence[Enclave], library: Path, *, graph: bool, policy: SourcePolicy) -> etree._Element:
+def _profile(enclaves: Sequence[Enclave], library: Path, *, graph: bool) -> etree._Element:
     path = enclaves[0].path
     profile = etree.Element("profile", name=name_of(path))
     etree.SubElement(profile, "attachment").text = escape(path)
-    own = atoms([rule for rule in rules_of(policy, enclaves, implicit=False) if rule.origin.chain])
+    own = atoms([rule for rule in rules_of(enclaves, graph=False) if rule.origin.chain])
     shared = common_files(library, path, own | _GRAPH if graph else own)
     for name in shared:
         etree.SubElement(profile, _INCLUDE, href=name, parse="xml")

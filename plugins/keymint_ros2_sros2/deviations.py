@@ -11,7 +11,7 @@ from comarmor.ros_names import is_subject
 from comarmor.text import quoted
 from comarmor.values import dataclass
 from keymint_ros2_sros2.names import as_read, enforced, expression
-from keymint_ros2_sros2.syntax import Enclave, Entry, Node, SourcePolicy
+from keymint_ros2_sros2.syntax import Enclave, Entry, Node, NodeGroup, SourcePolicy
 
 _LONGEST_PATH = 1024
 _LONGEST_SEGMENT = 255
@@ -23,14 +23,12 @@ class Deviation:
     """Something in a policy that needs a decision of its owner.
 
     Attributes:
-        diagnostic: what it is, as an error.
-        paths: the enclaves that it concerns.
+        diagnostic: what it is, as an error about an enclave.
         acceptable: it has a meaning as it reads, which ``--accept`` takes.
     """
 
     diagnostic: Diagnostic
-    paths: tuple[str, ...]
-    acceptable: bool = True
+    acceptable: bool
 
 
 def deviations(policy: SourcePolicy) -> tuple[Deviation, ...]:
@@ -47,8 +45,11 @@ def deviations(policy: SourcePolicy) -> tuple[Deviation, ...]:
     return tuple(found)
 
 
-def _error(code: str, message: str, enclave: Enclave, entry: Enclave | Entry | Node, help_: str) -> Diagnostic:
-    return Diagnostic(code, Severity.ERROR, message, entry.where, help_, enclave.path)
+def _deviation(
+    code: str, message: str, enclave: Enclave, place: Enclave | Entry | Node | NodeGroup, help_: str, *,
+    acceptable: bool = True,
+) -> Deviation:  # fmt: skip
+    return Deviation(Diagnostic(code, Severity.ERROR, message, place.where, help_, enclave.path), acceptable)
 
 
 def _doubled(policy: SourcePolicy) -> Iterator[Deviation]:
@@ -61,7 +62,7 @@ def _doubled(policy: SourcePolicy) -> Iterator[Deviation]:
                 " the last one only, create_permission the first"
             )
             help_ = "write one <enclave>; --accept takes all of them together"
-            yield Deviation(_error("sros2-path-twice", message, enclave, enclave, help_), (enclave.path,))
+            yield _deviation("sros2-path-twice", message, enclave, enclave, help_)
 
 
 def _of_path(enclave: Enclave) -> Iterator[Deviation]:
@@ -72,7 +73,7 @@ def _of_path(enclave: Enclave) -> Iterator[Deviation]:
         "expected '/' and segments of letters, digits and '_' that do not begin with a digit, without wildcards;"
         f" at most {_LONGEST_PATH:,} characters, and {_LONGEST_SEGMENT} between two '/'"
     )
-    yield Deviation(_error("sros2-path", message, enclave, enclave, help_), (enclave.path,), acceptable=False)
+    yield _deviation("sros2-path", message, enclave, enclave, help_, acceptable=False)
 
 
 def _is_short(path: str) -> bool:
@@ -86,47 +87,40 @@ def _of_groups(enclave: Enclave) -> Iterator[Deviation]:
             " and participants use the first only"
         )
         help_ = "put all <profile> into one <profiles>; --accept takes all of them together"
-        where = enclave.groups[1].where
-        yield Deviation(
-            Diagnostic("sros2-two-profiles", Severity.ERROR, message, where, help_, enclave.path), (enclave.path,)
-        )
+        yield _deviation("sros2-two-profiles", message, enclave, enclave.groups[1], help_)
 
 
 def _of_node(enclave: Enclave, node: Node) -> Iterator[Deviation]:
     if node.ns and not node.ns.startswith("/"):
         message = f"the namespace {quoted(node.ns)} does not begin with '/': SROS2 writes topics that no node has"
         help_ = f"write ns={quoted('/' + node.ns.strip())}; --accept reads it so"
-        yield Deviation(_error("sros2-namespace", message, enclave, node, help_), (enclave.path,))
+        yield _deviation("sros2-namespace", message, enclave, node, help_)
     for name, value in (("ns", node.ns), ("node", node.name)):
         if value != value.strip():
             message = f"{name}={quoted(value)} has white space around it, which SROS2 keeps"
-            yield Deviation(
-                _error("sros2-padded", message, enclave, node, "remove it; --accept reads it so"), (enclave.path,)
-            )
+            yield _deviation("sros2-padded", message, enclave, node, "remove it; --accept reads it so")
 
 
 def _of_entry(enclave: Enclave, node: Node, entry: Entry) -> Iterator[Deviation]:
-    text, paths = entry.text, (enclave.path,)
-    if not text.strip():
+    text, trimmed = entry.text, entry.text.strip()
+    if not trimmed:
         help_ = "write a name, or remove the element"
-        yield Deviation(_error("sros2-empty", "the name is empty", enclave, entry, help_), paths, acceptable=False)
+        yield _deviation("sros2-empty", "the name is empty", enclave, entry, help_, acceptable=False)
         return
     try:
         expression(as_read(node, text), entry)
     except ComArmorError as error:
-        yield from (
-            Deviation(replace(each, subject=enclave.path), paths, acceptable=False) for each in error.diagnostics
-        )
+        yield from (Deviation(replace(each, subject=enclave.path), acceptable=False) for each in error.diagnostics)
         return
     names = f"SROS2 enforces {quoted(enforced(node, text))}, not {quoted(as_read(node, text))}"
-    if text != text.strip():
+    if text != trimmed:
         message = f"{quoted(text)} has white space around it, which SROS2 keeps: {names}"
-        yield Deviation(_error("sros2-padded", message, enclave, entry, "remove it; --accept reads it so"), paths)
-    if text.strip().startswith("~") and text.strip()[1:2] not in ("", "/"):
+        yield _deviation("sros2-padded", message, enclave, entry, "remove it; --accept reads it so")
+    if trimmed.startswith("~") and trimmed[1:2] not in ("", "/"):
         message = f"{quoted(text)} is not a private name, which begins with '~/': {names}"
-        help_ = f"write ~/{text.strip()[1:]}, or the full name; --accept reads it as ~/{text.strip()[1:]}"
-        yield Deviation(_error("sros2-tilde", message, enclave, entry, help_), paths)
+        help_ = f"write ~/{trimmed[1:]}, or the full name; --accept reads it as ~/{trimmed[1:]}"
+        yield _deviation("sros2-tilde", message, enclave, entry, help_)
     if "\\" in text:
         message = f"{quoted(text)} has a '\\', which escapes a character in the standard, and is one for Fast DDS"
         help_ = "no ROS name has a '\\': remove it; --accept reads it as the standard does"
-        yield Deviation(_error("sros2-backslash", message, enclave, entry, help_), paths)
+        yield _deviation("sros2-backslash", message, enclave, entry, help_)

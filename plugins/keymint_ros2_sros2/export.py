@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field, replace
-from pathlib import Path
 from types import MappingProxyType
 
 from lxml import etree
@@ -20,9 +19,8 @@ from keymint.api import ExportedPolicy, ImportedSubject
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint_ros2_sros2 import permissions
-from keymint_ros2_sros2.parse import NEW
 from keymint_ros2_sros2.sayable import Said, UnsayableError, is_graph, is_raw, said, services
-from keymint_ros2_sros2.syntax import PERMISSIONS, Enclave, Entry, Node, NodeGroup, RuleList, SourcePolicy
+from keymint_ros2_sros2.syntax import NEW, PERMISSIONS, Enclave, Entry, Node, NodeGroup, RuleList
 
 _LONGEST = 64
 """Characters of a common name (RFC 5280, ub-common-name); SROS2 puts the path there."""
@@ -40,16 +38,15 @@ def exported(subjects: Sequence[SubjectRules], *, lossy: bool = False) -> Export
     enclaves = [exporter.enclave(each) for each in subjects]
     if exporter.errors:
         raise KeymintError.of(dict.fromkeys(exporter.errors))
-    policy = SourcePolicy(NEW, tuple(enclaves), Origin("policy.xml"), MappingProxyType({Path("policy.xml"): b""}))
     made = tuple(
         ImportedSubject(
             exporter.kept[enclave.path],
-            permissions.document(policy, enclave, implicit=enclave.path in exporter.graph),
+            permissions.document(enclave, graph=enclave.path in exporter.graph),
             permissions.subject_name(enclave),
         )
         for enclave in enclaves
     )
-    return ExportedPolicy(_document(policy), made, tuple(dict.fromkeys(exporter.warnings)))
+    return ExportedPolicy(_document(enclaves), made, tuple(dict.fromkeys(exporter.warnings)))
 
 
 @dataclass(slots=True)
@@ -98,7 +95,7 @@ class _Exporter:
                         continue
                     kept.append(replace(rule, permissions=(permission,), expressions=(expression,)))
             lists += _lists(rule, names)
-        if len(graph) == len(("publish", "subscribe")):
+        if graph == {"publish", "subscribe"}:
             self.graph.add(path)
         else:
             message = f"SROS2 allows {path} to publish and subscribe to ros_discovery_info by itself"
@@ -153,11 +150,11 @@ def _lists(rule: Rule, names: dict[Said, None]) -> list[RuleList]:
     ]  # fmt: skip
 
 
-def _document(policy: SourcePolicy) -> bytes:
-    root = etree.Element("policy", version=policy.version)
-    enclaves = etree.SubElement(root, "enclaves")
-    for enclave in policy.enclaves:
-        profiles = etree.SubElement(etree.SubElement(enclaves, "enclave", path=enclave.path), "profiles")
+def _document(enclaves: Iterable[Enclave]) -> bytes:
+    root = etree.Element("policy", version=NEW)
+    parent = etree.SubElement(root, "enclaves")
+    for enclave in enclaves:
+        profiles = etree.SubElement(etree.SubElement(parent, "enclave", path=enclave.path), "profiles")
         for node in enclave.nodes():
             profile = etree.SubElement(profiles, "profile", ns=node.ns, node=node.name)
             for rules in node.lists:

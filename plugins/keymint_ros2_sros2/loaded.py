@@ -17,7 +17,7 @@ from keymint.errors import KeymintError
 from keymint_ros2_sros2.deviations import deviations
 from keymint_ros2_sros2.parse import parse
 from keymint_ros2_sros2.rules import rules_of
-from keymint_ros2_sros2.syntax import Enclave, SourcePolicy
+from keymint_ros2_sros2.syntax import Enclave
 
 
 def load(
@@ -42,18 +42,18 @@ def load(
                     f"the enclave {enclave.path} is also at {profiles[enclave.path].where}", where=enclave.where,
                     help="write one <enclave>", code="sros2-path-twice",
                 )  # fmt: skip
-            profiles[enclave.path] = _profile(policy, enclave)
+            profiles[enclave.path] = _profile(enclave, graph=policy.has_graph)
     return ComArmorPolicy(comarmor.Policy(tuple(profiles.values()), seen=MappingProxyType(seen)))
 
 
-def _profile(policy: SourcePolicy, enclave: Enclave) -> Profile:
+def _profile(enclave: Enclave, *, graph: bool) -> Profile:
     rules = (
         ProfileRule(
             rule.effect, rule.kind, rule.permissions,
             tuple(Attachment(expression, rule.origin) for expression in rule.expressions),
             rule.partitions, rule.audit, rule.origin,
         )
-        for rule in rules_of(policy, [enclave])
+        for rule in rules_of([enclave], graph=graph)
     )  # fmt: skip
     where = enclave.where
     return Profile(enclave.path, False, (Attachment(enclave.path, where),), (), tuple(rules), where)

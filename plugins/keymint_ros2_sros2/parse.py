@@ -8,14 +8,12 @@ from dataclasses import field
 from pathlib import Path
 from types import MappingProxyType
 
-from comarmor.errors import ComArmorError
+from comarmor.errors import ComArmorError, Diagnostic, Severity
 from comarmor.rules import Effect
 from comarmor.text import quoted
 from comarmor.values import dataclass
 from keymint_ros2_sros2.policy_files import Placed, PolicyFiles, policy_files
-from keymint_ros2_sros2.syntax import PERMISSIONS, Enclave, Entry, Lost, Node, NodeGroup, RuleList, SourcePolicy
-
-OLD, NEW = "0.1.0", "0.2.0"
+from keymint_ros2_sros2.syntax import NEW, PERMISSIONS, Enclave, Entry, Node, NodeGroup, RuleList, SourcePolicy
 
 
 def parse(path: Path) -> SourcePolicy:
@@ -37,11 +35,11 @@ class _Parser:
 
     Attributes:
         files: the reader, which resolves includes.
-        lost: what has no meaning for access control.
+        lost: notes about what has no meaning for access control.
     """
 
     files: PolicyFiles
-    lost: list[Lost] = field(default_factory=list)
+    lost: list[Diagnostic] = field(default_factory=list)
 
     def policy(self, root: Placed) -> SourcePolicy:
         """Return the policy of a root element."""
@@ -64,9 +62,7 @@ class _Parser:
                 help=f"expected <{inner}> with <{'enclave' if version == NEW else 'profile'}> in it",
             )  # fmt: skip
         closing = (*comments, *root.closing)
-        return SourcePolicy(
-            version, tuple(enclaves), root.where, MappingProxyType(self.files.seen), tuple(self.lost), closing
-        )
+        return SourcePolicy(version, tuple(enclaves), MappingProxyType(self.files.seen), tuple(self.lost), closing)
 
     def enclaves(self, item: Placed) -> Iterator[Enclave]:
         """Yield the enclaves of an ``<enclaves>`` element."""
@@ -91,7 +87,7 @@ class _Parser:
     def group(self, item: Placed) -> NodeGroup:
         """Return the nodes of a ``<profiles>`` element."""
         if item.element.get("type"):
-            self.lost.append(Lost(f"the type {quoted(item.element.get('type', ''))} of <profiles>", item.where))
+            self.lose(f"the type {quoted(item.element.get('type', ''))} of <profiles>", item)
         children = self.children(item, ("profile",), "in <profiles>")
         nodes = tuple(self.node(child) for child in children)
         return NodeGroup(nodes, item.where, (*item.introduction, *item.before), item.closing)
@@ -123,11 +119,15 @@ class _Parser:
             tag, MappingProxyType(effects), entries, item.where, item.before, item.closing, item.introduction
         )
 
+    def lose(self, what: str, item: Placed) -> None:
+        """Note something that no other policy language has."""
+        self.lost.append(Diagnostic("sros2-lost", Severity.NOTE, f"{what} is not taken over", item.where))
+
     def children(self, item: Placed, expected: tuple[str, ...], place: str) -> Iterator[Placed]:
         """Yield the child elements, which includes may have put into the wrong place; ``<metadata>`` is left out."""
         for child in self.files.children(item):
             if child.element.tag == "metadata":
-                self.lost.append(Lost("<metadata>", child.where))
+                self.lose("<metadata>", child)
             elif child.element.tag in expected:
                 yield child
             else:

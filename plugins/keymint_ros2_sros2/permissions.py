@@ -14,9 +14,8 @@ from lxml import etree
 
 from comarmor.rules import Effect
 from keymint_ros2_sros2.names import enforced
-from keymint_ros2_sros2.parse import NEW
 from keymint_ros2_sros2.rules import GRAPH_TOPIC
-from keymint_ros2_sros2.syntax import Enclave, Node, NodeGroup, RuleList, SourcePolicy
+from keymint_ros2_sros2.syntax import Enclave, Node, NodeGroup, RuleList
 
 _XSI = "http://www.w3.org/2001/XMLSchema-instance"
 _SCHEMA = "http://www.omg.org/spec/DDS-SECURITY/20170901/omg_shared_ca_permissions.xsd"
@@ -35,19 +34,18 @@ def subject_name(enclave: Enclave) -> str:
     return f"CN={enclave.path}"
 
 
-def document(policy: SourcePolicy, enclave: Enclave, *, implicit: bool = True) -> bytes:
+def document(enclave: Enclave, *, graph: bool) -> bytes:
     """Return the permissions document that SROS2 writes for an enclave, for domain 0.
 
     Args:
-        policy: the policy of the enclave.
         enclave: the enclave.
-        implicit: as SROS2 does with an RMW that has the graph's topic, from version 0.2.0 on.
+        graph: as SROS2 does with an RMW that has the graph's topic, from version 0.2.0 on.
     """
     root = etree.Element("dds", nsmap={"xsi": _XSI})
     root.set(f"{{{_XSI}}}noNamespaceSchemaLocation", _SCHEMA)
     permissions = etree.SubElement(root, "permissions")
     for group in enclave.groups:
-        permissions.append(_grant(enclave, group, graph=implicit and policy.version == NEW))
+        permissions.append(_grant(enclave, group, graph=graph))
     etree.indent(root)
     return etree.tostring(root, encoding="UTF-8", xml_declaration=True)
 

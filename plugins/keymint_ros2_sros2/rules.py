@@ -7,20 +7,18 @@ from collections.abc import Iterable, Iterator
 
 from comarmor.rules import Effect, Rule
 from keymint_ros2_sros2.names import as_read, expression
-from keymint_ros2_sros2.parse import NEW
-from keymint_ros2_sros2.syntax import KINDS, Enclave, Node, RuleList, SourcePolicy
+from keymint_ros2_sros2.syntax import KINDS, Enclave, Node, RuleList
 
 GRAPH_TOPIC = "ros_discovery_info"
 """The topic by which participants tell each other their nodes. From Foxy on SROS2 allows it to every enclave."""
 
 
-def rules_of(policy: SourcePolicy, enclaves: Iterable[Enclave], *, implicit: bool = True) -> tuple[Rule, ...]:
+def rules_of(enclaves: Iterable[Enclave], *, graph: bool) -> tuple[Rule, ...]:
     """Return the rules of the enclaves of one path.
 
     Args:
-        policy: the policy that they belong to.
         enclaves: the enclaves.
-        implicit: with the rule that SROS2 adds by itself, from version 0.2.0 on.
+        graph: with the rule that SROS2 adds by itself (:attr:`~keymint_ros2_sros2.syntax.SourcePolicy.has_graph`).
 
     Raises:
         ComArmorError: a name is not an expression, with ``file:line``.
@@ -29,7 +27,7 @@ def rules_of(policy: SourcePolicy, enclaves: Iterable[Enclave], *, implicit: boo
     for enclave in enclaves:
         for node in enclave.nodes():
             found += (rule for rules in node.lists for rule in _of_list(node, rules))
-        if implicit and policy.version == NEW:
+        if graph:
             permissions = ("publish", "subscribe")
             found.append(Rule(Effect.ALLOW, "topic", permissions, (GRAPH_TOPIC,), (), False, enclave.where))
     return tuple(found)

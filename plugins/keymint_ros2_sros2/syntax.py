@@ -7,10 +7,12 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from comarmor.errors import Origin
+from comarmor.errors import Diagnostic, Origin
 from comarmor.rules import Effect
 from comarmor.values import dataclass
 
+NEW = "0.2.0"
+"""The version since Foxy. In 0.1.0 nodes have enclaves of their own."""
 KINDS: Mapping[str, str] = MappingProxyType({"topics": "ros_topic", "services": "ros_service", "actions": "ros_action"})
 """The kind of rules that each list means."""
 PERMISSIONS: Mapping[str, Mapping[str, str]] = MappingProxyType(
@@ -107,29 +109,24 @@ class Enclave:
 
 
 @dataclass(frozen=True, slots=True)
-class Lost:
-    """Something that no other policy language has: what it is, and where it is written."""
-
-    what: str
-    where: Origin
-
-
-@dataclass(frozen=True, slots=True)
 class SourcePolicy:
     """A policy.
 
     Attributes:
-        version: ``0.1.0`` or ``0.2.0``.
+        version: ``0.1.0`` or :data:`NEW`.
         enclaves: in the order of the policy.
-        where: its root element.
         seen: every path that was looked at, with its fingerprint.
-        lost: what has no meaning for access control.
+        lost: notes about what has no meaning for access control.
         closing: the comments at its end.
     """
 
     version: str
     enclaves: tuple[Enclave, ...]
-    where: Origin
     seen: Mapping[Path, bytes]
-    lost: tuple[Lost, ...] = ()
-    closing: tuple[str, ...] = ()
+    lost: tuple[Diagnostic, ...]
+    closing: tuple[str, ...]
+
+    @property
+    def has_graph(self) -> bool:
+        """Whether SROS2 allows the topic of the graph to every enclave by itself."""
+        return self.version == NEW

@@ -30,15 +30,15 @@ def translated(request: ImportRequest) -> ImportedPolicy:
     found = deviations(policy)
     if refused := [each.diagnostic for each in found if not (request.accept and each.acceptable)]:
         raise KeymintError.of(refused)
-    enclaves = _by_path(policy)
-    document = comarmor_document.document(policy, enclaves.values(), request.library, implicit=request.implicit)
+    enclaves, graph = _by_path(policy), request.implicit and policy.has_graph
+    document = comarmor_document.document(enclaves.values(), policy.closing, request.library, graph=graph)
     loaded = parse_comarmor(read_document(document, request.name, request.library, request.library_shown))
-    deviating = {path for each in found for path in each.paths}
+    deviating = {each.diagnostic.subject for each in found}
     subjects = tuple(
         ImportedSubject(
             SubjectRules(path, loaded.rules(path)),
             # Of an enclave that stands twice, generate_artifacts uses the last.
-            permissions.document(policy, group[-1], implicit=request.implicit),
+            permissions.document(group[-1], graph=graph),
             permissions.subject_name(group[-1]),
             path in deviating,
         )
@@ -62,8 +62,7 @@ def _accepted(found: tuple[Deviation, ...]) -> Iterator[Diagnostic]:
 
 def _notes(policy: SourcePolicy) -> Iterator[Diagnostic]:
     """Yield a note for what is lost, for lists without meaning, and for logs that stay in a namespace."""
-    for lost in policy.lost:
-        yield Diagnostic("sros2-lost", Severity.NOTE, f"{lost.what} is not taken over", lost.where)
+    yield from policy.lost
     for enclave in policy.enclaves:
         for node in enclave.nodes():
             for rules in node.lists:

@@ -17,9 +17,10 @@ from .sros2_policies import COMMON, INCLUDE, enclave, policy
 LIBRARY = locate("keymint_ros", "templates") / "comarmor.d" / "foxy"
 
 
-def written(path: Path, **options) -> str:
+def written(path: Path, *, implicit: bool = True) -> str:
     found = parse(path)
-    text = document(found, [[each] for each in found.enclaves], LIBRARY, **options).decode()
+    enclaves, graph = [[each] for each in found.enclaves], implicit and found.has_graph
+    text = document(enclaves, found.closing, LIBRARY, graph=graph).decode()
     new(path).parent.mkdir(exist_ok=True)
     new(path).write_text(text)
     comarmor.load(new(path), library=LIBRARY)  # it is a policy

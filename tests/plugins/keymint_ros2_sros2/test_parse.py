@@ -37,7 +37,8 @@ def test_what_has_no_meaning_is_known(write) -> None:
         '<enclave path="/a"><profiles type="t"><profile ns="/" node="n"/>'
         "<metadata><anything x='1'>text</anything></metadata></profiles></enclave>"
     )
-    assert [each.what for each in parse(write(text)).lost] == ["the type 't' of <profiles>", "<metadata>"]
+    lost = [each.message for each in parse(write(text)).lost]
+    assert lost == ["the type 't' of <profiles> is not taken over", "<metadata> is not taken over"]
 
 
 def test_comments_are_kept_at_their_places(write) -> None:

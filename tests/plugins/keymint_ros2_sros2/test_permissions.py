@@ -12,9 +12,9 @@ from lxml import etree
 from .sros2_policies import enclave, policy
 
 
-def written(path, at: int = 0, **options) -> etree._Element:
+def written(path, at: int = 0, *, implicit: bool = True) -> etree._Element:
     found = parse(path)
-    content = document(found, found.enclaves[at], **options)
+    content = document(found.enclaves[at], graph=implicit and found.has_graph)
     dds_xml.require_valid(content, "permissions", "permissions.xml")
     return etree.fromstring(content)
 

@@ -11,9 +11,9 @@ from comarmor.rules import Effect
 from .sros2_policies import enclave, policy
 
 
-def of(path, at: int = 0, **options) -> list[tuple]:
+def of(path, at: int = 0, *, implicit: bool = True) -> list[tuple]:
     found = parse(path)
-    rules = rules_of(found, [found.enclaves[at]], **options)
+    rules = rules_of([found.enclaves[at]], graph=implicit and found.has_graph)
     return [(rule.effect, rule.kind, rule.permissions, rule.expressions) for rule in rules]
 
 
