@@ -83,12 +83,12 @@ class Placed:
     @property
     def before(self) -> tuple[str, ...]:
         """The comments before it in its file."""
-        return self.file.comments.before(self.element)
+        return self.file.comments.before.get(self.element, ())
 
     @property
     def closing(self) -> tuple[str, ...]:
         """The comments after its last child."""
-        return self.file.comments.closing(self.element)
+        return self.file.comments.closing.get(self.element, ())
 
 
 @dataclass(slots=True)
