@@ -25,7 +25,7 @@ _SIGNED_DATA = der.oid("1.2.840.113549.1.7.2")
 _DATA = der.oid("1.2.840.113549.1.7.1")
 _CONTENT_TYPE = der.oid("1.2.840.113549.1.9.3")
 _MESSAGE_DIGEST = der.oid("1.2.840.113549.1.9.4")
-_VERSION_1 = der.integer(1)
+_VERSION_1 = der.tlv(der.INTEGER, b"\1")
 
 
 def _algorithm(dotted: str) -> tuple[bytes, bytes]:
@@ -129,8 +129,8 @@ def verify(signature: Signature, text: bytes, certificate: x509.Certificate) -> 
 def _attributes_match(signature: Signature, text: bytes) -> bool:
     """Compare the content type and the message digest, each present once (RFC 5652, 5.3 and 11)."""
     try:
-        attributes = der.single(signature.attributes, der.SET)
-        pairs = [_parts(content, 2, "an attribute") for tag, content in der.elements(attributes)]
+        attributes = der.elements(der.single(signature.attributes, der.SET))
+        pairs = [_parts(der.single(each, der.SEQUENCE), 2, "an attribute") for each in attributes]
     except ValueError:
         return False
     required = {
@@ -159,8 +159,7 @@ def _identification(certificate: x509.Certificate) -> tuple[bytes, bytes]:
     """Return the DER of a signer's certificate, and IssuerAndSerialNumber (RFC 5652, 10.2.4) with its exact bytes."""
     fields = der.elements(der.single(certificate.tbs_certificate_bytes, der.SEQUENCE))
     serial, _, issuer = fields[1:4] if fields[0][0] == der.CONTEXT_0 else fields[:3]
-    identifier = der.tlv(der.SEQUENCE, der.tlv(*issuer), der.tlv(*serial))
-    return certificate.public_bytes(serialization.Encoding.DER), identifier
+    return certificate.public_bytes(serialization.Encoding.DER), der.tlv(der.SEQUENCE, issuer, serial)
 
 
 def _inside(data: bytes, tag: int, what: str) -> bytes:
@@ -171,9 +170,9 @@ def _inside(data: bytes, tag: int, what: str) -> bytes:
         raise ValueError(f"expected {what}: {error}") from None
 
 
-def _parts(content: bytes, count: int, what: str = "certificate") -> list[bytes]:
+def _parts(content: bytes, count: int, what: str) -> list[bytes]:
     """Return the elements of a content, each with its header; there must be ``count`` of them."""
-    parsed = der.encoded(content)
+    parsed = der.elements(content)
     if len(parsed) != count:
         raise ValueError(f"expected {what}")
     return parsed

@@ -8,7 +8,6 @@ strict: it refuses every encoding but the canonical one, so that an altered byte
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterator
 
 INTEGER = 0x02
 OCTET_STRING = 0x04
@@ -44,11 +43,6 @@ def base64_lines(content: bytes) -> bytes:
     return b"".join(text[start : start + BASE64_LINE] + b"\n" for start in range(0, len(text), BASE64_LINE))
 
 
-def integer(value: int) -> bytes:
-    """Return an INTEGER element."""
-    return tlv(INTEGER, value.to_bytes(value.bit_length() // 8 + 1, "big", signed=True))
-
-
 def oid(dotted: str) -> bytes:
     """Return an OBJECT IDENTIFIER element for a dotted identifier such as ``1.2.840.113549.1.7.2``."""
     first, second, *rest = (int(arc) for arc in dotted.split("."))
@@ -61,18 +55,19 @@ def oid(dotted: str) -> bytes:
     return tlv(OBJECT_IDENTIFIER, bytes(octets))
 
 
-def elements(data: bytes) -> list[tuple[int, bytes]]:
-    """Return the tag and content of each element of the data.
+def elements(data: bytes) -> list[bytes]:
+    """Return each element of the data with its header.
 
     Raises:
         ValueError: not DER: a truncated element, a length in more bytes than needed, a tag above 30.
     """
-    return [(tag, data[start:end]) for tag, _, start, end in _spans(data)]
-
-
-def encoded(data: bytes) -> list[bytes]:
-    """Return each element of the data with its header; errors as :func:`elements`."""
-    return [data[position:end] for _, position, _, end in _spans(data)]
+    found: list[bytes] = []
+    position = 0
+    while position < len(data):
+        _, _, end = _header(data, position)
+        found.append(data[position:end])
+        position = end
+    return found
 
 
 def leading(data: bytes) -> bytes:
@@ -91,15 +86,6 @@ def single(data: bytes, tag: int) -> bytes:
         elements(data)  # raises an error for data that is not DER
         raise ValueError("not one element of the expected tag")
     return data[start:end]
-
-
-def _spans(data: bytes) -> Iterator[tuple[int, int, int, int]]:
-    """Yield the tag of each element, and where it, its content and what follows begin."""
-    position = 0
-    while position < len(data):
-        tag, start, end = _header(data, position)
-        yield tag, position, start, end
-        position = end
 
 
 def _header(data: bytes, position: int) -> tuple[int, int, int]:

@@ -94,10 +94,12 @@ def authority_key_identifier(issuer: x509.Certificate) -> x509.AuthorityKeyIdent
     return x509.AuthorityKeyIdentifier.from_issuer_subject_key_identifier(identifier)
 
 
-def value(certificate: x509.Certificate, kind: type[_E]) -> _E | None:
-    """Return the value of a certificate's extension of a kind, or None if it has none."""
+def value(
+    of: x509.Certificate | x509.CertificateRevocationList | x509.RevokedCertificate, kind: type[_E]
+) -> _E | None:
+    """Return the value of an extension of a certificate, a revocation list or an entry of one; None if it has none."""
     try:
-        return certificate.extensions.get_extension_for_class(kind).value
+        return of.extensions.get_extension_for_class(kind).value
     except x509.ExtensionNotFound:
         return None
 

@@ -149,17 +149,11 @@ def _loaded(pem: bytes) -> RevocationList:
         raise ValueError
     revocations = []
     for entry in crl:
-        try:
-            flag = entry.extensions.get_extension_for_class(x509.CRLReason).value.reason
-        except x509.ExtensionNotFound:
-            flag = None
-        reason = next((name for name, value in _FLAGS.items() if value is flag), "unspecified")
+        given = extensions.value(entry, x509.CRLReason)
+        reason = next((name for name, flag in _FLAGS.items() if given and given.reason is flag), "unspecified")
         revocations.append(Revocation(entry.serial_number, entry.revocation_date_utc, reason))
-    try:
-        number = crl.extensions.get_extension_for_class(x509.CRLNumber).value.crl_number
-    except x509.ExtensionNotFound:
-        number = 0
-    return RevocationList(to_text(crl.issuer), number, *period(crl), tuple(revocations))
+    number = extensions.value(crl, x509.CRLNumber)
+    return RevocationList(to_text(crl.issuer), number.crl_number if number else 0, *period(crl), tuple(revocations))
 
 
 def first(pem: bytes) -> x509.CertificateRevocationList | None:
