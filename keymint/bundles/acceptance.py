@@ -286,7 +286,7 @@ def _older_than_installed(bundle: Bundle, present: Present) -> str:
         if bundle.certificate.not_valid_before_utc < begin:
             return f"its certificate begins before {begin:%Y-%m-%dT%H:%M:%SZ}"
     try:
-        number = number_of(dict(revocation_lists(present.files)), bundle.signer)
+        number = number_of(revocation_lists(present.files), bundle.signer)
     except ValueError:
         number = 0  # what cannot be read keeps nodes from starting, so nothing rests on it
     return f"its revocation list is not the number {number}" if bundle.manifest.revocations < number else ""

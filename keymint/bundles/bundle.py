@@ -9,7 +9,7 @@ this authority is the right one is decided in :mod:`keymint.bundles.acceptance`.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import field, replace
 
 from cryptography import x509
@@ -41,7 +41,7 @@ class Bundle:
         certificate: the certificate of the enclave.
         signer: the certificate of the authority that issued it and signed the manifest.
         authorities: the certificates of authorities by file.
-        lists: the revocation lists by file.
+        lists: the revocation lists.
     """
 
     manifest: Manifest
@@ -50,7 +50,7 @@ class Bundle:
     certificate: x509.Certificate
     signer: x509.Certificate
     authorities: Mapping[str, tuple[x509.Certificate, ...]]
-    lists: Mapping[str, tuple[x509.CertificateRevocationList, ...]]
+    lists: tuple[x509.CertificateRevocationList, ...]
 
 
 def write(manifest: Manifest, files: Mapping[str, bytes], issuer: certificates.Issuer) -> bytes:
@@ -106,7 +106,7 @@ def read(content: bytes, where: Origin) -> Bundle:
             if fingerprint(each) == manifest.authority and certificates.is_issued_by(certificate, each)
         )
         verified = cms.verify(parsed, encoded, signer) and certificates.can_sign_documents(signer) is None
-        lists = dict(revocation_lists(members))
+        lists = revocation_lists(members)
     except (KeymintError, StopIteration, ValueError, TypeError):
         raise _altered("is not signed by the authority that issued its certificate", where) from None
     if not verified:
@@ -142,22 +142,19 @@ def issuing_files(certificate: bytes, authorities: Mapping[str, tuple[x509.Certi
     return frozenset(file for file, chain in by_file if any(certificates.is_issued_by(own, each) for each in chain))
 
 
-def revocation_lists(files: Mapping[str, bytes]) -> Iterator[tuple[str, tuple[x509.CertificateRevocationList, ...]]]:
-    """Yield the revocation lists of an enclave, with the name of their file.
+def revocation_lists(files: Mapping[str, bytes]) -> tuple[x509.CertificateRevocationList, ...]:
+    """Return the revocation lists of an enclave.
 
     Raises:
         ValueError: a list is damaged.
     """
-    for name, content in files.items():
-        if _LIST in content and name.endswith(".pem"):
-            blocks = content.split(_LIST)[1:]
-            yield name, tuple(x509.load_pem_x509_crl(_LIST + block) for block in blocks)
+    blocks = (block for name, content in files.items() if name.endswith(".pem") for block in content.split(_LIST)[1:])
+    return tuple(x509.load_pem_x509_crl(_LIST + block) for block in blocks)
 
 
-def number_of(lists: Mapping[str, tuple[x509.CertificateRevocationList, ...]], authority: x509.Certificate) -> int:
+def number_of(lists: Iterable[x509.CertificateRevocationList], authority: x509.Certificate) -> int:
     """Return the lowest number of the revocation lists of an authority (RFC 5280, 5.2.3); 0 if there is none."""
-    every = (each for of_file in lists.values() for each in of_file)
-    return min((_number(each) for each in every if is_by(each, authority)), default=0)
+    return min((_number(each) for each in lists if is_by(each, authority)), default=0)
 
 
 def _number(listed: x509.CertificateRevocationList) -> int:

@@ -41,7 +41,7 @@ def require_in_force(bundle: Bundle, now: datetime, where: Origin) -> None:
             code="bundle-chain",
         )
     authorities = [each for of_file in bundle.authorities.values() for each in of_file]
-    for listed in (each for of_file in bundle.lists.values() for each in of_file):
+    for listed in bundle.lists:
         by = [each for each in authorities if revocation_lists.is_by(listed, each)]
         begin, end = revocation_lists.period(listed)
         if not by or not begin <= now <= end:

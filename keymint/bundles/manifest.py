@@ -8,7 +8,9 @@ It is JSON in a canonical form (that of RFC 8785 for the values that occur), whi
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
+from dataclasses import fields
 from datetime import UTC, datetime
 from typing import Any
 
@@ -26,6 +28,7 @@ MAX_NUMBER = 1 << 53
 """Numbers of JSON are exact below this (RFC 8259, 6)."""
 _DIGEST = lazy_regex(r"[0-9a-f]{64}")
 _NONCE = lazy_regex(r"(?:[0-9a-f]{32})?")
+_FOLDER = lazy_regex(r"(?:[A-Za-z0-9][A-Za-z0-9_-]{0,99})?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,30 +69,15 @@ class Manifest:
 
 def dump(manifest: Manifest) -> bytes:
     """Return a manifest in its canonical form."""
-    values = {
-        "authority": manifest.authority,
-        "enclave": manifest.enclave,
-        "files": dict(manifest.files),
-        "folder": manifest.folder,
-        "format": FORMAT,
-        "generation": manifest.generation,
-        "issue": manifest.issue,
-        "key": manifest.key,
-        "nonce": manifest.nonce,
-        "not_after": _shown(manifest.not_after),
-        "not_before": _shown(manifest.not_before),
-        "revocations": manifest.revocations,
-        "version": VERSION,
-    }
-    return _encoded(values)
+    values = {each.name: getattr(manifest, each.name) for each in fields(manifest)}
+    values |= {"format": FORMAT, "version": VERSION}
+    return json.dumps(values, sort_keys=True, separators=(",", ":"), ensure_ascii=False, default=_encoded).encode()
 
 
-def _encoded(values: Mapping[str, Any]) -> bytes:
-    return json.dumps(values, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
-
-
-def _shown(moment: datetime) -> str:
-    return moment.astimezone(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+def _encoded(value: Mapping[str, str] | datetime) -> object:
+    if isinstance(value, datetime):
+        return value.astimezone(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+    return dict(value)
 
 
 def load(content: bytes, where: Origin) -> Manifest:
@@ -107,7 +95,7 @@ def load(content: bytes, where: Origin) -> Manifest:
         values: Any = json.loads(content.decode("ascii")) if len(content) <= MAX_BYTES else None
         version = values["version"] if values["format"] == FORMAT else None
         manifest = None if version != VERSION else _manifest(values)
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
+    except (KeymintError, ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
         manifest = version = None
     if isinstance(version, int) and version > VERSION:
         raise KeymintError(
@@ -132,41 +120,27 @@ def _manifest(values: Mapping[str, Any]) -> Manifest:
     Raises:
         ValueError: a value is not legal. Other errors: there is no such value, or it has another type.
     """
-    enclave = subject_of(_legal_name(values["enclave"]))
-    folder = values["folder"]
-    if folder == "" and enclave == "/":  # the root enclave has no place there
-        raise ValueError
-    if folder != "" and (not container.NAME.fullmatch(folder) or "." in folder):
-        raise ValueError
-    files = {name: _digest(value) for name, value in values["files"].items()}
-    if not files or not all(map(container.NAME.fullmatch, files)):
-        raise ValueError
-    if not _NONCE.fullmatch(values["nonce"]):
+    enclave = subject_of(package_name(values["enclave"]))
+    files = {_matching(container.NAME, name): _matching(_DIGEST, value) for name, value in values["files"].items()}
+    if not files or (enclave == "/" and not values["folder"]):  # the root enclave has no place there
         raise ValueError
     return Manifest(
         enclave=enclave,
-        folder=folder,
-        key=_digest(values["key"]),
-        authority=_digest(values["authority"]),
+        folder=_matching(_FOLDER, values["folder"]),
+        key=_matching(_DIGEST, values["key"]),
+        authority=_matching(_DIGEST, values["authority"]),
         generation=_number(values["generation"], 0),
         issue=_number(values["issue"], 1),
         revocations=_number(values["revocations"], 0),
-        nonce=values["nonce"],
+        nonce=_matching(_NONCE, values["nonce"]),
         not_before=_moment(values["not_before"]),
         not_after=_moment(values["not_after"]),
         files=files,
     )
 
 
-def _legal_name(text: str) -> str:
-    try:
-        return package_name(text)
-    except KeymintError:
-        raise ValueError from None
-
-
-def _digest(text: str) -> str:
-    if not _DIGEST.fullmatch(text):
+def _matching(form: re.Pattern[str], text: str) -> str:
+    if not form.fullmatch(text):
         raise ValueError
     return text
 
