@@ -11,7 +11,8 @@ from collections.abc import Callable
 from typing import Any, Generic, NoReturn, Self, TypeVar
 
 from cryptography.exceptions import InvalidSignature
-from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa, utils
+from cryptography.hazmat.primitives.asymmetric import ec, rsa, utils
+from cryptography.hazmat.primitives.asymmetric.padding import AsymmetricPadding, PKCS1v15
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError
@@ -57,13 +58,11 @@ class _TokenKey(Generic[_Public]):
     def __reduce__(self) -> NoReturn:
         raise TypeError("a key in a token stays in the process that opened its session")
 
-    def private_numbers(self) -> NoReturn:
-        """Refuse: a token returns no private key."""
-        _refuse()
+    def _refuse(self, *_: Any, **__: Any) -> NoReturn:
+        """Refuse: a token returns no private key, and Keymint only signs with it."""
+        raise TypeError("a key in a token only signs")
 
-    def private_bytes(self, *_: Any, **__: Any) -> NoReturn:
-        """Refuse: a token returns no private key."""
-        _refuse()
+    private_numbers = private_bytes = exchange = decrypt = _refuse
 
 
 class TokenEcKey(_TokenKey[ec.EllipticCurvePublicKey], ec.EllipticCurvePrivateKey):
@@ -92,18 +91,14 @@ class TokenEcKey(_TokenKey[ec.EllipticCurvePublicKey], ec.EllipticCurvePrivateKe
             raise mismatch(self._where) from None
         return signature
 
-    def exchange(self, *_: Any, **__: Any) -> NoReturn:
-        """Refuse: Keymint only signs with tokens."""
-        _refuse()
-
 
 class TokenRsaKey(_TokenKey[rsa.RSAPublicKey], rsa.RSAPrivateKey):
     """A private RSA key in a token."""
 
-    def sign(self, data: Any, padding: padding.AsymmetricPadding, algorithm: Any) -> bytes:
+    def sign(self, data: Any, padding: AsymmetricPadding, algorithm: Any) -> bytes:
         """Return the RSASSA-PKCS1-v1_5 signature of data (RFC 8017, 8.2); errors as :meth:`TokenEcKey.sign`."""
         mechanism = _RSA_MECHANISMS.get(getattr(algorithm, "name", ""))
-        if not _is_pkcs1v15(padding) or mechanism is None:
+        if not isinstance(padding, PKCS1v15) or mechanism is None:
             raise TypeError("an RSA key in a token signs data with PKCS #1 v1.5 and SHA-2")
         signature = self._sign(bytes(data), mechanism)
         try:
@@ -112,21 +107,12 @@ class TokenRsaKey(_TokenKey[rsa.RSAPublicKey], rsa.RSAPrivateKey):
             raise mismatch(self._where) from None
         return signature
 
-    def decrypt(self, *_: Any, **__: Any) -> NoReturn:
-        """Refuse: Keymint only signs with tokens."""
-        _refuse()
-
 
 def token_key(public: keys.PublicKey, sign: Sign, where: Origin | None = None) -> keys.PrivateKey:
     """Return the private key in a token of a public key; arguments as for a key of either algorithm."""
     if isinstance(public, ec.EllipticCurvePublicKey):
         return TokenEcKey(public, sign, where)
     return TokenRsaKey(public, sign, where)
-
-
-def is_in_token(key: keys.PrivateKey) -> bool:
-    """Tell whether a private key lies in a token."""
-    return isinstance(key, _TokenKey)
 
 
 def mismatch(where: Origin | None) -> KeymintError:
@@ -137,11 +123,3 @@ def mismatch(where: Origin | None) -> KeymintError:
         help="name the certificate's key, or see 'keymint install --new-authority' for a new one",
         code=MISMATCH,
     )
-
-
-def _is_pkcs1v15(given: object) -> bool:
-    return isinstance(given, padding.PKCS1v15)
-
-
-def _refuse() -> NoReturn:
-    raise TypeError("a key in a token only signs")

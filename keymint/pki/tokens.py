@@ -12,7 +12,7 @@ import functools
 import os
 import stat
 from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from comarmor.errors import Origin
 from comarmor.text import did_you_mean, first_few
@@ -30,6 +30,9 @@ MODULE_VARIABLE = "KEYMINT_PKCS11_MODULE"
 PinOf = Callable[[str, str, str, Origin | None], str]
 """Returns a PIN: :meth:`keymint.pins.Pins.pin`."""
 _SHOWN = 4
+_Place = TypeVar("_Place")
+_Opened = tuple[Any, str]
+"""A key or a session, with a PIN that may be asked for again."""
 
 
 class Tokens:
@@ -44,9 +47,9 @@ class Tokens:
         self._environment = environment
         self._pin = pin
         self._modules: dict[str, Any] = {}
-        self._sessions: dict[tuple[str, int], tuple[Any, str]] = {}
+        self._sessions: dict[tuple[str, int], _Opened] = {}
         """Sessions by module and slot, each with the PIN for keys that ask for it again."""
-        self._keys: dict[str, tuple[Any, str]] = {}
+        self._keys: dict[str, _Opened] = {}
         """Private keys by URI, each with the PIN if it asks for it at each signature."""
         self._failed: dict[object, KeymintError] = {}
 
@@ -103,21 +106,25 @@ class Tokens:
             signature: bytes = key.sign(data, mechanism=getattr(pkcs11.Mechanism, mechanism), pin=pin or None)
         return signature
 
-    def _key(self, spec: KeySpec, where: Origin | None) -> tuple[Any, str]:
+    def _key(self, spec: KeySpec, where: Origin | None) -> _Opened:
         """Return a private key, and its PIN if it asks for it at each signature."""
-        if spec.uri not in self._keys:
-            from keymint.pki.pkcs11_uri import parse  # noqa: PLC0415 - few runs need it
+        from keymint.pki.pkcs11_uri import parse  # noqa: PLC0415 - few runs need it
 
-            if spec.uri in self._failed:
-                raise self._failed[spec.uri]
+        return self._once(self._keys, spec.uri, lambda: self._found(spec, parse(spec.uri, where), where))
+
+    def _once(self, known: dict[_Place, _Opened], place: _Place, find: Callable[[], _Opened]) -> _Opened:
+        """Return what is known, or find it; what failed, above all a wrong PIN, is not tried again."""
+        if place in self._failed:
+            raise self._failed[place]
+        if place not in known:
             try:
-                self._keys[spec.uri] = self._found(spec, parse(spec.uri, where), where)
+                known[place] = find()
             except KeymintError as error:
-                self._failed[spec.uri] = error
+                self._failed[place] = error
                 raise
-        return self._keys[spec.uri]
+        return known[place]
 
-    def _found(self, spec: KeySpec, uri: Pkcs11Uri, where: Origin | None) -> tuple[Any, str]:
+    def _found(self, spec: KeySpec, uri: Pkcs11Uri, where: Origin | None) -> _Opened:
         session, pin = self._session(spec, uri, where)
         from pkcs11 import Attribute, ObjectClass, PKCS11Error  # noqa: PLC0415 - few runs need it
 
@@ -143,21 +150,13 @@ class Tokens:
         help_ = known if uri.label in labels else did_you_mean(uri.label, labels, known)
         raise self._error("token-key-missing", f"the token {token!r} has no private key {uri.path}", where, help_)
 
-    def _session(self, spec: KeySpec, uri: Pkcs11Uri, where: Origin | None) -> tuple[Any, str]:
+    def _session(self, spec: KeySpec, uri: Pkcs11Uri, where: Origin | None) -> _Opened:
         module = self._module(uri, where)
         token = self._token(module, spec, uri, where)
         place = module.so, token.slot.slot_id
-        if place in self._failed:
-            raise self._failed[place]
-        if place not in self._sessions:
-            try:
-                self._sessions[place] = self._opened(token, spec, uri, where)
-            except KeymintError as error:
-                self._failed[place] = error  # above all a wrong PIN
-                raise
-        return self._sessions[place]
+        return self._once(self._sessions, place, lambda: self._opened(token, spec, uri, where))
 
-    def _opened(self, token: Any, spec: KeySpec, uri: Pkcs11Uri, where: Origin | None) -> tuple[Any, str]:
+    def _opened(self, token: Any, spec: KeySpec, uri: Pkcs11Uri, where: Origin | None) -> _Opened:
         from pkcs11 import PROTECTED_AUTH, TokenFlag  # noqa: PLC0415 - few runs need it
 
         with self._errors(spec, where, token.label):
