@@ -11,12 +11,10 @@ a claim, and says for which enclave somebody asks; extensions are ignored.
 from __future__ import annotations
 
 import base64
-import binascii
 
 from cryptography import x509
 from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.x509.oid import AttributeOID, NameOID
 
 from comarmor.errors import Origin
@@ -31,7 +29,6 @@ MAX_BYTES = 1 << 16
 """Largest request in bytes; one with an RSA key of 16,384 bits and a signature by such a key has about 15,000."""
 NONCE_BYTES = 16
 _NONCE = lazy_regex(r"[0-9a-f]{32}")
-_CURVES = frozenset(curve.name for curve in keys.CURVES.values())
 _HASHES = (hashes.SHA256, hashes.SHA384, hashes.SHA512)
 _BASE64 = rb"((?:[A-Za-z0-9+/]{1,64}={0,2}\n)+)"
 _FILE = lazy_regex(
@@ -120,10 +117,10 @@ def read(content: bytes, where: Origin) -> Request:
 
 def _usable(key: object, where: Origin) -> keys.PublicKey:
     """Return a public key that identities may have."""
-    if isinstance(key, ec.EllipticCurvePublicKey) and key.curve.name in _CURVES:
-        return key
-    if isinstance(key, rsa.RSAPublicKey) and keys.MIN_RSA_BITS <= key.key_size <= keys.MAX_RSA_BITS:
-        return key
+    if isinstance(key, keys.PublicKey):
+        kind = keys.kind_of(key)
+        if kind.curve in keys.CURVES or keys.MIN_RSA_BITS <= kind.size <= keys.MAX_RSA_BITS:
+            return key
     raise KeymintError(
         f"asks for a key that is neither on {', '.join(keys.CURVES)} nor RSA of {keys.MIN_RSA_BITS} bits or more",
         where=where,
@@ -157,10 +154,7 @@ def _signer(signature: bytes | None, block: bytes, where: Origin) -> str:
 
 
 def _decoded(lines: bytes) -> bytes:
-    try:
-        content = base64.b64decode(lines.replace(b"\n", b""), validate=True)
-    except binascii.Error as error:
-        raise ValueError from error
+    content = base64.b64decode(lines.replace(b"\n", b""), validate=True)
     if der.base64_lines(content) != lines:
         raise ValueError("not canonical")
     return content

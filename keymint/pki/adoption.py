@@ -5,10 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from datetime import UTC
 
 from cryptography import x509
-from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtensionOID
 
 from comarmor.errors import Diagnostic, Origin, Severity
@@ -35,20 +33,15 @@ def adopted(spec: CertificateSpec, pem: bytes) -> CertificateSpec:
         pem: the certificate of an authority, with an EC or RSA key.
     """
     certificate = certificates.load(pem)
-    public = certificates.public_key(certificate)
+    kind = keys.kind_of(certificates.public_key(certificate))
     algorithm = certificate.signature_hash_algorithm
-    if isinstance(public, ec.EllipticCurvePublicKey):
-        curve = next((name for name, each in keys.CURVES.items() if each.name == public.curve.name), "")
-        key = replace(spec.key, algorithm="ec", curve=curve, size=0)
-    else:
-        key = replace(spec.key, algorithm="rsa", curve="", size=public.key_size)
     return replace(
         spec,
         subject_name=to_text(certificate.subject),
-        validity=Validity(certificate.not_valid_before_utc, certificate.not_valid_after_utc, spec.validity.origin),
+        validity=Validity(*certificates.period(certificate), spec.validity.origin),
         serial=certificate.serial_number,
         hash_algorithm=algorithm.name.upper() if algorithm else spec.hash_algorithm,
-        key=key,
+        key=replace(spec.key, algorithm=kind.algorithm, curve=kind.curve, size=kind.size),
         extensions=(),
         adopted=pem,
     )
@@ -66,7 +59,7 @@ def require_authority(pem: bytes, where: Origin) -> x509.Certificate:
             (RFC 5280, 4.2.1.3 and 4.2.1.9).
     """
     certificate = certificates.load(pem, where)
-    public = certificates.public_key(certificate, where)
+    kind = keys.kind_of(certificates.public_key(certificate, where))
     constraints = extensions.value(certificate, x509.BasicConstraints)
     usage = extensions.value(certificate, x509.KeyUsage)
     problem, help_ = "", "name the certificate of an authority"
@@ -74,13 +67,11 @@ def require_authority(pem: bytes, where: Origin) -> x509.Certificate:
         problem = "is not the certificate of an authority: its basicConstraints lack CA:TRUE"
     elif usage is not None and not usage.key_cert_sign:
         problem = "may not issue certificates: its keyUsage lacks keyCertSign"
-    elif isinstance(public, ec.EllipticCurvePublicKey) and not any(
-        each.name == public.curve.name for each in keys.CURVES.values()
-    ):
-        problem = f"has a key on the curve {public.curve.name}, which is not supported"
+    elif kind.algorithm == "rsa" and kind.size < keys.MIN_RSA_BITS:
+        problem = f"has an RSA key of {kind.size} bits, expected at least {keys.MIN_RSA_BITS}"
+    elif kind.algorithm == "ec" and kind.curve not in keys.CURVES:
+        problem = f"has a key on the curve {kind.curve}, which is not supported"
         help_ = f"supported are {', '.join(keys.CURVES)}, and RSA keys"
-    elif not isinstance(public, ec.EllipticCurvePublicKey) and public.key_size < keys.MIN_RSA_BITS:
-        problem = f"has an RSA key of {public.key_size} bits, expected at least {keys.MIN_RSA_BITS}"
     if problem:
         raise KeymintError(problem, where=where, help=help_, code="authority-unsuitable")
     return certificate
@@ -132,45 +123,23 @@ def issued_like(
             help="let that authority issue a new one, and run 'keymint authority import'",
             code="authority-issuer-elsewhere",
         )
-    public = key.public_key()
-    first = validity.not_before.astimezone(UTC).replace(microsecond=0)
-    last = validity.not_after.astimezone(UTC).replace(microsecond=0)
-    if issuer is not None:
-        first = max(first, issuer.certificate.not_valid_before_utc)
-        last = min(last, issuer.certificate.not_valid_after_utc)
-    if first >= last:
+    above, public = issuer.certificate if issuer else None, key.public_key()
+    validity = forms.cut(validity, above)
+    if validity.not_before >= validity.not_after:
         raise KeymintError(
             "the validity of the new certificate would be empty: its issuer's ends before",
             where=where,
             help="renew the issuer first",
             code="validity-empty",
         )
-    constraints = extensions.value(certificate, x509.BasicConstraints)
-    builder = (
-        x509.CertificateBuilder()
-        .issuer_name(issuer.certificate.subject if issuer else certificate.subject)
-        .subject_name(certificate.subject)
-        .public_key(public)
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(first)
-        .not_valid_after(last)
-        .add_extension(x509.BasicConstraints(True, constraints.path_length if constraints else None), critical=True)
-        .add_extension(_usage(certificate), critical=True)
-        .add_extension(x509.SubjectKeyIdentifier.from_public_key(public), critical=False)
-    )
-    if issuer is not None:
-        builder = builder.add_extension(extensions.authority_key_identifier(issuer.certificate), critical=False)
-    for each in certificate.extensions:
-        if each.oid not in _OWN:
-            builder = builder.add_extension(each.value, critical=each.critical)
+    values = forms.defaults(extensions.Context(public, above), authority=True)
+    if constraints := extensions.value(certificate, x509.BasicConstraints):
+        values[ExtensionOID.BASIC_CONSTRAINTS] = (True, x509.BasicConstraints(True, constraints.path_length))
+    if usage := extensions.value(certificate, x509.KeyUsage):
+        usages = extensions.key_usage(*extensions.usages(usage), "keyCertSign", "cRLSign")
+        values[ExtensionOID.KEY_USAGE] = (True, usages)
+    values |= {each.oid: (each.critical, each.value) for each in certificate.extensions if each.oid not in _OWN}
     algorithm = certificate.signature_hash_algorithm
     known = forms.HASHES.get(algorithm.name.upper() if algorithm else "", forms.HASHES["SHA256"])
-    return certificates.to_pem(builder.sign(issuer.key if issuer else key, known))
-
-
-def _usage(certificate: x509.Certificate) -> x509.KeyUsage:
-    """Return the key usage of a certificate with cRLSign; the default of authorities if it has none."""
-    usage = extensions.value(certificate, x509.KeyUsage)
-    if usage is None:
-        return extensions.key_usage("digitalSignature", "keyCertSign", "cRLSign")
-    return extensions.key_usage(*dict.fromkeys((*extensions.usages(usage), "keyCertSign", "cRLSign")))
+    form = forms.Form(certificate.subject, (above or certificate).subject, validity, known, values)
+    return certificates.to_pem(form.signed(None, public, issuer.key if issuer else key))

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import field
+from datetime import datetime
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
@@ -125,7 +126,7 @@ def _parsed(pem: bytes) -> tuple[x509.Certificate, ...]:
     for certificate in certificates:
         # The library parses lazily: touch every part, so that damage is detected here.
         _ = certificate.extensions, certificate.subject, certificate.issuer, certificate.public_key()
-        _ = certificate.not_valid_before_utc, certificate.not_valid_after_utc, certificate.signature_hash_algorithm
+        _ = period(certificate), certificate.signature_hash_algorithm
         if not certificate.public_bytes(serialization.Encoding.DER).endswith(b"\0" + certificate.signature):
             raise ValueError("unused bits of a signature, which no signature covers")
     return certificates
@@ -151,6 +152,11 @@ def public_key(certificate: x509.Certificate, where: Origin | None = None) -> ke
 def to_pem(certificate: x509.Certificate) -> bytes:
     """Return a certificate as PEM."""
     return certificate.public_bytes(serialization.Encoding.PEM)
+
+
+def period(certificate: x509.Certificate) -> tuple[datetime, datetime]:
+    """Return when a certificate is in force, UTC, both ends included."""
+    return certificate.not_valid_before_utc, certificate.not_valid_after_utc
 
 
 def is_issued_by(certificate: x509.Certificate, issuer: x509.Certificate) -> bool:
@@ -248,8 +254,7 @@ def certificate_satisfies(
         and to_pem(certificate) == pem
         and certificate.public_key() == public_key
         and certificate.subject == form.subject
-        and certificate.not_valid_before_utc == form.validity.not_before
-        and certificate.not_valid_after_utc == form.validity.not_after
+        and period(certificate) == (form.validity.not_before, form.validity.not_after)
         and spec.serial in (None, certificate.serial_number)
         and hash_algorithm is not None
         and hash_algorithm.name == form.hash_algorithm.name
@@ -277,8 +282,7 @@ def certificate_fits(pem: bytes, spec: CertificateSpec, public_key: keys.PublicK
         is_issued_by(certificate, issuer)
         and certificate.public_key() == public_key
         and certificate.subject == distinguished_names.parse(spec.subject_name, spec.origin)
-        and certificate.not_valid_before_utc == spec.validity.not_before
-        and certificate.not_valid_after_utc == spec.validity.not_after
+        and period(certificate) == (spec.validity.not_before, spec.validity.not_after)
     )
 
 
@@ -322,19 +326,7 @@ def _issue(
     authority: bool,
 ) -> Issued:
     form = forms.form(spec, public_key, issuer, authority=authority)
-    serial = x509.random_serial_number() if spec.serial is None else spec.serial
-    builder = (
-        x509.CertificateBuilder()
-        .issuer_name(form.issuer)
-        .subject_name(form.subject)
-        .public_key(public_key)
-        .serial_number(serial)
-        .not_valid_before(form.validity.not_before)
-        .not_valid_after(form.validity.not_after)
-    )
-    for critical, value in form.extensions.values():
-        builder = builder.add_extension(value, critical)
-    certificate = builder.sign(signing_key, form.hash_algorithm)
+    certificate = form.signed(spec.serial, public_key, signing_key)
     try:
         _ = certificate.extensions if spec.extensions else ()
     except ValueError:  # a dotted OID that the library knows, with a value in another syntax

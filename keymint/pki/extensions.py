@@ -94,9 +94,7 @@ def authority_key_identifier(issuer: x509.Certificate) -> x509.AuthorityKeyIdent
     return x509.AuthorityKeyIdentifier.from_issuer_subject_key_identifier(identifier)
 
 
-def value(
-    of: x509.Certificate | x509.CertificateRevocationList | x509.RevokedCertificate, kind: type[_E]
-) -> _E | None:
+def value(of: x509.Certificate | x509.CertificateRevocationList | x509.RevokedCertificate, kind: type[_E]) -> _E | None:
     """Return the value of an extension of a certificate, a revocation list or an entry of one; None if it has none."""
     try:
         return of.extensions.get_extension_for_class(kind).value

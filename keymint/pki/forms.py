@@ -42,7 +42,28 @@ class Form:
     validity: Validity
     hash_algorithm: _Hash
     extensions: _Values
-    diagnostics: tuple[Diagnostic, ...]
+    diagnostics: tuple[Diagnostic, ...] = ()
+
+    def signed(self, serial: int | None, public_key: keys.PublicKey, signing_key: keys.PrivateKey) -> x509.Certificate:
+        """Return the certificate.
+
+        Args:
+            serial: its serial number; None for a random one.
+            public_key: the key to certify.
+            signing_key: the issuer's private key.
+        """
+        builder = (
+            x509.CertificateBuilder()
+            .issuer_name(self.issuer)
+            .subject_name(self.subject)
+            .public_key(public_key)
+            .serial_number(x509.random_serial_number() if serial is None else serial)
+            .not_valid_before(self.validity.not_before)
+            .not_valid_after(self.validity.not_after)
+        )
+        for critical, value in self.extensions.values():
+            builder = builder.add_extension(value, critical)
+        return builder.sign(signing_key, self.hash_algorithm)
 
 
 def form(
@@ -86,15 +107,19 @@ def _hash(spec: CertificateSpec) -> _Hash:
     return HASHES[name]
 
 
+def cut(validity: Validity, issuer: x509.Certificate | None) -> Validity:
+    """Return a validity, cut to the issuer's and to whole seconds (RFC 5280, 4.1.2.5); it may be empty."""
+    first = validity.not_before.astimezone(UTC).replace(microsecond=0)
+    last = validity.not_after.astimezone(UTC).replace(microsecond=0)
+    if issuer is None:
+        return Validity(first, last)
+    return Validity(max(first, issuer.not_valid_before_utc), min(last, issuer.not_valid_after_utc))
+
+
 def _clamp(spec: CertificateSpec, issuer: x509.Certificate | None) -> tuple[Validity, tuple[Diagnostic, ...]]:
-    """Cut the validity to the issuer's, and to whole seconds (RFC 5280, 4.1.2.5)."""
-    first = spec.validity.not_before.astimezone(UTC).replace(microsecond=0)
-    last = spec.validity.not_after.astimezone(UTC).replace(microsecond=0)
-    requested = Validity(first, last)
-    if issuer is not None:
-        first = max(first, issuer.not_valid_before_utc)
-        last = min(last, issuer.not_valid_after_utc)
-    if first >= last:
+    """Return the validity of a certificate, and a warning if it is not the one that was requested."""
+    requested, clamped = cut(spec.validity, None), cut(spec.validity, issuer)
+    if clamped.not_before >= clamped.not_after:
         beyond = f", within the validity of its issuer {to_text(issuer.subject)!r}" if issuer is not None else ""
         raise KeymintError(
             f"the validity is empty: {_period(requested)}{beyond}",
@@ -102,8 +127,7 @@ def _clamp(spec: CertificateSpec, issuer: x509.Certificate | None) -> tuple[Vali
             help="change its dates, or renew the issuer",
             code="validity-empty",
         )
-    clamped = Validity(first, last)
-    if clamped == requested or issuer is None:
+    if clamped == requested:
         return clamped, ()
     warning = Diagnostic(
         "validity-clamped",
@@ -141,7 +165,7 @@ def _check_issuer(issuer: x509.Certificate, where: Origin, *, authority: bool) -
 
 def _extensions(spec: CertificateSpec, context: extensions.Context, *, authority: bool) -> _Values:
     """Return the role's defaults, replaced by the extensions of the specification."""
-    values = _defaults(context, authority=authority)
+    values = defaults(context, authority=authority)
     replaced: set[x509.ObjectIdentifier] = set()
     for extension in spec.extensions:
         oid, critical, value = extensions.parse(extension, context)
@@ -164,19 +188,20 @@ def _extensions(spec: CertificateSpec, context: extensions.Context, *, authority
     return values
 
 
-def _defaults(context: extensions.Context, *, authority: bool) -> _Values:
-    defaults: _Values = {
+def defaults(context: extensions.Context, *, authority: bool) -> _Values:
+    """Return the extensions of an authority or an identity, by OID: whether it is critical, and the value."""
+    values: _Values = {
         ExtensionOID.BASIC_CONSTRAINTS: (True, x509.BasicConstraints(authority, None)),
         ExtensionOID.KEY_USAGE: (True, _AUTHORITY_USAGE if authority else _IDENTITY_USAGE),
     }
     if not authority:
-        defaults[ExtensionOID.EXTENDED_KEY_USAGE] = (False, _IDENTITY_EXTENDED_USAGE)
+        values[ExtensionOID.EXTENDED_KEY_USAGE] = (False, _IDENTITY_EXTENDED_USAGE)
     identifier = x509.SubjectKeyIdentifier.from_public_key(context.public_key)
-    defaults[ExtensionOID.SUBJECT_KEY_IDENTIFIER] = (False, identifier)
+    values[ExtensionOID.SUBJECT_KEY_IDENTIFIER] = (False, identifier)
     if context.issuer is not None:
         issuer_identifier = extensions.authority_key_identifier(context.issuer)
-        defaults[ExtensionOID.AUTHORITY_KEY_IDENTIFIER] = (False, issuer_identifier)
-    return defaults
+        values[ExtensionOID.AUTHORITY_KEY_IDENTIFIER] = (False, issuer_identifier)
+    return values
 
 
 _AUTHORITY_USAGE = extensions.key_usage("digitalSignature", "keyCertSign", "cRLSign")

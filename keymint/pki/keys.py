@@ -89,12 +89,18 @@ def generate(spec: KeySpec, where: Origin | None = None) -> PrivateKey:
     return ec.generate_private_key(curve) if curve else rsa.generate_private_key(_PUBLIC_EXPONENT, spec.size)
 
 
+def kind_of(key: PrivateKey | PublicKey) -> KeySpec:
+    """Return the algorithm, and the curve or size, of a key; the curve need not be one of :data:`CURVES`."""
+    if isinstance(key, rsa.RSAPrivateKey | rsa.RSAPublicKey):
+        return KeySpec("rsa", size=key.key_size)
+    name = key.curve.name
+    return KeySpec("ec", curve=name.upper() if name.upper() in CURVES else name)
+
+
 def fits(key: PrivateKey | PublicKey, spec: KeySpec) -> bool:
     """Return whether a key has the algorithm and the curve or size of a specification."""
-    curve = _curve(spec, None)
-    if isinstance(key, ec.EllipticCurvePrivateKey | ec.EllipticCurvePublicKey):
-        return curve is not None and key.curve.name == curve.name
-    return curve is None and key.key_size == spec.size
+    curve, found = _curve(spec, None), kind_of(key)
+    return found.size == spec.size if curve is None else found.curve == curve.name.upper()
 
 
 def to_pem(key: PrivateKey, password: bytes | None = None) -> bytes:

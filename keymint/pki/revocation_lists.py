@@ -99,14 +99,14 @@ def issue(
         KeymintError: the authority's certificate expired, or begins after the end of the list.
     """
     authority = issuer.certificate
-    last = min(end or _LAST, authority.not_valid_after_utc)
+    first, latest = certificates.period(authority)
+    last = min(end or _LAST, latest)
     back = min(periods.BACK, (last - now) / 9)  # a tenth of the whole
-    begin = max(now.replace(microsecond=0) - back, authority.not_valid_before_utc)
+    begin = max(now.replace(microsecond=0) - back, first)
     if last <= max(now, begin):
-        valid = f"{authority.not_valid_before_utc:%Y-%m-%d} to {authority.not_valid_after_utc:%Y-%m-%d}"
         raise KeymintError(
-            f"the certificate of {to_text(authority.subject)!r} is in force from {valid}, so no revocation list of it "
-            f"would be in force now ({now:%Y-%m-%d})",
+            f"the certificate of {to_text(authority.subject)!r} is in force from {first:%Y-%m-%d} to "
+            f"{latest:%Y-%m-%d}, so no revocation list of it would be in force now ({now:%Y-%m-%d})",
             help="compare the clock of this machine; 'keymint authority renew' issues the certificate again",
             code="authority-not-in-force",
         )

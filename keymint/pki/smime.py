@@ -125,11 +125,10 @@ def _read(signed: bytes, ca_pem: bytes, at: datetime | None) -> SignedDocument:
         )
     if problem := certificates.can_sign_documents(authority):
         raise KeymintError.of([problem])
-    if at is not None and not authority.not_valid_before_utc <= at <= authority.not_valid_after_utc:
+    begin, end = certificates.period(authority)
+    if at is not None and not begin <= at <= end:
         raise KeymintError(
-            "the authority's certificate is valid "
-            f"from {authority.not_valid_before_utc:%Y-%m-%d} "
-            f"to {authority.not_valid_after_utc:%Y-%m-%d}, not at {at:%Y-%m-%d}",
+            f"the authority's certificate is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d}, not at {at:%Y-%m-%d}",
             help="extend the validity of the authority in the profile, then install",
             code="smime-authority-expired",
         )

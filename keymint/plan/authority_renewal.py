@@ -53,7 +53,7 @@ def _adopted_again(session: Session, name: str, minted: MintedAuthority, start: 
     """Return the successor of an imported certificate, or the certificate itself if it is from today."""
     certificate = minted.certificate
     where = session.workspace.origin(session.workspace.authority_certificate(name))
-    first, last = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    first, last = certificates.period(certificate)
     end = start + (last - (authority_named(session, name).issuance.renewed or first))
     if last >= end and not any(adoption.lacking(certificate, name, where)):
         return certificates.to_pem(certificate)

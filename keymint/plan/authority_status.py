@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from datetime import datetime
 
 from cryptography import x509
-from cryptography.hazmat.primitives.asymmetric import ec
 
 from comarmor.values import dataclass
 from keymint.api import Phase
@@ -111,17 +110,14 @@ def status_of(certificate: x509.Certificate, due: datetime | None = None) -> Cer
         due: when it begins to shorten what it signs, UTC; None if that is not known.
     """
     public = certificates.public_key(certificate)
-    if isinstance(public, ec.EllipticCurvePublicKey):
-        kind = f"EC {public.curve.name.upper()}"
-    else:
-        kind = f"RSA {public.key_size}"
-    first, last = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    kind = keys.kind_of(public)
+    first, last = certificates.period(certificate)
     usage = extensions.value(certificate, x509.KeyUsage)
     identifier = extensions.value(certificate, x509.SubjectKeyIdentifier)
     return CertificateStatus(
         subject=distinguished_names.to_text(certificate.subject),
         serial=certificate.serial_number,
-        key=kind,
+        key=f"RSA {kind.size}" if kind.algorithm == "rsa" else f"EC {kind.curve}",
         fingerprint=keys.fingerprint(public),
         first=first,
         last=last,

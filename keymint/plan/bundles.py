@@ -19,7 +19,7 @@ from keymint.bundles.request import Request
 from keymint.changes import Plan
 from keymint.errors import KeymintError
 from keymint.names import subject_of
-from keymint.pki import certificates, keys
+from keymint.pki import certificates, keys, revocation_lists
 from keymint.plan.authorities import MintedAuthority
 from keymint.plan.build_types import build_types_of
 from keymint.plan.enclaves import INSTALLED
@@ -116,7 +116,7 @@ def _bundle(
         authority=bundles.fingerprint(issuer.certificate),
         generation=package.issuance.generation,
         issue=number,
-        revocations=bundles.number_of(dict(bundles.revocation_lists(files)), issuer.certificate),
+        revocations=bundles.number_of(bundles.revocation_lists(files), issuer.certificate),
         nonce=request.nonce if request else "",
         not_before=first,
         not_after=last,
@@ -139,9 +139,8 @@ def _in_force(package: Package, certificate: x509.Certificate, files: Mapping[st
     """Return from when to when all that is in an enclave is in force: what ends first ends all of it."""
     # Software that reads one authority from a file reads the first one.
     authorities = [chain[0] for _, chain in bundles.certificates_of_authorities(files)]
-    periods = [(each.not_valid_before_utc, each.not_valid_after_utc) for each in (certificate, *authorities)]
+    periods = [*map(certificates.period, (certificate, *authorities))]
     grant = package.grant.validity
     periods += [(grant.not_before, grant.not_after)] if grant else []
-    lists = [each for _, of_file in bundles.revocation_lists(files) for each in of_file]
-    periods += [(each.last_update_utc, each.next_update_utc or certificate.not_valid_after_utc) for each in lists]
+    periods += map(revocation_lists.period, bundles.revocation_lists(files))
     return max(first for first, _ in periods), min(last for _, last in periods)

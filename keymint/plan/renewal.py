@@ -85,7 +85,7 @@ def _each_authority_period(session: Session) -> Iterator[tuple[str, tuple[dateti
         content = session.tree.read(session.workspace.authority_certificate(authority.name))
         if content:
             certificate = certificates.load_first(content)
-            yield authority.name, (certificate.not_valid_before_utc, certificate.not_valid_after_utc)
+            yield authority.name, certificates.period(certificate)
 
 
 def enclave_terms(session: Session, name: str, period: tuple[datetime, datetime] | None = None) -> EnclaveTerms | None:
@@ -105,7 +105,7 @@ def enclave_terms(session: Session, name: str, period: tuple[datetime, datetime]
         certificate = installed_certificate(session, name)
         if certificate is None:
             return None
-        period = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+        period = certificates.period(certificate)
     ends = authority_ends(session)
     terms: list[Term] = []
     for each in lifetimes.recalled(session, name, session.state.stamp(INSTALLED, name)):

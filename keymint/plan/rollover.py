@@ -174,7 +174,7 @@ def _made(session: Session, authority: Authority) -> tuple[bytes, bytes]:
     above = plan_authorities(session)[1][spec.issuer].issuer if spec.issuer else None
     if spec.adopted:
         present = certificates.load(spec.adopted)
-        first, last = present.not_valid_before_utc, present.not_valid_after_utc
+        first, last = certificates.period(present)
         end = begin_of(session.now) + (last - (authority.issuance.renewed or first))
         where = session.workspace.origin(session.workspace.authority_certificate(name))
         validity = replace(spec.validity, not_before=first, not_after=max(end, last))

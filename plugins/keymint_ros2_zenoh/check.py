@@ -152,7 +152,8 @@ def _signature(inspection: SharedInspection, content: bytes) -> Iterator[Diagnos
         yield problem
     if defect := signatures.problem(content, signature, authority):
         yield Diagnostic("zenoh-signature", Severity.ERROR, defect, where, _INSTALL)
-    if not authority.not_valid_before_utc <= inspection.now <= authority.not_valid_after_utc:
+    begin, end = certificates.period(authority)
+    if not begin <= inspection.now <= end:
         message = f"the certificate of its signer is not valid at {inspection.now:%Y-%m-%d}"
         help_ = "extend the validity of the authority in the profile, then install"
         yield Diagnostic("smime-authority-expired", Severity.ERROR, message, where, help_)

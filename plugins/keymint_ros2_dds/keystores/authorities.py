@@ -16,7 +16,7 @@ from keymint.pki.distinguished_names import to_text
 from keymint_ros2_dds.authority_roles import IDENTITY, PERMISSIONS
 from keymint_ros2_dds.enclave_layout import CA, IDENTITY_CA, PERMISSIONS_CA
 from keymint_ros2_dds.keystores.contents import Contents
-from keymint_ros2_dds.keystores.enclaves import exposure, key_spec, validity_of
+from keymint_ros2_dds.keystores.enclaves import exposure, validity_of
 from keymint_ros2_dds.keystores.places import EnclavePlace
 
 _FILES = {IDENTITY: IDENTITY_CA, PERMISSIONS: PERMISSIONS_CA}
@@ -99,10 +99,11 @@ def _authority(
     findings += _about_key(keystore, contents, key_paths, name, path)
     findings += _lacking(certificate, roles, path, contents)
     public = certificates.public_key(certificate)
+    kind = keys.kind_of(public)
     facts: dict[str, Any] = {
         "subject_name": to_text(certificate.subject),
         "fingerprint": keys.fingerprint(public),
-        "key_kind": _kind(certificate),
+        "key_kind": f"RSA {kind.size}" if kind.algorithm == "rsa" else kind.curve,
         "not_before": f"{validity_of(certificate).not_before:%Y-%m-%dT%H:%M:%SZ}",
         "not_after": f"{end:%Y-%m-%dT%H:%M:%SZ}",
         "key_usage": _usage(certificate),
@@ -156,8 +157,3 @@ def _lacking(
 def _usage(certificate: x509.Certificate) -> list[str] | None:
     usage = extensions.value(certificate, x509.KeyUsage)
     return None if usage is None else list(extensions.usages(usage))
-
-
-def _kind(certificate: x509.Certificate) -> str:
-    spec = key_spec(certificate)
-    return f"RSA {spec.size}" if spec.algorithm == "rsa" else spec.curve

@@ -8,10 +8,9 @@ from dataclasses import replace
 from typing import Any
 
 from cryptography import x509
-from cryptography.hazmat.primitives.asymmetric import ec
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.api import DomainRange, FoundEnclave, FoundGrant, KeySpec, KeystoreFiles, Validity
+from keymint.api import DomainRange, FoundEnclave, FoundGrant, KeystoreFiles, Validity
 from keymint.errors import KeymintError
 from keymint.names import name_of, package_name
 from keymint.pki import certificates, certification_path, keys, smime
@@ -70,7 +69,7 @@ class _Enclave:
             files=self._enclave.files,
             certificate=self._content(CERTIFICATE),
             key=self._content(KEY) if self._facts["key"] == "matches" else b"",
-            key_spec=key_spec(certificate) if certificate else None,
+            key_spec=keys.kind_of(certificates.public_key(certificate)) if certificate else None,
             subject_name=self._facts["subject_name"],
             validity=validity_of(certificate) if certificate else None,
             grant_validity=self._grant_validity(),
@@ -319,18 +318,9 @@ class _Enclave:
         return Validity(begin, end) if begin and end and begin < end else None
 
 
-def key_spec(certificate: x509.Certificate) -> KeySpec:
-    """Return the kind of the key of a certificate, which is EC or RSA."""
-    public = certificates.public_key(certificate)
-    if isinstance(public, ec.EllipticCurvePublicKey):
-        curve = next((name for name, each in keys.CURVES.items() if each.name == public.curve.name), public.curve.name)
-        return KeySpec("ec", curve=curve)
-    return KeySpec("rsa", size=public.key_size)
-
-
 def validity_of(certificate: x509.Certificate) -> Validity:
     """Return the validity of a certificate."""
-    return Validity(certificate.not_valid_before_utc, certificate.not_valid_after_utc)
+    return Validity(*certificates.period(certificate))
 
 
 def exposure(keystore: KeystoreFiles, path: str, where: Origin, subject: str) -> Iterator[Diagnostic]:

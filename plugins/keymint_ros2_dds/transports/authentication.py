@@ -61,7 +61,7 @@ class Authentication:
         issuer = next((each for each in trusted if _is_issued_by(certificate, each)), None)
         if issuer is None:
             return f"{CERTIFICATE} is by no authority that is trusted"
-        period = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+        period = certificates.period(certificate)
         lists = (self.listed, *(self.among if semantics.lists_among_authorities else ()))
         return (
             _outside(f"the certificate in {CERTIFICATE}", *period, self.now)
