@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from enum import IntEnum, StrEnum
 from typing import TypeVar
 
@@ -175,6 +176,10 @@ class ComArmorError(Exception):
         error.diagnostics = all_of_them
         error.args = (str(all_of_them[0]),)
         return error
+
+    def at(self, where: Origin | None) -> ComArmorError:
+        """Return an error that carries the same diagnostics with another place."""
+        return self.of(replace(each, where=where) for each in self.diagnostics)
 
 
 class Defects:

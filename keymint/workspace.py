@@ -186,8 +186,7 @@ def _packages(tree: Tree, folder: str, name: str) -> Iterator[str]:
         try:
             yield package_name(name)
         except KeymintError as error:
-            where = Origin(folder)
-            raise KeymintError.of([replace(found, where=where) for found in error.diagnostics]) from None
+            raise error.at(Origin(folder)) from None
     for entry, is_folder in entries.items():
         if is_folder and not entry.startswith(".") and not entry.endswith(".defaults"):
             yield from _packages(tree, f"{folder}/{entry}", f"{name}/{entry}" if name else entry)

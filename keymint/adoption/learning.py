@@ -116,8 +116,7 @@ def _check_name(files: KeystoreFiles, enclave: FoundEnclave) -> None:
     try:
         package_name(enclave.subject)
     except KeymintError as error:
-        where = Origin(f"{files.folder}/{enclave.facts['place']}")
-        raise KeymintError.of(replace(each, where=where) for each in error.diagnostics) from None
+        raise error.at(Origin(f"{files.folder}/{enclave.facts['place']}")) from None
 
 
 def _unproven(

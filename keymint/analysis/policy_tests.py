@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 
 from comarmor.errors import Diagnostic, Origin, Severity, Spot
 from comarmor.patterns.decision_lists import Equal, Witness
@@ -82,7 +81,7 @@ class ExpectationChecker:
         try:
             kind, permission = parse_permission(expected.permission, expected.object)
         except KeymintError as error:
-            raise KeymintError.of(replace(each, where=expected.where) for each in error.diagnostics) from None
+            raise error.at(expected.where) from None
         within = parse(expected.subject)
         if not can_exist(within):
             raise KeymintError(

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import lru_cache
 
 from cryptography import x509
@@ -93,7 +92,7 @@ def parse(text: str, where: Origin | None = None) -> x509.Name:
     try:
         return _parsed(text)
     except KeymintError as error:
-        raise KeymintError.of(replace(each, where=where) for each in error.diagnostics) from None
+        raise error.at(where) from None
 
 
 @lru_cache(maxsize=4096)

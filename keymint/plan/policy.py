@@ -161,7 +161,7 @@ def package_of(policy: LoadedPolicy, subject: str) -> str:
         return package_name(subject)
     except KeymintError as error:
         where = next((applied.where for applied in policy.profiles(subject)), None)
-        raise KeymintError.of(replace(diagnostic, where=where) for diagnostic in error.diagnostics) from None
+        raise error.at(where) from None
 
 
 def locations_digest(session: Session) -> str:

@@ -172,7 +172,7 @@ class _PolicyMaker:
         try:
             pieces = attachments.parse(text)
         except ComArmorError as error:
-            raise ComArmorError.of(replace(each, where=where) for each in error.diagnostics) from None
+            raise error.at(where) from None
         value = tuple(piece for piece in pieces if not isinstance(piece, TunableReference))
         if len(value) != len(pieces):
             raise ComArmorError(
