@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from dataclasses import replace
 from datetime import datetime
 from functools import lru_cache
@@ -13,7 +13,7 @@ from cryptography import x509
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import TrustAnchor, ValidityTerm
 from keymint.errors import KeymintError
-from keymint.pki import certificates, keys, public_keys
+from keymint.pki import certificates, certification_path, distinguished_names, keys, public_keys
 from keymint.pki.distinguished_names import to_text
 
 CERTIFICATE, KEY = "cert.pem", "key.pem"
@@ -49,10 +49,30 @@ class IdentityCheck:
             help_ = "the enclave trusts another authority: find out who wrote it before 'keymint install' restores it"
             yield self._error("authority-differs", name, message, help_)
 
-    def _subject_name(self, certificate: x509.Certificate, expected: x509.Name) -> Iterator[Diagnostic]:
+    def _for_subject(self, diagnostic: Diagnostic) -> Diagnostic:
+        return replace(diagnostic, where=diagnostic.where or self._where(""), subject=self._subject)
+
+    def _certificate(
+        self, authorities: bytes, subject_name: str, at: datetime | None
+    ) -> Generator[Diagnostic, None, x509.Certificate | None]:
+        """Check the path and the name of the certificate, which is there; the generator returns it if it can be read.
+
+        Args:
+            authorities: the authorities of the workspace, PEM.
+            subject_name: the distinguished name that it must have.
+            at: see :func:`keymint.pki.certification_path.verify_chain`.
+        """
+        pem, where = self._files[CERTIFICATE], self._where(CERTIFICATE)
+        try:
+            certificate, expected = certificates.load(pem, where), distinguished_names.parse(subject_name)
+        except KeymintError as error:
+            yield from map(self._for_subject, error.diagnostics)
+            return None
+        yield from map(self._for_subject, certification_path.verify_chain(pem, authorities, at, where))
         if certificate.subject != expected:
             message = f"is for {to_text(certificate.subject)!r}, not {to_text(expected)!r}"
             yield self._error("certificate-subject", CERTIFICATE, message)
+        return certificate
 
     def _key(self, certificate: x509.Certificate, public_key: bytes = b"") -> Iterator[Diagnostic]:
         """Check that the key, if the enclave has one, is that of its certificate.
@@ -69,7 +89,7 @@ class IdentityCheck:
         try:
             matches = keys.matches(keys.public_of(pem, None, self._where(KEY)), certificate)
         except KeymintError as error:
-            yield from error.diagnostics
+            yield from map(self._for_subject, error.diagnostics)
             return
         if not matches:
             yield self._error("key-mismatch", KEY, "is not the key of the certificate beside it")
@@ -113,7 +133,7 @@ def certificate_terms(files: Mapping[str, bytes], folder: str, names: Iterable[s
         try:
             periods = _periods(content)
         except KeymintError as error:
-            raise KeymintError.of(replace(diagnostic, where=where) for diagnostic in error.diagnostics) from None
+            raise error.at(where) from None
         for subject, period in periods:
             yield ValidityTerm(code, f"the certificate of {subject!r}", where, (period,))
 
@@ -121,7 +141,4 @@ def certificate_terms(files: Mapping[str, bytes], folder: str, names: Iterable[s
 # Enclaves usually have the same authorities.
 @lru_cache(maxsize=64)
 def _periods(pem: bytes) -> tuple[tuple[str, tuple[datetime, datetime]], ...]:
-    return tuple(
-        (to_text(certificate.subject), (certificate.not_valid_before_utc, certificate.not_valid_after_utc))
-        for certificate in certificates.load_bundle(pem)
-    )
+    return tuple((to_text(each.subject), certificates.period(each)) for each in certificates.load_bundle(pem))

@@ -11,7 +11,7 @@ from functools import lru_cache
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import DomainRange, Inspection
 from keymint.errors import KeymintError
-from keymint.pki import certificates, certification_path, distinguished_names, keys, smime
+from keymint.pki import certificates, keys, smime
 from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds import check_governance, subject_name_text, token_key, vendor_limits
 from keymint_ros2_dds.credentials import CredentialCheck, revocation_period, subject_of
@@ -91,10 +91,6 @@ class _EnclaveCheck(CredentialCheck):
     def _warning(self, code: str, name: str, message: str, help_: str) -> Diagnostic:
         return Diagnostic(code, Severity.WARNING, message, self._where(name), help_, self._subject)
 
-    def _for_subject(self, diagnostic: Diagnostic) -> Diagnostic:
-        where = diagnostic.where or self._where("")
-        return replace(diagnostic, where=where, subject=self._subject)
-
     def _inventory(self) -> Iterator[Diagnostic]:
         key = self._inspection.package.identity.key
         if key.uri and not token_key.is_uri(self._files.get(KEY_URI), key.uri):
@@ -115,29 +111,22 @@ class _EnclaveCheck(CredentialCheck):
             yield from self._validity("revocation list", CRL, *period, slack=timedelta(0))
 
     def _identity(self) -> Iterator[Diagnostic]:
-        pem = self._files.get(CERTIFICATE)
+        pem, now = self._files.get(CERTIFICATE), self._inspection.now
         if pem is None:
             return
-        where = self._where(CERTIFICATE)
-        chain_findings = certification_path.verify_chain(pem, self._issuer, self._inspection.now, where)
-        yield from map(self._for_subject, chain_findings)
-        try:
-            certificate = certificates.load(pem, where)
-        except KeymintError:
-            return  # verify_chain reports it
+        identity, public_key = self._inspection.package.identity, self._inspection.package.issuance.public_key
+        certificate = yield from self._certificate(self._issuer, identity.subject_name, now)
+        if certificate is None:
+            return
         if not certificates.is_canonical(pem):
             yield self._altered(CERTIFICATE, "is not the canonical encoding of its certificate")
-        yield from self._subject_name(
-            certificate, distinguished_names.parse(self._inspection.package.identity.subject_name)
-        )
-        if not any(item.code in {"certificate-expired", "certificate-not-yet-valid"} for item in chain_findings):
-            period = certificate.not_valid_before_utc, certificate.not_valid_after_utc
-            yield from self._validity("certificate", CERTIFICATE, *period, slack=timedelta(0))
+        begin, end = certificates.period(certificate)
+        if begin <= now <= end:  # else it is reported already
+            yield from self._validity("certificate", CERTIFICATE, begin, end, slack=timedelta(0))
         if KEY in self._files and not keys.is_canonical(self._files[KEY]):
             yield self._altered(KEY, "is not the canonical encoding of a private key")
-        public_key = self._inspection.package.issuance.public_key
-        if public_key or not self._inspection.package.identity.key.password_env:  # else it cannot be read
-            yield from map(self._for_subject, self._key(certificate, public_key))
+        if public_key or not identity.key.password_env:  # else it cannot be read
+            yield from self._key(certificate, public_key)
 
     def _altered(self, name: str, message: str) -> Diagnostic:
         """Return the finding on a file in another form than Keymint writes; other tools write other forms."""

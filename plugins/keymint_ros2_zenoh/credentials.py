@@ -13,8 +13,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from comarmor.errors import Diagnostic, Severity
 from keymint.api import Inspection
-from keymint.errors import KeymintError
-from keymint.pki import certificates, certification_path, distinguished_names, extensions
+from keymint.pki import certificates, extensions
 from keymint.pki.identity_check import IdentityCheck
 from keymint_ros2_zenoh.authority_roles import IDENTITY
 from keymint_ros2_zenoh.decision.admission import common_name
@@ -49,22 +48,18 @@ class _Credentials(IdentityCheck):
         inspection, package = self._inspection, self._inspection.package
         if IDENTITY_CA in self._files and self._files[IDENTITY_CA] != inspection.chains[IDENTITY]:
             yield self._error("authority-differs", IDENTITY_CA, "is not the certificate of the workspace's authority")
-        pem, where = self._files.get(CERTIFICATE), self._where(CERTIFICATE)
-        if pem is None:
+        if CERTIFICATE not in self._files:
             return
-        chain = certification_path.verify_chain(pem, inspection.chains[IDENTITY], inspection.now, where)
-        yield from (replace(each, where=each.where or where, subject=package.subject) for each in chain)
-        try:
-            certificate = certificates.load(pem, where)
-        except KeymintError:
-            return  # verify_chain reports it
-        yield from self._subject_name(certificate, distinguished_names.parse(package.identity.subject_name))
-        if not any(each.code in {"certificate-expired", "certificate-not-yet-valid"} for each in chain):
-            yield from self._expires(certificate.not_valid_after_utc)
+        identity, public_key = package.identity, package.issuance.public_key
+        certificate = yield from self._certificate(inspection.chains[IDENTITY], identity.subject_name, inspection.now)
+        if certificate is None:
+            return
+        begin, end = certificates.period(certificate)
+        if begin <= inspection.now <= end:  # else it is reported already
+            yield from self._expires(end)
         yield from self._usage(certificate)
-        public_key = package.issuance.public_key
-        if public_key or not package.identity.key.password_env:  # else it cannot be read
-            yield from (replace(each, subject=package.subject) for each in self._key(certificate, public_key))
+        if public_key or not identity.key.password_env:  # else it cannot be read
+            yield from self._key(certificate, public_key)
 
     def _expires(self, end: datetime) -> Iterator[Diagnostic]:
         if self._inspection.now + timedelta(days=self._inspection.within_days) >= end:

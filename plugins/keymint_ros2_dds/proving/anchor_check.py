@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from comarmor.errors import Diagnostic
 from keymint.api import TrustAnchor, TrustAnchors
 from keymint.errors import KeymintError
-from keymint.pki import certificates, certification_path, distinguished_names, smime
+from keymint.pki import smime
 from keymint.pki.identity_check import anchor_defects, enclave_file
 from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds import token_key
@@ -89,19 +89,14 @@ class _AnchorCheck(CredentialCheck):
                 yield from self._anchored(name, anchor)
 
     def _identity(self) -> Iterator[Diagnostic]:
-        where = self._where(CERTIFICATE)
-        try:
-            pem = enclave_file(self._files, self._folder, CERTIFICATE)
-            certificate = certificates.load(pem, where)
-            expected = distinguished_names.parse(self._anchors.subject_name)
-        except KeymintError as error:
-            yield from error.diagnostics
+        if CERTIFICATE not in self._files:
+            yield self._error("file-missing", CERTIFICATE, "is missing")
             return
-        yield from certification_path.verify_chain(pem, self._issuer.chain, None, where)
-        yield from self._subject_name(certificate, expected)
-        # An encrypted key cannot be read without its password, so it is not compared with the certificate.
-        of_key = self._key(certificate, self._anchors.public_key)
-        yield from (finding for finding in of_key if finding.code != "key-password")
+        certificate = yield from self._certificate(self._issuer.chain, self._anchors.subject_name, None)
+        if certificate is not None:
+            # An encrypted key cannot be read without its password, so it is not compared with the certificate.
+            of_key = self._key(certificate, self._anchors.public_key)
+            yield from (finding for finding in of_key if finding.code != "key-password")
 
     def _signed(self, name: str) -> Iterator[Diagnostic]:
         try:

@@ -8,13 +8,11 @@ authorities of the workspace.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from functools import lru_cache
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import TrustAnchor, TrustAnchors, ValidityTerm
-from keymint.errors import KeymintError
-from keymint.pki import certificates, certification_path, distinguished_names
+from keymint.pki import certificates
 from keymint.pki.identity_check import IdentityCheck, anchor_defects, certificate_terms
 from keymint_ros2_zenoh import signature
 from keymint_ros2_zenoh.authority_roles import ACCESS, IDENTITY
@@ -86,19 +84,11 @@ class _EnclaveTrust(IdentityCheck):
             yield from (self._error("file-missing", name, "is missing") for name in absent)
             return
         yield from self._anchored(IDENTITY_CA, anchors.authorities[IDENTITY])
-        pem, where = self._files[CERTIFICATE], self._where(CERTIFICATE)
-        try:
-            certificate = certificates.load(pem, where)
-            expected = distinguished_names.parse(anchors.subject_name)
-        except KeymintError as error:
-            yield from error.diagnostics
-            return
-        chain = certification_path.verify_chain(pem, anchors.authorities[IDENTITY].chain, None, where)
-        yield from (replace(each, where=each.where or where) for each in chain)
-        yield from self._subject_name(certificate, expected)
-        # An encrypted key cannot be read without its password.
-        of_key = self._key(certificate, anchors.public_key)
-        yield from (each for each in of_key if each.code != "key-password")
+        certificate = yield from self._certificate(anchors.authorities[IDENTITY].chain, anchors.subject_name, None)
+        if certificate is not None:
+            # An encrypted key cannot be read without its password.
+            of_key = self._key(certificate, anchors.public_key)
+            yield from (each for each in of_key if each.code != "key-password")
 
 
 def _error(code: str, file: str, message: str, help_: str = _INSTALL) -> Diagnostic:
