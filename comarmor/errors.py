@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from enum import IntEnum, StrEnum
-from typing import TypeVar
+from typing import Self, TypeVar
 
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
@@ -192,8 +192,8 @@ class Defects:
     def __init__(self) -> None:
         self.found: list[Diagnostic] = []
 
-    def __enter__(self) -> None:
-        pass
+    def __enter__(self) -> Self:
+        return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> bool:
         if not isinstance(error, ComArmorError):

@@ -70,8 +70,8 @@ def _carry_out(_plugins: Plugins, task: Callable[[], Any]) -> Any:
 
 def _around(session: Session, within: timedelta) -> tuple[Diagnostic, ...]:
     """Return the findings on the install space outside the enclaves."""
-    shared = check_shared(session, within)
-    return (*shared.diagnostics, *outside_enclaves(session, shared.files))
+    of_shared, files = check_shared(session, within)
+    return (*of_shared, *outside_enclaves(session, files))
 
 
 def _of_files(session: Session) -> tuple[Diagnostic, ...]:

@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from dataclasses import replace
 from datetime import timedelta
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Defects, Diagnostic, Origin, Severity
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import authority_files, token_keys
@@ -27,8 +27,7 @@ def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
     fingerprints: dict[str, str] = {}
     for authority in authority_files.in_order(session.profile.authorities):
         files = authority_files.read_files(session, authority, deployed)
-        key, key_findings = _key(session, files)
-        yield from key_findings
+        key = yield from _key(session, files)
         if key is not None:
             fingerprints[authority.name] = keys.fingerprint(key)
         if files.content is None:
@@ -48,7 +47,9 @@ def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
             fingerprints.setdefault(authority.name, keys.fingerprint(certificates.public_key(files.certificate)))
             yield from _certificate(files, files.certificate, key, issuers)
             yield from _validity(session, files, files.certificate, within)
-    yield from _refused(lambda: authority_files.require_own_keys(session, fingerprints))
+    with Defects() as defects:
+        authority_files.require_own_keys(session, fingerprints)
+    yield from defects.found
 
 
 def authority_keys(session: Session) -> Mapping[str, str]:
@@ -78,37 +79,28 @@ _DECIDED_BY_A_PERSON = frozenset(
 )
 
 
-def _key(inputs: Inputs, files: AuthorityFiles) -> tuple[keys.PublicKey | None, Iterator[Diagnostic]]:
-    """Return the public key of a readable private key, and the findings on it."""
+def _key(inputs: Inputs, files: AuthorityFiles) -> Generator[Diagnostic, None, keys.PublicKey | None]:
+    """Check the private key; the generator returns its public key if it can be read."""
     if files.authority.certificate.key.uri:
-        return None, token_keys.left_over(files)
-    if files.key is None:
-        name = files.authority.name
-        message = f"the private key of {name!r} is not here"
+        yield from token_keys.left_over(files)
+    elif files.key is not None:
+        try:
+            return authority_files.load_private_key(inputs, files).public_key()
+        except KeymintError as error:
+            yield from key_defects(error)
+    elif files.content is not None:
+        message = f"the private key of {files.authority.name!r} is not here"
         where, help_ = Origin(files.certificate_file), "restore it to sign anything"
-        note = Diagnostic("authority-key-missing", Severity.NOTE, message, where, help_)
-        return None, iter((note,) if files.content is not None else ())
-    try:
-        return authority_files.load_private_key(inputs, files).public_key(), iter(())
-    except KeymintError as error:
-        return None, key_defects(error)
+        yield Diagnostic("authority-key-missing", Severity.NOTE, message, where, help_)
+    return None
 
 
 def _unreadable(files: AuthorityFiles) -> Iterator[Diagnostic]:
     where = Origin(files.certificate_file)
     help_ = "'keymint install' restores it" if files.key else "restore it from a backup"
-    try:
+    with Defects() as defects:
         certificates.public_key(certificates.load(files.content or b"", where), where)
-    except KeymintError as error:
-        yield from (replace(defect, help=help_) for defect in error.diagnostics)
-
-
-def _refused(require: Callable[[], None]) -> Iterator[Diagnostic]:
-    """Yield the errors that would make an installation fail."""
-    try:
-        require()
-    except KeymintError as error:
-        yield from error.diagnostics
+    yield from (replace(defect, help=help_) for defect in defects.found)
 
 
 def _certificate(
@@ -119,13 +111,18 @@ def _certificate(
 ) -> Iterator[Diagnostic]:
     """Check a certificate against its key, the certificates in use, and the profile."""
     spec, public = files.authority.certificate, certificates.public_key(certificate)
-    defects = [
-        *(_refused(lambda: authority_files.require_fit(files, key)) if key is not None else ()),
-        *_refused(lambda: authority_files.require_name(files)),
-    ]
-    defects += () if defects else _refused(lambda: authority_files.require_known(files, public))
-    yield from defects
-    if not defects and not authority_files.satisfies(files.content or b"", spec, public, issuers.get(spec.issuer)):
+    defects = Defects()  # that would make an installation fail
+    if key is not None:
+        with defects:
+            authority_files.require_fit(files, key)
+    with defects:
+        authority_files.require_name(files)
+    if not defects.found:
+        with defects:
+            authority_files.require_known(files, public)
+    yield from defects.found
+    content, issuer = files.content or b"", issuers.get(spec.issuer)
+    if not defects.found and not authority_files.satisfies(content, spec, public, issuer):
         yield Diagnostic(
             "authority-drift",
             Severity.ERROR,

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import field
+from dataclasses import field, replace
 from datetime import timedelta
 
 from comarmor.errors import Diagnostic, Severity
@@ -12,14 +12,14 @@ from comarmor.values import dataclass
 from keymint.api import BuildOptions, BuildResult, BuildType, Inspection, Package
 from keymint.changes import file_mode
 from keymint.check import revocations
-from keymint.check.file_status import linked_twice, modes
+from keymint.check.file_status import link, linked_twice, modes
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.pki import key_files, keys
 from keymint.plan import build, identity_keys, install
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.build_types import build_types_of
-from keymint.plan.enclaves import enclave_files, files_in, not_installed
+from keymint.plan.enclaves import KEY, enclave_files, files_in, not_installed
 from keymint.plan.private_keys import key_defects
 from keymint.plan.register import withdrawn
 from keymint.session import Session
@@ -208,51 +208,34 @@ def _identity_key(
 
 def _link(session: Session, name: str, path: str) -> Diagnostic:
     """Return the finding on a link within the keystore, which a tool that made the enclave may have meant."""
-    message, help_ = (
-        "is a symbolic link, which breaks when the enclave is copied",
-        "remove it and run 'keymint install'",
-    )
-    if session.package(name).kept:
-        help_ = f"copy what it leads to as well ('cp -L', 'rsync -L'), or {help_}"
-    severity = Severity.NOTE if session.package(name).kept else Severity.ERROR
-    return Diagnostic("file-link", severity, message, session.workspace.origin(path), help_, subject_of(name))
+    found = link(session, path, subject_of(name))
+    help_ = f"copy what it leads to as well ('cp -L', 'rsync -L'), or {found.help}"
+    return replace(found, severity=Severity.NOTE, help=help_) if session.package(name).kept else found
 
 
 def _on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterator[Diagnostic]:
     """Check modes, links and recorded digests of one enclave."""
-    folder = session.enclave_folder(name)
+    folder, subject = session.enclave_folder(name), subject_of(name)
     stamp = session.state.stamp(install.STAGE, name)
-    secret = stamp.secret if stamp else ("key.pem",)
-    yield from modes(session, folder, 0o700, subject_of(name))
+    secret = stamp.secret if stamp else (KEY,)
+    yield from modes(session, folder, 0o700, subject)
     for file in files_in(session, name):
+        path = f"{folder}/{file}"
         is_secret = file in secret or key_files.has_any(files.get(file, b""))
         is_other = stamp is not None and file not in stamp.outputs
-        for each in modes(session, f"{folder}/{file}", file_mode(secret=is_secret), subject_of(name)):
-            if (
-                not is_other or each.code != "file-mode" or each.severity is Severity.ERROR
-            ):  # what is hidden may stay so
+        for each in modes(session, path, file_mode(secret=is_secret), subject):
+            if not is_other or each.code != "file-mode" or each.severity is Severity.ERROR:  # hidden ones may stay so
                 yield each
-        if session.tree.follows(f"{folder}/{file}"):
-            yield _link(session, name, f"{folder}/{file}")
+        if session.tree.follows(path):
+            yield _link(session, name, path)
         if file in secret:
-            yield from linked_twice(session, f"{folder}/{file}", subject_of(name))
+            yield from linked_twice(session, path, subject)
     if stamp is None:
-        yield Diagnostic(
-            "record-missing",
-            Severity.NOTE,
-            f"there is no record of what was installed as {subject_of(name)}",
-            None,
-            "'keymint install' makes one",
-            subject_of(name),
-        )
+        message, help_ = f"there is no record of what was installed as {subject}", "'keymint install' makes one"
+        yield Diagnostic("record-missing", Severity.NOTE, message, None, help_, subject)
         return
     for file, value in stamp.outputs.items():
         if file in files and digest(files[file]) != value:
-            yield Diagnostic(
-                "file-changed",
-                Severity.ERROR,
-                "was changed after it was installed",
-                session.workspace.origin(f"{folder}/{file}"),
-                f"'keymint install {name}' restores it",
-                subject_of(name),
-            )
+            where, help_ = session.workspace.origin(f"{folder}/{file}"), f"'keymint install {name}' restores it"
+            message = "was changed after it was installed"
+            yield Diagnostic("file-changed", Severity.ERROR, message, where, help_, subject)

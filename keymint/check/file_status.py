@@ -16,18 +16,14 @@ from functools import lru_cache
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from comarmor.values import dataclass
 from keymint.session import Inputs
 
 _GROUP, _OTHERS = stat.S_IWGRP, stat.S_IWOTH
+_PEM = ".pem"
 
 
-@dataclass(frozen=True, slots=True)
-class _Entry:
-    """A file or folder of a space, and its status (of a link: of the link itself)."""
-
-    path: str
-    status: os.stat_result
+_Entry = tuple[str, os.stat_result]
+"""The path of a file or folder of a space, and its status (of a link: of the link itself)."""
 
 
 def file_status(inputs: Inputs) -> Iterator[Diagnostic]:
@@ -36,7 +32,7 @@ def file_status(inputs: Inputs) -> Iterator[Diagnostic]:
     owners = _owners(inputs)
     root = inputs.tree.status(workspace.root)
     if root is not None:
-        yield from _open_to_others(inputs, [_Entry(str(workspace.root), root)])
+        yield from _open_to_others(inputs, [(str(workspace.root), root)])
     private = list(_walk(inputs, workspace.private))
     for entries in (private, *(list(_walk(inputs, each)) for each in (workspace.install, workspace.next_install))):
         yield from _kinds(inputs, entries)
@@ -44,7 +40,7 @@ def file_status(inputs: Inputs) -> Iterator[Diagnostic]:
         yield from _owned_by_others(inputs, entries, owners)
     yield from _private(inputs, private)
     for space in (workspace.build, workspace.public, workspace.state, workspace.profile, workspace.src):
-        entries = [each for each in _walk(inputs, space) if not stat.S_ISLNK(each.status.st_mode)]
+        entries = [(path, status) for path, status in _walk(inputs, space) if not stat.S_ISLNK(status.st_mode)]
         yield from _open_to_others(inputs, entries)
         yield from _owned_by_others(inputs, entries, owners)
 
@@ -52,20 +48,12 @@ def file_status(inputs: Inputs) -> Iterator[Diagnostic]:
 def modes(inputs: Inputs, path: Path | str, mode: int, subject: str) -> Iterator[Diagnostic]:
     """Yield a finding for a symbolic link or an unexpected mode; none if the file does not exist."""
     status = inputs.tree.status(path)
-    existing = None if status is None else stat.S_IMODE(status.st_mode)
-    if status is None or existing is None or (existing == mode and not stat.S_ISLNK(status.st_mode)):
+    if status is None:
         return
     shown = inputs.workspace.shown(path)
     if stat.S_ISLNK(status.st_mode):
-        yield Diagnostic(
-            "file-link",
-            Severity.ERROR,
-            "is a symbolic link, which breaks when the enclave is copied",
-            Origin(shown),
-            "remove it and run 'keymint install'",
-            subject,
-        )
-    else:
+        yield link(inputs, path, subject)
+    elif (existing := stat.S_IMODE(status.st_mode)) != mode:
         yield Diagnostic(
             "file-mode",
             Severity.ERROR if existing & ~mode & 0o077 else Severity.WARNING,
@@ -74,6 +62,12 @@ def modes(inputs: Inputs, path: Path | str, mode: int, subject: str) -> Iterator
             f"chmod {mode:o} {shown}",
             subject,
         )
+
+
+def link(inputs: Inputs, path: Path | str, subject: str) -> Diagnostic:
+    """Return the finding on a symbolic link."""
+    message, where = "is a symbolic link, which breaks when the enclave is copied", inputs.workspace.origin(path)
+    return Diagnostic("file-link", Severity.ERROR, message, where, "remove it and run 'keymint install'", subject)
 
 
 def linked_twice(inputs: Inputs, path: Path | str, subject: str) -> Iterator[Diagnostic]:
@@ -92,39 +86,30 @@ def linked_twice(inputs: Inputs, path: Path | str, subject: str) -> Iterator[Dia
 
 def _private(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:
     """Check modes and links of all private keys and their folders."""
-    for each in entries:
-        if stat.S_ISDIR(each.status.st_mode) or stat.S_ISLNK(each.status.st_mode):
-            yield from modes(inputs, each.path, 0o700, "")
-        elif _is_pem(each.path):
-            yield from modes(inputs, each.path, 0o600, "")
-            yield from linked_twice(inputs, each.path, "")
+    for path, status in entries:
+        if stat.S_ISDIR(status.st_mode) or stat.S_ISLNK(status.st_mode):
+            yield from modes(inputs, path, 0o700, "")
+        elif path.endswith(_PEM):
+            yield from modes(inputs, path, 0o600, "")
+            yield from linked_twice(inputs, path, "")
 
 
 def _kinds(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:
     """Report entries that are neither files nor folders; links are reported with the modes."""
-    for each in entries:
-        mode = each.status.st_mode
-        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode) or stat.S_ISLNK(mode)):
-            yield Diagnostic(
-                "file-kind",
-                Severity.ERROR,
-                f"is {_kind(mode)}, where files and folders are expected",
-                inputs.workspace.origin(each.path),
-                "remove it",
-            )
-
-
-def _kind(mode: int) -> str:
-    kinds = ((stat.S_ISFIFO, "a named pipe"), (stat.S_ISSOCK, "a socket"))
-    return next((name for is_kind, name in kinds if is_kind(mode)), "a device")
+    for path, status in entries:
+        kind = stat.S_IFMT(status.st_mode)
+        if kind not in (stat.S_IFREG, stat.S_IFDIR, stat.S_IFLNK):
+            is_a = {stat.S_IFIFO: "a named pipe", stat.S_IFSOCK: "a socket"}.get(kind, "a device")
+            message, where = f"is {is_a}, where files and folders are expected", inputs.workspace.origin(path)
+            yield Diagnostic("file-kind", Severity.ERROR, message, where, "remove it")
 
 
 def _each_folder(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:
     """Report folders of a space created by Keymint that others can write to."""
-    for each in entries:
-        mode = each.status.st_mode
+    for path, status in entries:
+        mode = status.st_mode
         if stat.S_ISDIR(mode) and mode & (_GROUP | _OTHERS):
-            shown = inputs.workspace.shown(each.path)
+            shown = inputs.workspace.shown(path)
             yield Diagnostic(
                 "place-writable",
                 Severity.ERROR,
@@ -134,37 +119,34 @@ def _each_folder(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:
             )
 
 
-def _is_pem(path: str) -> bool:
-    return os.path.splitext(path)[1] == ".pem"  # noqa: PTH122 - of a text
-
-
 def _open_to_others(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:
     """Yield one finding for all files and folders of a space that others can write to."""
-    writable = [each for each in entries if _writable_by_others(each.status)]
+    writable = [path for path, status in entries if _writable_by_others(status)]
     if writable:
-        first = inputs.workspace.shown(writable[0].path)
+        first = inputs.workspace.shown(writable[0])
         more = f", and {len(writable) - 1} more below it or beside it" if len(writable) > 1 else ""
         yield Diagnostic(
             "place-writable",
             Severity.WARNING,
             f"others can write this{more}, and with it decide what the robots may do",
             Origin(first),
-            f"chmod -R go-w {inputs.workspace.shown(entries[0].path)}" if more else f"chmod go-w {first}",
+            f"chmod -R go-w {inputs.workspace.shown(entries[0][0])}" if more else f"chmod go-w {first}",
         )
 
 
 def _owned_by_others(inputs: Inputs, entries: list[_Entry], owners: frozenset[int]) -> Iterator[Diagnostic]:
     """Yield one finding for all files and folders of a space that belong to others, and one for each such key."""
-    foreign = [each for each in entries if each.status.st_uid not in owners]
-    keys = [each for each in foreign if _is_pem(each.path)]
-    for each in keys or foreign[:1]:
+    foreign = [(path, status.st_uid) for path, status in entries if status.st_uid not in owners]
+    keys = [(path, owner) for path, owner in foreign if path.endswith(_PEM)]
+    for path, owner in keys or foreign[:1]:
+        shown = inputs.workspace.shown(path)
         more = "" if keys or len(foreign) == 1 else f", like {len(foreign) - 1} more below it or beside it"
         yield Diagnostic(
             "file-owner",
             Severity.ERROR,
-            f"belongs to {_user(each.status.st_uid)}, who can change it{more}",
-            inputs.workspace.origin(each.path),
-            f"chown {_user(min(owners - {0}, default=0))} {inputs.workspace.shown(each.path)}",
+            f"belongs to {_user(owner)}, who can change it{more}",
+            Origin(shown),
+            f"chown {_user(min(owners - {0}, default=0))} {shown}",
         )
 
 
@@ -173,10 +155,10 @@ def _walk(inputs: Inputs, folder: Path) -> Iterator[_Entry]:
     status = inputs.tree.status(folder)
     if status is None:
         return
-    yield _Entry(str(folder), status)
+    yield str(folder), status
     for path, _ in inputs.tree.walk(folder) if stat.S_ISDIR(status.st_mode) else ():
         if (status := inputs.tree.status(path)) is not None:
-            yield _Entry(path, status)
+            yield path, status
 
 
 def _owners(inputs: Inputs) -> frozenset[int]:

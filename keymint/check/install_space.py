@@ -27,25 +27,23 @@ def outside_enclaves(session: Session, known: Collection[str]) -> Iterator[Diagn
     enclaves = {session.enclave_folder(name) for name in names if name != ROOT}
     own = {f"{session.enclave_folder(ROOT)}/{file}" for file in files_in(session, ROOT)} if ROOT in names else ()
     entries = list(session.tree.walk(workspace.install, skipped=""))
-    outside = (path for path, is_folder in entries if not is_folder and path.rpartition("/")[0] not in enclaves)
+    files = [path for path, is_folder in entries if not is_folder]
+    outside = [path for path in files if path.rpartition("/")[0] not in enclaves]
     expected = _copies(session, names, outside)
     all_revoked = not names and withdrawn(session)
     own_scripts = environment.scripts(
         session, session.profile.build_types if all_revoked else build_types_in_use(session)
     )
-    targets = {session.tree.follows(path) for path, is_folder in entries if not is_folder}
+    targets = set(map(session.tree.follows, files))
     folders = [path for path, is_folder in entries if is_folder]
     empty = [folder for folder in folders if not session.tree.names(folder)]  # an error if one cannot be read
-    for path, is_folder in entries:
-        if is_folder or path in own or path.rpartition("/")[0] in enclaves:
-            continue
+    for path in outside:
         relative = path.removeprefix(f"{workspace.install}/")
-        if relative in known or relative == gitignore.NAME or path in targets:
+        if path in own or path in targets or relative in known or relative == gitignore.NAME:
             continue
         if relative in own_scripts:
             yield from _script(session, path, own_scripts[relative])
-            continue
-        if relative not in expected:
+        elif relative not in expected:
             yield Diagnostic(
                 "file-unexpected",
                 Severity.WARNING,

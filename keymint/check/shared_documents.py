@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from datetime import timedelta
 
 from comarmor.errors import Diagnostic, Severity
-from comarmor.values import dataclass
 from keymint.api import BuildOptions, SharedInspection
 from keymint.changes import file_mode
 from keymint.check.file_status import modes
@@ -22,21 +21,8 @@ from keymint.session import Session
 from keymint.state import digest
 
 
-@dataclass(frozen=True, slots=True)
-class SharedFindings:
-    """The findings on shared documents, and the files that belong to them.
-
-    Attributes:
-        diagnostics: the findings.
-        files: paths of the installed files relative to the install space.
-    """
-
-    diagnostics: tuple[Diagnostic, ...]
-    files: frozenset[str]
-
-
-def check_shared(session: Session, within: timedelta) -> SharedFindings:
-    """Return the findings on the installed shared documents of all build types.
+def check_shared(session: Session, within: timedelta) -> tuple[Iterable[Diagnostic], set[str]]:
+    """Return the findings on the installed shared documents, and the paths of these relative to the install space.
 
     Args:
         session: the workspace and its profile.
@@ -47,7 +33,7 @@ def check_shared(session: Session, within: timedelta) -> SharedFindings:
     try:
         of_types = users(session)
     except KeymintError as error:
-        return SharedFindings(tuple(error.diagnostics), frozenset())
+        return error.diagnostics, files
     for name, names in of_types.items():
         stamp = session.state.stamp(INSTALLED, record_key(name))
         try:
@@ -61,7 +47,7 @@ def check_shared(session: Session, within: timedelta) -> SharedFindings:
         missing = {each.where for each in own if each.code == "file-missing"}
         found = builder.check_shared(inspection) if builder else ()
         diagnostics += (*own, *(each for each in found if each.code != "file-missing" or each.where not in missing))
-    return SharedFindings(tuple(dict.fromkeys(diagnostics)), frozenset(files))
+    return dict.fromkeys(diagnostics), files
 
 
 def _inspection(session: Session, name: str, names: Sequence[str], within: timedelta) -> SharedInspection:
