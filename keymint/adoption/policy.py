@@ -14,7 +14,6 @@ from keymint.api import (
     DocumentComparer,
     DocumentComparison,
     FoundEnclave,
-    FoundGrant,
     Relation,
 )
 from keymint.ir import SubjectRules
@@ -110,34 +109,16 @@ def compared(
     Raises:
         KeymintError: a rule cannot be mapped.
     """
-    return tuple(
-        Compared(each.subject, _compared(comparer, each, each.grant, rules, distro, go_on), each.grant.file)
-        for each in enclaves
-        if each.grant is not None
-    )
-
-
-def _compared(
-    comparer: DocumentComparer,
-    enclave: FoundEnclave,
-    grant: FoundGrant,
-    rules: Mapping[str, SubjectRules],
-    distro: str,
-    go_on: Callable[[], bool],
-) -> DocumentComparison:
-    return comparer.compared(
-        ComparisonTask(
-            document=grant.document,
-            file=grant.file,
-            offset=grant.offset,
-            subject_name=grant.subject_name,
-            rules=rules.get(enclave.subject, SubjectRules(enclave.subject, ())),
-            distro=distro,
-            domains=enclave.domains,
-            states=STATES,
-            go_on=go_on,
-        )
-    )
+    found: list[Compared] = []
+    for each in enclaves:
+        if (grant := each.grant) is not None:
+            of_subject = rules.get(each.subject, SubjectRules(each.subject, ()))
+            task = ComparisonTask(
+                grant.document, grant.file, grant.offset, grant.subject_name, of_subject, distro, each.domains, STATES,
+                go_on,
+            )  # fmt: skip
+            found.append(Compared(each.subject, comparer.compared(task), grant.file))
+    return tuple(found)
 
 
 def _example(example: Counterexample) -> str:

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.xml.sandboxed_paths import read_bounded
 from keymint.api import KeystoreFile, KeystoreFiles
 from keymint.errors import KeymintError
@@ -48,13 +48,8 @@ def read_keystore(folder: Path, typed: str, now: datetime) -> tuple[KeystoreFile
     for path in _paths(root, str(root), problems, typed):
         try:
             file = _read(root, path)
-        except KeymintError as error:
-            problems += (_placed(each, f"{typed}/{path}") for each in error.diagnostics)
-            continue
-        except OSError as error:
-            problems += (_placed(each, f"{typed}/{path}") for each in unreadable(path, error).diagnostics)
-            continue
-        if file is None:
+        except (KeymintError, OSError) as error:
+            problems += _problems(error, f"{typed}/{path}")
             continue
         files[path] = file
         size += len(file.content)
@@ -67,8 +62,8 @@ def read_keystore(folder: Path, typed: str, now: datetime) -> tuple[KeystoreFile
     return KeystoreFiles(typed, dict(sorted(files.items())), now), tuple(problems)
 
 
-def _placed(diagnostic: Diagnostic, place: str) -> Diagnostic:
-    return Diagnostic(diagnostic.code, Severity.ERROR, diagnostic.message, Origin(place), diagnostic.help)
+def _problems(error: KeymintError | OSError, place: str) -> Sequence[Diagnostic]:
+    return (unreadable(place, error) if isinstance(error, OSError) else error.at(Origin(place))).diagnostics
 
 
 def _paths(root: Path, folder: str, problems: list[Diagnostic], typed: str) -> Iterator[str]:
@@ -79,8 +74,7 @@ def _paths(root: Path, folder: str, problems: list[Diagnostic], typed: str) -> I
         try:
             entries = sorted(os.scandir(inner), key=lambda each: each.name)
         except OSError as error:
-            relative = os.path.relpath(inner, root)
-            problems += (_placed(each, f"{typed}/{relative}") for each in unreadable(inner, error).diagnostics)
+            problems += _problems(error, f"{typed}/{os.path.relpath(inner, root)}")
             continue
         for entry in entries:
             if not entry.is_dir(follow_symlinks=False):
@@ -89,11 +83,11 @@ def _paths(root: Path, folder: str, problems: list[Diagnostic], typed: str) -> I
                 waiting.append(entry.path)
 
 
-def _read(root: Path, path: str) -> KeystoreFile | None:
-    """Return a file; None for what is neither a file nor a link, and for a link to a folder within the keystore.
+def _read(root: Path, path: str) -> KeystoreFile:
+    """Return a file.
 
     Raises:
-        KeymintError: it is a link out of the keystore, or to nothing, or it is too large.
+        KeymintError: it is neither a file nor a link to one, leads out of the keystore, or it is too large.
         OSError: it cannot be read.
     """
     status = (root / path).lstat()
