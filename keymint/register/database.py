@@ -7,7 +7,9 @@ It is made in memory, so that it is written like every other file: complete, ato
 from __future__ import annotations
 
 import contextlib
+from dataclasses import fields
 from datetime import UTC, datetime
+from typing import Any
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError
@@ -39,7 +41,8 @@ CREATE TABLE certificates (
 CREATE TABLE lists (issuer TEXT PRIMARY KEY, number INTEGER NOT NULL);
 CREATE TABLE bundles (name TEXT PRIMARY KEY, number INTEGER NOT NULL);
 """
-_COLUMNS = "issuer, serial, authority, name, generation, not_before, not_after, key, rights, revoked, reason"
+_FIELDS = tuple(field.name for field in fields(IssuedCertificate))
+_COLUMNS = ", ".join(_FIELDS)
 
 
 def load(content: bytes, where: Origin) -> Register:
@@ -99,22 +102,11 @@ def dump(register: Register) -> bytes:
 
 
 def _row(each: IssuedCertificate) -> tuple[object, ...]:
-    return (
-        each.issuer,
-        f"{each.serial:x}",
-        each.authority,
-        each.name,
-        each.generation,
-        each.not_before.isoformat(),
-        each.not_after.isoformat(),
-        each.key,
-        each.rights,
-        each.revoked and each.revoked.isoformat(),
-        each.reason,
-    )
+    issuer, serial, *rest = (getattr(each, name) for name in _FIELDS)
+    return issuer, f"{serial:x}", *(value.isoformat() if isinstance(value, datetime) else value for value in rest)
 
 
-def _certificate(row: tuple[object, ...]) -> IssuedCertificate:
+def _certificate(row: tuple[Any, ...]) -> IssuedCertificate:
     """Return the certificate of a row.
 
     Raises:
@@ -126,23 +118,13 @@ def _certificate(row: tuple[object, ...]) -> IssuedCertificate:
         raise ValueError
     if (revoked is None) != (not reason) or reason not in ("", *REASONS):
         raise ValueError
-    return IssuedCertificate(
-        issuer=str(issuer),
-        serial=int(str(serial), 16),
-        authority=str(authority),
-        name=str(name),
-        generation=generation,
-        not_before=_moment(first),
-        not_after=_moment(last),
-        key=str(key),
-        rights=str(rights),
-        revoked=None if revoked is None else _moment(revoked),
-        reason=str(reason),
-    )
+    end = None if revoked is None else _moment(revoked)
+    period = _moment(first), _moment(last)
+    return IssuedCertificate(issuer, int(serial, 16), authority, name, generation, *period, key, rights, end, reason)
 
 
-def _moment(text: object) -> datetime:
-    moment = datetime.fromisoformat(str(text))
+def _moment(text: str) -> datetime:
+    moment = datetime.fromisoformat(text)
     if moment.tzinfo is None:
         raise ValueError
     return moment.astimezone(UTC)
