@@ -50,15 +50,25 @@ UNREAD = "smime-form"
 """Error code for a file in a form that this reader refuses: how other software reads it is unknown."""
 
 _BOUNDARY = 32
-_TYPE = b"application/x-pkcs7-signature"
-_HEAD = b'MIME-Version: 1.0\nContent-Type: multipart/signed; protocol="%b"; micalg="sha-256"; boundary="----' % _TYPE
-_TEXT = b'"\n\nThis is an S/MIME signed message\n\n------%b\nContent-Type: text/plain\n\n'
-_SIGNATURE = (
-    b'\n------%%b\nContent-Type: %b; name="smime.p7s"\n'
-    b"Content-Transfer-Encoding: base64\n"
-    b'Content-Disposition: attachment; filename="smime.p7s"\n\n' % _TYPE
-)
-_TAIL = b"\n------%b--\n\n"
+_DOCUMENT = b"""\
+MIME-Version: 1.0
+Content-Type: multipart/signed; protocol="application/x-pkcs7-signature"; micalg="sha-256"; boundary="----%(boundary)b"
+
+This is an S/MIME signed message
+
+------%(boundary)b
+Content-Type: text/plain
+
+%(content)b
+------%(boundary)b
+Content-Type: application/x-pkcs7-signature; name="smime.p7s"
+Content-Transfer-Encoding: base64
+Content-Disposition: attachment; filename="smime.p7s"
+
+%(signature)b
+------%(boundary)b--
+
+"""
 
 _MULTIPART = lazy_regex(
     rb'Content-Type: multipart/signed; protocol="(application/(?:x-)?pkcs7-signature)"; micalg="([a-z0-9,-]+)"; '
@@ -102,8 +112,7 @@ def wrap(content: bytes, signature: bytes) -> bytes:
     frame with the package ``email``, at ten times the cost of the signature.)
     """
     boundary = hashlib.sha256(content).hexdigest()[:_BOUNDARY].upper().encode()
-    lines = der.base64_lines(signature)
-    return b"".join((_HEAD, boundary, _TEXT % boundary, content, _SIGNATURE % boundary, lines, _TAIL % boundary))
+    return _DOCUMENT % {b"boundary": boundary, b"content": content, b"signature": der.base64_lines(signature)}
 
 
 def unwrap(document: bytes, where: Origin | None = None) -> SignedDocument:
