@@ -61,11 +61,10 @@ def require_authority(pem: bytes, where: Origin) -> x509.Certificate:
     certificate = certificates.load(pem, where)
     kind = keys.kind_of(certificates.public_key(certificate, where))
     constraints = extensions.value(certificate, x509.BasicConstraints)
-    usage = extensions.value(certificate, x509.KeyUsage)
     problem, help_ = "", "name the certificate of an authority"
     if constraints is None or not constraints.ca:
         problem = "is not the certificate of an authority: its basicConstraints lack CA:TRUE"
-    elif usage is not None and not usage.key_cert_sign:
+    elif not extensions.may(certificate, "keyCertSign"):
         problem = "may not issue certificates: its keyUsage lacks keyCertSign"
     elif kind.algorithm == "rsa" and kind.size < keys.MIN_RSA_BITS:
         problem = f"has an RSA key of {kind.size} bits, expected at least {keys.MIN_RSA_BITS}"
@@ -86,8 +85,7 @@ def lacking(certificate: x509.Certificate, name: str, where: Origin) -> Iterator
         where: the file, for messages.
     """
     renew = f"'keymint authority renew {name}' adds it, where its key is; <extensions> in authorities.xml come first"
-    usage = extensions.value(certificate, x509.KeyUsage)
-    if usage is not None and not usage.crl_sign:
+    if not extensions.may(certificate, "cRLSign"):
         message = f"the certificate of {name!r} cannot sign revocation lists: its keyUsage lacks cRLSign"
         yield Diagnostic("authority-cannot-revoke", Severity.WARNING, message, where, renew)
     if extensions.value(certificate, x509.SubjectKeyIdentifier) is None:
@@ -135,9 +133,8 @@ def issued_like(
     values = forms.defaults(extensions.Context(public, above), authority=True)
     if constraints := extensions.value(certificate, x509.BasicConstraints):
         values[ExtensionOID.BASIC_CONSTRAINTS] = (True, x509.BasicConstraints(True, constraints.path_length))
-    if usage := extensions.value(certificate, x509.KeyUsage):
-        usages = extensions.key_usage(*extensions.usages(usage), "keyCertSign", "cRLSign")
-        values[ExtensionOID.KEY_USAGE] = (True, usages)
+    if (usages := extensions.usages(certificate)) is not None:
+        values[ExtensionOID.KEY_USAGE] = (True, extensions.key_usage(*usages, "keyCertSign", "cRLSign"))
     values |= {each.oid: (each.critical, each.value) for each in certificate.extensions if each.oid not in _OWN}
     algorithm = certificate.signature_hash_algorithm
     known = forms.HASHES.get(algorithm.name.upper() if algorithm else "", forms.HASHES["SHA256"])

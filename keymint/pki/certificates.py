@@ -300,9 +300,8 @@ def can_sign_documents(certificate: x509.Certificate, where: Origin | None = Non
     These are the rules of OpenSSL's purpose ``smimesign`` (RFC 8550, 4.4.2 and 4.4.4), which some software
     that verifies documents enforces.
     """
-    usage = extensions.value(certificate, x509.KeyUsage)
     extended = extensions.value(certificate, x509.ExtendedKeyUsage)
-    if usage is not None and not (usage.digital_signature or usage.content_commitment):
+    if not extensions.may(certificate, "digitalSignature", "contentCommitment"):
         problem, help_ = "keyUsage lacks digitalSignature", "add digitalSignature to its keyUsage"
     elif extended is not None and ExtendedKeyUsageOID.EMAIL_PROTECTION not in extended:
         problem, help_ = "extendedKeyUsage lacks emailProtection", "leave extendedKeyUsage out"

@@ -132,7 +132,6 @@ def _critical(certificate: x509.Certificate) -> Iterator[_Problem]:
 def _authority(certificate: x509.Certificate, below: Sequence[x509.Certificate]) -> Iterator[_Problem]:
     """Check an authority of a path; ``below`` are the authorities between it and the end (RFC 5280, 6.1.4)."""
     constraints = extensions.value(certificate, x509.BasicConstraints)
-    usage = extensions.value(certificate, x509.KeyUsage)
     if constraints is None or not constraints.ca:
         yield (
             "chain-not-authority",
@@ -150,7 +149,7 @@ def _authority(certificate: x509.Certificate, below: Sequence[x509.Certificate])
             ),
             "raise its pathlen, or name another issuer",
         )
-    if usage is not None and not usage.key_cert_sign:
+    if not extensions.may(certificate, "keyCertSign"):
         yield (
             "chain-key-usage",
             f"the keyUsage of {_shown(certificate.subject)} lacks keyCertSign",

@@ -21,6 +21,7 @@ from keymint.pki import der
 from keymint.pki.keys import PublicKey
 
 _E = TypeVar("_E", bound=x509.ExtensionType)
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,19 +72,32 @@ _ASN1_STRINGS = {
 
 
 def key_usage(*names: str) -> x509.KeyUsage:
-    """Return a key usage from OpenSSL's names, which must be keys of :data:`KEY_USAGES`."""
-    bits = dict.fromkeys(KEY_USAGES.values(), False) | {KEY_USAGES[name]: True for name in names}
+    """Return a key usage from OpenSSL's names.
+
+    Raises:
+        ValueError: a name is not a key of :data:`KEY_USAGES`.
+    """
+    bits = dict.fromkeys(KEY_USAGES.values(), False) | {_one_of(name, KEY_USAGES): True for name in names}
     return x509.KeyUsage(**bits)
 
 
-def usages(usage: x509.KeyUsage) -> tuple[str, ...]:
-    """Return OpenSSL's names of the bits of a key usage, each bit once.
+def usages(certificate: x509.Certificate) -> tuple[str, ...] | None:
+    """Return OpenSSL's names of what the key of a certificate may be used for, each use once; None if for everything.
 
     The two qualifiers of keyAgreement are undefined without it (RFC 5280, 4.2.1.3).
     """
+    usage = value(certificate, x509.KeyUsage)
+    if usage is None:
+        return None
     named = {attribute: name for name, attribute in KEY_USAGES.items()}
     defined = [each for each in named if usage.key_agreement or each not in {"encipher_only", "decipher_only"}]
     return tuple(named[each] for each in defined if getattr(usage, each))
+
+
+def may(certificate: x509.Certificate, *names: str) -> bool:
+    """Tell whether the key of a certificate may be used for one of these, as :func:`usages` names them."""
+    of_key = usages(certificate)
+    return of_key is None or any(name in of_key for name in names)
 
 
 def authority_key_identifier(issuer: x509.Certificate) -> x509.AuthorityKeyIdentifier:
@@ -161,9 +175,9 @@ def _items(text: str) -> list[str]:
     return items
 
 
-def _one_of(text: str, known: Mapping[str, object]) -> str:
+def _one_of(text: str, known: Mapping[str, _T]) -> _T:
     if text in known:
-        return text
+        return known[text]
     hint = did_you_mean(text, known, f"known are {', '.join(known)}")
     raise ValueError(f"{text!r} is not known, {hint}")
 
@@ -192,8 +206,7 @@ def _basic_constraints(text: str, _: Context) -> x509.BasicConstraints:
 
 def _extended_key_usage(text: str, _: Context) -> x509.ExtendedKeyUsage:
     return x509.ExtendedKeyUsage(
-        _oid(item) if item[0].isdigit() else _EXTENDED_KEY_USAGES[_one_of(item, _EXTENDED_KEY_USAGES)]
-        for item in _items(text)
+        _oid(item) if item[0].isdigit() else _one_of(item, _EXTENDED_KEY_USAGES) for item in _items(text)
     )
 
 
@@ -206,7 +219,7 @@ def _general_name(item: str) -> x509.GeneralName:
         "IP": lambda address: x509.IPAddress(ipaddress.ip_address(address)),
         "RID": lambda dotted: x509.RegisteredID(_oid(dotted)),
     }
-    maker = makers[_one_of(kind, makers)]
+    maker = _one_of(kind, makers)
     if not text:
         raise ValueError(f"nothing follows {kind}:")
     if not text.isascii():
@@ -236,7 +249,7 @@ def _authority_information_access(text: str, _: Context) -> x509.AuthorityInform
     descriptions = []
     for item in _items(text):
         method, _semicolon, location = (part.strip() for part in item.partition(";"))
-        descriptions.append(x509.AccessDescription(methods[_one_of(method, methods)], _general_name(location)))
+        descriptions.append(x509.AccessDescription(_one_of(method, methods), _general_name(location)))
     return x509.AuthorityInformationAccess(descriptions)
 
 
@@ -267,7 +280,7 @@ def _authority_key_identifier(text: str, context: Context) -> x509.AuthorityKeyI
 
 
 def _string(kind: str, text: str) -> bytes:
-    tag, encoding = _ASN1_STRINGS[_one_of(kind, _ASN1_STRINGS)]
+    tag, encoding = _one_of(kind, _ASN1_STRINGS)
     return der.tlv(tag, text.encode(encoding))
 
 
@@ -299,7 +312,7 @@ _KNOWN: dict[str, tuple[x509.ObjectIdentifier, Callable[[str, Context], x509.Ext
     "basicConstraints": (ExtensionOID.BASIC_CONSTRAINTS, _basic_constraints),
     "keyUsage": (
         ExtensionOID.KEY_USAGE,
-        lambda text, _: key_usage(*(_one_of(item, KEY_USAGES) for item in _items(text))),
+        lambda text, _: key_usage(*_items(text)),
     ),
     "extendedKeyUsage": (ExtensionOID.EXTENDED_KEY_USAGE, _extended_key_usage),
     "subjectAltName": (

@@ -146,11 +146,10 @@ def _period(validity: Validity) -> str:
 def _check_issuer(issuer: x509.Certificate, where: Origin, *, authority: bool) -> None:
     """Raise an error for an issuer that must not issue certificates (RFC 5280, 4.2.1.3 and 4.2.1.9)."""
     constraints = extensions.value(issuer, x509.BasicConstraints)
-    usage = extensions.value(issuer, x509.KeyUsage)
     problem = ""
     if constraints is None or not constraints.ca:
         problem = "is not a CA certificate (basicConstraints)"
-    elif usage is not None and not usage.key_cert_sign:
+    elif not extensions.may(issuer, "keyCertSign"):
         problem = "lacks keyCertSign (keyUsage)"
     elif authority and constraints.path_length == 0:
         problem = "has pathlen:0, so it may not issue authorities (basicConstraints)"

@@ -61,8 +61,6 @@ def curve_name(text: str, where: Origin | None = None) -> str:
     Raises:
         KeymintError: the curve is not known; says which is near.
     """
-    if text in CURVES:
-        return text
     plain = re.sub(r"[-_ ]", "", text).upper()
     name = _CURVE_ALIASES.get(plain, plain)
     if name in CURVES:

@@ -70,8 +70,7 @@ def require_signs_lists(authority: x509.Certificate, where: Origin) -> None:
     Raises:
         KeymintError: its keyUsage lacks cRLSign, so nobody accepts its lists.
     """
-    usage = extensions.value(authority, x509.KeyUsage)
-    if usage is not None and not usage.crl_sign:
+    if not extensions.may(authority, "cRLSign"):
         raise KeymintError(
             f"the certificate of {to_text(authority.subject)!r} cannot sign revocation lists: its keyUsage lacks "
             "cRLSign",

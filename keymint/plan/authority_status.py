@@ -112,7 +112,6 @@ def status_of(certificate: x509.Certificate, due: datetime | None = None) -> Cer
     public = certificates.public_key(certificate)
     kind = keys.kind_of(public)
     first, last = certificates.period(certificate)
-    usage = extensions.value(certificate, x509.KeyUsage)
     identifier = extensions.value(certificate, x509.SubjectKeyIdentifier)
     return CertificateStatus(
         subject=distinguished_names.to_text(certificate.subject),
@@ -122,7 +121,7 @@ def status_of(certificate: x509.Certificate, due: datetime | None = None) -> Cer
         first=first,
         last=last,
         renew_after=due or DEFAULT.moment(first, last),
-        key_usage=None if usage is None else extensions.usages(usage),
+        key_usage=extensions.usages(certificate),
         key_identifier=identifier.digest.hex() if identifier else "",
     )
 

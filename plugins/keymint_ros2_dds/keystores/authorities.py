@@ -106,7 +106,7 @@ def _authority(
         "key_kind": f"RSA {kind.size}" if kind.algorithm == "rsa" else kind.curve,
         "not_before": f"{validity_of(certificate).not_before:%Y-%m-%dT%H:%M:%SZ}",
         "not_after": f"{end:%Y-%m-%dT%H:%M:%SZ}",
-        "key_usage": _usage(certificate),
+        "key_usage": extensions.usages(certificate),
         "subject_key_identifier": extensions.value(certificate, x509.SubjectKeyIdentifier) is not None,
         "authority_key_identifier": extensions.value(certificate, x509.AuthorityKeyIdentifier) is not None,
         "path_length": getattr(extensions.value(certificate, x509.BasicConstraints), "path_length", None),
@@ -152,8 +152,3 @@ def _lacking(
         yield Diagnostic(
             "adopt-extensions", Severity.NOTE, message, where, "'keymint harden identifiers' adds them afterwards"
         )
-
-
-def _usage(certificate: x509.Certificate) -> list[str] | None:
-    usage = extensions.value(certificate, x509.KeyUsage)
-    return None if usage is None else list(extensions.usages(usage))

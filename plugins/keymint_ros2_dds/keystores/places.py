@@ -140,8 +140,7 @@ def _is_for(grants: Sequence[DocumentGrant], certificate: x509.Certificate) -> b
 
 
 def _issued(certificate: x509.Certificate, authority: x509.Certificate) -> bool:
-    usage = extensions.value(authority, x509.KeyUsage)
-    return (usage is None or usage.key_cert_sign) and certificates.is_issued_by(certificate, authority)
+    return extensions.may(authority, "keyCertSign") and certificates.is_issued_by(certificate, authority)
 
 
 def _signed(keystore: KeystoreFiles, path: str, authority: x509.Certificate) -> bool:
