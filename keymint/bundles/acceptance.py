@@ -13,7 +13,7 @@ from datetime import datetime
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.values import dataclass
-from keymint.bundles.bundle import CERTIFICATE, KEY, Bundle, fingerprint, number_of, revocation_lists
+from keymint.bundles.bundle import CERTIFICATE, KEY, Bundle, number_of, revocation_lists
 from keymint.bundles.in_force import require_in_force
 from keymint.bundles.manifest import Manifest, load
 from keymint.bundles.request import Request
@@ -54,11 +54,6 @@ class Present:
     known: Mapping[str, frozenset[str]]
     issuing: frozenset[str]
 
-    @property
-    def where(self) -> Origin:
-        """The enclave's folder."""
-        return Origin(self.folder)
-
 
 @dataclass(frozen=True, slots=True)
 class Owner:
@@ -79,14 +74,12 @@ class Acceptance:
 
     Attributes:
         files: its files that change, by name.
-        secret: which of them are secret.
         removed: names of files that an earlier bundle brought and this one does not.
         answered: the request that waited is answered.
         notes: warnings.
     """
 
     files: Mapping[str, bytes] = field(repr=False)
-    secret: frozenset[str]
     removed: tuple[str, ...]
     answered: bool
     notes: tuple[Diagnostic, ...] = ()
@@ -124,7 +117,7 @@ def accept(bundle: Bundle, present: Present, owner: Owner, now: datetime, where:
     pending = present.pending
     answered = pending is not None and pending.request.fingerprint == bundle.manifest.key
     notes = tuple(_left(present, {*wanted, *removed}))
-    return Acceptance(ordered, frozenset({KEY}) & files.keys(), removed, answered, notes)
+    return Acceptance(ordered, removed, answered, notes)
 
 
 # -- who it is by ----------------------------------------------------------------------------------------------------
@@ -148,10 +141,11 @@ def _require_known_authorities(bundle: Bundle, present: Present, owner: Owner, w
     trusted = was_accepted or bundle.manifest.authority in owner.authorities
     for name, chain in bundle.authorities.items():
         known = present.known.get(name)
+        if known is None:
+            continue
         issues = name in present.issuing and bundle.signer in chain
-        trusted = trusted or (issues and known is not None and bundle.manifest.authority in known)
-        strange = [each for each in chain if known is not None and fingerprint(each) not in known | owner.authorities]
-        if strange:
+        trusted = trusted or (issues and bundle.manifest.authority in known)
+        if any(certificates.fingerprint(each) not in known | owner.authorities for each in chain):
             raise KeymintError(
                 f"its file {name} has another authority than the enclaves in this keystore",
                 where=where,
@@ -242,7 +236,7 @@ def _is_elsewhere(present: Present, wanted: str) -> bool:
     certificate = present.files.get(CERTIFICATE)
     if certificate is None or KEY in present.files:
         return False
-    return fingerprint(certificates.load(certificate, Origin(f"{present.folder}/{CERTIFICATE}"))) == wanted
+    return certificates.fingerprint(certificates.load(certificate, Origin(f"{present.folder}/{CERTIFICATE}"))) == wanted
 
 
 def _is_key(pem: bytes, wanted: str) -> bool:

@@ -19,7 +19,7 @@ from comarmor.values import dataclass
 from keymint.bundles import container
 from keymint.bundles.manifest import Manifest, dump, load
 from keymint.errors import KeymintError
-from keymint.pki import certificates, cms, keys
+from keymint.pki import certificates, cms
 from keymint.pki.revocation_lists import is_by
 
 CERTIFICATE, KEY = "cert.pem", "key.pem"
@@ -97,13 +97,13 @@ def read(content: bytes, where: Origin) -> Bundle:
     authorities = dict(certificates_of_authorities(members))
     try:
         certificate = certificates.load(members.get(CERTIFICATE, b""))
-        key = keys.fingerprint(certificates.public_key(certificate))
+        key = certificates.fingerprint(certificate)
         parsed = cms.parse(signature)
         signer = next(
             each
             for chain in authorities.values()
             for each in chain
-            if fingerprint(each) == manifest.authority and certificates.is_issued_by(certificate, each)
+            if certificates.fingerprint(each) == manifest.authority and certificates.is_issued_by(certificate, each)
         )
         verified = cms.verify(parsed, encoded, signer) and certificates.can_sign_documents(signer) is None
         lists = revocation_lists(members)
@@ -162,11 +162,6 @@ def _number(listed: x509.CertificateRevocationList) -> int:
         return listed.extensions.get_extension_for_class(x509.CRLNumber).value.crl_number
     except (x509.ExtensionNotFound, ValueError):
         return 0
-
-
-def fingerprint(certificate: x509.Certificate) -> str:
-    """Return the fingerprint of the public key of a certificate; see :func:`keymint.pki.keys.fingerprint`."""
-    return keys.fingerprint(certificates.public_key(certificate))
 
 
 def _digest(content: bytes) -> str:

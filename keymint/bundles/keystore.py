@@ -15,10 +15,11 @@ from cryptography import x509
 from comarmor.errors import Origin
 from keymint.bundles import request as requests
 from keymint.bundles.acceptance import Acceptance, Pending, Present
-from keymint.bundles.bundle import CERTIFICATE, KEY, certificates_of_authorities, fingerprint, issuing_files
+from keymint.bundles.bundle import CERTIFICATE, KEY, certificates_of_authorities, issuing_files
 from keymint.changes import File, FolderChange
 from keymint.errors import KeymintError
 from keymint.names import ROOT
+from keymint.pki import certificates
 from keymint.tree import Tree
 
 RECORDS = ".keymint"
@@ -86,7 +87,7 @@ class Keystore:
             files = {name: self._tree.try_read(f"{folder}/{name}") or b"" for name, _ in self._tree.names(folder)}
             chains = {file: chain for each in files.items() for file, chain in _chains(*each)}
             for file, chain in chains.items():
-                known.setdefault(file, set()).update(map(fingerprint, chain))
+                known.setdefault(file, set()).update(map(certificates.fingerprint, chain))
             issuing |= issuing_files(files[CERTIFICATE], chains)
         return {name: frozenset(each) for name, each in known.items()}, frozenset(issuing)
 
@@ -135,7 +136,7 @@ class Keystore:
 
     def take(self, enclaves: str, name: str, acceptance: Acceptance) -> FolderChange:
         """Return the change that makes an enclave what its bundle says; arguments as for :meth:`folder`."""
-        files = {file: File(content, secret=file in acceptance.secret) for file, content in acceptance.files.items()}
+        files = {file: File(content, secret=file == KEY) for file, content in acceptance.files.items()}
         return FolderChange(self.folder(enclaves, name), files, acceptance.removed, private=True)
 
 

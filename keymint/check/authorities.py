@@ -44,7 +44,7 @@ def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
             yield from _unreadable(files)
         else:
             issuers[authority.name] = files.certificate
-            fingerprints.setdefault(authority.name, keys.fingerprint(certificates.public_key(files.certificate)))
+            fingerprints.setdefault(authority.name, certificates.fingerprint(files.certificate))
             yield from _certificate(files, files.certificate, key, issuers)
             yield from _validity(session, files, files.certificate, within)
     with Defects() as defects:
@@ -56,7 +56,7 @@ def authority_keys(session: Session) -> Mapping[str, str]:
     """Return the names of the authorities by the fingerprints of the keys that their certificates certify."""
     places = (authority_files.read_files(session, authority, tuple) for authority in session.profile.authorities)
     return {
-        keys.fingerprint(certificates.public_key(files.certificate)): files.authority.name
+        certificates.fingerprint(files.certificate): files.authority.name
         for files in places
         if files.certificate is not None
     }

@@ -126,7 +126,7 @@ def _certified(there: Keystore, keystore: RobotKeystore, name: str) -> str:
     content = there.installed(name).get(CERTIFICATE)
     if content is None:
         return ""
-    return keys.fingerprint(certificates.public_key(certificates.load(content, Origin(f"{keystore.typed}/…/{name}"))))
+    return certificates.fingerprint(certificates.load(content, Origin(f"{keystore.typed}/…/{name}")))
 
 
 def _made(run: Run, there: Keystore, keystore: RobotKeystore, name: str, *, rekey: bool, kind: KeySpec) -> _Made:

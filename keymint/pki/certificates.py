@@ -149,6 +149,11 @@ def public_key(certificate: x509.Certificate, where: Origin | None = None) -> ke
     return key
 
 
+def fingerprint(certificate: x509.Certificate) -> str:
+    """Return the fingerprint of the public key of a certificate; see :func:`keymint.pki.keys.fingerprint`."""
+    return keys.fingerprint(public_key(certificate))
+
+
 def to_pem(certificate: x509.Certificate) -> bytes:
     """Return a certificate as PEM."""
     return certificate.public_bytes(serialization.Encoding.PEM)

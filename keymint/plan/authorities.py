@@ -96,7 +96,7 @@ def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, M
             action = Action.CREATED if changes else Action.UNCHANGED
             steps.append(Step(STAGE, authority.name, action, changes, "certificate authority"))
     defects.require_none()  # one token may fail several authorities
-    fingerprints = {name: keys.fingerprint(certificates.public_key(each.certificate)) for name, each in minted.items()}
+    fingerprints = {name: certificates.fingerprint(each.certificate) for name, each in minted.items()}
     authority_files.require_own_keys(session, fingerprints)
     state = key_record.record(session.state, key_record.AUTHORITIES, fingerprints)
     return Plan(tuple(steps), state, tuple(warnings)), minted

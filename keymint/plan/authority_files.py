@@ -68,7 +68,7 @@ class AuthorityFiles:
         """Return the fingerprint of the recorded key, or else those of the keys that installed enclaves trust."""
         if self.recorded:
             return frozenset({self.recorded})
-        return frozenset(keys.fingerprint(certificates.public_key(each)) for each in self.in_use())
+        return frozenset(certificates.fingerprint(each) for each in self.in_use())
 
     def as_adopted(self) -> AuthorityFiles:
         """Return the files with the certificate that the profile adopts, if it adopts one."""

@@ -19,7 +19,7 @@ from keymint.bundles.request import Request
 from keymint.changes import Plan
 from keymint.errors import KeymintError
 from keymint.names import subject_of
-from keymint.pki import certificates, keys, revocation_lists
+from keymint.pki import certificates, revocation_lists
 from keymint.plan.authorities import MintedAuthority
 from keymint.plan.build_types import build_types_of
 from keymint.plan.enclaves import INSTALLED
@@ -112,8 +112,8 @@ def _bundle(
     manifest = Manifest(
         enclave=package.subject,
         folder=session.layouts[0].enclaves,
-        key=keys.fingerprint(certificates.public_key(certificate)),
-        authority=bundles.fingerprint(issuer.certificate),
+        key=certificates.fingerprint(certificate),
+        authority=certificates.fingerprint(issuer.certificate),
         generation=package.issuance.generation,
         issue=number,
         revocations=bundles.number_of(bundles.revocation_lists(files), issuer.certificate),

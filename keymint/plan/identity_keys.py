@@ -170,7 +170,7 @@ def known_fingerprint(session: Session, name: str) -> str:
     if recorded and session.state.stamp(INSTALLED, name):
         return recorded
     certificate = installed_certificate(session, name)
-    return (recorded or keys.fingerprint(certificates.public_key(certificate))) if certificate else ""
+    return (recorded or certificates.fingerprint(certificate)) if certificate else ""
 
 
 class Keyring:
@@ -258,7 +258,7 @@ class Keyring:
             if name in recorded:
                 owners.setdefault(recorded[name].inputs, []).append(name)
             elif certificate := installed_certificate(self._session, name):
-                owners.setdefault(keys.fingerprint(certificates.public_key(certificate)), []).append(name)
+                owners.setdefault(certificates.fingerprint(certificate), []).append(name)
         return owners
 
 

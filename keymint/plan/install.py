@@ -15,7 +15,7 @@ from keymint.api import Artifact, Package, Succession
 from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
 from keymint.names import ROOT, subject_of
-from keymint.pki import certificates, keys
+from keymint.pki import certificates
 from keymint.plan import authority_files, build, identity_keys, key_record, lifetimes, revocation
 from keymint.plan.authorities import MintedAuthority
 from keymint.plan.build_types import build_types_of, inputs_digest
@@ -64,7 +64,7 @@ class InstallStage:
             authorities = {name: replace(minted, chain=chains[name]) for name, minted in authorities.items()}
         self._authorities = authorities
         self._prune = prune
-        owners = {keys.fingerprint(certificates.public_key(each.certificate)): who for who, each in authorities.items()}
+        owners = {certificates.fingerprint(each.certificate): who for who, each in authorities.items()}
         self._keyring = Keyring(session, owners)
 
     def package(self, name: str) -> PackagePlan:

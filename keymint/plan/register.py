@@ -13,7 +13,7 @@ from keymint.api import Package
 from keymint.changes import File, FolderChange
 from keymint.errors import KeymintError
 from keymint.names import subject_of
-from keymint.pki import certificates, keys, revocation_lists
+from keymint.pki import certificates, revocation_lists
 from keymint.plan import authority_files
 from keymint.plan.build_types import revocation_files
 from keymint.plan.enclaves import installed, installed_certificate
@@ -100,7 +100,7 @@ def register_change(session: Session, register: Register) -> tuple[FolderChange,
 @lru_cache(maxsize=64)
 def issuer_of(authority: x509.Certificate) -> str:
     """Return what identifies an issuer in the register: the fingerprint of its public key."""
-    return keys.fingerprint(certificates.public_key(authority))
+    return certificates.fingerprint(authority)
 
 
 def issued_certificate(
@@ -128,7 +128,7 @@ def _entry(
         generation=generation,
         not_before=certificate.not_valid_before_utc,
         not_after=certificate.not_valid_after_utc,
-        key=keys.fingerprint(certificates.public_key(certificate)),
+        key=certificates.fingerprint(certificate),
         rights=rights,
     )
 

@@ -186,10 +186,7 @@ def _barred(session: Session, fingerprint: str) -> str:
 def _authorities(session: Session) -> Mapping[str, str]:
     """Return the names of the authorities by the fingerprint of their key."""
     chains = {name: chain for name, chain in trusted_chains(session).items() if chain}
-    return {
-        keys.fingerprint(certificates.public_key(certificates.load_bundle(chain)[0])): name
-        for name, chain in chains.items()
-    }
+    return {certificates.fingerprint(certificates.load_bundle(chain)[0]): name for name, chain in chains.items()}
 
 
 def _refused(message: str, given: Given, help_: str, code: str) -> KeymintError:

@@ -110,7 +110,7 @@ def plan_switch(session: Session, name: str) -> Plan:
         FolderChange(public.parent, {public.name: File(rollover.certificate)}),
     )
     exchanged = Step(STAGE, name, Action.UPDATED, tuple(each for each in changes if each.files or each.removed), "key")
-    fingerprint = keys.fingerprint(certificates.public_key(following))
+    fingerprint = certificates.fingerprint(following)
     state = key_record.record(session.state, key_record.AUTHORITIES, {name: fingerprint})
     return replace(decided, steps=(exchanged, *decided.steps), state=state)
 

@@ -140,5 +140,5 @@ def keystore(
         chains = dict(bundle.certificates_of_authorities(each))
         issuing |= bundle.issuing_files(each.get("cert.pem", b""), chains)
         for name, chain in chains.items():
-            trusted[name] = trusted.get(name, frozenset()) | {bundle.fingerprint(one) for one in chain}
+            trusted[name] = trusted.get(name, frozenset()) | {certificates.fingerprint(one) for one in chain}
     return Present("install/enclaves/robot/talker", files or {}, pending, trusted, issuing)

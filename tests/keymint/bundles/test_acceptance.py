@@ -47,7 +47,7 @@ def test_the_answer_to_the_first_request() -> None:
     found = taken(FIRST, keystore(pending=pending), GIVEN)
     assert found.files == {**FIRST.files, "key.pem": pending.key, RECORD: FIRST.bundle.encoded}
     assert list(found.files)[-1] == "cert.pem"
-    assert (found.secret, found.removed, found.answered, found.notes) == ({"key.pem"}, (), True, ())
+    assert (found.removed, found.answered, found.notes) == ((), True, ())
 
 
 def test_a_bundle_with_its_key_for_a_new_robot() -> None:

@@ -77,7 +77,7 @@ def test_the_key_of_a_robot_is_certified(keymint, ws: Path) -> None:
     file = ws.parent / "talker.bundle"
     read = bundle.read(file.read_bytes(), Origin("talker.bundle"))
     assert read.certificate == installed(ws)
-    assert f"talker={bundle.fingerprint(read.certificate)}" == confirmed
+    assert f"talker={certificates.fingerprint(read.certificate)}" == confirmed
     assert read.manifest.nonce == request.read((ws.parent / "talker.request.pem").read_bytes(), Origin("r")).nonce
     assert "key.pem" not in read.files
     assert not (ws / "install/enclaves/talker/key.pem").exists()
