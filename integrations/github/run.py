@@ -191,13 +191,13 @@ def difference(inputs: Inputs, pull_request: PullRequest, checkout: Path) -> tup
 
 def report(inputs: Inputs, taken: Sequence[Step]) -> str:
     """Return the table of the steps, and their findings, in Markdown."""
-    lines = ["### Keymint", "", "| step | |", "|---|---|"]
+    lines, found = ["### Keymint", "", "| step | |", "|---|---|"], list[str]()
     for step in taken:
         passed = step.passed(with_findings=not inputs.fail_on_findings)
-        findings = sum(1 for _ in step.findings())
-        number = f", {findings} finding{'s' * (findings > 1)}" if findings else ""
+        findings = list(step.findings())
+        found += findings
+        number = f", {len(findings)} finding{'s' * (len(findings) > 1)}" if findings else ""
         lines.append(f"| {step.title} | {'passed' if passed else '**failed**'}{number} |")
-    found = [finding for step in taken for finding in step.findings()]
     return "\n".join([*lines, "", *([workflow.fenced("\n".join(found)), ""] if found else [])])
 
 

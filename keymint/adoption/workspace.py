@@ -22,7 +22,6 @@ from keymint.api import (
     Bootstrap,
     BuildOptions,
     DomainRange,
-    FoundEnclave,
     FoundKeystore,
     Issuance,
     KeptDocuments,
@@ -89,20 +88,20 @@ def plan_adoption(inputs: Inputs, adoption: Adoption) -> Plan:
         given = GivenAuthority(authority.certificate, place, authority.key, key_place)
         plan = plan.then(plan_import(session, authority.name, given))
         session = inputs.after(plan).session()  # whose profile has the certificate
-    sources = _sources(session, adoption)
-    plan, session = plan.then(sources), session.after(sources)
-    keystore = _keystore(session, adoption)
-    plan, session = plan.then(keystore), session.after(keystore)
-    for revoked in (_lists, _register):
-        step = revoked(session, adoption)
+
+    def go_on(step: Plan) -> None:
+        nonlocal plan, session
         plan, session = plan.then(step), session.after(step)
+
+    for planned in (_sources, _keystore, _lists, _register):
+        go_on(planned(session, adoption))
     names = [package_name(each.subject) for each in adoption.found.enclaves]
     build = BuildStage(session, BuildOptions(), force=False, renew=False)
     built = build.plan([build.package(name) for name in names])
     _require_kept(session, adoption, built)
-    plan, session = plan.then(built), session.after(built)
+    go_on(built)
     minted, authorities = plan_authorities(session)
-    plan, session = plan.then(minted), session.after(minted)
+    go_on(minted)
     install = InstallStage(session, authorities, prune=False)
     installed = install.plan([install.package(name) for name in names])
     _require_unchanged(session, adoption, installed)
@@ -139,7 +138,11 @@ def _sources(session: Session, adoption: Adoption) -> Plan:
         name = package_name(enclave.subject)
         key, validity, granted = enclave.key_spec, enclave.validity, enclave.grant_validity
         if key is None or validity is None or granted is None:
-            raise _unusable(adoption, enclave)
+            raise KeymintError(
+                f"the enclave {enclave.subject} has no usable certificate or permissions",
+                where=Origin(f"{adoption.files.folder}/{enclave.facts['place']}"),
+                help="'keymint adopt' without --apply says what is wrong", code="adopt-incomplete",
+            )  # fmt: skip
         sources = AdoptedSources(
             rules=adoption.policy.rules.get(enclave.subject, SubjectRules(enclave.subject, ())),
             subject_name="" if adoption.found.subject_format else enclave.subject_name,
@@ -162,14 +165,6 @@ def _sources(session: Session, adoption: Adoption) -> Plan:
             changes.append(FolderChange(path.parent, {path.name: File(enclave.key, secret=True)}, private=True))
         steps.append(Step(STAGE, name, Action.CREATED, tuple(changes)))
     return Plan(tuple(steps), session.state)
-
-
-def _unusable(adoption: Adoption, enclave: FoundEnclave) -> KeymintError:
-    return KeymintError(
-        f"the enclave {enclave.subject} has no usable certificate or permissions",
-        where=Origin(f"{adoption.files.folder}/{enclave.facts['place']}"),
-        help="'keymint adopt' without --apply says what is wrong", code="adopt-incomplete",
-    )  # fmt: skip
 
 
 # -- what the robots have -----------------------------------------------------------------------------------------
@@ -254,11 +249,7 @@ def _require_kept(session: Session, adoption: Adoption, built: Plan) -> None:
         for document, content in enclave.documents.items():
             if after.tree.read(session.workspace.build / name / document) == content:
                 continue
-            why = (
-                build_type.not_kept(after.package(name), document, content)
-                if isinstance(build_type, KeptDocuments)
-                else ""
-            )
+            why = isinstance(build_type, KeptDocuments) and build_type.not_kept(after.package(name), document, content)
             message = f"cannot be kept as it is signed: {why or 'its rules cannot be written in the same way'}"
             place = f"{adoption.files.folder}/{enclave.facts['place']}/{document}"
             help_ = "sign it again with the tool that made it, without what is in the way"
