@@ -74,7 +74,7 @@ class _Credentials(IdentityCheck):
         usage = extensions.value(certificate, x509.ExtendedKeyUsage)
         server, client = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH
         needed = server if is_server else client
-        if usage is not None and needed not in usage and ExtendedKeyUsageOID.ANY_EXTENDED_KEY_USAGE not in usage:
+        if usage is not None and needed not in usage:
             lacking = "serverAuth" if is_server else "clientAuth"
             message = f"its extendedKeyUsage lacks {lacking}, and Zenoh refuses it"
             yield self._error("zenoh-key-usage", CERTIFICATE, message)

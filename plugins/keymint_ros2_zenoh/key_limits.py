@@ -12,7 +12,7 @@ from keymint_ros2_zenoh.settings import is_address, is_router, settings_of
 
 _CURVES = ("SECP256R1", "SECP384R1")
 _REFUSED_WITH_EC = "SHA512"
-_SERVER, _CLIENT, _ANY = "serverAuth", "clientAuth", "anyExtendedKeyUsage"
+_SERVER, _CLIENT = "serverAuth", "clientAuth"
 
 
 def check_identity(package: Package) -> Iterator[Diagnostic]:
@@ -68,13 +68,13 @@ def _usage(package: Package, *, is_server: bool) -> Iterator[Diagnostic]:
         if extension.name != "extendedKeyUsage":
             continue
         usages = [part.strip() for part in extension.value.split(",")]
-        if needed not in usages and _ANY not in usages:
+        if needed not in usages:
             yield Diagnostic(
                 "zenoh-key-usage", Severity.ERROR,
                 f"the certificate's extendedKeyUsage lacks {needed}, and Zenoh refuses it",
                 extension.origin, f"add {needed}, or leave out the extension", package.subject,
             )  # fmt: skip
-        elif other in usages or _ANY in usages:
+        elif other in usages:
             yield Diagnostic(
                 "zenoh-key-usage", Severity.WARNING,
                 _too_much(is_server=is_server), extension.origin, "leave out the extension", package.subject,

@@ -98,6 +98,7 @@ def test_usages_and_times(space: InstallSpace) -> None:
         "both": (certificate(space, usages=(CLIENT, SERVER)), True),
         "no extension": (certificate(space, usages=()), True),
         "serverAuth": (certificate(space, usages=(SERVER,)), False),
+        "any": (certificate(space, usages=(ExtendedKeyUsageOID.ANY_EXTENDED_KEY_USAGE,)), False),
         "expired": (certificate(space, end=-timedelta(minutes=1)), False),
         "not yet valid": (certificate(space, begin=timedelta(hours=1)), False),
         "no common name": (certificate(space, name="OU=talker"), True),
