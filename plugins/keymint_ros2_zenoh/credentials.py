@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from ipaddress import ip_address
 
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
@@ -16,9 +15,9 @@ from keymint.api import Inspection
 from keymint.pki import certificates, extensions
 from keymint.pki.identity_check import IdentityCheck
 from keymint_ros2_zenoh.authority_roles import IDENTITY
-from keymint_ros2_zenoh.decision.admission import common_name
+from keymint_ros2_zenoh.decision.admission import common_name, lacking_usage, names_host
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA
-from keymint_ros2_zenoh.settings import is_address, is_router, settings_of
+from keymint_ros2_zenoh.settings import is_router, settings_of
 
 
 def first_common_name(pem: bytes) -> str:
@@ -72,25 +71,13 @@ class _Credentials(IdentityCheck):
         package = self._inspection.package
         is_server = is_router(package)
         usage = extensions.value(certificate, x509.ExtendedKeyUsage)
-        server, client = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH
-        needed = server if is_server else client
-        if usage is not None and needed not in usage:
-            lacking = "serverAuth" if is_server else "clientAuth"
+        if lacking := lacking_usage(certificate, server=is_server):
             message = f"its extendedKeyUsage lacks {lacking}, and Zenoh refuses it"
             yield self._error("zenoh-key-usage", CERTIFICATE, message)
-        if not is_server and usage is not None and server in usage:
+        if not is_server and usage is not None and ExtendedKeyUsageOID.SERVER_AUTH in usage:
             message = "is also for servers: its holder could pretend to be a router where names are not checked"
             yield replace(self._error("zenoh-key-usage", CERTIFICATE, message), severity=Severity.WARNING)
         host = settings_of(package).router.host
-        if is_server and not _has_host(certificate, host):
+        if is_server and not names_host(certificate, host):
             message = f"its subjectAltName lacks the router's host {host!r}, so that no session connects to it"
             yield self._error("zenoh-host-name", CERTIFICATE, message)
-
-
-def _has_host(certificate: x509.Certificate, host: str) -> bool:
-    names = extensions.value(certificate, x509.SubjectAlternativeName)
-    if names is None:
-        return False
-    if is_address(host):
-        return ip_address(host) in names.get_values_for_type(x509.IPAddress)
-    return host.lower() in {name.lower() for name in names.get_values_for_type(x509.DNSName)}

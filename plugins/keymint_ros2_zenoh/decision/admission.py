@@ -41,11 +41,16 @@ def refusal(certificate: bytes, authorities: bytes, at: datetime, *, server: boo
     key = leaf.public_key()
     if isinstance(key, ec.EllipticCurvePublicKey) and isinstance(key.curve, ec.SECP521R1):
         return "its key is on the curve P-521, which TLS of Zenoh does not verify"
-    wanted = ExtendedKeyUsageOID.SERVER_AUTH if server else ExtendedKeyUsageOID.CLIENT_AUTH
-    usages = extensions.value(leaf, x509.ExtendedKeyUsage)
-    if usages is not None and wanted not in usages:
-        return f"its extended key usage lacks {'serverAuth' if server else 'clientAuth'}"
-    return ""
+    lacking = lacking_usage(leaf, server=server)
+    return lacking and f"its extended key usage lacks {lacking}"
+
+
+def lacking_usage(certificate: x509.Certificate, *, server: bool) -> str:
+    """Return the usage that the listening or the connecting side needs and a certificate lacks, or an empty text."""
+    server_auth, client_auth = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH
+    name, wanted = ("serverAuth", server_auth) if server else ("clientAuth", client_auth)
+    usages = extensions.value(certificate, x509.ExtendedKeyUsage)
+    return "" if usages is None or wanted in usages else name
 
 
 def names_host(certificate: x509.Certificate, host: str) -> bool:
