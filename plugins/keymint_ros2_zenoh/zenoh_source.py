@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from ipaddress import ip_address
 from typing import TYPE_CHECKING
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.regex import lazy_regex
 from comarmor.text import quoted
-from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint.api import (
     Extension,
@@ -36,33 +36,18 @@ _DNS_NAME = lazy_regex(rf"(?!.*\.[0-9]+$)(?=.{{1,253}}$){_LABEL}(\.{_LABEL})*")
 
 
 _EXAMPLE = "<zenoh><router><name>zenoh_router</name><host>localhost</host><port>7447</port></router></zenoh>"
-
-
-@dataclass(frozen=True, slots=True)
-class _Value:
-    """The text of an element and its line."""
-
-    text: str
-    line: int
-
-
-@dataclass(frozen=True, slots=True)
-class _Document:
-    """A ``zenoh.xml``: its elements by path, such as ``router/host``."""
-
-    line: int
-    values: tuple[tuple[str, _Value], ...]
-
-
-_PATHS = ("router/name", "router/host", "router/port", "keystore")
+_REQUIRED = ("router/name", "router/host", "router/port")
+_ROOT = ""
+"""The path of the root element."""
+_Document = Mapping[str, tuple[str, int]]
+"""The text and the line of each element of a ``zenoh.xml``, by its path."""
+_Values = Mapping[str, tuple[str, Origin]]
 
 
 def _document(root: etree._Element) -> _Document:
-    found = ((path, root.find(path)) for path in _PATHS)
-    return _Document(
-        line(root),
-        tuple((path, _Value(text(element) or "", line(element))) for path, element in found if element is not None),
-    )
+    found = {path: root.find(path) for path in (*_REQUIRED, "keystore")}
+    values = {path: (text(element) or "", line(element)) for path, element in found.items() if element is not None}
+    return {_ROOT: ("", line(root)), **values}
 
 
 _read = Reader("keymint_ros2_zenoh", "source_zenoh", _document)
@@ -83,12 +68,12 @@ def settings(sources: PackageSources) -> PackageSettings:
         raise KeymintError.of(
             Diagnostic(each.code, each.severity, each.message, part.where, each.help) for each in error.diagnostics
         ) from None
-    found = _Values(part)
-    router = Router(found.name(), found.host(), found.port(), found.where("router/host"))
-    keystore = found.keystore(sources.install_space)
-    if found.defects:
-        raise KeymintError.of(found.defects)
-    is_server = sources.name == router.name
+    values = _values(part, sources.install_space)
+    if defects := list(_defects(values)):
+        raise KeymintError.of(defects)
+    (name, named_at), (host, host_at), (port, _) = (values[path] for path in _REQUIRED)
+    router = Router(name, host, int(port), host_at)
+    is_server = sources.name == name
     if is_server != (sources.role is Role.INFRASTRUCTURE):
         message, help_ = (
             (f"the router {router.name!r} is a subject of the policy", "give the router or the subject another name")
@@ -98,11 +83,11 @@ def settings(sources: PackageSources) -> PackageSettings:
                 "remove the package's folder, then run 'keymint create --all', or give the router its old name",
             )
         )
-        raise KeymintError(message, where=found.where("router/name"), help=help_, code="zenoh-router-name")
-    origin = found.where("router/host")
-    usage = Extension("extendedKeyUsage", "serverAuth" if is_server else "clientAuth", False, origin)
-    host = Extension("subjectAltName", f"{'IP' if is_address(router.host) else 'DNS'}:{router.host}", False, origin)
-    return PackageSettings(ZenohSettings(router, keystore), (usage, host) if is_server else (usage,))
+        raise KeymintError(message, where=named_at, help=help_, code="zenoh-router-name")
+    usage = Extension("extendedKeyUsage", "serverAuth" if is_server else "clientAuth", False, host_at)
+    names = Extension("subjectAltName", f"{'IP' if is_address(host) else 'DNS'}:{host}", False, host_at)
+    own = ZenohSettings(router, values["keystore"][0].rstrip("/"))
+    return PackageSettings(own, (usage, names) if is_server else (usage,))
 
 
 def packages(profile: WorkspaceProfile) -> tuple[InfrastructurePackage, ...]:
@@ -118,82 +103,39 @@ def packages(profile: WorkspaceProfile) -> tuple[InfrastructurePackage, ...]:
     if content is None:
         raise _missing_file(shown, Origin(shown))
     document = _read(content, shown)
-    name = dict(document.values).get("router/name")
-    if name is None:
-        raise _missing("router/name", Origin(shown, document.line))
-    return (InfrastructurePackage(name.text, "the Zenoh router"),)
+    if "router/name" not in document:
+        raise KeymintError.of([_missing("router/name", Origin(shown, document[_ROOT][1]))])
+    return (InfrastructurePackage(document["router/name"][0], "the Zenoh router"),)
 
 
-class _Values:
-    """The values of a package: those of its own document before those of the defaults.
+def _values(part: SourcePart, install_space: str) -> _Values:
+    """Return the values of a package: those of its own document before those of the defaults.
 
     Args:
         part: both documents.
+        install_space: the keystore if the documents give none.
     """
+    if part.defaults is None:
+        raise _missing_file(part.defaults_file, part.where)
+    defaults = _read(part.defaults, part.defaults_file)
+    own = {} if part.content is None else _read(part.content, part.file)
+    values = {"keystore": (install_space, Origin(part.defaults_file, defaults[_ROOT][1]))}
+    values |= {path: (found, Origin(part.defaults_file, at)) for path, (found, at) in defaults.items()}
+    return values | {path: (found, Origin(part.file, at)) for path, (found, at) in own.items() if path != _ROOT}
 
-    def __init__(self, part: SourcePart) -> None:
-        if part.defaults is None:
-            raise _missing_file(part.defaults_file, part.where)
-        self.defects: list[Diagnostic] = []
-        self._values: dict[str, tuple[str, Origin]] = {}
-        defaults = _read(part.defaults, part.defaults_file)
-        self._defaults = Origin(part.defaults_file, defaults.line)
-        documents = [(defaults, part.defaults_file)]
-        if part.content is not None:
-            documents.append((_read(part.content, part.file), part.file))
-        for document, file in documents:
-            for path, value in document.values:
-                self._values[path] = value.text, Origin(file, value.line)
 
-    def where(self, path: str) -> Origin:
-        """Return where a value is written, or should be."""
-        return self._values.get(path, ("", self._defaults))[1]
-
-    def name(self) -> str:
-        """Return the name of the router's package."""
-        return self._required("router/name")
-
-    def host(self) -> str:
-        """Return the host of the router."""
-        host = self._required("router/host")
-        if host and (not _DNS_NAME.fullmatch(host) if not is_address(host) else not _is_reachable(host)):
-            self._defect(
-                "zenoh-host",
-                f"the host {quoted(host)} is neither a DNS name nor the IP address of one machine",
-                "router/host",
-                "write the name or address by which sessions reach the router, e.g. robot1.local",
-            )
-        return host
-
-    def port(self) -> int:
-        """Return the port of the router."""
-        text_ = self._required("router/port")
-        return int(text_) if text_ else 0
-
-    def keystore(self, install_space: str) -> str:
-        """Return the path of the install space on the robot.
-
-        Args:
-            install_space: its path on this machine, which applies if the documents give none.
-        """
-        path, where = self._values.get("keystore", (install_space, self._defaults))
-        if not path.startswith("/") or ".." in path.split("/") or "//" in path or not path.isprintable():
-            self.defects.append(
-                Diagnostic(
-                    "zenoh-keystore", Severity.ERROR, f"the keystore {quoted(path)} is not an absolute path", where,
-                    "write the path of the install space on the robot, e.g. /etc/keymint/install",
-                )
-            )  # fmt: skip
-        return path.rstrip("/")
-
-    def _required(self, path: str) -> str:
-        if path not in self._values:
-            self.defects += _missing(path, self._defaults).diagnostics
-            return ""
-        return self._values[path][0]
-
-    def _defect(self, code: str, message: str, path: str, help_: str) -> None:
-        self.defects.append(Diagnostic(code, Severity.ERROR, message, self.where(path), help_))
+def _defects(values: _Values) -> Iterator[Diagnostic]:
+    yield from (_missing(path, values[_ROOT][1]) for path in _REQUIRED if path not in values)
+    host, where = values.get("router/host", values[_ROOT])
+    if host and (not (_is_reachable(host) if is_address(host) else _DNS_NAME.fullmatch(host))):
+        message = f"the host {quoted(host)} is neither a DNS name nor the IP address of one machine"
+        help_ = "write the name or address by which sessions reach the router, e.g. robot1.local"
+        yield Diagnostic("zenoh-host", Severity.ERROR, message, where, help_)
+    path, where = values["keystore"]
+    if not path.startswith("/") or ".." in path.split("/") or "//" in path or not path.isprintable():
+        message = f"the keystore {quoted(path)} is not an absolute path"
+        help_ = "write the path of the install space on the robot, e.g. /etc/keymint/install"
+        yield Diagnostic("zenoh-keystore", Severity.ERROR, message, where, help_)
 
 
 def _is_reachable(address: str) -> bool:
@@ -202,14 +144,10 @@ def _is_reachable(address: str) -> bool:
     return not (parsed.is_unspecified or parsed.is_multicast or "%" in address)
 
 
-def _missing(path: str, where: Origin) -> KeymintError:
+def _missing(path: str, where: Origin) -> Diagnostic:
     tag = path.rpartition("/")[2]
-    return KeymintError(
-        f"there is no <{tag}> of the router, neither in the package's document nor in these defaults",
-        where=where,
-        help=f"add a <{tag}>",
-        code="zenoh-incomplete",
-    )
+    message = f"there is no <{tag}> of the router, neither in the package's document nor in these defaults"
+    return Diagnostic("zenoh-incomplete", Severity.ERROR, message, where, f"add a <{tag}>")
 
 
 def _missing_file(file: str, where: Origin) -> KeymintError:

@@ -12,7 +12,7 @@ from types import MappingProxyType
 from comarmor.rules import parts
 from comarmor.values import dataclass
 from keymint.graph import Edge
-from keymint_ros2_zenoh.keyexpr.key_expr import KeyExprError, canonical, parse
+from keymint_ros2_zenoh.keyexpr.key_expr import literal
 from keymint_ros2_zenoh.lowering.names import ADVANCED
 from keymint_ros2_zenoh.lowering.slots import SLOTS, WAYS, Place, Slot
 from keymint_ros2_zenoh.messages import Flow, Message
@@ -79,15 +79,7 @@ def operations(edge: Edge) -> tuple[Operation, ...]:
     found = []
     for _, permission, suffix in parts(edge.object.kind, edge.permission):
         key = f"{edge.domain}{edge.object.name}{suffix}/{TYPE}/{HASH}"
-        if permission not in SLOTS or not _is_key(key):
+        if permission not in SLOTS or literal(key) is None:
             return ()
         found.append(Operation(permission, key))
     return tuple(found)
-
-
-def _is_key(text: str) -> bool:
-    """Whether a text is a literal key that no session would write in another way."""
-    try:
-        return "$" not in text and parse(text).is_literal and canonical(text).text == text
-    except KeyExprError:
-        return False

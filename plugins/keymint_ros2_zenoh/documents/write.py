@@ -13,7 +13,7 @@ from keymint_ros2_zenoh.documents.configuration import Configuration
 _WIDTH = 120
 
 
-def write(configuration: Configuration, title: Sequence[str], settings: Mapping[str, Any] | None = None) -> bytes:
+def write(configuration: Configuration, title: Sequence[str]) -> bytes:
     """Return a configuration as a file.
 
     Every setting that a :class:`Configuration` has an attribute for is written, also if it has Zenoh's default.
@@ -21,9 +21,8 @@ def write(configuration: Configuration, title: Sequence[str], settings: Mapping[
     Args:
         configuration: what the file says.
         title: lines of the comment at its beginning.
-        settings: other settings by their path (``transport/unicast/max_sessions``).
     """
-    members = _tree({**configuration.other, **(settings or {})}, _settings(configuration))
+    members = _tree(configuration.other, _settings(configuration))
     lines = [*(f"// {line}".rstrip() for line in title), "{"]
     blocks = [[f"  {_text(key)}: {part}" for part in [_value(value, 2)]] for key, value in members.items()]
     blocks.append([*_access_control(configuration.access_control)])

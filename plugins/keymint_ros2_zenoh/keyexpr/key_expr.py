@@ -75,6 +75,15 @@ def canonical(text: str) -> KeyExpr:
     return of_chunks(text.split("/"))
 
 
+def literal(text: str) -> KeyExpr | None:
+    """Return the key expression that matches one key only, this text; None if no key is written so."""
+    try:
+        key = canonical(text)
+    except KeyExprError:
+        return None
+    return key if key.is_literal else None
+
+
 def of_chunks(chunks: Iterable[str]) -> KeyExpr:
     """Return the canonical key expression of chunks.
 

@@ -10,13 +10,10 @@ from comarmor.rules import parts
 from keymint.api import Endpoint
 from keymint.errors import KeymintError
 from keymint.graph import Edge
-from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr, KeyExprError, canonical
+from keymint_ros2_zenoh.keyexpr.key_expr import literal
 from keymint_ros2_zenoh.lowering.name_rules import KINDS
 from keymint_ros2_zenoh.lowering.names import advanced_key, check_distro, data_key
 from keymint_ros2_zenoh.lowering.slots import SLOTS, Place, Slot
-
-NOUN = "key expression"
-"""The word for the names of endpoints."""
 
 
 def actions(distro: str, edge: Edge) -> tuple[Endpoint, ...]:
@@ -52,18 +49,9 @@ def slots_of(distro: str, kind: str, permission: str) -> tuple[tuple[Slot, str],
 
 def _endpoints(edge: Edge, slots: tuple[tuple[Slot, str], ...]) -> Iterator[Endpoint]:
     for slot, suffix in slots:
-        name = _key(f"{edge.object.name}{suffix}".removeprefix("/"))
+        name = literal(f"{edge.object.name}{suffix}".removeprefix("/"))
         if name is None:
             return
         data = data_key(edge.domain, name)
         key = data if slot.place is Place.DATA else advanced_key(data)
         yield Endpoint(edge.subject, slot.action, key.text, domain=edge.domain)
-
-
-def _key(name: str) -> KeyExpr | None:
-    """Return the literal key of a name; None if there is none, or if a session would write it in another way."""
-    try:
-        key = canonical(name)
-    except KeyExprError:
-        return None
-    return key if key.is_literal and key.text == name and "$" not in name else None

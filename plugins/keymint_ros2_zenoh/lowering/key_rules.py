@@ -35,12 +35,10 @@ class Lowered:
     """The rules of a subject for a router.
 
     Attributes:
-        names: its rules by permission.
         rules: what the router must permit or deny.
         diagnostics: warnings and notes.
     """
 
-    names: NameRules
     rules: tuple[KeyRule, ...]
     diagnostics: tuple[Diagnostic, ...]
 
@@ -59,7 +57,7 @@ def lower(rules: SubjectRules, distro: str, domains: Sequence[DomainRange], orig
     """
     names = name_rules(rules, distro)
     ids = _domain_ids(domains, origin)
-    return Lowered(names, (*_rules(names, ids), *_graph(rules.subject, ids, origin)), tuple(lower_notes(names)))
+    return Lowered((*_rules(names, ids), *_graph(rules.subject, ids, origin)), tuple(lower_notes(names)))
 
 
 def lower_notes(names: NameRules) -> Iterator[Diagnostic]:

@@ -14,13 +14,9 @@ from keymint_ros2_zenoh.proving.automaton import Automaton
 from keymint_ros2_zenoh.proving.key_search import difference, side_of
 
 
+# Many enclaves have the same patterns.
 @lru_cache(maxsize=1 << 14)
 def proven_exact(pattern: Glob, states: int) -> ProofResult:
-    """Return the result of :func:`compare`, which many enclaves need for the same patterns."""
-    return compare(pattern, states)
-
-
-def compare(pattern: Glob, states: int) -> ProofResult:
     """Compare a pattern of ROS names with its key expressions, as keys of domain 0 with any type and hash.
 
     Args:

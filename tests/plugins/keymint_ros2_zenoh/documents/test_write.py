@@ -93,9 +93,10 @@ def test_zenoh_reads_what_is_written(zenoh: ModuleType) -> None:
         (AclPolicy(("/ü 1",), ("/ü",)),),
     )
     configuration = Configuration(
-        "client", ("tls/localhost:7447",), (), False, False, ("tls",), Tls("/ca.pem", mutual=True), control
-    )
-    content = write(configuration, ["title"], {"transport/unicast/max_links": 1})
+        "client", ("tls/localhost:7447",), (), False, False, ("tls",), Tls("/ca.pem", mutual=True), control,
+        {"transport/unicast/max_links": 1},
+    )  # fmt: skip
+    content = write(configuration, ["title"])
     assert max(map(len, content.decode().splitlines())) <= 120
     config = zenoh.Config.from_json5(content.decode())
     theirs = json.loads(config.get_json("access_control"))
