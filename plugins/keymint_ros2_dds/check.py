@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.api import DomainRange, Inspection
+from keymint.api import Inspection
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, smime
 from keymint_ros2_dds import authority_roles as roles
@@ -34,7 +34,7 @@ from keymint_ros2_dds.enclave_layout import (
 )
 from keymint_ros2_dds.reading import dates, signed_governance, signed_permissions
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
-from keymint_ros2_dds.reading.signed_permissions import DocumentDomains, PermissionsDocument
+from keymint_ros2_dds.reading.signed_permissions import PermissionsDocument, as_ranges
 
 SLACK = timedelta(days=1)
 """Fast DDS reads dates in the host's time zone, so a period must begin a day earlier and end a day later."""
@@ -260,8 +260,8 @@ class _EnclaveCheck(CredentialCheck):
             yield self._warning(f"{code}-slack", name, message, renew if is_renewable else _UTC)
 
     def _domains(self, permissions: PermissionsDocument, governance: GovernanceDocument) -> Iterator[Diagnostic]:
-        governed = _ranges(each for rule in governance.domain_rules for each in rule.domains)
-        granted = _ranges(each for grant in permissions.grants for rule in grant.rules for each in rule.domains)
+        governed = as_ranges(each for rule in governance.domain_rules for each in rule.domains)
+        granted = as_ranges(each for grant in permissions.grants for rule in grant.rules for each in rule.domains)
         for item in uncovered(sorted(set(granted)), governed):
             yield self._error(
                 "domain-uncovered", PERMISSIONS_P7S, f"grants in {in_words([item])}, which the governance lacks",
@@ -278,13 +278,6 @@ def _is_sound(content: bytes, kind: str) -> bool:
         return not any(dds_xml.hazards(content, dds_xml.read(content, kind, kind)))
     except KeymintError:
         return False
-
-
-def _ranges(domains: Iterable[DocumentDomains]) -> Iterator[DomainRange]:
-    """Yield ranges of domains; a range without a maximum is its minimum, as vendors read it."""
-    for each in domains:
-        first = each.first or 0
-        yield DomainRange(first, first if each.last is None else each.last)
 
 
 def _shown(moment: datetime) -> str:

@@ -19,7 +19,7 @@ from keymint.ir import Rule
 from keymint_ros2_dds.compiling import partitions
 from keymint_ros2_dds.compiling.gathering import GUARD, gathered
 from keymint_ros2_dds.compiling.partitions import UnportableError
-from keymint_ros2_dds.compiling.priority import EndpointCount, prioritised
+from keymint_ros2_dds.compiling.priority import EndpointCounts, prioritised
 from keymint_ros2_dds.compiling.rule_order import portable_rules, rule_per_policy_rule, standard_rules
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.endpoints import endpoints
@@ -28,7 +28,6 @@ from keymint_ros2_dds.lowering.lower import Lowered, lower
 from keymint_ros2_dds.lowering.mapping import check_distro, has_kind
 from keymint_ros2_dds.lowering.portable import NotPortableError, portable_expressions
 
-_ACTIONS = tuple(TopicAction)
 STEPS = 4_000_000
 """Steps that ordering the rules of a subject may take (:mod:`comarmor.patterns.steps`)."""
 
@@ -114,7 +113,7 @@ def _plain(lowered: Lowered, report: _PortabilityReport) -> tuple[GrantRule[str]
     return report.with_expressions(rule_per_policy_rule(portable_rules(lowered), lowered))
 
 
-def _endpoint_counts(hints: Iterable[Hint], distro: str) -> list[EndpointCount]:
+def _endpoint_counts(hints: Iterable[Hint], distro: str) -> EndpointCounts:
     counts: Counter[tuple[str, str, str]] = Counter()
     for each in hints:
         if not has_kind(distro, each.edge.object.kind):
@@ -122,7 +121,7 @@ def _endpoint_counts(hints: Iterable[Hint], distro: str) -> list[EndpointCount]:
         for endpoint in endpoints(distro, each.edge):
             for partition in endpoint.object.partitions or ("",):
                 counts[endpoint.permission, endpoint.object.name, partition] += each.times
-    return [EndpointCount(*key, times) for key, times in sorted(counts.items())]
+    return counts
 
 
 class _PortabilityReport:
@@ -164,7 +163,7 @@ class _PortabilityReport:
 
     def _expressions(self, rule: GrantRule[Glob]) -> Iterator[tuple[TopicAction, tuple[str, ...]]]:
         """Yield the sorted expressions of a rule by action."""
-        for action in _ACTIONS:
+        for action in TopicAction:
             if action not in rule.topics:
                 continue
             texts: set[str] = set()

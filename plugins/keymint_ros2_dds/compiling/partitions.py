@@ -59,7 +59,7 @@ def uniform(allow: Iterable[Step], deny: Iterable[Step]) -> Partitions | None:
 
     If no pattern is allowed, the list is the default partition.
     """
-    lists = {_plain(partitions) for _, partitions in allow}
+    lists = {_reduced(partitions or DEFAULT) for _, partitions in allow}
     if not lists:
         return DEFAULT
     if len(lists) > 1:
@@ -99,17 +99,12 @@ def _misread(text: str) -> bool:
     return any(char in "*?[]\\" or not " " <= char <= "~" for char in text) or text != text.strip()
 
 
-def _plain(partitions: Partitions) -> Partitions:
-    """Return partitions as they are written in a document, sorted; ``*`` alone if it is among them.
+@lru_cache(maxsize=4096)
+def _reduced(partitions: Collection[str]) -> Partitions:
+    """Return partitions as they are written in a document, sorted; without those that another one covers.
 
     Partitions that pass :func:`unsafe` need no escapes.
     """
-    return _reduced(partitions) if partitions else DEFAULT
-
-
-@lru_cache(maxsize=4096)
-def _reduced(partitions: Collection[str]) -> Partitions:
-    """Drop the partitions that another one covers; sorted, in normal form."""
     names = sorted({exact(globs.parse(expression)) for expression in partitions})
     wild = [(name, globs.parse(name)) for name in names if "*" in name]
     return tuple(
@@ -149,7 +144,7 @@ def decision_list(allow: Sequence[Step], deny: Sequence[Step]) -> list[Step]:
     Raises:
         UnportableError: a deny removes names from ``*``, or the patterns overlap in too many ways.
     """
-    allow = [(pattern, _plain(listed)) for pattern, listed in allow]
+    allow = [(pattern, _reduced(listed or DEFAULT)) for pattern, listed in allow]
     patterns = dict.fromkeys(pattern for pattern, _ in (*allow, *deny))
     literals = sorted(pattern for pattern in patterns if literal(pattern) is not None)
     denials = maximal(pattern for pattern, listed in deny if not listed and literal(pattern) is None)

@@ -150,14 +150,9 @@ class DocumentEvaluator:
         self.joins = False
         self._default = False
         self._default_line = 0
-        refused = semantics.refusal(document) or semantics.unmodelled(document)
-        self.refusal: EndpointDecision | None = None
-        if refused:
-            self.refusal = EndpointDecision(DecisionOutcome.ERROR, 0, refused)
-            return
         grant = _grant(document, subject_name, now, semantics)
+        self.refusal = grant if isinstance(grant, EndpointDecision) else None
         if isinstance(grant, EndpointDecision):
-            self.refusal = grant
             return
         self._default = semantics.default_counts and grant.allows
         self._default_line = grant.line
@@ -256,6 +251,8 @@ def _grant(
     document: PermissionsDocument, subject_name: str, now: datetime, semantics: Semantics
 ) -> DocumentGrant | EndpointDecision:
     """Return the grant that applies, or why there is none."""
+    if refused := semantics.refusal(document) or semantics.unmodelled(document):
+        return EndpointDecision(DecisionOutcome.ERROR, 0, refused)
     reason = f"no grant applies to {subject_name!r}"
     line = 0
     for grant in semantics.grants(document, subject_name):
@@ -270,27 +267,18 @@ def _grant(
 
 
 def _steps(rules: Iterable[DocumentRule], semantics: Semantics) -> Iterator[_CriteriaStep]:
+    """Yield groups of criteria that are matched together: each alone, or all of an action."""
     for rule in rules:
-        for group in _groups(rule, semantics):
+        groups: dict[object, list[DocumentCriteria]] = {}
+        for number, criteria in enumerate(rule.criteria):
+            groups.setdefault(criteria.action if semantics.pools_criteria else number, []).append(criteria)
+        for group in groups.values():
             yield _step(rule, group, semantics)
 
 
-def _groups(rule: DocumentRule, semantics: Semantics) -> Iterable[Sequence[DocumentCriteria]]:
-    """Return groups of criteria that are matched together: each alone, or all of an action."""
-    if not semantics.pools_criteria:
-        return [[criteria] for criteria in rule.criteria]
-    pooled: dict[str, list[DocumentCriteria]] = {}
-    for criteria in rule.criteria:
-        pooled.setdefault(criteria.action, []).append(criteria)
-    return pooled.values()
-
-
 def _step(rule: DocumentRule, group: Sequence[DocumentCriteria], semantics: Semantics) -> _CriteriaStep:
-    if rule.allows:
-        everywhere = False
-    else:
-        unlisted = any(item.partitions is None for item in group)
-        everywhere = semantics.deny_topic or (unlisted and not semantics.deny_default)
+    unlisted = any(item.partitions is None for item in group)
+    everywhere = not rule.allows and (semantics.deny_topic or (unlisted and not semantics.deny_default))
     partitions = (p for item in group for p in (DEFAULT_PARTITION if item.partitions is None else item.partitions))
     tags = None if any(item.tags is None for item in group) else frozenset(t for item in group for t in item.tags or ())
     return _CriteriaStep(

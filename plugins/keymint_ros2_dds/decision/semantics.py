@@ -194,9 +194,8 @@ class Variation:
 
 @functools.lru_cache(maxsize=64)
 def _semantics(variation: Variation) -> Semantics:
-    return functools.reduce(
-        lambda semantics, deviation: replace(semantics, **deviation.changes), variation.deviations, STANDARD
-    )
+    changes = {name: value for deviation in variation.deviations for name, value in deviation.changes.items()}
+    return replace(STANDARD, **changes)
 
 
 def _on(row: str, name: str, text: str, **changes: Any) -> Deviation:

@@ -3,18 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from cryptography import x509
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
-from keymint.api import DomainRange, KeystoreFiles
+from keymint.api import KeystoreFiles
 from keymint.errors import KeymintError
 from keymint.pki import certificates, extensions, key_files, keys, smime
 from keymint_ros2_dds.enclave_layout import GOVERNANCE, PERMISSIONS
 from keymint_ros2_dds.reading import signed_governance, signed_permissions
-from keymint_ros2_dds.reading.signed_permissions import DocumentDomains, PermissionsDocument
+from keymint_ros2_dds.reading.signed_permissions import PermissionsDocument
 
 _SIGNED = b"MIME-Version:"
 _REVOCATIONS = b"-----BEGIN X509 CRL-----"
@@ -100,13 +100,6 @@ def is_authority(certificate: x509.Certificate) -> bool:
     """Tell whether a certificate may issue others."""
     constraints = extensions.value(certificate, x509.BasicConstraints)
     return constraints is not None and constraints.ca
-
-
-def as_ranges(domains: Iterable[DocumentDomains]) -> Iterator[DomainRange]:
-    """Yield the domains of a document; a range without a maximum is its minimum, as vendors read it."""
-    for each in domains:
-        first = each.first or 0
-        yield DomainRange(first, first if each.last is None else each.last)
 
 
 def _document(signed: bytes) -> PermissionsDocument | bool:

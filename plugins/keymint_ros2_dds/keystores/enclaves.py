@@ -31,10 +31,10 @@ from keymint_ros2_dds.enclave_layout import (
     PERMISSIONS_P7S,
     PERMISSIONS_XML,
 )
-from keymint_ros2_dds.keystores.contents import Contents, as_ranges
+from keymint_ros2_dds.keystores.contents import Contents
 from keymint_ros2_dds.keystores.places import EnclavePlace
 from keymint_ros2_dds.reading import dates, signed_governance, signed_permissions
-from keymint_ros2_dds.reading.signed_permissions import DocumentGrant
+from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, as_ranges
 
 _EVERYTHING = frozenset(("*", "rt/*", "rq/*", "rr/*", "**"))
 """Expressions that leave nothing denied of a kind of ROS names."""

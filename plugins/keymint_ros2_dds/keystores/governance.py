@@ -6,7 +6,6 @@ from __future__ import annotations
 from lxml import etree
 
 from keymint_ros2_dds.documents import dds_xml
-from keymint_ros2_dds.keystores.contents import as_ranges
 from keymint_ros2_dds.reading import signed_governance
 from keymint_ros2_dds.reading.signed_governance import (
     DOMAIN_PROTECTIONS,
@@ -16,6 +15,7 @@ from keymint_ros2_dds.reading.signed_governance import (
     DocumentTopicRule,
     GovernanceDocument,
 )
+from keymint_ros2_dds.reading.signed_permissions import as_ranges
 
 _HEAD = (
     b'<?xml version="1.0" encoding="UTF-8"?>\n'

@@ -32,14 +32,15 @@ def grant_periods(document: PermissionsDocument, subject_name: str, semantics: S
             yield GrantPeriod(grants[0], *only)
         return
     periods = [(grant, period) for grant in grants if (period := semantics.period(grant)) is not None]
-    cuts = sorted({begin for _, (begin, _) in periods} | {_next(end) for _, (_, end) in periods})
+    cuts = sorted({begin for _, (begin, _) in periods} | {following(end) for _, (_, end) in periods})
     known = set()
-    for begin, following in pairwise(cuts):
+    for begin, end in pairwise(cuts):
         at = next((n for n, (_, (first, last)) in enumerate(periods) if first <= begin <= last), None)
         if at is not None and at not in known:
             known.add(at)
-            yield GrantPeriod(periods[at][0], begin, following - _SECOND)
+            yield GrantPeriod(periods[at][0], begin, end - _SECOND)
 
 
-def _next(moment: datetime) -> datetime:
-    return moment + _SECOND if moment < _LAST_MOMENT else moment
+def following(moment: datetime) -> datetime:
+    """Return the second after a moment; of the last one its end."""
+    return min(moment, _LAST_MOMENT) + _SECOND

@@ -56,18 +56,11 @@ def of_policy(lowered: Lowered, action: str, *, pairs: bool) -> DecisionList:
         topics: dict[Partitions, list[Glob]] = {}
         for topic, partitions in sides[TopicAction(action)]:
             topics.setdefault(partitions, []).append(octets.of_glob(topic))
-        patterns: dict[Glob, None] = {}
+        words: dict[Glob, None] = {}
         for partitions, own in topics.items():
-            patterns.update(
-                dict.fromkeys(
-                    _words(
-                        tuple(octets.of_glob(parse(partition)) for partition in partitions) or every,
-                        tuple(own),
-                        pairs=pairs,
-                    )
-                )
-            )
-        blocks.append(Block(effect is Effect.ALLOW, tuple(patterns)))
+            listed = [octets.of_glob(parse(partition)) for partition in partitions]
+            words |= dict.fromkeys(_words(listed or every, tuple(own), pairs=pairs))
+        blocks.append(Block(effect is Effect.ALLOW, tuple(words)))
     return tuple(blocks)
 
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 from functools import lru_cache
 
 from comarmor.errors import Origin
@@ -16,14 +16,12 @@ from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.credentials import revocation_period
 from keymint_ros2_dds.decision import VARIATIONS, read
 from keymint_ros2_dds.enclave_layout import CA, CERTIFICATE, CRL, IDENTITY_CA, PERMISSIONS_CA
+from keymint_ros2_dds.proving.grant_periods import following
 
 Period = tuple[datetime, datetime]
-_GRANT = lazy_regex(rb'<grant name="[A-Za-z0-9_/]+">\s*<subject_name>([A-Za-z0-9_/=,]+)</subject_name>')
+_GRANT = lazy_regex(rb'(<grant name=")[A-Za-z0-9_/]+(">\s*<subject_name>)([A-Za-z0-9_/=,]+)<')
 _TOPIC = lazy_regex(rb"<topic>[A-Za-z0-9_/]+</topic>")
 _ANYONE = "CN=/n"
-_ANY_GRANT = b'<grant name="/n"><subject_name>CN=/n</subject_name>'
-_SECOND = timedelta(seconds=1)
-_LAST = datetime.max.replace(tzinfo=UTC) - _SECOND
 
 
 def of_certificates(files: Mapping[str, bytes], folder: str) -> Iterator[ValidityTerm]:
@@ -71,14 +69,13 @@ def _representative(content: bytes, subject_name: str) -> tuple[bytes, str]:
     grant = _GRANT.search(content)
     if (
         grant is None
-        or grant[1] != subject_name.encode()
+        or grant[3] != subject_name.encode()
         or content.count(b"<grant") != 1
         or b"<!" in content
         or subject_name.count("/") + subject_name.count(",") >= subject_name_text.MAX_TOKENS
     ):
         return content, subject_name
-    head, tail = content[: grant.start()], content[grant.end() :]
-    return _TOPIC.sub(b"<topic>t</topic>", head + _ANY_GRANT + tail), _ANYONE
+    return _TOPIC.sub(b"<topic>t</topic>", _GRANT.sub(rb"\1/n\2CN=/n<", content)), _ANYONE
 
 
 @lru_cache(maxsize=16)
@@ -101,7 +98,7 @@ def joined(periods: Iterable[Period]) -> tuple[Period, ...]:
     """Return periods in order; those that touch or overlap become one. Dates have a resolution of a second."""
     merged: list[Period] = []
     for first, last in sorted(periods):
-        if merged and first <= min(merged[-1][1], _LAST) + _SECOND:
+        if merged and first <= following(merged[-1][1]):
             merged[-1] = (merged[-1][0], max(merged[-1][1], last))
         else:
             merged.append((first, last))

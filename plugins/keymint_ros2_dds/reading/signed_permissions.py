@@ -7,7 +7,7 @@ Documents that the schema does not allow are read as well, since vendors accept 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import cache, lru_cache
 
@@ -17,6 +17,7 @@ from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from comarmor.xml.reader import line, parse
+from keymint.api import DomainRange
 from keymint.errors import KeymintError
 from keymint_ros2_dds.domains import MAX_DOMAIN
 from keymint_ros2_dds.reading import dates, quirks
@@ -45,6 +46,13 @@ class DocumentDomains:
         if last is None:
             return domain == first if min_only_is_exact else domain >= first
         return first <= domain <= last
+
+
+def as_ranges(domains: Iterable[DocumentDomains]) -> Iterator[DomainRange]:
+    """Yield the domains of a document; a range without a maximum is its minimum, as vendors read it."""
+    for each in domains:
+        first = each.first or 0
+        yield DomainRange(first, first if each.last is None else each.last)
 
 
 @dataclass(frozen=True, slots=True)
