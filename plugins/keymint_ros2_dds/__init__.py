@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from comarmor.rules import PERMISSIONS
-from keymint.api import API_VERSION, BuildOptions, Claim, Package, ProofTask
+from keymint.api import API_VERSION, BuildOptions, Claim, Package
 from keymint.api.lazy import lazy
 from keymint_ros2_dds.enclave_layout import COPIED, LAYOUTS, READS, files
 
@@ -22,7 +22,7 @@ class DdsSecurity:
     :class:`keymint.api.GrantReader`,
     :class:`keymint.api.RevocationReader`, :class:`keymint.api.AuthorityChanges`,
     :class:`keymint.api.RemoteCompiler`, :class:`keymint.api.ProcessEnvironment`,
-    :class:`keymint.api.RemoteCompiler`, :class:`keymint.api.KeystoreReader`, :class:`keymint.api.KeptDocuments`,
+    :class:`keymint.api.KeystoreReader`, :class:`keymint.api.KeptDocuments`,
     :class:`keymint.api.Prover` and :class:`keymint.api.RemoteProver`.
     """
 
@@ -63,6 +63,7 @@ class DdsSecurity:
     document_topics = lazy("keymint_ros2_dds.transports.enclave_files:document_topics")
 
     differences = lazy("keymint_ros2_dds.proving.anchor_check:differences")
+    prove = lazy("keymint_ros2_dds.proving:prove")
     terms = lazy("keymint_ros2_dds.proving:terms")
     outliving = lazy("keymint_ros2_dds.proving.succession:outliving")
 
@@ -89,13 +90,6 @@ class DdsSecurity:
         from keymint_ros2_dds.proving import ASSUMPTIONS  # noqa: PLC0415
 
         return ASSUMPTIONS
-
-    def prove(self, task: ProofTask) -> Sequence[Claim]:
-        """See :func:`keymint_ros2_dds.proving.prove`."""
-        from keymint_ros2_dds.decision import OMG  # noqa: PLC0415
-        from keymint_ros2_dds.proving import prove  # noqa: PLC0415
-
-        return prove(task, models=(OMG.name,) if task.standard_only else None)
 
 
 build_type = DdsSecurity()

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.steps import step_limit
 from comarmor.values import dataclass
-from keymint.api import BuildOptions, Claim, ComparisonTask, Package, Proof
+from keymint.api import BuildOptions, Claim, ComparisonTask, Grant, Package, Proof
 from keymint.errors import KeymintError
 from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.compiling.compile import Compiled, compile_rules, vendor_notes
@@ -22,7 +22,7 @@ from keymint_ros2_dds.enclave_layout import PERMISSIONS, PERMISSIONS_XML
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import GrantRule
 from keymint_ros2_dds.lowering.lower import Lowered
-from keymint_ros2_dds.proving import ASSUMPTIONS, prove_content
+from keymint_ros2_dds.proving import prove_content
 
 STATES = 50_000
 """States that a proof may visit, so that a build always ends."""
@@ -50,6 +50,11 @@ class Emitted:
     claims: tuple[Claim, ...]
     diagnostics: tuple[Diagnostic, ...]
 
+    def is_usual(self, grant: Grant) -> bool:
+        """Tell whether the document is proven, and nothing is reported but notes on what vendors do."""
+        proven = all(claim.proof is Proof.PROVEN for claim in self.claims)
+        return proven and self.diagnostics == tuple(vendor_notes(self.rules, grant))
+
     @property
     def lowered(self) -> Lowered | None:
         """The rules of the policy as DDS patterns, if they are known."""
@@ -73,7 +78,7 @@ def _smallest_proven(package: Package, options: BuildOptions, compiled: Compiled
     diagnostics: list[Diagnostic] = []
     for rules in _forms(compiled, optimise=options.optimise):
         document = permissions_document.render(package.grant, rules)
-        claims = _claims(package, compiled.lowered, document, _models(compiled))
+        claims = _claims(package, compiled, document)
         open_claims = _open(claims)
         if not open_claims or rules is compiled.plain:
             diagnostics += compiled.diagnostics
@@ -108,7 +113,7 @@ def is_form_of(package: Package, document: bytes) -> bool:
         return True
     if _not_proven(document) not in map(_not_proven, forms):
         return False
-    return not _open(_claims(package, compiled.lowered, document, _models(compiled)))
+    return not _open(_claims(package, compiled, document))
 
 
 def _not_proven(document: bytes) -> list[tuple[str, str, str]]:
@@ -121,13 +126,10 @@ def _not_proven(document: bytes) -> list[tuple[str, str, str]]:
     return [(item.tag, item.get("name", ""), (item.text or "").strip()) for item in root.iter("*")]
 
 
-def _models(compiled: Compiled) -> tuple[str, ...]:
-    """Return the models to prove: the standard only, if the user accepted that vendors differ."""
-    return tuple(ASSUMPTIONS) if compiled.portable else (OMG.name,)
-
-
-def _claims(package: Package, lowered: Lowered, document: bytes, models: Sequence[str]) -> tuple[Claim, ...]:
-    return prove_content(comparison(package, document), models=models, lowered=lowered)
+def _claims(package: Package, compiled: Compiled, document: bytes) -> tuple[Claim, ...]:
+    """Return the claims about a document: by the standard only, if the user accepted that vendors differ."""
+    models = None if compiled.portable else (OMG.name,)
+    return prove_content(comparison(package, document), models=models, lowered=compiled.lowered)
 
 
 def comparison(package: Package, document: bytes) -> ComparisonTask:

@@ -103,18 +103,17 @@ def _signed(content: bytes, kind: str, credentials: EnclaveCredentials, installe
     in_force = certificates.load_bundle(credentials.chains[roles.PERMISSIONS])[0]
     if present is not None and smime.is_current(present, content, in_force):
         return present
-    authority = credentials.signers[roles.PERMISSIONS]  # whose key may be elsewhere
+    sign = _sign_once if kind == GOVERNANCE else _sign
+    return sign(content, credentials.signers[roles.PERMISSIONS])  # whose key may be elsewhere
+
+
+def _sign(content: bytes, authority: api.SigningAuthority) -> bytes:
     signer = smime.load_signer(authority)
-    if kind == GOVERNANCE:
-        return _sign_once(content, authority)
     return smime.sign(content, signer.certificate, signer.key)
 
 
-@lru_cache(maxsize=16)
-def _sign_once(content: bytes, signer: api.SigningAuthority) -> bytes:
-    """Sign a document; cached, since many enclaves share it."""
-    loaded = smime.load_signer(signer)
-    return smime.sign(content, loaded.certificate, loaded.key)
+_sign_once = lru_cache(maxsize=16)(_sign)
+"""Signs a document that many enclaves share."""
 
 
 def shared(artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapping[str, Artifact]:

@@ -41,8 +41,7 @@ def render(permissions: Grant, rules: Iterable[GrantRule[str]]) -> bytes:
     """
     rules = tuple(rules)
     begin, around = head(permissions), around_topics(rules, permissions.domains)
-    lists = [expressions for rule in rules for expressions in rule.topics.values()]
-    return dds_xml.indented_if_small(lambda indent: text(begin[indent], lists, around[indent], indent))
+    return dds_xml.indented_if_small(lambda indent: text(begin[indent], rules, around[indent], indent))
 
 
 def head(permissions: Grant) -> Mapping[str, str]:
@@ -78,18 +77,18 @@ def head(permissions: Grant) -> Mapping[str, str]:
     }
 
 
-def text(begin: str, lists: Iterable[Sequence[str]], around: Iterable[str], indent: str) -> str:
+def text(begin: str, rules: Iterable[GrantRule[str]], around: Iterable[str], indent: str) -> str:
     """Return a document as text.
 
     Args:
         begin: from :func:`head`.
-        lists: the lists of topics of its rules.
+        rules: its rules, for their lists of topics.
         around: from :func:`around_topics`: the text before each list, and after the last one.
         indent: what each level is indented by.
     """
     parts = [begin]
     following = iter(around)
-    for topics in lists:
+    for topics in (topics for rule in rules for topics in rule.topics.values()):
         parts += next(following), _elements("topic", topics, indent)
     return "".join((*parts, *following))
 

@@ -52,7 +52,7 @@ def _compiled(package: Package, options: BuildOptions) -> Compilation | None:
         emitted = emit(package, options)
     except KeymintError:
         return None  # the error is found again where the user is
-    if not _is_proven(emitted.claims) or emitted.diagnostics != tuple(vendor_notes(emitted.rules, package.grant)):
+    if not emitted.is_usual(package.grant):
         return None
     return Compilation(emitted.rules, emitted.plain_size, emitted.claims)
 
@@ -79,7 +79,7 @@ def emit_received(package: Package, options: BuildOptions) -> Emitted | None:
         claims = compilation.claims if trusted else prove_content(task)
     except KeymintError:
         return None
-    if not _is_proven(claims) or signed_size(document) > TIGHT:
+    if not claims or any(claim.proof is not Proof.PROVEN for claim in claims) or signed_size(document) > TIGHT:
         return None
     if trusted:
         proof_cache.remember(task, kind_of(package.grant.rules.rules), claims)
@@ -89,7 +89,3 @@ def emit_received(package: Package, options: BuildOptions) -> Emitted | None:
 def is_remote(package: Package) -> bool:
     """Tell whether another machine may compile a package: it has no rules about relaying, which no proof covers."""
     return not any("relay" in permission for rule in package.grant.rules.rules for permission in rule.permissions)
-
-
-def _is_proven(claims: tuple[Claim, ...]) -> bool:
-    return bool(claims) and all(claim.proof is Proof.PROVEN for claim in claims)

@@ -11,7 +11,7 @@ from functools import lru_cache
 
 from comarmor.patterns.steps import step_limit
 from comarmor.values import dataclass
-from keymint.api import BuildOptions, Claim, DomainRange, Grant, Package, Proof, Validity
+from keymint.api import BuildOptions, Claim, DomainRange, Grant, Package, Validity
 from keymint.errors import KeymintError
 from keymint.keymake.kinds import Arguments, Kind, kind_of
 from keymint_ros2_dds import subject_name_text
@@ -116,7 +116,7 @@ def emit_by_kind(package: Package, options: BuildOptions) -> Emitted:
     with step_limit(None) as counter:
         emitted = emit(package, options)
     compiled = emitted.compiled
-    if compiled is not None and counter.spent <= FEW_STEPS and _is_usual(package, emitted, compiled):
+    if compiled is not None and counter.spent <= FEW_STEPS and _is_minimal(package, emitted, compiled):
         made = _Made(arguments, emitted.rules, compiled.plain, emitted.claims, bool(emitted.diagnostics))
         if members is not None:
             members.keep(made, domains)
@@ -127,14 +127,9 @@ def emit_by_kind(package: Package, options: BuildOptions) -> Emitted:
     return emitted
 
 
-def _is_usual(package: Package, emitted: Emitted, compiled: Compiled) -> bool:
-    """Tell whether a document of the engine is minimal, not gathered, proven, and nothing is reported but notes."""
-    return (
-        compiled.portable
-        and (emitted.rules,) == compiled.forms
-        and all(claim.proof is Proof.PROVEN for claim in emitted.claims)
-        and emitted.diagnostics == tuple(vendor_notes(emitted.rules, package.grant))
-    )
+def _is_minimal(package: Package, emitted: Emitted, compiled: Compiled) -> bool:
+    """Tell whether a document of the engine is minimal, not gathered, and usual."""
+    return compiled.portable and (emitted.rules,) == compiled.forms and emitted.is_usual(package.grant)
 
 
 def _renamed(package: Package, kind: Kind, arguments: Arguments, members: _Members) -> Emitted | None:

@@ -56,9 +56,8 @@ class Template:
         )
         places = tuple(number for *_, topics in split_rules for _, (own, _) in topics for number in own)
         around = permissions_document.around_topics(rules, domains)
-        lists = [texts for rule in rules for texts in rule.topics.values()]
         length = sum(len(names[number]) for number in places)
-        texts = {each: permissions_document.text("", lists, around[each], each) for each in dds_xml.INDENTATIONS}
+        texts = {each: permissions_document.text("", rules, around[each], each) for each in dds_xml.INDENTATIONS}
         sizes = {indent: len(text.encode()) - length for indent, text in texts.items()}
         return cls(split_rules, around, places, sizes)
 
@@ -78,9 +77,8 @@ class Template:
 
     def document(self, head: Mapping[str, str], rules: Sequence[GrantRule[str]]) -> bytes:
         """Return the document of another subject, from its head and rules."""
-        lists = [texts for rule in rules for texts in rule.topics.values()]
         return dds_xml.indented_if_small(
-            lambda indent: permissions_document.text(head[indent], lists, self.around[indent], indent)
+            lambda indent: permissions_document.text(head[indent], rules, self.around[indent], indent)
         )
 
     def size(self, head: Mapping[str, str], names: Sequence[str]) -> int:

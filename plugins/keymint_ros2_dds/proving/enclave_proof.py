@@ -13,6 +13,7 @@ from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint.pki.identity_check import enclave_file
 from keymint_ros2_dds import authority_roles as roles
+from keymint_ros2_dds.decision import OMG
 from keymint_ros2_dds.enclave_layout import (
     CERTIFICATE,
     GOVERNANCE_P7S,
@@ -29,7 +30,14 @@ from keymint_ros2_dds.transports.enclave_files import subject_name
 
 
 def prove(task: ProofTask, *, models: Sequence[str] | None = None) -> tuple[Claim, ...]:
-    """Return the claims about an enclave, by model, action and domains; see :func:`question`."""
+    """Return the claims about an enclave, by model, action and domains; see :func:`question`.
+
+    Args:
+        task: the enclave, and the policy that it must implement.
+        models: names of the models; None: those that the task asks for.
+    """
+    if models is None and task.standard_only:
+        models = (OMG.name,)
     asked = question(task)
     return prove_content(asked.task, models=models, governance=asked.governance)
 
