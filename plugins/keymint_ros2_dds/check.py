@@ -136,13 +136,8 @@ class _EnclaveCheck(CredentialCheck):
         return replace(found, severity=Severity.NOTE, help="another tool wrote it, and it is kept as it is")
 
     def _authorities(self) -> Iterator[Diagnostic]:
-        trusted = {
-            IDENTITY_CA: self._issuer,
-            PERMISSIONS_CA: self._signer,
-            CA: self._signer,
-        }
-        for name in (IDENTITY_CA, PERMISSIONS_CA, CA):
-            if name in self._names and name in self._files and self._files[name] != trusted[name]:
+        for name, chain in ((IDENTITY_CA, self._issuer), (PERMISSIONS_CA, self._signer), (CA, self._signer)):
+            if name in self._names and self._files.get(name, chain) != chain:
                 yield self._error("authority-differs", name, "is not the certificate of the workspace's authority")
         try:
             problem = certificates.can_sign_documents(

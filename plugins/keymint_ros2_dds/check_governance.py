@@ -13,7 +13,6 @@ from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds import governance_warnings
-from keymint_ros2_dds.decision.access import DomainAccess
 from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.enclave_layout import GOVERNANCE_P7S
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance, cuts
@@ -51,7 +50,7 @@ def _weaker_protection(inspection: Inspection, governing: EnclaveGovernance) -> 
     subject, document = inspection.package.subject, governing.document
     help_ = f"'keymint install {inspection.package.name}' signs what the sources build"
     for domains in cuts(governing.domains()):
-        rule = DomainAccess(document, domains.first, STANDARD).rule
+        rule = document.rule(domains.first)
         if rule is None:
             continue
         expected = governing.source_rule(domains.first) or STRICT

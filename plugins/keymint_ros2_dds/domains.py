@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import DomainRange
@@ -38,18 +38,14 @@ def in_words(ranges: Iterable[DomainRange]) -> str:
     return f"domain{'s' if plural else ''} {', '.join(texts)}"
 
 
-def check_domains(ranges: Sequence[DomainRange], where: Origin, subject: str) -> list[Diagnostic]:
-    """Return the defects of a list of domains: empty, an empty range, or an id that has no ports."""
+def check_domains(ranges: Sequence[DomainRange], where: Origin, subject: str) -> Iterator[Diagnostic]:
+    """Yield the defects of a list of domains: empty, an empty range, or an id that has no ports."""
     if not ranges:
-        return [Diagnostic("domains", Severity.ERROR, "no domain is given", where, "name at least one", subject)]
-    diagnostics = []
+        yield Diagnostic("domains", Severity.ERROR, "no domain is given", where, "name at least one", subject)
     for item in ranges:
         if item.first > item.last or item.first < 0:
             message = f"the range of domains {item.first} to {item.last} is empty"
-            diagnostics.append(Diagnostic("domains", Severity.ERROR, message, where, "put the lower id first", subject))
+            yield Diagnostic("domains", Severity.ERROR, message, where, "put the lower id first", subject)
         elif item.last > MAX_DOMAIN:
             message = f"domain {item.last} is higher than {MAX_DOMAIN}; Cyclone DDS refuses the document"
-            diagnostics.append(
-                Diagnostic("portability-domain", Severity.ERROR, message, where, f"use 0 to {MAX_DOMAIN}", subject)
-            )
-    return diagnostics
+            yield Diagnostic("portability-domain", Severity.ERROR, message, where, f"use 0 to {MAX_DOMAIN}", subject)

@@ -185,9 +185,7 @@ def _complete(
         replace(
             base,
             domains=rule.domains or base.domains,
-            topic_rules=(*(_topic_protection(topic, general, file) for topic in rule.topic_rules), *base.topic_rules)
-            if rule.topic_rules
-            else base.topic_rules,
+            topic_rules=(*(_topic_protection(topic, general, file) for topic in rule.topic_rules), *base.topic_rules),
             origin=Origin(file, rule.line),
             domains_origin=None if rule.domains else base.origin,
             **rule.settings,

@@ -52,7 +52,7 @@ def head(permissions: Grant) -> Mapping[str, str]:
     """
     subject = permissions.rules.subject
     period = validity_of(permissions)
-    problems = check_domains(permissions.domains, permissions.domains_origin or permissions.origin, subject)
+    problems = [*check_domains(permissions.domains, permissions.domains_origin or permissions.origin, subject)]
     if period.not_after.year > _MAX_YEAR:
         message = f"the permissions end in the year {period.not_after.year}, which Cyclone DDS reads as expired"
         help_ = f"let them end by {_MAX_YEAR}"

@@ -38,8 +38,8 @@ def in_ros(patterns: Iterable[tuple[TopicAction, Glob]], distro: str) -> Mapping
     if distro != ARDENT:
         for kind, permissions in _KINDS.items():
             for permission in permissions:
-                for name, needed in _complete(DDS_TOPICS[permission], left).items():
-                    found[kind, permission, name] = needed[0]
+                topics = DDS_TOPICS[permission]
+                found |= {(kind, permission, name): _of(topics[0], name) for name in _complete(topics, left)}
         for _, permission, name in found:
             for topic in DDS_TOPICS[permission]:
                 left.pop(_of(topic, name), None)
@@ -51,18 +51,10 @@ def _of(topic: DdsTopic, name: Glob) -> tuple[TopicAction, Glob]:
     return topic.action, glob.surround(topic.prefix, name, topic.suffix)
 
 
-def _complete(
-    topics: tuple[DdsTopic, ...], patterns: Mapping[tuple[TopicAction, Glob], None]
-) -> dict[Glob, list[tuple[TopicAction, Glob]]]:
+def _complete(topics: tuple[DdsTopic, ...], patterns: Mapping[tuple[TopicAction, Glob], None]) -> list[Glob]:
     """Return the patterns of ROS names for which there are all topics of a permission."""
-    first, found = topics[0], {}
-    for action, pattern in patterns:
-        name = _name(pattern, first) if action is first.action else None
-        if name is not None:
-            needed = [_of(topic, name) for topic in topics]
-            if all(each in patterns for each in needed):
-                found[name] = needed
-    return found
+    names = (_name(pattern, topics[0]) for action, pattern in patterns if action is topics[0].action)
+    return [name for name in names if name is not None and all(_of(topic, name) in patterns for topic in topics)]
 
 
 def _name(pattern: Glob, topic: DdsTopic) -> Glob | None:

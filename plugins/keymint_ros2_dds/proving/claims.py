@@ -17,13 +17,15 @@ from keymint_ros2_dds.decision import VARIATIONS
 from keymint_ros2_dds.decision.access import DomainAccess
 from keymint_ros2_dds.domains import merged
 from keymint_ros2_dds.proving import octets, protection
-from keymint_ros2_dds.proving.comparison import NOTHING_PERMITTED, Comparator, Permitted
+from keymint_ros2_dds.proving.comparison import Comparator
 from keymint_ros2_dds.proving.counterexamples import Counterexamples, Situation
 from keymint_ros2_dds.proving.enclave_governance import ACTIONS
 from keymint_ros2_dds.proving.governance_lists import (
     NOTHING,
+    NOTHING_PERMITTED,
     REFUSED,
     WILDCARDS,
+    Permitted,
     regions,
 )
 from keymint_ros2_dds.proving.grant_periods import grant_periods
@@ -190,10 +192,5 @@ class _Model:
 
     def _refuted(self, claim: Callable[..., Claim], situation: Situation, witness: Witness) -> Claim:
         examples = Counterexamples(self._question, self._variation, self._refused, self._eras, self._comparison.pairs)
-        example = examples.of(situation, witness.word, permitted=not witness.left)
-        if example.policy.allowed is not witness.left or example.document.allowed is witness.left:
-            name = example.endpoint.name
-            return claim(
-                Proof.UNKNOWN, f"the engine and the plain evaluators disagree on {name!r}: a defect of Keymint"
-            )
-        return claim(Proof.COUNTEREXAMPLE, "", example)
+        example, defect = examples.of(situation, witness.word, permitted=not witness.left)
+        return claim(Proof.UNKNOWN, defect) if defect else claim(Proof.COUNTEREXAMPLE, "", example)

@@ -3,34 +3,11 @@
 
 from __future__ import annotations
 
-from comarmor.patterns.decision_lists import DecisionList, ProofResult
-from comarmor.patterns.proofs import difference
-from comarmor.values import dataclass
+from comarmor.patterns.decision_lists import ProofResult
 from keymint_ros2_dds.proving import octets, permission_lists
 from keymint_ros2_dds.proving.enclave_governance import ACTIONS
-from keymint_ros2_dds.proving.governance_lists import NOTHING, Regions, without_wildcards
-from keymint_ros2_dds.proving.governance_lists import difference as governed_difference
+from keymint_ros2_dds.proving.governance_lists import Permitted, difference
 from keymint_ros2_dds.proving.questions import ProofQuestion
-
-
-@dataclass(frozen=True, slots=True)
-class Permitted:
-    """What the documents permit.
-
-    Attributes:
-        lists: decision lists of the permissions, of which all must permit.
-        regions: topics by their governance; None if every topic is under access control.
-        exempt: permits the topics that the sources leave open, as the profile accepts.
-        both_ways: names with wildcards are excluded, because topic rules match them in both directions.
-    """
-
-    lists: tuple[DecisionList, ...]
-    regions: Regions | None = None
-    exempt: DecisionList = NOTHING
-    both_ways: bool = False
-
-
-NOTHING_PERMITTED = Permitted((NOTHING,))
 
 
 class Comparator:
@@ -60,12 +37,5 @@ class Comparator:
         key = (policy, permitted)
         result = self._known.get(key)
         if result is None:
-            result = self._known[key] = self._compared(policy, permitted)
+            result = self._known[key] = difference(policy, permitted, self._universe, self._question.budget())
         return result
-
-    def _compared(self, policy: DecisionList, permitted: Permitted) -> ProofResult:
-        budget = self._question.budget()
-        if permitted.regions is None:
-            return difference(policy, *permitted.lists, universe=self._universe, budget=budget)
-        universe = without_wildcards(self._universe) if permitted.both_ways else self._universe
-        return governed_difference(policy, permitted.lists, permitted.regions, permitted.exempt, universe, budget)

@@ -13,6 +13,7 @@ from keymint.ir import SubjectRules
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import OMG, DocumentEvaluator, EndpointDecision, Variation
 from keymint_ros2_dds.decision.access import DomainAccess
+from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.proving import octets, policy_evaluator, protection
 from keymint_ros2_dds.proving.grant_periods import GrantPeriod
 from keymint_ros2_dds.proving.questions import ProofQuestion
@@ -55,8 +56,10 @@ class Counterexamples:
     eras: tuple[GrantPeriod, ...]
     pairs: bool
 
-    def of(self, situation: Situation, word: str, *, permitted: bool) -> Counterexample:
+    def of(self, situation: Situation, word: str, *, permitted: bool) -> tuple[Counterexample, str]:
         """Return a name for which the policy and the documents decide differently, with both decisions.
+
+        The second value tells that the engine and the plain evaluators disagree; it is empty if they agree.
 
         Args:
             situation: when they differ.
@@ -69,20 +72,12 @@ class Counterexamples:
         partition, topic = map(octets.in_text, pair)
         rules = task.rules if inside else SubjectRules(task.rules.subject, ())
         edges = policy_evaluator.endpoint_edges(rules.subject, task.distro, action, topic, partition)
-        rule = policy_evaluator.decide(rules, task.distro, action, topic, partition)
-        if rule is not None:
-            verb = "allows" if rule.effect is Effect.ALLOW else "denies"
-            policy = PolicyDecision(
-                rule.effect is Effect.ALLOW, rule.origin, Reason((f"the {rule.kind} rule {verb} it",)), rule.audit
-            )
-        else:
-            reason = "no rule allows it" if inside else "not its domain"
-            policy = PolicyDecision(allowed=False, where=None, reason=Reason((reason,)))
+        policy = _policy_decision(task.distro, rules, situation, topic, partition, permitted=permitted)
         verdict = self._verdict(situation, topic, partition, permitted=permitted)
         place, help_ = None, ""
         if governance is not None and verdict.where is not None and verdict.where.file == governance.document.file:
             place, help_ = verdict.where, protection.help_for(governance, domain)
-        return Counterexample(
+        example = Counterexample(
             Endpoint(rules.subject, action, topic, edges[0].object.partitions, domain),
             next((edge for edge in edges[1:] if policy_evaluator.is_ros_name(edge.object.name)), None),
             policy,
@@ -90,6 +85,9 @@ class Counterexamples:
             help_,
             place,
         )
+        agree = policy.allowed is not permitted and verdict.allowed is permitted
+        defect = f"the engine and the plain evaluators disagree on {topic!r}: a defect of Keymint"
+        return example, "" if agree else defect
 
     def _verdict(self, situation: Situation, topic: str, partition: str, *, permitted: bool) -> Verdict:
         """Return the verdict of the decision point about a topic and partition, by this model.
@@ -133,3 +131,18 @@ class Counterexamples:
         dates = f"{grant.not_before.strip()} to {grant.not_after.strip()}"
         reason = f"the grant of {name!r} is never valid ({dates})"
         return Verdict(allowed=False, reason=reason, where=document.place(grant.line))
+
+
+def _policy_decision(
+    distro: str, rules: SubjectRules, situation: Situation, topic: str, partition: str, *, permitted: bool
+) -> PolicyDecision:
+    if situation.action == TopicAction.RELAY:  # the evaluator of policies knows no relay
+        verb = "allow" if situation.inside and not permitted else "do not allow"
+        return PolicyDecision(allowed=not permitted, where=None, reason=Reason((f"the rules {verb} it",)))
+    rule = policy_evaluator.decide(rules, distro, situation.action, topic, partition)
+    if rule is None:
+        reason = "no rule allows it" if situation.inside else "not its domain"
+        return PolicyDecision(allowed=False, where=None, reason=Reason((reason,)))
+    allowed = rule.effect is Effect.ALLOW
+    verb = "allows" if allowed else "denies"
+    return PolicyDecision(allowed, rule.origin, Reason((f"the {rule.kind} rule {verb} it",)), rule.audit)

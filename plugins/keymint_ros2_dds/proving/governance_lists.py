@@ -8,10 +8,11 @@ comparison searches, case by case, for words that some lists permit and another 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 
+from comarmor.patterns import proofs
 from comarmor.patterns.decision_lists import (
     Block,
     DecisionList,
@@ -23,7 +24,6 @@ from comarmor.patterns.decision_lists import (
     Witness,
 )
 from comarmor.patterns.glob import EVERYTHING, Glob
-from comarmor.patterns.proofs import escapes
 from comarmor.patterns.tokens import Charset
 from comarmor.values import dataclass
 from keymint_ros2_dds.decision.semantics import Semantics
@@ -57,6 +57,26 @@ class Regions:
 
 REFUSED = Regions(NOTHING, NOTHING, NOTHING, closed=False)
 """The topics of a domain that no rule matches."""
+
+
+@dataclass(frozen=True, slots=True)
+class Permitted:
+    """What the documents permit.
+
+    Attributes:
+        lists: decision lists of the permissions, of which all must permit.
+        regions: topics by their governance; None if every topic is under access control.
+        exempt: permits the topics that the sources leave open, as the profile accepts.
+        both_ways: names with wildcards are excluded, because topic rules match them in both directions.
+    """
+
+    lists: tuple[DecisionList, ...]
+    regions: Regions | None = None
+    exempt: DecisionList = NOTHING
+    both_ways: bool = False
+
+
+NOTHING_PERMITTED = Permitted((NOTHING,))
 
 
 @lru_cache(maxsize=256)
@@ -111,31 +131,26 @@ def without_wildcards(universe: Universe) -> Universe:
     return replace(universe, alphabet=Charset(tuple(kept)))
 
 
-def difference(
-    policy: DecisionList,
-    permitted: Sequence[DecisionList],
-    topics: Regions,
-    exempt: DecisionList,
-    universe: Universe,
-    budget: SearchBudget,
-) -> ProofResult:
+def difference(policy: DecisionList, permitted: Permitted, universe: Universe, budget: SearchBudget) -> ProofResult:
     """Compare what a policy allows with what the documents permit.
 
     Args:
         policy: what the policy allows.
-        permitted: the permissions' list for the endpoint, and for the topic where that is checked; all must permit.
-        topics: topics by the governance.
-        exempt: permits the topics that may be open.
+        permitted: what the documents permit.
         universe: the words to compare.
         budget: limits of each search.
 
     Returns:
         :class:`Equal`, a shortest :class:`Witness`, or :class:`Unknown`.
     """
+    if permitted.regions is None:
+        return proofs.difference(policy, *permitted.lists, universe=universe, budget=budget)
+    if permitted.both_ways:
+        universe = without_wildcards(universe)
     best: Witness | None = None
     unknown: Unknown | None = None
-    for together, refusing, left in _questions(policy, permitted, topics, exempt):
-        outcome = escapes(together, refusing, universe, budget)
+    for together, refusing, left in _questions(policy, permitted, permitted.regions):
+        outcome = proofs.escapes(together, refusing, universe, budget)
         if isinstance(outcome, Unknown):
             unknown = outcome
         elif isinstance(outcome, Witness) and (best is None or len(outcome.word) < len(best.word)):
@@ -144,7 +159,7 @@ def difference(
 
 
 def _questions(
-    policy: DecisionList, permitted: Sequence[DecisionList], topics: Regions, exempt: DecisionList
+    policy: DecisionList, permitted: Permitted, topics: Regions
 ) -> Iterator[tuple[tuple[DecisionList, ...], DecisionList, bool]]:
     """Yield the searches: lists that all permit, one that refuses, and whether the policy is among the first.
 
@@ -152,8 +167,8 @@ def _questions(
     the topic's ``t``, the documents permit ``opened`` + ``e`` * ``either`` + ``e`` * ``t`` * ``covered``. The
     permissions alone must not permit more either, covered or not: peers evaluate them with their own governance.
     """
-    endpoint, *topic = permitted
-    outside = (refused(exempt),) if exempt else ()
+    endpoint, *topic = permitted.lists
+    outside = (refused(permitted.exempt),) if permitted.exempt else ()
     yield (topics.opened, *outside), policy, False
     yield (endpoint, *topic, *outside), policy, False
     if topic:

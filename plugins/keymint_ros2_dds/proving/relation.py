@@ -8,10 +8,8 @@ topics count as under access control.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import product
 
-from comarmor.errors import Reason
 from comarmor.patterns.decision_lists import DecisionList, Unknown, Witness
 from comarmor.patterns.proofs import implies
 from comarmor.patterns.tokens import PatternError
@@ -19,7 +17,6 @@ from keymint.api import (
     ComparisonTask,
     Counterexample,
     DocumentComparison,
-    PolicyDecision,
     Relation,
 )
 from keymint.errors import KeymintError
@@ -130,18 +127,11 @@ class _Comparison:
         return best if word is None or (best and len(best[0]) <= len(word)) else (word, situation)
 
     def _example(self, found: _Found | None, *, permitted: bool) -> Counterexample | None:
-        """Return a name with the decisions of the plain evaluators, which must agree with what the engine found."""
+        """Return a name with the decisions of the plain evaluators."""
         if found is None:
             return None
         word, situation = found
         examples = Counterexamples(self._question, OMG, "", self._eras, self._pairs)
-        example = examples.of(situation, word, permitted=permitted)
-        if situation.action == TopicAction.RELAY:  # the evaluator of policies knows no relay
-            verb = "allow" if situation.inside and not permitted else "do not allow"
-            decision = PolicyDecision(allowed=not permitted, where=None, reason=Reason((f"the rules {verb} it",)))
-            example = replace(example, policy=decision)
-        if example.policy.allowed is permitted or example.document.allowed is not permitted:
-            name = example.endpoint.name
-            self._reason = f"the engine and the plain evaluators disagree on {name!r}: a defect of Keymint"
-            return None
-        return example
+        example, defect = examples.of(situation, word, permitted=permitted)
+        self._reason = defect or self._reason
+        return None if defect else example

@@ -57,6 +57,6 @@ def test_in_words(ranges, text: str) -> None:
     ],
 )
 def test_ids_that_cannot_be_used_are_errors(ranges, codes: list[str]) -> None:
-    found = check_domains([DomainRange(*each) for each in ranges], ORIGIN, "/s")
+    found = list(check_domains([DomainRange(*each) for each in ranges], ORIGIN, "/s"))
     assert [each.code for each in found] == codes
     assert all(each.where == ORIGIN and each.subject == "/s" and each.help for each in found)
