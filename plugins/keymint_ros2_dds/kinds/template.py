@@ -24,14 +24,10 @@ class Template:
     Attributes:
         rules: effect, partitions and topics of each rule.
         around: the text of a document around the lists of topics.
-        places: the number of the name in each place.
-        sizes: bytes of a document without its head and names, for each indentation.
     """
 
     rules: tuple[tuple[Effect, Partitions, tuple[tuple[TopicAction, _Texts], ...]], ...]
     around: Around
-    places: tuple[int, ...]
-    sizes: Mapping[str, int]
 
     @classmethod
     def of(cls, rules: Sequence[GrantRule[str]], domains: tuple[DomainRange, ...], names: Sequence[str]) -> Template:
@@ -54,12 +50,7 @@ class Template:
             (rule.effect, rule.partitions, tuple((action, split(texts)) for action, texts in rule.topics.items()))
             for rule in rules
         )
-        places = tuple(number for *_, topics in split_rules for _, (own, _) in topics for number in own)
-        around = permissions_document.around_topics(rules, domains)
-        length = sum(len(names[number]) for number in places)
-        texts = {each: permissions_document.text("", rules, around[each], each) for each in dds_xml.INDENTATIONS}
-        sizes = {indent: len(text.encode()) - length for indent, text in texts.items()}
-        return cls(split_rules, around, places, sizes)
+        return cls(split_rules, permissions_document.around_topics(rules, domains))
 
     def renamed(self, names: Sequence[str]) -> tuple[GrantRule[str], ...]:
         """Return the rules for another subject, each list of topics sorted as the compiler does."""
@@ -80,11 +71,6 @@ class Template:
         return dds_xml.indented_if_small(
             lambda indent: permissions_document.text(head[indent], rules, self.around[indent], indent)
         )
-
-    def size(self, head: Mapping[str, str], names: Sequence[str]) -> int:
-        """Return the bytes of the document of another subject, from its head and names."""
-        length = sum(len(names[number]) for number in self.places)
-        return dds_xml.size_if_small(lambda indent: len(head[indent]) + self.sizes[indent] + length)
 
     def has_no_names(self) -> bool:
         """Tell whether every topic that is the same for all subjects is an expression with a wildcard."""
