@@ -16,8 +16,9 @@ from keymint.errors import KeymintError
 from keymint.graph import ConfusionMatrix, Edge
 from keymint.verify.compare import ENCLAVE_REFUSED, Explain, label_enclave
 from keymint.verify.endpoint_policy import EndpointPolicy
+from keymint.verify.halves import halves
 from keymint.verify.mismatch import Comparison, Mismatch
-from keymint.verify.rows import EdgeRow, MappedColumn, Naming, mapped
+from keymint.verify.rows import EdgeRow, MappedColumn, Naming, labelled_rows, mapped
 
 
 def compare_endpoints(
@@ -61,18 +62,15 @@ def compare_endpoints(
         return explain(name, enclaves[subject], [(edge, _as_decided(verdict, first[edge])) for edge, verdict in again])
 
     findings: list[Mismatch] = []
-    halves: dict[str, list[tuple[Edge, bool]]] = {}
+    single: dict[str, list[tuple[Edge, bool]]] = {}
     wrong: dict[str, int] = {}
-    begin = both = by_policy = by_transport = 0
-    for row in rows:
-        expected = bytes(labels[begin : begin + len(row)])
-        begin += len(row)
+    both = by_policy = by_transport = 0
+    for row, expected in labelled_rows(rows, labels):
         column = mapped(row.column, namings[row.subject])
         admitted = _admitted(transport, enclaves[row.subject], column, tier)
         decided = column.allowed(admitted)
-        half_edges = sorted(map(row.edge, column.halves(expected, admitted)))
-        if found := [(edge, True) for edge in half_edges if not policy.decide(edge).allowed]:
-            halves[row.subject] = found
+        if half_edges := halves(row, expected, column, admitted, policy):
+            single[row.subject] = [(edge, True) for edge in half_edges]
         if decided != expected:
             differing = [
                 (row.edge(request), bool(allowed))
@@ -86,11 +84,11 @@ def compare_endpoints(
         by_transport += decided.count(1)
         on_subject(row.subject)
     of_edges = len(findings)
-    for subject, found in halves.items():
+    for subject, found in single.items():
         wrong[subject] = wrong.get(subject, 0) + len(found)
         findings += kept(subject, found)
-    false_positive = by_transport - both + sum(map(len, halves.values()))
-    confusion = ConfusionMatrix(both, by_policy - both, false_positive, begin - by_policy - by_transport + both)
+    false_positive = by_transport - both + sum(map(len, single.values()))
+    confusion = ConfusionMatrix(both, by_policy - both, false_positive, len(labels) - by_policy - by_transport + both)
     version, of_endpoints = transport.usable().version, len(findings) - of_edges
     return Comparison(name, version, tier, confusion, tuple(findings), wrong, of_endpoints)
 

@@ -7,33 +7,24 @@ that permits one of them, although a subject that may publish requests can alrea
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from itertools import groupby
+from itertools import chain
 
-from comarmor.values import dataclass
-from keymint.api import Enclave, Transport, Verdict
+from keymint.api import Enclave, Transport
 from keymint.graph import Edge
 from keymint.verify.compare import Explain, label_by_subject
 from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.mismatch import Comparison
-from keymint.verify.rows import RAW, Naming
-
-
-@dataclass(frozen=True, slots=True)
-class _Composites:
-    """The endpoints of each edge of a subject that has several, and the endpoints that are edges themselves."""
-
-    endpoints: Sequence[Sequence[Edge]]
-    known: frozenset[Edge]
+from keymint.verify.rows import EdgeRow, MappedColumn, Naming, labelled_rows, mapped
 
 
 def with_halves(
     outcome: Comparison,
     transport: Transport,
     enclaves: Mapping[str, Enclave],
-    edges: Iterable[Edge],
-    allowed: Iterable[int],
+    rows: Iterable[EdgeRow],
+    labels: bytes | bytearray,
     policy: EndpointPolicy,
     namings: Mapping[str, Naming],
     explain: Explain,
@@ -47,8 +38,8 @@ def with_halves(
         outcome: the comparison of the edges.
         transport: the transport.
         enclaves: the enclave of each subject of the edges.
-        edges: the edges, grouped by subject.
-        allowed: the policy's label of each edge: 1 allowed, 0 denied.
+        rows: the edges.
+        labels: the policy's label of each edge: 1 allowed, 0 denied.
         policy: the policy on endpoints.
         namings: the naming of each subject that has one.
         explain: returns mismatches with their reasons.
@@ -57,18 +48,20 @@ def with_halves(
     Raises:
         KeymintError: the transport does not work.
     """
-    waiting: dict[str, _Composites] = {}
+    waiting: dict[str, tuple[EdgeRow, bytes, MappedColumn]] = {}
     findings = list(outcome.findings)
     wrong = dict(outcome.wrong)
     count = 0
-    endpoints = _endpoints(zip(edges, allowed, strict=True), namings, waiting)
+    endpoints = _endpoints(labelled_rows(rows, labels), namings, waiting)
     for subject, labelled in label_by_subject(transport, enclaves, endpoints, outcome.tier):
         verdicts = dict(labelled)
-        half_edges = [each for each in _halves(waiting.pop(subject), verdicts) if not policy.decide(each).allowed]
-        if half_edges:
-            count += len(half_edges)
-            wrong[subject] = wrong.get(subject, 0) + len(half_edges)
-            kept = half_edges[: max(0, limit - len(findings))]
+        row, expected, column = waiting.pop(subject)
+        asked = (verdicts.get(row.edge(each)) for each in column.endpoints.requests)
+        found = halves(row, expected, column, bytes(bool(each and each.allowed) for each in asked), policy)
+        if found:
+            count += len(found)
+            wrong[subject] = wrong.get(subject, 0) + len(found)
+            kept = found[: max(0, limit - len(findings))]
             if kept:
                 findings += explain(outcome.transport, enclaves[subject], [(each, verdicts[each]) for each in kept])
     confusion = replace(outcome.confusion, false_positive=outcome.confusion.false_positive + count)
@@ -77,34 +70,33 @@ def with_halves(
 
 
 def _endpoints(
-    edges: Iterable[tuple[Edge, int]], namings: Mapping[str, Naming], waiting: dict[str, _Composites]
+    rows: Iterable[tuple[EdgeRow, bytes]],
+    namings: Mapping[str, Naming],
+    waiting: dict[str, tuple[EdgeRow, bytes, MappedColumn]],
 ) -> Iterator[Edge]:
     """Yield the endpoints of denied edges with several endpoints, each once, grouped by subject.
 
     Args:
-        edges: the edges with the policy's labels, grouped by subject.
+        rows: the edges with the policy's labels.
         namings: the naming of each subject that has one.
-        waiting: receives the composites of a subject before its first endpoint is yielded.
+        waiting: receives the row of a subject before its first endpoint is yielded.
     """
-    for subject, group in groupby(edges, key=lambda labelled: labelled[0].subject):
-        naming = namings.get(subject)
-        if naming is None:
-            continue
-        known, composites = set[Edge](), list[Sequence[Edge]]()
-        for edge, allowed in group:
-            if edge.object.kind == RAW:
-                known.add(edge)
-            elif len(needed := naming.endpoints(edge)) > 1 and not allowed:
-                composites.append(needed)
-        if composites:
-            waiting[subject] = _Composites(composites, frozenset(known))
-            yield from dict.fromkeys(endpoint for needed in composites for endpoint in needed)
+    for row, expected in rows:
+        if row.subject in namings:
+            column = mapped(row.column, namings[row.subject])
+            waiting[row.subject] = row, expected, column
+            needed = dict.fromkeys(chain.from_iterable(column.denied(expected)))
+            yield from (row.edge(column.endpoints.requests[at]) for at in needed)
 
 
-def _halves(composites: _Composites, verdicts: Mapping[Edge, Verdict]) -> Sequence[Edge]:
-    """Return the allowed endpoints that belong to no edge with all endpoints allowed."""
-    allowed = {endpoint for endpoint, verdict in verdicts.items() if verdict.allowed} - composites.known
-    for needed in composites.endpoints:
-        if all(verdicts[endpoint].allowed for endpoint in needed):
-            allowed.difference_update(needed)
-    return sorted(allowed)
+def halves(row: EdgeRow, labels: bytes, column: MappedColumn, admitted: bytes, policy: EndpointPolicy) -> list[Edge]:
+    """Return the endpoints of a row that a transport admits although the policy denies them and all that need them.
+
+    Args:
+        row: the edges of a subject.
+        labels: which of them the policy allows.
+        column: their endpoints.
+        admitted: which endpoints the transport admits, at least of denied edges with several endpoints.
+        policy: the policy on endpoints.
+    """
+    return [each for each in sorted(map(row.edge, column.halves(labels, admitted))) if not policy.decide(each).allowed]

@@ -6,7 +6,7 @@ What follows from a column alone, as the endpoints of its requests, is computed 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
 
 from comarmor.values import dataclass
@@ -56,6 +56,14 @@ EdgeRows = Callable[[], Iterator[EdgeRow]]
 """Returns the rows of all subjects, each time it is called."""
 
 
+def labelled_rows(rows: Iterable[EdgeRow], labels: bytes | bytearray) -> Iterator[tuple[EdgeRow, bytes]]:
+    """Yield each row with those of the labels, one byte for each edge of all rows, that are of its edges."""
+    begin = 0
+    for row in rows:
+        yield row, bytes(labels[begin : begin + len(row)])
+        begin += len(row)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MappedColumn:
     """The endpoints of the requests of a column.
@@ -79,6 +87,10 @@ class MappedColumn:
             for each in self.needed
         )
 
+    def denied(self, labels: bytes) -> list[tuple[int, ...]]:
+        """Return the positions of the endpoints of each denied request that needs several of them."""
+        return [self.needed[at] for at in self.composite if not labels[at]]
+
     def halves(self, labels: bytes, admitted: bytes) -> list[Edge]:
         """Return the admitted endpoints that only denied requests with several endpoints need.
 
@@ -86,7 +98,7 @@ class MappedColumn:
             labels: which requests the policy allows.
             admitted: which endpoints the transport admits, at least of those requests.
         """
-        denied = [self.needed[at] for at in self.composite if not labels[at]]
+        denied = self.denied(labels)
         found = {at for needed in denied for at in needed if admitted[at]} - self.raw
         for needed in denied if found else ():
             if all(admitted[at] for at in needed):

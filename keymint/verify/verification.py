@@ -99,9 +99,8 @@ def verification(
             )  # fmt: skip
         limit, edges = asking.limit, chain.from_iterable(rows())
         outcome = compare(name, transport, scope.enclaves, edges, labels, asking.tier, explain, limit, on_subject)
-        edges = chain.from_iterable(rows())
         return with_halves(
-            outcome, transport, scope.enclaves, edges, labels, endpoint_policy, scope.namings, explain, limit
+            outcome, transport, scope.enclaves, rows(), labels, endpoint_policy, scope.namings, explain, limit
         )
 
     comparisons = tuple(compared(name, transport) for name, transport in transports.items())

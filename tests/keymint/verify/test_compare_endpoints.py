@@ -94,9 +94,9 @@ def judge(tmp_path_factory: pytest.TempPathFactory) -> EndpointPolicy:
 def both(judge: EndpointPolicy, transport: Transport, rows: Sequence[EdgeRow], limit: int) -> list[Comparison]:
     labels = label(judge, rows)
     namings = dict.fromkeys(SUBJECTS, NAMING)
-    edges = list(chain.from_iterable(rows))
+    edges = chain.from_iterable(rows)
     outcome = compare("fake", transport, ENCLAVES, edges, labels, Tier.DECISION, explain, limit)
-    slow = with_halves(outcome, transport, ENCLAVES, edges, labels, judge, namings, explain, limit)
+    slow = with_halves(outcome, transport, ENCLAVES, rows, labels, judge, namings, explain, limit)
     transport.asked.clear()
     fast = compare_endpoints(
         "fake", transport, ENCLAVES, rows, labels, judge, namings, Tier.DECISION, explain, limit

@@ -13,12 +13,12 @@ from keymint_ros2_dds import build_type
 
 from comarmor.errors import Origin
 from keymint.api import Availability, Enclave, PolicySource, Tier, Verdict
-from keymint.graph import ConfusionMatrix, Edge, EdgeOutcome, Object
+from keymint.graph import Column, ConfusionMatrix, Edge, EdgeOutcome, Object
 from keymint.verify.compare import error_of
 from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.halves import with_halves
 from keymint.verify.mismatch import Comparison, Mismatch
-from keymint.verify.rows import Naming
+from keymint.verify.rows import EdgeRow, Naming
 
 HERE = Origin("permissions.p7s", 1)
 RULES = """<ros_service qualifier="ALLOW"><attachment>/allowed</attachment>
@@ -69,8 +69,8 @@ def compared(judge: EndpointPolicy, allowed: set[str], edges: Sequence[Edge], li
         Comparison("fake", "1", Tier.DECISION, ConfusionMatrix(true_negative=len(edges)), (), {}),
         Transport(frozenset(allowed)),
         {"/s": Enclave("/s", Path("/nowhere/s"), "humble", Path("/nowhere"))},
-        edges,
-        [judge.decide(edge).allowed for edge in edges],
+        [EdgeRow("/s", Column(tuple(edges)))],
+        bytes(judge.decide(edge).allowed for edge in edges),
         judge,
         {"/s": Naming(build_type, "humble")},
         explain,
