@@ -72,9 +72,13 @@ class Copies:
         """Replace the directory of the copies by the directory of the originals."""
         return text.replace(str(self.root), str(self.install))
 
-    def named(self, error: KeymintError) -> KeymintError:
-        """Return an error that names the originals."""
-        return KeymintError.of(map(self._diagnostic, error.diagnostics), error.exit_code)
+    @contextlib.contextmanager
+    def named(self) -> Iterator[None]:
+        """Let the errors of a block name the originals."""
+        try:
+            yield
+        except KeymintError as error:
+            raise KeymintError.of(map(self._diagnostic, error.diagnostics), error.exit_code) from error
 
     def _diagnostic(self, diagnostic: Diagnostic) -> Diagnostic:
         where = diagnostic.where and diagnostic.where.with_files(self.back)
@@ -103,19 +107,13 @@ def copied(
     keys = not all(names_rules(each.usable()) for each in transports)
     with tempfile.TemporaryDirectory(prefix="keymint-") as folder:
         root = Path(folder).resolve()
-        own = {
-            subject: replace(each, folder=root / each.folder.relative_to(install), install=root)
-            for subject, each in enclaves.items()
-        }
         folders = {each.folder for each in enclaves.values()}
         shared = _shared(tree, install, folders.union(others))
         for source in sorted({*folders, *infrastructure, *shared}):
             _copy(tree, source, root / source.relative_to(install), keys=keys)
-        copies = Copies(own, root, install)
-        try:
+        copies = Copies(_moved(enclaves, install, root), root, install)
+        with copies.named():
             yield copies
-        except KeymintError as error:
-            raise copies.named(error) from error
 
 
 @contextlib.contextmanager
@@ -130,11 +128,15 @@ def placed(copies: Copies, files: Mapping[str, bytes] | None) -> Iterator[Copies
             file = root / path
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_bytes(content)
-        enclaves = {
-            subject: replace(each, folder=root / each.folder.relative_to(copies.root), install=root)
-            for subject, each in copies.enclaves.items()
-        }
-        yield Copies(enclaves, root, copies.install)
+        yield Copies(_moved(copies.enclaves, copies.root, root), root, copies.install)
+
+
+def _moved(enclaves: Mapping[str, Enclave], install: Path, root: Path) -> dict[str, Enclave]:
+    """Return the enclaves of an install space at the same places of another one."""
+    return {
+        subject: replace(each, folder=root / each.folder.relative_to(install), install=root)
+        for subject, each in enclaves.items()
+    }
 
 
 def _shared(tree: Tree, folder: Path, enclaves: Collection[Path]) -> Iterator[Path]:
@@ -186,12 +188,10 @@ class _OnCopies:
     def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`."""
         own = [self._copies.enclaves[each.subject] for each in enclaves]
-        try:
+        with self._copies.named():
             for edge, verdict in self._transport.label(own, edges, tier):
                 where = verdict.where and verdict.where.with_files(self._copies.back)
                 yield edge, replace(verdict, reason=self._copies.back(verdict.reason), where=where)
-        except KeymintError as error:
-            raise self._copies.named(error) from error
 
 
 class _EndpointsOnCopies(_OnCopies):
@@ -199,9 +199,6 @@ class _EndpointsOnCopies(_OnCopies):
 
     def admitted(self, enclave: Enclave, endpoints: Column, tier: Tier) -> bytes:
         """See :meth:`keymint.api.EndpointTransport.admitted`."""
-        try:
-            return cast("EndpointTransport", self._transport).admitted(
-                self._copies.enclaves[enclave.subject], endpoints, tier
-            )
-        except KeymintError as error:
-            raise self._copies.named(error) from error
+        transport = cast("EndpointTransport", self._transport)
+        with self._copies.named():
+            return transport.admitted(self._copies.enclaves[enclave.subject], endpoints, tier)

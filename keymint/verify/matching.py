@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 
 from comarmor.patterns import glob
 from comarmor.patterns.expression import matches
@@ -43,39 +43,35 @@ def nearest(rules: Sequence[Rule], edge: Edge) -> NearMiss | None:
     The same object with another permission is nearer than an object with a similar name.
     """
     allows = [(at, rule) for at, rule in enumerate(rules) if rule.effect is Effect.ALLOW]
-    candidates: Iterator[NearMiss | None] = (
-        finder(allows, edge) for finder in (_other_partition, _other_permission, _other_kind, _similar_name)
-    )
-    return next((candidate for candidate in candidates if candidate), None)
+    for lack in (_other_partition, _other_permission, _other_kind):
+        for at, rule in allows:
+            if lacks := lack(rule, edge):
+                return NearMiss(at, lacks)
+    return _similar_name(allows, edge)
 
 
 def _names(rule: Rule, edge: Edge) -> bool:
     return any(matches(each, edge.object.name) for each in rule.expressions)
 
 
-def _other_partition(allows: Sequence[tuple[int, Rule]], edge: Edge) -> NearMiss | None:
-    for at, rule in allows:
-        if edge.object.kind == rule.kind == RAW and edge.permission in rule.permissions and _names(rule, edge):
-            where = ", ".join(map(repr, rule.partitions)) or "the default partition only"
-            return NearMiss(at, f"it applies to {'' if not rule.partitions else 'partitions '}{where}")
-    return None
+def _other_partition(rule: Rule, edge: Edge) -> str:
+    if not (edge.object.kind == rule.kind == RAW and edge.permission in rule.permissions and _names(rule, edge)):
+        return ""
+    partitions = f"partitions {', '.join(map(repr, rule.partitions))}"
+    return f"it applies to {partitions if rule.partitions else 'the default partition only'}"
 
 
-def _other_permission(allows: Sequence[tuple[int, Rule]], edge: Edge) -> NearMiss | None:
-    for at, rule in allows:
-        if rule.kind == edge.object.kind and edge.permission not in rule.permissions and _names(rule, edge):
-            return NearMiss(at, f"it allows {', '.join(rule.permissions)}, not {edge.permission}")
-    return None
+def _other_permission(rule: Rule, edge: Edge) -> str:
+    if rule.kind == edge.object.kind and edge.permission not in rule.permissions and _names(rule, edge):
+        return f"it allows {', '.join(rule.permissions)}, not {edge.permission}"
+    return ""
 
 
-def _other_kind(allows: Sequence[tuple[int, Rule]], edge: Edge) -> NearMiss | None:
-    for at, rule in allows:
-        literal = any(glob.literal(glob.parse(each)) == edge.object.name for each in rule.expressions)
-        if rule.kind != edge.object.kind and literal:
-            return NearMiss(
-                at, f"it is a {rule.kind} rule, and {edge.permission} is a permission of {edge.object.kind}"
-            )
-    return None
+def _other_kind(rule: Rule, edge: Edge) -> str:
+    literal = any(glob.literal(glob.parse(each)) == edge.object.name for each in rule.expressions)
+    if literal and rule.kind != edge.object.kind:
+        return f"it is a {rule.kind} rule, and {edge.permission} is a permission of {edge.object.kind}"
+    return ""
 
 
 def _similar_name(allows: Sequence[tuple[int, Rule]], edge: Edge) -> NearMiss | None:

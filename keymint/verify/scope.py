@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, lru_cache
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
@@ -26,18 +26,17 @@ from keymint.verify.rows import EdgeRow, EdgeRows, Naming
 _Value = TypeVar("_Value")
 
 
+@dataclass(frozen=True, slots=True)
 class Names:
     """Tells which objects have a name on the transports of a build type.
 
-    Args:
+    Attributes:
         build_type: the build type.
         distro: ROS 2 distribution whose name mapping applies.
     """
 
-    def __init__(self, build_type: BuildType, distro: str) -> None:
-        self._build_type = build_type
-        self._distro = distro
-        self._known: dict[Object, bool] = {}
+    build_type: BuildType
+    distro: str
 
     def has(self, object_: Object) -> bool:
         """Tell whether an object has a name.
@@ -45,19 +44,16 @@ class Names:
         Raises:
             KeymintError: the distribution has no objects of this kind.
         """
-        if object_ not in self._known:
-            self._known[object_] = object_.kind in self._build_type.KINDS and self._maps(object_)
-        return self._known[object_]
+        return _has_name(self, object_)
 
-    def __reduce__(self) -> tuple[type, tuple[BuildType, str]]:
-        """Leave what is known when this is sent to another machine."""
-        return Names, (self._build_type, self._distro)
 
-    def _maps(self, object_: Object) -> bool:
-        if not isinstance(self._build_type, ActionMapping):
-            return True
-        edge = Edge("/", LABELLED[object_.kind][0], object_)
-        return bool(self._build_type.actions(self._distro, edge))
+@lru_cache(maxsize=1 << 16)
+def _has_name(names: Names, object_: Object) -> bool:
+    if object_.kind not in names.build_type.KINDS:
+        return False
+    if not isinstance(names.build_type, ActionMapping):
+        return True
+    return bool(names.build_type.actions(names.distro, Edge("/", LABELLED[object_.kind][0], object_)))
 
 
 @dataclass(frozen=True, slots=True)

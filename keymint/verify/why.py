@@ -174,7 +174,7 @@ def explain(
     package = _source_package(session, edge.subject)
     views = _views(session, policy, package, edge)
     meanings = tuple(dict.fromkeys(each for view in views.values() for each in view.meanings(edge)))
-    decisions = {name: view.decide(edge) for name, view in views.items()}
+    decisions = {name: view.policy.decide(edge) for name, view in views.items()}
     profiles = policy.profiles(edge.subject)
     subject_rules = policy.rules(edge.subject)
     rules = subject_rules.rules if subject_rules else ()
@@ -215,10 +215,6 @@ class _View:
     distro: str
     policy: EndpointPolicy
     naming: Naming | None
-
-    def decide(self, edge: Edge) -> PolicyDecision:
-        """Return the decision of the policy."""
-        return self.policy.decide(edge)
 
     def meanings(self, edge: Edge) -> Sequence[Edge]:
         """Return the ROS edges that a request on an endpoint stands for."""
@@ -298,15 +294,10 @@ def _source_package(session: Session, subject: str) -> Package | None:
 
 def _rules_of_package(session: Session, package: Package, edges: Sequence[Edge]) -> Sequence[MatchedRule]:
     """Return the rules of a source package that apply to a request."""
-    rules = package.grant.rules.rules
-    places = _places(session, package.name, session.package_files(package.name), rules)
+    rules, package_type = package.grant.rules.rules, session.package_type
+    if isinstance(package_type, RuleLocator):
+        folder = session.workspace.shown(session.workspace.src / package.name)
+        places = package_type.rule_places(package.name, folder, session.package_files(package.name))
+    else:  # only the policy's own places are known
+        places = [rule.origin for rule in rules]
     return [MatchedRule(rules[at], places[at]) for at in matching_rules(rules, edges)]
-
-
-def _places(session: Session, name: str, files: Mapping[str, bytes], rules: Sequence[Rule]) -> Sequence[Origin]:
-    """Return the place of each rule in its package, or in the policy if the package type does not tell."""
-    package_type = session.package_type
-    if not isinstance(package_type, RuleLocator):
-        return [rule.origin for rule in rules]
-    folder = session.workspace.shown(session.workspace.src / name)
-    return package_type.rule_places(name, folder, files)
