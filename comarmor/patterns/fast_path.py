@@ -12,14 +12,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from functools import lru_cache
-from itertools import product
-from math import prod
 
 from comarmor.patterns.decision_lists import Block, DecisionList, Universe
 from comarmor.patterns.evaluate import Evaluator
-from comarmor.patterns.glob import EVERYTHING, Glob, is_empty, prefix, suffix
+from comarmor.patterns.glob import EVERYTHING, Glob, is_empty, literal, prefix, suffix, words
 from comarmor.patterns.relations import disjoint
-from comarmor.patterns.tokens import STAR, Charset, Star
+from comarmor.patterns.tokens import STAR, Charset
 
 MAX_WORDS = 20_000
 """Most words that the sets in a list's patterns are expanded to."""
@@ -95,26 +93,11 @@ def _expanded(decisions: DecisionList) -> DecisionList:
     for block in decisions:
         patterns: list[Glob] = []
         for pattern in block.patterns:
-            choices = _choices(pattern)
-            count = prod(map(len, choices))
-            if 1 < count <= remaining:
-                remaining -= count
-                patterns += (("".join(word),) for word in product(*(_texts(choice) for choice in choices)))
-            else:
-                patterns.append(pattern)
+            expansion = words(pattern, remaining) if literal(pattern) is None else ()
+            remaining -= len(expansion)
+            patterns += ((word,) for word in expansion) if expansion else (pattern,)
         blocks.append(Block(block.allows, tuple(patterns)))
     return tuple(blocks)
-
-
-def _choices(pattern: Glob) -> tuple[tuple[str] | Charset, ...]:
-    """Return the alternatives at each position of a pattern; none if it matches infinitely many words."""
-    if STAR in pattern:
-        return ()
-    return tuple((token,) if isinstance(token, str) else token for token in pattern if not isinstance(token, Star))
-
-
-def _texts(choice: tuple[str] | Charset) -> Iterator[str]:
-    return choice.chars() if isinstance(choice, Charset) else iter(choice)
 
 
 # An enclave asks about few lists, each several times: for each model, and in both directions.

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from functools import cache, lru_cache
+from itertools import product
+from math import prod
 
 from comarmor.patterns.tokens import ANY, POSIX, SPECIAL, STAR, Bracket, Charset, Dialect, Star, Token, tokenize
 
@@ -72,6 +74,14 @@ def suffix(glob: Glob) -> str:
 def is_empty(glob: Glob) -> bool:
     """Return whether a pattern matches no name, as ``[b-a]`` does."""
     return literal(glob) is None and any(isinstance(token, Charset) and not token.ranges for token in glob)
+
+
+def words(glob: Glob, most: int) -> tuple[str, ...]:
+    """Return the names that a pattern matches, or none of them if they are more than a number."""
+    choices = [(token,) if isinstance(token, str) else token.chars() for token in glob if not isinstance(token, Star)]
+    if len(choices) < len(glob) or prod(len(token) for token in glob if isinstance(token, Charset)) > most:
+        return ()
+    return tuple(map("".join, product(*choices)))
 
 
 def surround(head: str, glob: Glob, tail: str) -> Glob:

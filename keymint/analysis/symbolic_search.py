@@ -9,17 +9,16 @@ depend on the subject overlap by coincidence.
 
 from __future__ import annotations
 
-import string
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
 from itertools import product
 
 from comarmor.patterns.decision_lists import Block, DecisionList, Equal, Universe, Unknown
-from comarmor.patterns.glob import Glob, after, literal, normalise, parse
+from comarmor.patterns.glob import Glob, after, literal, normalise, parse, words
 from comarmor.patterns.matching import matches
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import TooComplexError, intersection
-from comarmor.patterns.tokens import STAR, Charset, Star, charset
+from comarmor.patterns.tokens import STAR, Charset, charset
 from comarmor.values import dataclass
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_lists import RAW, SEPARATOR, universe
@@ -39,10 +38,13 @@ _MOST_WORDS = 16
 """Maximum number of words of a pattern that is replaced by its words."""
 _ROUNDS = 16
 """Maximum number of checked candidates; then the answer is unknown."""
-_LETTERS = charset((ord(char), ord(char)) for char in string.ascii_letters + string.digits + "_")
-_NAMES = charset((*_LETTERS.ranges, (ord("/"), ord("/"))))
-_MARKED = charset((*_NAMES.ranges, (ord(NAMESPACE), ord(NAMESPACE)), (ord(NAME), ord(NAME))))
-_DIGITS = "[0-9]"
+_ILLEGAL_NAMESPACES = ("/*", "*//*", "[0-9]*", "*/[0-9]*", "*[!A-Za-z0-9_/]*", "*[!/]")
+_ILLEGAL_NAMES = ("", "[0-9]*", "*[!A-Za-z0-9_]*")
+_ILLEGAL_OBJECTS = (
+    *("", "[!/]*", "*/", "*//*", "*/[0-9]*"),
+    *(f"*{NAMESPACE}{rest}" for rest in ("/*", "[0-9]*", "")),
+    f"*[!A-Za-z0-9_/{NAMESPACE}{NAME}]*",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,22 +122,9 @@ def find_subject(
 def _singled(subjects: Iterable[tuple[Glob, Glob]], used: Sequence[str]) -> Iterator[tuple[Glob, Glob]]:
     """Yield pairs in which a used half that matches few words is replaced by each of these words."""
     for namespace, name in subjects:
-        halves = (_words(namespace) if NAMESPACE in used else None, _words(name) if NAME in used else None)
-        yield from product(halves[0] or (namespace,), halves[1] or (name,))
-
-
-@lru_cache(maxsize=1 << 12)
-def _words(pattern: Glob) -> tuple[Glob, ...] | None:
-    """Return the words that a pattern matches if they are few, else None."""
-    count = 1
-    for token in pattern:
-        if isinstance(token, Star):
-            return None
-        count *= len(token) if isinstance(token, Charset) else 1
-    if not 0 < count <= _MOST_WORDS:
-        return None
-    choices = [token.chars() if isinstance(token, Charset) else (token,) for token in pattern]
-    return tuple(normalise(each) for each in product(*choices))
+        namespaces = words(namespace, _MOST_WORDS) if NAMESPACE in used else ()
+        names = words(name, _MOST_WORDS) if NAME in used else ()
+        yield from product([*map(_text, namespaces)] or [namespace], [*map(_text, names)] or [name])
 
 
 class _Search:
@@ -287,29 +276,8 @@ def _illegal(kind: str) -> tuple[Glob, ...]:
     See :mod:`keymint.names` for subjects and :func:`keymint.analysis.rule_lists.legal_names` for objects.
     """
     rest = _any_object(kind)
-    digit = parse(_DIGITS)
-    namespaces = (
-        ("/", STAR),
-        (STAR, "//", STAR),
-        (*digit, STAR),
-        (STAR, "/", *digit, STAR),
-        (STAR, _NAMES.complement(), STAR),
-        (STAR, charset(((ord("/"), ord("/")),)).complement()),
-    )
-    names_ = ((), (*digit, STAR), (STAR, _LETTERS.complement(), STAR))
-    objects = (
-        (),
-        (charset(((ord("/"), ord("/")),)).complement(), STAR),
-        (STAR, "/"),
-        (STAR, "//", STAR),
-        (STAR, "/", *digit, STAR),
-        (STAR, f"{NAMESPACE}/", STAR),
-        (STAR, NAMESPACE, *digit, STAR),
-        (STAR, NAMESPACE),
-        (STAR, _MARKED.complement(), STAR),
-    )
     return (
-        *(_word(each, (STAR,), rest) for each in namespaces),
-        *(_word((STAR,), each, rest) for each in names_),
-        *(() if kind == RAW else (_word((STAR,), (STAR,), each) for each in objects)),
+        *(_word(parse(each), (STAR,), rest) for each in _ILLEGAL_NAMESPACES),
+        *(_word((STAR,), parse(each), rest) for each in _ILLEGAL_NAMES),
+        *(() if kind == RAW else (_word((STAR,), (STAR,), parse(each)) for each in _ILLEGAL_OBJECTS)),
     )
