@@ -18,23 +18,13 @@ from comarmor.patterns.glob import Glob, literal
 from comarmor.patterns.matching import matcher
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.relations import disjoint, ends_differ
-from comarmor.values import dataclass
 
 ROUNDS = 16
 """Searches of a cube with a part of its excluded patterns, before all of them are used."""
 
 
-@dataclass(frozen=True, slots=True)
-class RankedPattern:
-    """A pattern of a list and its block: the block decides words that match unless an opposite one before it does.
-
-    Attributes:
-        pattern: the pattern.
-        block: number of its block.
-    """
-
-    pattern: Glob
-    block: int
+_Ranked = tuple[Glob, int]
+"""A pattern of a list, and the number of its block, which decides words that match unless an earlier opposite does."""
 
 
 class CounterexampleSearch:
@@ -99,30 +89,29 @@ class CounterexampleSearch:
         Cubes without a word that is shorter than the bound may be left out.
         """
         for chosen in self._choices(0, ()):
-            positives = [each.pattern for each in chosen]
-            excluded = [(own, each.block) for own, each in zip(self._permits, chosen, strict=True)]
+            positives = [pattern for pattern, _ in chosen]
+            excluded = [(own, block) for own, (_, block) in zip(self._permits, chosen, strict=True)]
             yield positives, [*excluded, (self._denies, len(self._denying))]
-            for denial in self._denials(chosen, bound):
-                yield [*positives, denial.pattern], [*excluded, (self._denies, denial.block)]
+            for denial, block in self._denials(positives, chosen[0][1], bound):
+                yield [*positives, denial], [*excluded, (self._denies, block)]
 
-    def _choices(self, number: int, chosen: tuple[RankedPattern, ...]) -> Iterator[tuple[RankedPattern, ...]]:
+    def _choices(self, number: int, chosen: tuple[_Ranked, ...]) -> Iterator[tuple[_Ranked, ...]]:
         """Yield one allowing pattern of each list, if a word may match all of them."""
         if number == len(self._permitting):
             yield chosen
             return
         deciding = self._permits[number].deciding
-        for pattern, block in deciding.candidates(chosen[0].pattern) if chosen else deciding:
+        for ranked in deciding.candidates(chosen[0][0]) if chosen else deciding:
             self._count_state()
-            if not any(disjoint(pattern, other.pattern) for other in chosen):
-                yield from self._choices(number + 1, (*chosen, RankedPattern(pattern, block)))
+            if not any(disjoint(ranked[0], other) for other, _ in chosen):
+                yield from self._choices(number + 1, (*chosen, ranked))
 
-    def _denials(self, chosen: Sequence[RankedPattern], bound: int | None) -> Iterator[RankedPattern]:
-        """Yield the denying patterns that may match a word that the chosen patterns match."""
-        positives = [each.pattern for each in chosen]
-        for pattern, block in self._relevant(chosen[0].block, bound).candidates(positives[0]):
+    def _denials(self, positives: Sequence[Glob], block: int, bound: int | None) -> Iterator[_Ranked]:
+        """Yield the denying patterns that may match a word that all of some patterns match, the first of a block."""
+        for ranked in self._relevant(block, bound).candidates(positives[0]):
             self._count_state()
-            if not any(disjoint(pattern, each) for each in positives):
-                yield RankedPattern(pattern, block)
+            if not any(disjoint(ranked[0], each) for each in positives):
+                yield ranked
 
     def _relevant(self, block: int, bound: int | None) -> PatternIndex[int]:
         """Return the denying patterns that match a word which the first list does not deny before a block; cached."""

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 
 from comarmor.patterns.decision_lists import Universe
 from comarmor.patterns.glob import Glob, units
-from comarmor.patterns.tokens import ANY, MAX_CODE, Charset, Star
+from comarmor.patterns.tokens import ANY, Charset, Star, distinct_letters
 from comarmor.values import dataclass
 
 END = 0
@@ -203,22 +203,9 @@ def _is_subset(inner: str | Charset, outer: str | Charset) -> bool:
 
 def _letters(patterns: Iterable[Glob], universe: Universe) -> tuple[str, ...]:
     """Return one letter of each class that the patterns and the universe distinguish, legible ones first."""
-    singles: set[str] = {universe.separator} if universe.fields > 1 else set()
-    sets: dict[Charset, None] = {universe.alphabet: None}
-    for pattern in patterns:
-        for token in pattern:
-            if isinstance(token, str):
-                singles.update(token)
-            elif isinstance(token, Charset):
-                sets[token] = None
-    edges = {0}
-    for low, high in (pair for each in sets for pair in each.ranges):
-        edges.update((low, high + 1))
-    for char in singles:
-        edges.update((ord(char), ord(char) + 1))
-    candidates = [*_PREFERRED, *map(chr, sorted(edge for edge in edges if edge <= MAX_CODE))]
-    classes: dict[tuple[object, ...], str] = {}
-    for char in candidates:
-        class_ = (char if char in singles else None, *(char in each for each in sets))
-        classes.setdefault(class_, char)
-    return tuple(classes.values())
+    tokens = dict.fromkeys(token for pattern in patterns for token in pattern)
+    singles = {char for token in tokens if isinstance(token, str) for char in token}
+    if universe.fields > 1:
+        singles.add(universe.separator)
+    sets = [universe.alphabet, *(token for token in tokens if isinstance(token, Charset))]
+    return distinct_letters(singles, sets, _PREFERRED)

@@ -7,6 +7,7 @@ A state is the rest of every list. If both sides are equal from there on, nothin
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from itertools import chain
 
 from comarmor.patterns.decision_lists import DecisionList, Universe
 from comarmor.patterns.derivatives import Derivatives
@@ -16,7 +17,7 @@ from comarmor.patterns.steps import spend
 
 Residual = tuple[tuple[bool, frozenset[int]], ...]
 """The rest of a list: blocks with alternating effects, of which the last one allows."""
-_State = tuple[int | None, tuple[Residual, ...], Residual, frozenset[int]]
+_State = tuple[int, tuple[Residual, ...], Residual, frozenset[int]]
 
 
 class ProductSearch:
@@ -96,23 +97,17 @@ class ProductSearch:
         return shortest(t for t in texts if differs(full, t)), sorted(t for t in texts if differs(wild, t))
 
     def _residual(self, decisions: DecisionList) -> Residual:
-        return _reduced(
-            (
-                (
-                    block.allows,
-                    frozenset(
-                        self._derivatives.node(pattern) for pattern in block.patterns if literal(pattern) is None
-                    ),
-                )
-                for block in decisions
-            ),
-            self._derivatives.everything,
+        node = self._derivatives.node
+        blocks = (
+            (block.allows, frozenset(node(pattern) for pattern in block.patterns if literal(pattern) is None))
+            for block in decisions
         )
+        return _reduced(blocks, self._derivatives.everything)
 
     def _step(self, state: _State, letter: str) -> _State | None:
         """Return the state after a letter; None if no word of the universe, or no difference, follows."""
         place, together, other, apart = state
-        inside = self._derivatives.step(place, letter) if place is not None else ()
+        inside = self._derivatives.step(place, letter)
         if not inside:
             return None
         left = tuple(self._stepped(residual, letter) for residual in together)
@@ -126,16 +121,14 @@ class ProductSearch:
         rest = self._after.get(key)
         if rest is None:
             derivatives = self._derivatives
-            rest = _reduced(
-                ((allows, derivatives.steps(nodes, letter)) for allows, nodes in residual), derivatives.everything
-            )
-            self._after[key] = rest
+            blocks = ((allows, derivatives.steps(nodes, letter)) for allows, nodes in residual)
+            rest = self._after[key] = _reduced(blocks, derivatives.everything)
         return rest
 
     def _differs(self, state: _State) -> bool:
         place, together, other, apart = state
         accepts = self._derivatives.accepts
-        if place is None or not accepts[place] or any(accepts[node] for node in apart):
+        if not accepts[place] or any(accepts[node] for node in apart):
             return False
         return all(self._permits(residual) for residual in together) is not self._permits(other)
 
@@ -146,11 +139,8 @@ class ProductSearch:
 
 def _nodes(state: _State) -> list[int]:
     place, together, other, apart = state
-    all_nodes = [] if place is None else [place]
-    for residual in (*together, other):
-        for _, block_nodes in residual:
-            all_nodes.extend(block_nodes)
-    return [*all_nodes, *apart]
+    blocks = chain.from_iterable((*together, other))
+    return [place, *chain.from_iterable(nodes for _, nodes in blocks), *apart]
 
 
 def _reduced(blocks: Iterable[tuple[bool, frozenset[int]]], everything: int) -> Residual:

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator
 from comarmor.patterns.glob import EVERYTHING, Glob, is_empty, literal, normalise, prefix, suffix, units
 from comarmor.patterns.matching import matcher
 from comarmor.patterns.steps import StepLimitError, cached, spend, step_limit
-from comarmor.patterns.tokens import ANY, MAX_CODE, STAR, Charset, Star, Token
+from comarmor.patterns.tokens import ANY, STAR, Charset, Star, Token, distinct_letters
 
 MAX_STATES = 2_000
 """Most states that a test of inclusion visits."""
@@ -83,26 +83,29 @@ def _disjoint(left: Glob, right: Glob) -> bool:
         i, j = todo.pop()
         if first[i] is None and second[j] is None:
             return False
-        for step in _common_steps(first[i], second[j]):
-            state = (i + step[0], j + step[1])
+        for step, step2, _ in _common_steps(first[i], second[j]):
+            state = (i + step, j + step2)
             if state not in seen:
                 seen.add(state)
                 todo.append(state)
     return True
 
 
-def _common_steps(token: Token | None, token2: Token | None) -> Iterator[tuple[int, int]]:
-    """Yield the steps that two patterns can take by one common character or none; None is the end of a pattern."""
+def _common_steps(token: Token | None, token2: Token | None) -> Iterator[tuple[int, int, tuple[Token, ...]]]:
+    """Yield the steps that two patterns can take by one common character or none; None is the end of a pattern.
+
+    Each with the token that is read: by both, or by one while the other one stays at its ``*``.
+    """
     if isinstance(token, Star):
-        yield 1, 0
+        yield 1, 0, (STAR,) if isinstance(token2, Star) else ()
         if token2 is not None:
-            yield 0, 1
+            yield 0, 1, (token2,)
     elif isinstance(token2, Star):
-        yield 0, 1
+        yield 0, 1, ()
         if token is not None:
-            yield 1, 0
-    elif token is not None and token2 is not None and _meet(token, token2) is not None:
-        yield 1, 1
+            yield 1, 0, (token,)
+    elif token is not None and token2 is not None and (both := _meet(token, token2)) is not None:
+        yield 1, 1, (both,)
 
 
 def _meet(token: Token, token2: Token) -> Token | None:
@@ -221,20 +224,10 @@ def _accepts(token: Token, letter: str) -> bool:
 
 def _letters(rows: Iterable[tuple[Token, ...]]) -> tuple[str, ...]:
     """Return one character of each class that the tokens distinguish."""
-    edges = {0}
-    for row in rows:
-        for token in row:
-            if isinstance(token, str):
-                edges.update((ord(token), ord(token) + 1))
-            elif isinstance(token, Charset):
-                for low, high in token.ranges:
-                    edges.update((low, high + 1))
-    classes: dict[tuple[bool, ...], str] = {}
-    tokens = list(dict.fromkeys(token for row in rows for token in row if not isinstance(token, Star)))
-    spend(len(edges) * len(tokens) // 8)
-    for edge in sorted(edge for edge in edges if edge <= MAX_CODE):
-        classes.setdefault(tuple(_accepts(token, chr(edge)) for token in tokens), chr(edge))
-    return tuple(classes.values())
+    tokens = dict.fromkeys(token for row in rows for token in row)
+    sets = [token for token in tokens if isinstance(token, Charset)]
+    spend(len(tokens) * (len(tokens) + sum(len(each.ranges) for each in sets)) // 4)
+    return distinct_letters({token for token in tokens if isinstance(token, str)}, sets)
 
 
 def intersection(left: Glob, right: Glob, limit: int = 64) -> tuple[Glob, ...]:
@@ -279,30 +272,14 @@ def _pieces(left: Glob, right: Glob, limit: int) -> tuple[Glob, ...]:
         for j in reversed(range(len(second))):
             token, token2 = first[i], second[j]
             patterns: set[Glob] = {()} if token is None and token2 is None else set()
-            for step in _common_steps(token, token2):
-                read = _read(token, token2, step)
-                following = rests[i + step[0], j + step[1]]
+            for step, step2, read in _common_steps(token, token2):
+                following = rests[i + step, j + step2]
                 spend(1 + 4 * len(following))
                 patterns.update(normalise((*read, *rest)) for rest in following)
             rests[i, j] = patterns if len(patterns) <= limit else set(maximal(patterns))
             if len(rests[i, j]) > limit:
                 raise TooComplexError
     return tuple(maximal(rests[0, 0]))
-
-
-def _read(token: Token | None, token2: Token | None, step: tuple[int, int]) -> tuple[Token, ...]:
-    """Return the tokens that two patterns read in a step of :func:`_common_steps`.
-
-    A token is read in a step of both patterns, or in a step of one while the other stays at its ``*``.
-    """
-    if isinstance(token, Star) and isinstance(token2, Star):
-        return (STAR,)
-    if isinstance(token, Star):
-        return (token2,) if step == (0, 1) and token2 is not None else ()
-    if isinstance(token2, Star):
-        return (token,) if step == (1, 0) and token is not None else ()
-    both = _meet(token, token2) if token is not None and token2 is not None else None
-    return () if both is None else (both,)
 
 
 def maximal(globs: Iterable[Glob]) -> list[Glob]:

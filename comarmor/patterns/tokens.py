@@ -10,7 +10,7 @@ an error in some dialects; the others read it as described there.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from enum import Enum, auto
 
 from comarmor.errors import ComArmorError
@@ -121,6 +121,17 @@ def charset(ranges: Iterable[tuple[int, int]]) -> Charset:
         else:
             merged.append((low, high))
     return Charset(tuple(merged))
+
+
+def distinct_letters(singles: set[str], sets: Sequence[Charset], preferred: str = "") -> tuple[str, ...]:
+    """Return one character of each class that single characters and sets distinguish, preferred ones first."""
+    edges = {0}
+    for low, high in (*((ord(char), ord(char)) for char in singles), *(pair for each in sets for pair in each.ranges)):
+        edges.update((low, high + 1))
+    classes: dict[tuple[object, ...], str] = {}
+    for char in (*preferred, *map(chr, sorted(edge for edge in edges if edge <= MAX_CODE))):
+        classes.setdefault((char if char in singles else None, *(char in each for each in sets)), char)
+    return tuple(classes.values())
 
 
 Token = str | Charset | Star
