@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from comarmor.patterns.expression import matches
 from comarmor.values import dataclass
@@ -55,7 +55,7 @@ def diff_policies(old: LoadedPolicy, new: LoadedPolicy, budget: QueryBudget | No
     written = [structure(policy) for policy in (old, new)]
     books = [SymbolicRules(each) for each in written if each]
     named = {*old.subjects(), *new.subjects()}.union(*(book.singles for book in books))
-    changed = [each for subject in sorted(named) if (each := _of_subject(old, new, subject, "", budget))]
+    changed = [each for subject in sorted(named) for each in _of_subject(old, new, subject, "", budget)]
     if len(books) < len(written):
         return [*changed, _unknown("*", unknown_change(_UNWRITTEN))]
     reported: set[tuple[str, str]] = set()
@@ -65,20 +65,18 @@ def diff_policies(old: LoadedPolicy, new: LoadedPolicy, budget: QueryBudget | No
             changed.append(_unknown(like, difference))
         elif (like, difference) not in reported:
             reported.add((like, difference))
-            each = _of_subject(old, new, difference, like, budget)
-            changed += [each] if each else []
+            changed += _of_subject(old, new, difference, like, budget)
     # Patterns are compared by the names of nodes, which the root enclave does not have.
     patterns = {each.like for each in changed if each.like}
     if ROOT_ENCLAVE not in named and not any(matches(like, ROOT_ENCLAVE) for like in patterns):
-        each = _of_subject(old, new, ROOT_ENCLAVE, "", budget)
-        changed += [each] if each else []
+        changed += _of_subject(old, new, ROOT_ENCLAVE, "", budget)
     return changed
 
 
 def _of_subject(
     old: LoadedPolicy, new: LoadedPolicy, subject: str, like: str, budget: QueryBudget
-) -> SubjectChanges | None:
-    """Return the changes for a subject, with examples checked by both policies; None without a change."""
+) -> Iterator[SubjectChanges]:
+    """Yield the changes for a subject, if there are any, with examples checked by both policies."""
     before, after = old.rules(subject), new.rules(subject)
     old_rules, new_rules = (each.rules if each else () for each in (before, after))
     changes = () if _same(old_rules, new_rules) else tuple(rule_changes(old_rules, new_rules, budget))
@@ -86,8 +84,7 @@ def _of_subject(
         if change.word:
             _check_example(old, new, subject, change)
     if changes or (before is None) is not (after is None):
-        return SubjectChanges(subject, like, before is not None, after is not None, changes)
-    return None
+        yield SubjectChanges(subject, like, before is not None, after is not None, changes)
 
 
 def _check_example(old: LoadedPolicy, new: LoadedPolicy, subject: str, change: PermissionChange) -> None:

@@ -19,6 +19,8 @@ FORMS = (
     "flows SUBJECT SUBJECT",
     "isolated SUBJECT SUBJECT",
 )
+"""Queries: words in small letters are written as they are; the one in brackets may be left out."""
+_OPTIONAL = "[ever]"
 HEADS = tuple(form.split()[0] for form in FORMS)
 _PLAIN = tuple(permission.removeprefix("ros_") for permission in KIND_OF)
 
@@ -53,20 +55,20 @@ def parse_query(words: Sequence[str]) -> PolicyQuery:
         hint = did_you_mean(head, HEADS, f"queries are: {'; '.join(FORMS)}")
         raise _error(f"no query starts with {head!r}" if head else "the query is empty", hint)
     form = next(form for form in FORMS if form.startswith(head))
-    if head in ("flows", "isolated"):
-        return PolicyQuery(head, tuple(map(_subject, _exactly(rest, 2, form))))
-    if head == "what":
-        _fixed(rest, 0, "can", form)
-        _fixed(rest, 2, "do", form)
-        return PolicyQuery(head, (_subject(_exactly(rest, 3, form)[1]),))
-    if head == "who":
-        _fixed(rest, 0, "can", form)
-        _, permission, name = _exactly(rest, 3, form)
-        return PolicyQuery(head, (), *parse_permission(permission, name), _expression(name))
-    if rest[1:2] == ["ever"]:
+    expected = [word for word in form.split()[1:] if word != _OPTIONAL]
+    if _OPTIONAL in form and rest[1:2] == [_OPTIONAL.strip("[]")]:
         del rest[1]
-    subject, permission, name = _exactly(rest, 3, form)
-    return PolicyQuery(head, (_subject(subject),), *parse_permission(permission, name), _expression(name))
+    for at, word in enumerate(expected):
+        if word.islower() and rest[at : at + 1] != [word]:
+            found = f", not {rest[at]!r}" if at < len(rest) else ""
+            raise _error(f"expected {word!r}{found}", f"write '{form}'")
+    if len(rest) != len(expected):
+        raise _error(f"the query has too {'few' if len(rest) < len(expected) else 'many'} words", f"write '{form}'")
+    subjects = tuple(_subject(text) for text, word in zip(rest, expected, strict=True) if word == "SUBJECT")
+    if "OBJECT" not in expected:
+        return PolicyQuery(head, subjects)
+    *_, permission, name = rest
+    return PolicyQuery(head, subjects, *parse_permission(permission, name), _expression(name))
 
 
 def parse_permission(text: str, name: str) -> tuple[str, str]:
@@ -88,17 +90,6 @@ def parse_permission(text: str, name: str) -> tuple[str, str]:
         return KIND_OF[text], text
     hint = did_you_mean(text, (*KIND_OF, *_PLAIN), f"permissions are {', '.join(dict.fromkeys(_PLAIN))}")
     raise _error(f"there is no permission {text!r}", hint)
-
-
-def _exactly(words: list[str], number: int, form: str) -> list[str]:
-    if len(words) != number:
-        raise _error(f"the query has too {'few' if len(words) < number else 'many'} words", f"write '{form}'")
-    return words
-
-
-def _fixed(words: list[str], at: int, expected: str, form: str) -> None:
-    if words[at : at + 1] != [expected]:
-        raise _error(f"expected {expected!r}" + (f", not {words[at]!r}" if at < len(words) else ""), f"write '{form}'")
 
 
 def _subject(text: str) -> str:

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
+from itertools import groupby
+from operator import itemgetter
 
 from comarmor.errors import Diagnostic, Origin, Spot
 from comarmor.patterns.decision_lists import Block, Equal, ProofResult, Unknown
@@ -69,12 +71,12 @@ class _RuleAnalysis:
 
     Attributes:
         expanded: rule, text and attachment of each expression.
-        patterns: patterns of each expression, by kind and permission.
+        patterns: patterns of each expression, each with a kind and permission.
         index: all patterns with their expressions.
     """
 
     expanded: dict[_RuleExpression, tuple[Rule, str, Origin]] = field(default_factory=dict)
-    patterns: dict[_RuleExpression, dict[PermissionKey, dict[Glob, None]]] = field(default_factory=dict)
+    patterns: dict[_RuleExpression, dict[tuple[PermissionKey, Glob], None]] = field(default_factory=dict)
     index: dict[_Side, PatternIndex[_RuleExpression]] = field(default_factory=dict)
 
 
@@ -168,17 +170,18 @@ class RedundantRules:
 
     def _code(self, expression: _RuleExpression) -> str:
         subjects = self._subjects_of[expression]
+
+        def is_covered(effect: Effect) -> bool:
+            return all(self._is_covered(subject, expression, effect) for subject in subjects)
+
         if expression.effect is Effect.DENY:
-            if all(self._denies_nothing(subject, expression) for subject in subjects) and not self._may_deny_something(
-                expression
-            ):
+            denies_nothing = all(self._denies_nothing(subject, expression) for subject in subjects)
+            if denies_nothing and not self._may_deny_something(expression):
                 return "deny-nothing"
-            is_redundant = all(self._is_covered(subject, expression, Effect.DENY) for subject in subjects)
-            return "deny-redundant" if is_redundant else ""
-        if all(self._is_covered(subject, expression, Effect.DENY) for subject in subjects):
+            return "deny-redundant" if is_covered(Effect.DENY) else ""
+        if is_covered(Effect.DENY):
             return "rule-shadowed"
-        is_redundant = all(self._is_covered(subject, expression, Effect.ALLOW) for subject in subjects)
-        return "rule-redundant" if is_redundant else ""
+        return "rule-redundant" if is_covered(Effect.ALLOW) else ""
 
     def _overlapping(
         self, subject: str, key: PermissionKey, effect: Effect, pattern: Glob
@@ -188,32 +191,23 @@ class RedundantRules:
 
     def _is_covered(self, subject: str, expression: _RuleExpression, effect: Effect) -> bool:
         """Return True if other rules of an effect match all that an expression matches."""
-        for key, patterns in self._subjects[subject].patterns[expression].items():
-            for pattern in patterns:
-                others = tuple(
-                    dict.fromkeys(
-                        other
-                        for other, owner in self._overlapping(subject, key, effect, pattern)
-                        if owner != expression and owner not in self._removed
-                    )
-                )
-                if not others:
-                    return False
-                legal = restrict_allowed(pattern, legal_names(key[0]))
-                if not _is_proven(implies(legal, (Block(True, others),), universe(key[0]))):
-                    return False
+        for key, pattern in self._subjects[subject].patterns[expression]:
+            overlapping = self._overlapping(subject, key, effect, pattern)
+            others = (other for other, owner in overlapping if owner != expression and owner not in self._removed)
+            covering = Block(True, tuple(dict.fromkeys(others)))
+            legal = restrict_allowed(pattern, legal_names(key[0]))
+            if not (covering.patterns and _is_proven(implies(legal, (covering,), universe(key[0])))):
+                return False
         return True
 
     def _denies_nothing(self, subject: str, expression: _RuleExpression) -> bool:
         """Return True if no rule allows anything that an expression denies."""
-        for key, patterns in self._subjects[subject].patterns[expression].items():
-            for pattern in patterns:
-                # Includes rules reported as shadowed: this expression may shadow them.
-                others = tuple(
-                    dict.fromkeys(other for other, _ in self._overlapping(subject, key, Effect.ALLOW, pattern))
-                )
-                if others and not _is_proven(find_permitted(key[0], allow_only(pattern), (Block(True, others),))):
-                    return False
+        for key, pattern in self._subjects[subject].patterns[expression]:
+            # Includes rules reported as shadowed: this expression may shadow them.
+            others = dict.fromkeys(other for other, _ in self._overlapping(subject, key, Effect.ALLOW, pattern))
+            allowed = (Block(True, tuple(others)),)
+            if others and not _is_proven(find_permitted(key[0], allow_only(pattern), allowed)):
+                return False
         return True
 
     def _may_deny_something(self, expression: _RuleExpression) -> bool:
@@ -251,9 +245,9 @@ class RedundantRules:
         for each in expressions:
             subject = self._subjects_of[each][0]
             its_rules = self._subjects[subject]
-            for key, patterns in its_rules.patterns[each].items():
+            for key, patterns in groupby(its_rules.patterns[each], key=itemgetter(0)):
                 overlapping = {
-                    other for pattern in patterns for _, other in self._overlapping(subject, key, effect, pattern)
+                    other for _, pattern in patterns for _, other in self._overlapping(subject, key, effect, pattern)
                 }
                 for other in its_rules.expanded if overlapping else ():
                     if other in overlapping and other != each and other not in self._removed:
@@ -299,7 +293,7 @@ def _subject_rules(rules: Sequence[Rule], subject: str, attachments: ExpressionO
             patterns = its_rules.patterns.setdefault(expression, {})
             for key in permission_keys(rule):
                 for pattern in rule_patterns(rule, text, key):
-                    patterns.setdefault(key, {})[pattern] = None
+                    patterns[key, pattern] = None
                     sides[key, rule.effect].append((pattern, expression))
     its_rules.index = {side: PatternIndex(items) for side, items in sides.items()}
     return its_rules

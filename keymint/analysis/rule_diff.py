@@ -9,7 +9,7 @@ from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import DecisionList, Equal, ProofResult, Unknown, Witness
 from comarmor.patterns.glob import Glob, parse, surround
 from comarmor.patterns.proofs import difference
-from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection
+from comarmor.patterns.relations import covers, disjoint
 from comarmor.patterns.tokens import STAR
 from comarmor.rules import PARTS, PERMISSIONS, Effect, parts
 from comarmor.values import dataclass
@@ -23,6 +23,7 @@ from keymint.analysis.rule_lists import (
     find_permitted,
     negated,
     object_patterns,
+    overlap,
     part_lists,
     restrict_allowed,
     universe,
@@ -163,11 +164,7 @@ class _RuleComparison:
             whole = not any(not disjoint(pattern, each) for each in denied) and self._is_whole(kind, pattern, old, new)
             yield self._change(key, pattern, outcome, whole, where)
         for each in denied:
-            try:
-                pieces = intersection(pattern, each)
-            except TooComplexError:
-                pieces = (pattern,)
-            for piece in pieces:
+            for piece in overlap(pattern, each):
                 outcome = self._find(kind, allow_only(piece), allow_only(each), allowed_now)
                 if not isinstance(outcome, Equal):
                     yield self._change(key, piece, outcome, self._is_whole(kind, piece, old, new), where)

@@ -16,6 +16,7 @@ from comarmor.patterns.glob import EVERYTHING, Glob, after, literal, normalise, 
 from comarmor.patterns.matching import matches
 from comarmor.patterns.printing import exact
 from comarmor.patterns.proofs import difference
+from comarmor.patterns.relations import TooComplexError, intersection
 from comarmor.patterns.tokens import ANY, MAX_CODE, STAR, charset
 from comarmor.rules import Effect, parts
 from keymint.ir import Rule
@@ -171,6 +172,14 @@ def find_permitted(kind: str, *lists: DecisionList, budget: SearchBudget | None 
         A shortest ``Witness``, ``Equal`` if there is none, or ``Unknown``.
     """
     return difference((), *lists, legal_names(kind), universe=universe(kind), budget=budget)
+
+
+def overlap(one: Glob, other: Glob) -> tuple[Glob, ...]:
+    """Return patterns of the words that two patterns match, or the first one if they are too complex."""
+    try:
+        return intersection(one, other)
+    except TooComplexError:
+        return (one,)
 
 
 def pattern_text(pattern: Glob) -> str:

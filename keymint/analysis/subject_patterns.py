@@ -107,10 +107,6 @@ def example_subject(pattern: Glob) -> str | None:
     return outcome.word if isinstance(outcome, Witness) else None
 
 
-def _member(members: Charset) -> str:
-    return next((char for char in _PREFERRED if char in members), "")
-
-
 def pattern_examples(policy: LoadedPolicy, given_up: list[str] | None = None) -> dict[str, str]:
     """Return example subjects for the patterns that profiles match, and their overlaps: pattern by subject.
 
@@ -157,7 +153,12 @@ def _deeper(pattern: Glob) -> str | None:
 def _filled(pattern: Glob, filling: str) -> str:
     """Return a pattern with each star replaced by a text, and each set of characters by one of them."""
     return "".join(
-        filling if isinstance(token, Star) else token if isinstance(token, str) else _member(token) for token in pattern
+        token
+        if isinstance(token, str)
+        else filling
+        if isinstance(token, Star)
+        else next((char for char in _PREFERRED if char in token), "")
+        for token in pattern
     )
 
 

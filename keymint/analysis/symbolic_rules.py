@@ -7,8 +7,9 @@ from collections import defaultdict
 from functools import cache
 
 from comarmor.errors import Origin
-from comarmor.patterns.glob import Glob, literal, parse, prefix
-from comarmor.patterns.relations import TooComplexError, disjoint
+from comarmor.patterns.glob import Glob, literal, parse
+from comarmor.patterns.pattern_index import PatternIndex
+from comarmor.patterns.relations import TooComplexError
 from comarmor.patterns.tokens import STAR
 from comarmor.rules import Effect
 from comarmor.values import dataclass
@@ -88,7 +89,8 @@ class SymbolicRules:
     def __init__(self, written: PolicyStructure) -> None:
         self.singles: dict[str, None] = {}
         self._by_key: dict[tuple[PermissionKey, Effect], dict[tuple[_Profiles, Glob], SymbolicRule]] = defaultdict(dict)
-        self._index = cache(lambda key, effect: _ProfileIndex(self.all(key, effect)))
+        self._index = cache(self._indexed)
+        self._applying = cache(self._find_applying)
         reaches: dict[_Profiles, ProfileReach] = {}
         for clause in written.clauses:
             if clause.profiles not in reaches:
@@ -114,37 +116,21 @@ class SymbolicRules:
         """Return entries of the rules that may apply to some subjects, over-approximated where they are too complex."""
         return tuple(one.entry() for one in self._applying(key, effect, subjects))
 
-    def _applying(self, key: PermissionKey, effect: Effect, subjects: Glob) -> tuple[SymbolicRule, ...]:
-        return self._index(key, effect).of(subjects)
-
-
-class _ProfileIndex:
-    """Rules by the profiles around them."""
-
-    def __init__(self, rules: dict[tuple[_Profiles, Glob], SymbolicRule]) -> None:
-        self._by_profiles: dict[_Profiles, list[SymbolicRule]] = defaultdict(list)
-        self._by_head: dict[str, dict[_Profiles, None]] = defaultdict(dict)
-        for rule in rules.values():
-            self._by_profiles[rule.profiles].append(rule)
-            for one in rule.reach.subjects:
-                self._by_head[prefix(one)][rule.profiles] = None
-        self.of = cache(self._of)
-
-    def _of(self, subjects: Glob) -> tuple[SymbolicRule, ...]:
+    def _find_applying(self, key: PermissionKey, effect: Effect, subjects: Glob) -> tuple[SymbolicRule, ...]:
         """Return the rules that may apply to subjects that a pattern matches."""
-        head = prefix(subjects)
-        near = dict.fromkeys(
-            profiles
-            for text, nested in self._by_head.items()
-            if text.startswith(head) or head.startswith(text)
-            for profiles in nested
-        )
-        return tuple(
-            rule
-            for profiles in near
-            if any(not disjoint(one, subjects) for one in self._by_profiles[profiles][0].reach.subjects)
-            for rule in self._by_profiles[profiles]
-        )
+        by_profiles, index = self._index(key, effect)
+        near = dict.fromkeys(profiles for _, profiles in index.meeting(subjects))
+        return tuple(rule for profiles in near for rule in by_profiles[profiles])
+
+    def _indexed(
+        self, key: PermissionKey, effect: Effect
+    ) -> tuple[dict[_Profiles, list[SymbolicRule]], PatternIndex[_Profiles]]:
+        """Return rules by the profiles around them, and these profiles by the patterns of their subjects."""
+        by_profiles: dict[_Profiles, list[SymbolicRule]] = defaultdict(list)
+        for rule in self.all(key, effect).values():
+            by_profiles[rule.profiles].append(rule)
+        subjects = ((one, profiles) for profiles, (rule, *_) in by_profiles.items() for one in rule.reach.subjects)
+        return by_profiles, PatternIndex(subjects)
 
 
 def profile_reach(profiles: _Profiles) -> tuple[ProfileReach, tuple[str, ...]]:

@@ -9,7 +9,6 @@ from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import ProofResult, Unknown, Witness
 from comarmor.patterns.glob import Glob, literal
 from comarmor.patterns.matching import matches
-from comarmor.patterns.relations import TooComplexError, intersection
 from comarmor.rules import Effect, parts
 from comarmor.values import dataclass
 from keymint.analysis.query_budget import QueryBudget
@@ -18,6 +17,7 @@ from keymint.analysis.rule_lists import (
     before_suffix,
     find_permitted,
     matching_rule,
+    overlap,
     part_lists,
     pattern_text,
 )
@@ -111,7 +111,7 @@ class _HolderSearch:
         reported: set[Glob] = set()
         unknown: dict[Glob, str] = {}
         for rule in rules.all((kind, part), Effect.ALLOW).values():
-            for subjects in (piece for one in rule.reach.subjects for piece in _both(one, within)):
+            for subjects in (piece for one in rule.reach.subjects for piece in overlap(one, within)):
                 if subjects in reported:
                     continue
                 for shape in before_suffix(rule.object, suffix):
@@ -152,14 +152,6 @@ class _HolderSearch:
         if isinstance(outcome, Unknown):
             return Unknown(self._budget.reason(outcome.reason))
         return isinstance(outcome, Witness)
-
-
-def _both(one: Glob, other: Glob) -> tuple[Glob, ...]:
-    """Return the intersection of two patterns, or the first one if that is too complex."""
-    try:
-        return intersection(one, other)
-    except TooComplexError:
-        return (one,)
 
 
 def _without(entries: Sequence[SymbolicEntry], suffix: str) -> Iterator[SymbolicEntry]:
