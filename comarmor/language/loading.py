@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from types import MappingProxyType
 
-from comarmor.errors import ComArmorError, Diagnostic
+from comarmor.errors import Defects
 from comarmor.language.parse import parse
 from comarmor.language.policy import Policy
 from comarmor.language.source import load_tree
@@ -56,15 +56,12 @@ def load_all(
     Raises:
         ComArmorError: a policy has defects; carries those of all policies.
     """
-    diagnostics: dict[Diagnostic, None] = {}
+    defects = Defects()
     policies: list[Policy] = []
     for path in paths:
-        try:
+        with defects:
             policies.append(load(path, library=library, library_shown=library_shown, packages=packages))
-        except ComArmorError as error:
-            diagnostics |= dict.fromkeys(error.diagnostics)
-    if diagnostics:
-        raise ComArmorError.of(diagnostics)
+    defects.require_none()
     files = {file: digest for policy in policies for file, digest in policy.files.items()}
     seen = {path: fingerprint for policy in policies for path, fingerprint in policy.seen.items()}
     profiles = tuple(profile for policy in policies for profile in policy.profiles)

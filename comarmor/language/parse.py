@@ -127,22 +127,19 @@ class _PolicyParser:
                 continue
             included = item.document.includes[element]
             if audit is None and included.package:
-                self.outside(child, included.package)
+                self.refuse(
+                    f"a file of the package {quoted(included.package)} is included outside of a profile",
+                    child.where,
+                    "package-outside",  # it could attach to any subject
+                    "move the xi:include into a <profile>, "
+                    "whose <attachment> limits the subjects that the file is about",
+                )
                 continue
             inner = _PlacedElement(included.root, included, child.inner_chain)
             if included.root.tag == "profiles":
                 yield from self.children(inner, audit=audit)
             else:
                 yield inner
-
-    def outside(self, include: _PlacedElement, package: str) -> None:
-        """Refuse an include outside of a profile of a file that a package ships: it could attach to any subject."""
-        self.refuse(
-            f"a file of the package {quoted(package)} is included outside of a profile",
-            include.where,
-            "package-outside",
-            "move the xi:include into a <profile>, whose <attachment> limits the subjects that the file is about",
-        )
 
     def fragment(self, include: _PlacedElement, *, audit: bool) -> _Fragment | None:
         """Return the rules that an include adds to a profile; None if they must be parsed at each inclusion."""

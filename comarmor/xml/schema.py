@@ -130,30 +130,28 @@ def _attribute(match: re.Match[str], vocabulary: SchemaVocabulary, _e: etree._El
     )
 
 
-def _enumeration(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
+def _enumeration(match: re.Match[str], *_: object) -> tuple[str, str]:
     values = [value.strip("'") for value in match[4].split(", ")]
     return f"{_node(match)} is {quoted(match[3])}, expected {' or '.join(values)}", did_you_mean(match[3], values)
 
 
-def _long(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
-    return f"{_node(match)} has {match[3]} characters, expected {match[4]} or fewer", ""
-
-
-def _beyond(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
-    return f"{_node(match)} is {quoted(match[4])}, expected {match[5]} or {'more' if match[3] == 'min' else 'less'}", ""
-
-
-def _short(match: re.Match[str], _v: SchemaVocabulary, _e: etree._Element | None) -> tuple[str, str]:
-    least = int(match[4])
-    if not int(match[3]):
+def _length(match: re.Match[str], *_: object) -> tuple[str, str]:
+    if match[3] == "min" and not int(match[4]):
         return f"{_node(match)} is empty", ""
-    return f"{_node(match)} has {match[3]} characters, expected {least} or more", ""
+    limit = f"{match[5]} or {'more' if match[3] == 'min' else 'fewer'}"
+    return f"{_node(match)} has {match[4]} characters, expected {limit}", ""
+
+
+def _bound(match: re.Match[str], *_: object) -> tuple[str, str]:
+    return f"{_node(match)} is {quoted(match[4])}, expected {match[5]} or {'more' if match[3] == 'min' else 'less'}", ""
 
 
 _QUOTED = lazy_regex(r"'([^']*)(?:'|\Z)")
 """A value in a message of libxml2, which truncates long messages."""
 
 _Explanation = Callable[[re.Match[str], SchemaVocabulary, Any], tuple[str, str]]
+
+_NODE = r"Element '(.+?)'(?:, attribute '(.+?)')?: "
 
 _EXPLANATIONS: tuple[tuple[str, _Explanation], ...] = (
     (r"Element '(.+?)': This element is not expected\.(?: Expected is (?:one of )?\( (.+) \)\.)?", _unexpected),
@@ -164,22 +162,9 @@ _EXPLANATIONS: tuple[tuple[str, _Explanation], ...] = (
         r"Element '(.+?)': The attribute '(.+?)' is required but missing",
         lambda match, *_: (f"<{match[1]}> lacks its attribute '{match[2]}'", ""),
     ),
-    (
-        r"Element '(.+?)'(?:, attribute '(.+?)')?: \[.+?\] The value '(.*)' is not .+ set \{(.+)\}",
-        _enumeration,
-    ),
-    (
-        r"Element '(.+?)'(?:, attribute '(.+?)')?: \[facet 'minLength'\] .* length of '(\d+)'.* length of '(\d+)'",
-        _short,
-    ),
-    (
-        r"Element '(.+?)'(?:, attribute '(.+?)')?: \[facet 'maxLength'\] .* length of '(\d+)'.* length of '(\d+)'",
-        _long,
-    ),
-    (
-        r"Element '(.+?)'(?:, attribute '(.+?)')?: \[facet '(min|max)Inclusive'\] .* '(.*)' is .+ \('(.+)'\)",
-        _beyond,
-    ),
+    (_NODE + r"\[.+?\] The value '(.*)' is not .+ set \{(.+)\}", _enumeration),
+    (_NODE + r"\[facet '(min|max)Length'\] .* length of '(\d+)'.* length of '(\d+)'", _length),
+    (_NODE + r"\[facet '(min|max)Inclusive'\] .* '(.*)' is .+ \('(.+)'\)", _bound),
     (
         r"Element '(.+?)': Element content is not allowed",
         lambda match, *_: (f"<{match[1]}> can only contain text, no elements", ""),
@@ -189,7 +174,7 @@ _EXPLANATIONS: tuple[tuple[str, _Explanation], ...] = (
         lambda match, *_: (f"<{match[1]}> cannot contain text", "remove the text, or put it into a comment"),
     ),
     (
-        r"Element '(.+?)'(?:, attribute '(.+?)')?: (?:\[.+?\] The value )?'(.*)' is not (a valid .+|accepted .+)\.",
+        _NODE + r"(?:\[.+?\] The value )?'(.*)' is not (a valid .+|accepted .+)\.",
         lambda match, *_: (f"{_node(match)} is {quoted(match[3])}, which is not {match[4]}", ""),
     ),
 )

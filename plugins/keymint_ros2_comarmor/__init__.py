@@ -31,25 +31,16 @@ class ComArmorPolicyType:
         self, sources: Sequence[PolicySource], library: Path | None, library_shown: Path | None = None
     ) -> ComArmorPolicy:
         """See :meth:`keymint.api.PolicyType.load`."""
-        return self._loaded(sources, library, library_shown, None)
+        return self.load_with_packages(sources, library, library_shown, None)
 
     def load_with_packages(
         self,
         sources: Sequence[PolicySource],
         library: Path | None,
         library_shown: Path | None,
-        packages: PackageFolders,
-    ) -> ComArmorPolicy:
-        """See :meth:`keymint.api.PackageIncludes.load_with_packages`."""
-        return self._loaded(sources, library, library_shown, packages)
-
-    def _loaded(
-        self,
-        sources: Sequence[PolicySource],
-        library: Path | None,
-        library_shown: Path | None,
         packages: PackageFolders | None,
     ) -> ComArmorPolicy:
+        """See :meth:`keymint.api.PackageIncludes.load_with_packages`; without packages none of their files is found."""
         for source in sources:
             if not source.path.exists():
                 raise KeymintError(
