@@ -11,7 +11,9 @@ from pathlib import Path
 from comarmor.language.attachments import parts
 from comarmor.language.decide import Row, RuleIndex
 from comarmor.language.syntax import Decision, Inclusion, Profile, ProfileRule, Tunable, files
-from comarmor.patterns.expression import beginning, literal, matches
+from comarmor.patterns.expression import literal, matches
+from comarmor.patterns.glob import parse
+from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.rules import Rule
 from comarmor.values import dataclass
 from comarmor.xml.package_folders import ShippedFile
@@ -24,43 +26,29 @@ _MOST_INDEXED = 256
 
 @dataclass(frozen=True, slots=True)
 class _ProfileLookup:
-    """Sibling profiles, indexed by their exact names, so that a subject is not compared with each of them.
+    """Sibling profiles, indexed by their attachments, so that a subject is not compared with each of them.
 
     Attributes:
         profiles: the profiles.
-        exact: positions of the profiles, by the subject that they name exactly.
-        patterns: position and expression of the other attachments, by their literal prefix.
-        lengths: the lengths of these prefixes.
+        attachments: their attachments, with the positions of the profiles.
         inner: the nested level of each profile, or None for a profile without nested ones.
     """
 
     profiles: tuple[Profile, ...]
-    exact: Mapping[str, list[int]]
-    patterns: Mapping[str, list[tuple[int, str]]]
-    lengths: tuple[int, ...]
+    attachments: PatternIndex[int]
     inner: tuple[_ProfileLookup | None, ...]
 
     @classmethod
     def of(cls, profiles: tuple[Profile, ...]) -> _ProfileLookup:
-        exact: dict[str, list[int]] = {}
-        patterns: dict[str, list[tuple[int, str]]] = {}
-        for position, profile in enumerate(profiles):
-            for attachment in profile.attachments:
-                name = literal(attachment.text)
-                if name is None:
-                    patterns.setdefault(beginning(attachment.text), []).append((position, attachment.text))
-                else:
-                    exact.setdefault(name, []).append(position)
+        attachments = PatternIndex(
+            (parse(attachment.text), at) for at, profile in enumerate(profiles) for attachment in profile.attachments
+        )
         inner = tuple(cls.of(profile.profiles) if profile.profiles else None for profile in profiles)
-        return cls(profiles, exact, patterns, tuple(sorted(set(map(len, patterns)))), inner)
+        return cls(profiles, attachments, inner)
 
     def applicable(self, subject: str) -> Iterator[Profile]:
         """Yield the profiles of this level and below that apply to a subject, outer ones first."""
-        positions = set(self.exact.get(subject, ()))
-        for length in self.lengths:
-            candidates = self.patterns.get(subject[:length], ()) if length <= len(subject) else ()
-            positions |= {at for at, text in candidates if at not in positions and matches(text, subject)}
-        for position in sorted(positions):
+        for position in sorted({position for _, position in self.attachments.matching(subject)}):
             yield self.profiles[position]
             inner = self.inner[position]
             if inner is not None:
