@@ -13,24 +13,20 @@ from comarmor.patterns.glob import Glob, literal, parse
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.steps import StepLimitError, spend, step_limit
 from comarmor.regex import lazy_regex
-from comarmor.rules import Effect
+from comarmor.rules import KIND_OF, Effect
 from keymint.analysis.expression_origins import ExpressionOrigins
 from keymint.analysis.findings import undecided, warning
-from keymint.analysis.rule_lists import RAW
 from keymint.api import PolicyStructure
 from keymint.ir import Rule
 
-_SIDES = {
-    "publish": (RAW, "subscribe"),
-    "subscribe": (RAW, "publish"),
-    "ros_publish": ("ros_topic", "ros_subscribe"),
-    "ros_subscribe": ("ros_topic", "ros_publish"),
-    "ros_call": ("ros_service", "ros_execute"),
-    "ros_execute": ("ros_service", "ros_call"),
-    "ros_request": ("ros_action", "ros_operate"),
-    "ros_operate": ("ros_action", "ros_request"),
+_PEERS = {
+    "publish": "subscribe",
+    "ros_publish": "ros_subscribe",
+    "ros_call": "ros_execute",
+    "ros_request": "ros_operate",
 }
-"""The kind of a permission, and the permission of the peer."""
+_PEERS |= {other: permission for permission, other in _PEERS.items()}
+"""The permission of the peer, by permission."""
 _MOST_EDITS = 2
 _SHORTEST = 4
 _SIMILAR = 0.8
@@ -53,13 +49,13 @@ def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: Express
     wilds = {permission: PatternIndex((pattern, None) for pattern in patterns) for permission, patterns in wild.items()}
 
     def has_no_peer(permission: str, name: str) -> bool:
-        other = _SIDES[permission][1]
+        other = _PEERS[permission]
         matching = wilds[other].meeting((name,)) if other in wilds else ()
         return name not in exact[other] and not any(True for _ in matching)
 
     reported: set[frozenset[str]] = set()
     given_up: list[str] = []
-    for permission, (kind, other) in _SIDES.items():
+    for permission, other in _PEERS.items():
         candidates = _CandidateNames(name for name in exact[other] if has_no_peer(other, name))
         for name, (subject, rule) in exact[permission].items():
             near = _nearest(candidates, name, _MOST_EDITS, given_up) if has_no_peer(permission, name) else None
@@ -69,7 +65,8 @@ def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: Express
                 peer_place = attachments.of(peer_rule, peer)[near].where
                 yield warning(
                     "name-similar",
-                    f"{subject} may {_plain(permission)} the {kind} {name!r} and nobody may {_plain(other)} it, "
+                    f"{subject} may {_plain(permission)} the {KIND_OF[permission]} {name!r} "
+                    f"and nobody may {_plain(other)} it, "
                     f"but {peer} may {_plain(other)} {near!r} ({peer_place.alone()})",
                     attachments.of(rule, subject)[name].where,
                     f"did you mean {near!r}?",

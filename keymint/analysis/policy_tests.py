@@ -84,20 +84,11 @@ class ExpectationChecker:
             raise error.at(expected.where) from None
         within = parse(expected.subject)
         if not can_exist(within):
-            raise KeymintError(
-                f"no legal subject name matches {expected.subject!r}",
-                where=expected.where,
-                help=f"write {'/' + expected.subject!r}" if expected.subject[:1] not in ("/", "*") else "",
-                code="expectation",
-            )
+            raise _matches_nothing(f"no legal subject name matches {expected.subject!r}", expected.subject, expected)
         name = query_pattern(kind, expected.object, expected.partition)
         if isinstance(find_permitted(kind, allow_only(name)), Equal):
-            raise KeymintError(
-                f"no legal object name matches {expected.object!r}, so the expectation always holds",
-                where=expected.where,
-                help=f"write {'/' + expected.object!r}" if expected.object[:1] not in ("/", "*") else "",
-                code="expectation",
-            )
+            message = f"no legal object name matches {expected.object!r}, so the expectation always holds"
+            raise _matches_nothing(message, expected.object, expected)
         check = self._check_allow if expected.allowed else self._check_deny
         failure, rule = check(within, kind, permission, name)
         exercised = frozenset(self._exercised(expected, within, kind, permission, name))
@@ -143,6 +134,11 @@ class ExpectationChecker:
                     not disjoint(one, other) for key, other in names for one in object_patterns(rule, key)
                 ):
                     yield rule.origin.spot
+
+
+def _matches_nothing(message: str, expression: str, expected: Expectation) -> KeymintError:
+    help_ = "" if expression.startswith(("/", "*")) else f"write {'/' + expression!r}"
+    return KeymintError(message, where=expected.where, help=help_, code="expectation")
 
 
 def diagnostics(results: Sequence[ExpectationResult]) -> Iterator[Diagnostic]:

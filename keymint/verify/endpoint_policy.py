@@ -29,9 +29,7 @@ class EndpointPolicy:
     def __init__(self, policy: LoadedPolicy, namings: Mapping[str, Naming]) -> None:
         self._policy = policy
         self._namings = namings
-        self._subject = ""
-        self._has_raw = False
-        self._is_raw: Callable[[str], bool] = lambda _name: False
+        self._raw_test = lru_cache(maxsize=1)(self._test_of_raw_rules)  # edges are grouped by subject
 
     def decide(self, edge: Edge) -> PolicyDecision:
         """Return the policy's decision on an edge.
@@ -44,9 +42,9 @@ class EndpointPolicy:
             return self._policy.decide(edge)
         if edge.object.kind == RAW:
             return self._endpoint(edge, naming) if naming.meanings(edge) else self._policy.decide(edge)
-        self._turn_to(edge.subject)
+        is_raw = self._raw_test(edge.subject)
         endpoints = naming.endpoints(edge)
-        if not any(self._is_raw(endpoint.object.name) for endpoint in endpoints):
+        if not (is_raw and any(is_raw(endpoint.object.name) for endpoint in endpoints)):
             return self._policy.decide(edge)
         return self._together([self._endpoint(endpoint, naming) for endpoint in endpoints])
 
@@ -66,17 +64,13 @@ class EndpointPolicy:
         """Return the first denial, or the first decision if all allow."""
         return next((decision for decision in decisions if not decision.allowed), decisions[0])
 
-    def _turn_to(self, subject: str) -> None:
-        """Prepare for the edges of a subject, which are grouped."""
-        if subject == self._subject:
-            return
+    def _test_of_raw_rules(self, subject: str) -> Callable[[str], bool] | None:
+        """Return a function that tells whether a rule of a subject on raw topics matches a name; None without rules."""
         rules = self._policy.rules(subject)
         raw = [glob.parse(e) for rule in (rules.rules if rules else ()) if rule.kind == RAW for e in rule.expressions]
         exact = {text for each in raw if (text := glob.literal(each)) is not None}
         patterns = [matcher(each) for each in raw if glob.literal(each) is None]
-        self._is_raw = lambda name: name in exact or any(matches(name) for matches in patterns)
-        self._has_raw = bool(raw)
-        self._subject = subject
+        return (lambda name: name in exact or any(matches(name) for matches in patterns)) if raw else None
 
     def labels(self, row: EdgeRow) -> bytes:
         """Return the policy's labels of a row of edges, one byte each: 1 allowed, 0 denied.
@@ -100,12 +94,11 @@ class EndpointPolicy:
 
     def _meeting_raw_rules(self, row: EdgeRow) -> Iterator[int]:
         """Yield the requests on ROS names of which a rule on raw topics matches an endpoint."""
-        naming = self._namings.get(row.subject)
-        self._turn_to(row.subject)
-        if naming is None or not self._has_raw:
+        naming, is_raw = self._namings.get(row.subject), self._raw_test(row.subject)
+        if naming is None or is_raw is None:
             return
         column = mapped(row.column, naming)
-        raw = [self._is_raw(each.object.name) for each in column.endpoints.requests]
+        raw = [is_raw(each.object.name) for each in column.endpoints.requests]
         yield from (at for at, needed in enumerate(column.needed) if any(raw[each] for each in needed))
 
 

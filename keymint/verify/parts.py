@@ -75,20 +75,16 @@ class VerificationPart:
         return replace(part, policy=self.policy.about(subjects), copies=copies, files=copies.public_files())
 
 
-@dataclass(frozen=True, slots=True)
-class PartResult:
-    """The labels of the policy, and the comparison of each model."""
+def verify_part(plugins: Plugins, part: VerificationPart) -> tuple[bytes, tuple[Comparison, ...]]:
+    """Return the labels of the policy, and the comparison of each model.
 
-    labels: bytes
-    comparisons: tuple[Comparison, ...]
-
-
-def verify_part(plugins: Plugins, part: VerificationPart) -> PartResult:
-    """Verify a part; errors as :func:`keymint.verify.verification.verification`."""
+    Raises:
+        KeymintError: as of :func:`keymint.verify.verification.verification`.
+    """
     with placed(part.copies, part.files) as copies:
         named = {name: plugins.transport(name) for name in part.transports}
         verified = replace(part, copies=copies).verified(plugins, named)
-        return PartResult(bytes(verified.labels), verified.comparisons)
+        return bytes(verified.labels), verified.comparisons
 
 
 def verified_in_parts(
@@ -126,16 +122,17 @@ def verified_in_parts(
         return whole.verified(plugins, transports)
     others = {name: each for name, each in transports.items() if name not in modelled}
     compared = {each.transport: each for each in (whole.verified(plugins, others).comparisons if others else ())}
-    results: list[PartResult] = []
+    labels = bytearray()
+    comparisons: list[tuple[Comparison, ...]] = []
     tasks = (whole.about(each, elsewhere=not pool.shares_memory) for each in divided)
-    for each, result in zip(divided, pool.map(verify_part, tasks), strict=True):
-        results.append(result)
+    for each, (own_labels, of_models) in zip(divided, pool.map(verify_part, tasks), strict=True):
+        labels += own_labels
+        comparisons.append(of_models)
         for name in ("policy", *modelled):
             for subject in each:
                 asking.on_subject(name, subject)
-    for at, name in enumerate(modelled):
-        compared[name] = _together([result.comparisons[at] for result in results], asking.limit)
-    labels = bytearray().join(result.labels for result in results)
+    for name, of_parts in zip(modelled, zip(*comparisons, strict=True), strict=True):
+        compared[name] = _together(of_parts, asking.limit)
     decide = EndpointPolicy(policy, scope.namings).decide
     return Verification(scope.build_type, subjects, rows, labels, decide, tuple(compared[name] for name in transports))
 
