@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping
-from dataclasses import field
+from dataclasses import field, replace
 from enum import StrEnum
 from pathlib import Path
 
@@ -134,6 +134,10 @@ class Plan:
         return Plan(
             self.steps + other.steps, other.state, self.diagnostics + other.diagnostics, self.first + other.first
         )
+
+    def noting(self, *diagnostics: Diagnostic) -> Plan:
+        """Return this plan with further diagnostics."""
+        return replace(self, diagnostics=(*self.diagnostics, *diagnostics))
 
     def kept(self) -> frozenset[str]:
         """Return the packages that are left as they are, although they should be something else."""

@@ -219,6 +219,10 @@ class Plugins:
         """Return the policy type of this name; see :meth:`load`."""
         return cast("PolicyType", self.load("keymint.policy_types", name, where))
 
+    def policy_types(self) -> Mapping[str, PolicyType]:
+        """Return all policy types by name; see :meth:`load`."""
+        return {name: self.policy_type(name) for name in self.names("keymint.policy_types")}
+
     def build_type(self, name: str, where: Origin | None = None) -> BuildType:
         """Return the build type of this name; see :meth:`load`."""
         return cast("BuildType", self.load("keymint.build_types", name, where))

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -74,15 +75,15 @@ def accept(run: Run, files: tuple[Path, ...], folder: Path | None, fingerprints:
                 # A key must be in its enclave, durably, before it is removed here.
                 store.change(answered)
     restart = [each.bundle.manifest.enclave for each in taken if each.step.writes()]
-    for each in restart if not run.dry_run else ():
-        run.console.line(f"restart the processes of {each}: they read their files when they start")
+    if not run.dry_run:
+        run.console.lines(f"restart the processes of {each}: they read their files when they start" for each in restart)
     notes = [note for each in taken for note in each.acceptance.notes]
     result = {
         "keystore": keystore.typed,
         "enclaves": [_document(each) for each in taken],
         "restart": restart,
     }
-    return Report(run.verb, None, [each.step for each in taken], notes, result, dry_run=run.dry_run)
+    return replace(run.report(result, notes), steps=[each.step for each in taken])
 
 
 def fingerprint(text: str) -> str:

@@ -73,7 +73,7 @@ def command(
         phases[:] = [(reached or Phase.END).value]
         if run.dry_run and not cancel:
             run.console.lines(_outline(session, name, before, reached))
-        return replace(plan, diagnostics=(*plan.diagnostics, *_told(session, name, before, reached, cancelled=cancel)))
+        return plan.noting(_told(session, name, before, reached, cancelled=cancel))
 
     report = run.change(make_plan)
     return replace(report, result={"authority": name, "phase": phases[0]})
@@ -86,31 +86,26 @@ def _outline(session: Session, name: str, before: Phase | None, reached: Phase |
     """Yield the phases, with a mark at the one that a run would carry out."""
     shown = session.workspace.shown(session.workspace.next_install)
     if Phase.STAGE in {before, reached}:
-        steps = [
-            (
-                Phase.STAGE,
-                f"a second keystore by the next authority in {shown}/; copy it to all robots, beside the present",
-            ),
-            (None, "all robots restart together with it (ROS_SECURITY_KEYSTORE); then --phase end makes it install/"),
-        ]
+        steps = {
+            Phase.STAGE: f"a second keystore by the next authority in {shown}/; copy it to all robots, "
+            "beside the present",
+            Phase.END: "all robots restart together with it (ROS_SECURITY_KEYSTORE); "
+            "then --phase end makes it install/",
+        }
     else:
-        steps = [
-            (
-                Phase.DISTRIBUTE,
-                "all enclaves trust both authorities; copy them to all robots and restart these, in any order",
-            ),
-            (Phase.REISSUE, "certificates by the next authority; copy them to all robots and restart these"),
-            (None, "enclaves trust the next authority alone; copy them to all robots and restart these"),
-        ]
+        steps = {
+            Phase.DISTRIBUTE: "all enclaves trust both authorities; copy them to all robots and restart these, "
+            "in any order",
+            Phase.REISSUE: "certificates by the next authority; copy them to all robots and restart these",
+            Phase.END: "enclaves trust the next authority alone; copy them to all robots and restart these",
+        }
     yield f"replacing the key of {name}:"
-    for number, (each, text) in enumerate(steps, 1):
-        yield f"  {'>' if each is reached else ' '} {number}. {each.value if each else 'end'}: {text}"
+    for number, (each, text) in enumerate(steps.items(), 1):
+        yield f"  {'>' if each is (reached or Phase.END) else ' '} {number}. {each}: {text}"
 
 
-def _told(
-    session: Session, name: str, before: Phase | None, reached: Phase | None, *, cancelled: bool
-) -> Iterator[Diagnostic]:
-    """Yield what is to be done on the robots before the next phase."""
+def _told(session: Session, name: str, before: Phase | None, reached: Phase | None, *, cancelled: bool) -> Diagnostic:
+    """Return what is to be done on the robots before the next phase."""
     following = Phase.REISSUE if reached is Phase.DISTRIBUTE else Phase.END
     go_on = f"'keymint authority replace {name} --phase {following}'"
     install_space, second = (
@@ -135,4 +130,4 @@ def _told(
     else:
         text = f"{name!r} is replaced: nobody trusts the former authority any more"
         help_ = f"copy {install_space}/ to all robots and restart them, in any order"
-    yield Diagnostic("rollover-phase", Severity.WARNING, text, None, help_)
+    return Diagnostic("rollover-phase", Severity.WARNING, text, None, help_)

@@ -60,8 +60,8 @@ def build(
         run.workers.start(session, chosen, (build,))
         plan = run.planned(build(session), chosen)
         warnings = policy_changed(session) if chosen else (no_packages(session),)
-        warnings = (*warnings, *policy_slips(session, plan.steps))
-        return Plan(plan.steps, plan.state, (*plan.diagnostics, *warnings, *hinted.unknown(run.names(session, ()))))
+        slips = policy_slips(session, plan.steps)
+        return plan.noting(*warnings, *slips, *hinted.unknown(run.names(session, ())))
 
     return run.change(make_plan)
 

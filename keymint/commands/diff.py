@@ -19,13 +19,12 @@ from keymint.commands.options import PolicyOptions, policy_options
 from keymint.commands.policies import Policies
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
-from keymint.errors import ExitCode
 from keymint.git import at_revision, is_revision
 from keymint.output.console import Console
 from keymint.output.differences import as_text, summary
 from keymint.output.json import differences_json
 from keymint.output.markdown import markdown
-from keymint.output.report import Report
+from keymint.output.report import Report, findings_if
 
 _UNKNOWN = Diagnostic(
     "diff-unknown",
@@ -71,8 +70,7 @@ def diff(run: Run, old: str, new: str, kind: str, budget: int, policy_options: P
     run.console.lines(lines)
     result = {"equivalent": not differences, "subjects": differences_json(differences, run.typed)}
     unknown = any(change.unknown for subject in differences for change in subject.changes)
-    exit_code = ExitCode.FINDINGS if has_gains(differences) else ExitCode.DONE
-    return run.report(result, [_UNKNOWN] if unknown else [], exit_code)
+    return run.report(result, [_UNKNOWN] if unknown else [], findings_if(has_gains(differences)))
 
 
 def _libraries(policies: Policies, paths: Sequence[str]) -> Callable[[str], str | None]:

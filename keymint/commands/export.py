@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import codecs
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,6 @@ from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.output.report import Report
 
-_GROUP = "keymint.policy_types"
 _FORMATS = "keymint.policy_formats"
 
 
@@ -99,7 +98,7 @@ def _writer(run: Run, form: str) -> PolicyExporter | PolicyFormat:
     formats = run.plugins.names(_FORMATS)
     if form in formats:
         return run.plugins.policy_format(form)
-    plugins: list[object] = [run.plugins.policy_type(name) for name in run.plugins.names(_GROUP)]
+    plugins: Iterable[object] = run.plugins.policy_types().values()
     known = {each.FORMAT: each for each in plugins if isinstance(each, PolicyExporter)}
     if form not in known:
         every = sorted({*known, *formats})

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,8 @@ from keymint.commands.options import PATH, usage_error
 from keymint.commands.run import Run
 from keymint.commands.user_files import is_folder, read_input, replace_inputs
 from keymint.commands.verb import verb
-from keymint.errors import ExitCode, KeymintError
-from keymint.output.report import Report
+from keymint.errors import KeymintError
+from keymint.output.report import Report, findings_if
 from keymint.output.unified_diff import file_diff, first_difference
 from keymint.plan.foreign_policies import foreign_policy
 from keymint.tree import MAX_FILE
@@ -89,14 +90,13 @@ def fmt(run: Run, paths: tuple[Path, ...], check: bool, as_diff: bool) -> Report
         "text": files[0].after.decode() if _STANDARD in paths else None,
     }
     findings = [_finding(each) for each in changed] if check else []
-    exit_code = ExitCode.FINDINGS if findings else ExitCode.DONE
-    return Report(run.verb, run.known_workspace, (), [*findings, *skipped], result, exit_code, dry_run=not writes)
+    report = run.report(result, [*findings, *skipped], findings_if(findings), workspace=run.known_workspace)
+    return replace(report, dry_run=not writes)
 
 
 def _show(run: Run, files: Sequence[_Formatted], changed: Sequence[_Formatted], *, written: bool) -> None:
     if written or run.dry_run:
-        for each in changed:
-            run.console.line(f"{each.name} {'written' if written else 'would be written'}")
+        run.console.lines(f"{each.name} {'written' if written else 'would be written'}" for each in changed)
     other = f", {len(changed)} not" + " before" * written if changed else ""
     run.console.line(f"{counted(len(files), 'file')}: {len(files) - len(changed)} in canonical form{other}")
 
@@ -117,8 +117,7 @@ def _formatted(run: Run, paths: Iterable[Path]) -> tuple[list[_Formatted], list[
     Raises:
         KeymintError: the errors of all files.
     """
-    plugins = (run.plugins.policy_type(name) for name in run.plugins.names("keymint.policy_types"))
-    types = [each for each in plugins if isinstance(each, PolicyTypeWithForm)]
+    types = [each for each in run.plugins.policy_types().values() if isinstance(each, PolicyTypeWithForm)]
     files: list[_Formatted] = []
     skipped: list[Diagnostic] = []
     defects = Defects()

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 import click
@@ -77,8 +76,7 @@ def install(
             return reissued(run, session, first, chosen, prove=prove, new_authority=new_authority)
         warnings = policy_changed(session) if chosen else (no_packages(session),)
         missing = () if names or (chosen and not prove) else uncreated(session, lazy_policy(session), chosen)
-        done = plan.then(installed)
-        done = replace(done, diagnostics=(*done.diagnostics, *warnings, *missing))
+        done = plan.then(installed).noting(*warnings, *missing)
         return proven(run, after, installed, chosen, proof, done, strict=strict) if proof else done
 
     def exit_code(plan: Plan) -> ExitCode:

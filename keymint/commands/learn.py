@@ -20,9 +20,9 @@ from keymint.commands.policies import Policies
 from keymint.commands.run import Run
 from keymint.commands.user_files import read_input, show_written, write_outputs
 from keymint.commands.verb import verb
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import KeymintError
 from keymint.graph import Edge
-from keymint.output.report import Report
+from keymint.output.report import Report, findings_if
 from keymint.plan.foreign_policies import foreign_policy
 
 
@@ -105,8 +105,8 @@ def learn(
         "missing": [_as_json(edge) for edge in learned.missing],
         "unused": [_place(found) for found in learned.unused],
     }
-    code = ExitCode.FINDINGS if learned.conflicts else ExitCode.DONE
-    return run.report(result, (*learned.conflicts, *learned.unused, *_about_domains(domains, output)), code)
+    diagnostics = (*learned.conflicts, *learned.unused, *_about_domains(domains, output))
+    return run.report(result, diagnostics, findings_if(learned.conflicts))
 
 
 def _about_domains(domains: Sequence[int], output: Path | None) -> Iterator[Diagnostic]:

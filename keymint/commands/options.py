@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from keymint.commands import durations
 from keymint.errors import ExitCode, KeymintError
 from keymint.plugins import Plugins
 from keymint.tree import Tree
-from keymint.workspace import find, packages
+from keymint.workspace import Workspace, find, packages
 
 Decorator = Callable[[Any], Any]
 PROCESSES = "processes"
@@ -74,13 +74,17 @@ def require_known_plugins(context: click.Context, plugins: Plugins) -> None:
 
 def complete_package(context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[str]:
     """Complete the name of a package of the workspace, for the shell."""
+    slash = "/" if incomplete.startswith("/") else ""
+    return _completed(context, incomplete, lambda workspace: [slash + each for each in packages(Tree(), workspace.src)])
+
+
+def _completed(context: click.Context, incomplete: str, names: Callable[[Workspace], Iterable[str]]) -> list[str]:
+    """Return the names in the workspace that begin like a word; none if there is no workspace."""
     try:
         workspace = find(Path(context.params.get("workspace") or "."), {}, Path())
-        names = packages(Tree(), workspace.src)
+        return [name for name in names(workspace) if name.startswith(incomplete)]
     except KeymintError:
         return []
-    slash = "/" if incomplete.startswith("/") else ""
-    return [slash + name for name in names if (slash + name).startswith(incomplete)]
 
 
 packages_argument = click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete_package)
@@ -353,12 +357,11 @@ strict_option = click.option(
 
 def complete_authority(context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[str]:
     """Complete the name of an authority of the workspace, for the shell."""
-    try:
-        workspace = find(Path(context.params.get("workspace") or "."), {}, Path())
-    except KeymintError:
-        return []
-    names = sorted(entry.removesuffix(".cert.pem") for entry, _ in Tree().names(workspace.public))
-    return [name for name in names if name.startswith(incomplete)]
+
+    def names(workspace: Workspace) -> Iterable[str]:
+        return sorted(entry.removesuffix(".cert.pem") for entry, _ in Tree().names(workspace.public))
+
+    return _completed(context, incomplete, names)
 
 
 authority_argument = click.argument("name", metavar="NAME", shell_complete=complete_authority)

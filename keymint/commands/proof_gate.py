@@ -84,7 +84,7 @@ def proven(
     known = {(each.code, subject) for each in plan.diagnostics for subject in (each.subject, "")}
     validity = [each for each in dated_of(results) if (each.code, _subject_of(each)) not in known]
     warnings = [replace(each, severity=Severity.WARNING) for each in (*diagnostics, *merged(validity))]
-    return replace(plan, state=results.state, diagnostics=(*plan.diagnostics, *warnings))
+    return replace(plan, state=results.state).noting(*warnings)
 
 
 def _subject_of(diagnostic: Diagnostic) -> str:

@@ -17,9 +17,8 @@ from keymint.commands.options import Number, complete_package, standard_only_opt
 from keymint.commands.proof_diagnostics import SECONDS, STATES, dated_of, diagnostics_of, effort_of, merged_packages
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
-from keymint.errors import ExitCode
 from keymint.graph import Edge
-from keymint.output.report import Report, findings_exit
+from keymint.output.report import Report, findings_exit, findings_if
 from keymint.plan import terms
 from keymint.plan.enclaves import unaccounted
 from keymint.plan.policy import lazy_policy
@@ -93,8 +92,7 @@ def prove(
         "enclaves": [_enclave(enclave, results.now, run) for enclave in results.enclaves],
         "shared": [_across(each, results.now, run) for each in results.shared],
     }
-    failed = unread or dated or findings_exit(unknown) or not proven
-    exit_code = ExitCode.FINDINGS if failed else ExitCode.DONE
+    exit_code = findings_if(unread or dated or findings_exit(unknown) or not proven)
     return run.report(result, diagnostics, exit_code, workspace=session.workspace)
 
 

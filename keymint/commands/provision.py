@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -130,7 +129,7 @@ def provision(
         for stage in (created, built, minted, installed):
             plan = plan.then(stage)
         slips = policy_slips(session, (*created.steps, *built.steps), acquired)
-        plan = replace(plan, diagnostics=(*plan.diagnostics, *slips, *hinted.unknown(names)))
+        plan = plan.noting(*slips, *hinted.unknown(names))
         return proven(run, session, installed, names, proof, plan, strict=strict) if prove else plan
 
     def _profile_plan(inputs: Inputs) -> Plan:

@@ -26,9 +26,8 @@ from keymint.commands.options import PolicyOptions, policy_options, usage_error
 from keymint.commands.policies import Policies
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
-from keymint.errors import ExitCode
 from keymint.output.json import line_json
-from keymint.output.report import Report
+from keymint.output.report import Report, findings_if
 
 _MOST = 20
 _Answer = tuple[str, dict[str, Any]]
@@ -90,7 +89,7 @@ def query(
         warnings.append(Diagnostic("query-unknown", Severity.WARNING, "the answer is unknown"))
     failed = verdict == "unknown" or (question.head == "isolated" and verdict == "no")
     result = {"question": question.head, "answer": verdict, **more}
-    return run.report(result, warnings, ExitCode.FINDINGS if failed else ExitCode.DONE)
+    return run.report(result, warnings, findings_if(failed))
 
 
 def _doubts(policy: LoadedPolicy, question: PolicyQuery, partition: str, verdict: str) -> Iterator[Diagnostic]:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import replace
 from datetime import datetime
 
 from keymint.api import BuildOptions, LoadedPolicy, Role
@@ -85,9 +84,8 @@ def reissued(
         return plan
     standard_only = any(of_package[name].allow_vendor_specific for name in issued)
     in_force, warnings = (policy, ()) if policy else policy_in_force(session)
-    plan = replace(plan, diagnostics=(*plan.diagnostics, *warnings))
     proof = proof_stage(run, in_force, standard_only=standard_only)
-    return proven(run, session, installed.then(others), issued, proof, plan)
+    return proven(run, session, installed.then(others), issued, proof, plan.noting(*warnings))
 
 
 def reissued_by_profile(run: Run, session: Session, first: Plan, names: Sequence[str]) -> Plan:

@@ -21,7 +21,7 @@ from keymint.commands.run import Run, exit_code_of
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import listed, subject_of
-from keymint.output.report import Report
+from keymint.output.report import Report, findings_if
 from keymint.plan.issuance import issuance_of, plan_issuance
 from keymint.plan.register import with_enclaves
 from keymint.plan.renewal import (
@@ -162,7 +162,7 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
                 raise KeymintError.of(tuple(dict.fromkeys(errors))) from error
             names = [name for name in names if name not in defective]
     findings = [*choice.requests, *map(_authority_due, due.authorities)]
-    plan = Plan(plan.steps, plan.state, (*plan.diagnostics, *findings, *dict.fromkeys(errors)), plan.first)
+    plan = plan.noting(*findings, *dict.fromkeys(errors))
     after = session.after(plan)
     done = frozenset(names)
     taken = [each for each in due.enclaves if each.name in done]
@@ -237,7 +237,7 @@ def _exit_code(run: Run, renewal: _Renewal, plan: Plan) -> ExitCode:
         return failed
     due_lists = (*renewal.schedule.lists, *renewal.waiting_lists)
     is_due = run.dry_run and bool(due_lists or len(renewal.schedule.enclaves) > len(renewal.unchanged))
-    return ExitCode.FINDINGS if renewal.needs_person or is_due else ExitCode.DONE
+    return findings_if(renewal.needs_person or is_due)
 
 
 def _lines(run: Run, renewal: _Renewal) -> Sequence[str]:

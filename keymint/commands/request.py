@@ -136,11 +136,8 @@ def _made(run: Run, there: Keystore, keystore: RobotKeystore, name: str, *, reke
         KeymintError: the key or the certificate that the enclave has cannot be used; it has another key than the one to
             ask for, and nobody said that it gets a new one; or those of :class:`keymint.pki.tokens.Tokens`.
     """
-    files, nonce, claimed = (
-        there.installed(name),
-        secrets.token_hex(requests.NONCE_BYTES),
-        common_name(subject_of(name)),
-    )
+    files = there.installed(name)
+    nonce, claimed = secrets.token_hex(requests.NONCE_BYTES), common_name(subject_of(name))
     place = f"{keystore.typed}/…/{name}"
     present = keys.from_pem(files[KEY], None, Origin(f"{place}/{KEY}")) if KEY in files else None
     token = _in_token(run, kind) if kind.uri else None

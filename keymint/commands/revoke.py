@@ -52,8 +52,7 @@ def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report
         if revoking.skipped and not plan.writes():
             raise KeymintError.of([replace(each, severity=Severity.ERROR) for each in revoking.skipped])
         done[:] = [(revoking, plan)]
-        found = (*plan.diagnostics, *revoking.skipped, *revoking.diagnostics)
-        return Plan(plan.steps, plan.state, found, plan.first)
+        return plan.noting(*revoking.skipped, *revoking.diagnostics)
 
     report = run.change(make_plan)
     ((revoking, plan),) = done

@@ -303,12 +303,12 @@ class Run:
         if self.dry_run:
             plan = make_plan(self.snapshot(workspace))
             return Report(self.verb, workspace, plan.steps, plan.diagnostics, {}, exit_code(plan), dry_run=True)
-        planned: tuple[Inputs, Plan] | None = None
+        planned: tuple[Inputs, Plan, Sight] | None = None
         if not workspace.state.is_dir():
             sight = Sight.of(map(str, workspace.spaces()))
             inputs = self.inputs(workspace)
             try:
-                planned = (inputs, make_plan(inputs))
+                planned = inputs, make_plan(inputs), sight
             except KeymintError:
                 if not workspace.state.is_dir():
                     raise
@@ -319,10 +319,10 @@ class Run:
             # If this workspace is new, the private space is that of another one.
             shared = not store.missing
             if planned is None or shared or workspace.exists() or workspace.state.joinpath(RECORD).exists():
-                planned, sight = self._planned_again(workspace, make_plan)
+                planned = self._planned_again(workspace, make_plan)
             if _writes_below(store.missing, planned[1]) and store.lock_missing(self.console.waiting):
-                planned, sight = self._planned_again(workspace, make_plan)
-            inputs, plan = planned
+                planned = self._planned_again(workspace, make_plan)
+            inputs, plan, sight = planned
             require_register(plan, workspace, inputs.tree)
             guards = gitignore.missing_files(workspace, plan)
             with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
@@ -333,13 +333,11 @@ class Run:
             remember(self.setting.call, inputs, plan, self.presented(report), sight, store, self.console)
         return report
 
-    def _planned_again(
-        self, workspace: Workspace, make_plan: Callable[[Inputs], Plan]
-    ) -> tuple[tuple[Inputs, Plan], Sight]:
+    def _planned_again(self, workspace: Workspace, make_plan: Callable[[Inputs], Plan]) -> tuple[Inputs, Plan, Sight]:
         """Plan under the workspace lock; return what the plan was made from, the plan, and the folders as they are."""
         sight = Sight.of(map(str, workspace.spaces()), clock(workspace.state))
         inputs = self.inputs(workspace, sight)
-        return (inputs, make_plan(inputs)), sight
+        return inputs, make_plan(inputs), sight
 
     def report(
         self,

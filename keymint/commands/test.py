@@ -17,11 +17,11 @@ from keymint.commands.policies import Policies
 from keymint.commands.run import Run
 from keymint.commands.user_files import write_outputs
 from keymint.commands.verb import verb
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import KeymintError
 from keymint.ir import Rule
 from keymint.output.junit import JUnitCase, JUnitFailure, JUnitSuite
 from keymint.output.junit import junit as junit_document
-from keymint.output.report import Report
+from keymint.output.report import Report, findings_if
 
 
 @verb()
@@ -107,8 +107,7 @@ def test(
         "rules": len(rules),
         "exercised": len(rules) - len(idle),
     }
-    bad = broken or percent < min_coverage
-    return run.report(result, warnings, ExitCode.FINDINGS if bad else ExitCode.DONE)
+    return run.report(result, warnings, findings_if(broken or percent < min_coverage))
 
 
 def _checked(checks: ExpectationChecker, expected: Sequence[Expectation]) -> list[ExpectationResult]:

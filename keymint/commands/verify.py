@@ -19,13 +19,12 @@ from keymint.commands.run import Run
 from keymint.commands.user_files import read_input, write_outputs
 from keymint.commands.verb import verb
 from keymint.commands.verify_report import labelled_edges, write_report
-from keymint.errors import ExitCode
 from keymint.graph import Graph
 from keymint.graph_json import load
 from keymint.output.json import comparisons_json
 from keymint.output.junit import junit as junit_document
 from keymint.output.mismatches import SARIF_RULES, diagnostics, enumerated, junit_suites, sarif_results
-from keymint.output.report import Report
+from keymint.output.report import Report, findings_if
 from keymint.output.sarif import sarif as sarif_log
 from keymint.plan.policy import load_policy
 from keymint.plan.register import with_enclaves
@@ -131,7 +130,7 @@ def verify(
     return run.report(
         comparisons_json(outcomes, subjects, edges, run.typed),
         (*foreign, *_unasked(there.scopes, groups, system, Tier(tier), chosen), *diagnostics(outcomes)),
-        ExitCode.FINDINGS if wrong or foreign else ExitCode.DONE,
+        findings_if(wrong or foreign),
         workspace=session.workspace,
     )
 

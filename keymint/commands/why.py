@@ -14,7 +14,6 @@ from keymint.api import AppliedProfile, DomainRange, Tier, Verdict
 from keymint.commands.options import transport_option
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
-from keymint.errors import ExitCode
 from keymint.graph import LABELLED
 from keymint.names import name_of
 from keymint.output.json import decision_json, edge_json, place_json, verdict_json
@@ -27,7 +26,7 @@ from keymint.output.mismatches import (
     rule_text,
     verb_of,
 )
-from keymint.output.report import Report
+from keymint.output.report import Report, findings_if
 from keymint.plan.policy import load_policy
 from keymint.plan.trust_anchors import differences
 from keymint.session import Session
@@ -75,8 +74,8 @@ def why(
 
     run.console.lines(_lines(explanation, run.place))
     diagnostics = [*_strange(session, explanation), *_mismatches(explanation, granted)]
-    exit_code = ExitCode.FINDINGS if diagnostics else ExitCode.DONE
-    return run.report(_document(explanation, run.typed), diagnostics, exit_code, workspace=session.workspace)
+    result = _document(explanation, run.typed)
+    return run.report(result, diagnostics, findings_if(diagnostics), workspace=session.workspace)
 
 
 def _strange(session: Session, explanation: Explanation) -> tuple[Diagnostic, ...]:

@@ -150,20 +150,15 @@ class _Page:
             "object": self._object(edge.domain_object),
             "audit": one.audit,
             "policy": self._label(one.policy),
-            "transports": [
-                self._label(
-                    label, wrong=label is not None and one.policy is not None and label.allowed != one.policy.allowed
-                )
-                for label in one.transports
-            ],
+            "transports": [self._label(label, one.policy) for label in one.transports],
         }
 
-    def _label(self, label: Label | None, *, wrong: bool = False) -> Mapping[str, Any] | None:
+    def _label(self, label: Label | None, policy: Label | None = None) -> Mapping[str, Any] | None:
         if label is None:
             return None
         return {
             "allowed": label.allowed,
-            "wrong": wrong,
+            "wrong": policy is not None and label.allowed != policy.allowed,
             "reason": printable(label.reason),
             "links": list(self._links(label.where)) if label.where else [],
         }

@@ -49,26 +49,28 @@ def folded(diagnostics: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
 
     The message then ends with the number of packages. Diagnostics without a place are not merged.
     """
-    together: dict[Diagnostic, int] = {}
-    first: dict[Diagnostic, Diagnostic] = {}
+    together: dict[Diagnostic, list[Diagnostic]] = {}
     seen: set[Diagnostic] = set()
     for diagnostic in diagnostics:
         if diagnostic.subject and diagnostic in seen:
             continue  # two stages report the same for one package
         seen.add(diagnostic)
         key = replace(diagnostic, subject="") if diagnostic.where else diagnostic
-        together[key] = together.get(key, 0) + 1
-        first.setdefault(key, diagnostic)
+        together.setdefault(key, []).append(diagnostic)
     return tuple(
-        first[key] if count == 1 or not key.where else replace(key, message=f"{key.message} [{count} packages]")
-        for key, count in together.items()
+        same[0] if len(same) == 1 or not key.where else replace(key, message=f"{key.message} [{len(same)} packages]")
+        for key, same in together.items()
     )
 
 
 def findings_exit(diagnostics: Sequence[Diagnostic]) -> ExitCode:
     """Return the exit code of a verb that reports findings; notes do not count."""
-    has_findings = any(diagnostic.severity is not Severity.NOTE for diagnostic in diagnostics)
-    return ExitCode.FINDINGS if has_findings else ExitCode.DONE
+    return findings_if(any(diagnostic.severity is not Severity.NOTE for diagnostic in diagnostics))
+
+
+def findings_if(found: object) -> ExitCode:
+    """Return the exit code of a verb that found something if the value is true, else of one that found nothing."""
+    return ExitCode.FINDINGS if found else ExitCode.DONE
 
 
 def report_json(report: Report) -> dict[str, Any]:

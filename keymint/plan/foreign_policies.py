@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
-from keymint.api import PolicyImporter, PolicyType, RecognisedPolicy
+from keymint.api import PolicyImporter, RecognisedPolicy
 from keymint.errors import KeymintError
 from keymint.plugins import Plugins
 
@@ -53,11 +53,12 @@ def foreign_policy(plugins: Plugins, paths: Iterable[Path], expected: str = "") 
         paths: files, and folders with policies directly in them.
         expected: name of the policy type that could not load them; empty if none was tried.
     """
-    known: dict[str, RecognisedPolicy] = {}
-    for name in plugins.names("keymint.policy_types"):
-        policy_type: PolicyType | RecognisedPolicy = plugins.policy_type(name)
-        if name != expected and isinstance(policy_type, RecognisedPolicy):
-            known[name] = policy_type
+    policy_types: Mapping[str, object] = plugins.policy_types()
+    known = {
+        name: policy_type
+        for name, policy_type in policy_types.items()
+        if name != expected and isinstance(policy_type, RecognisedPolicy)
+    }
     for path in (file for each in paths for file in _files(each)):
         for name, policy_type in known.items():
             if policy_type.recognises(path):
