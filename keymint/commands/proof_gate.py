@@ -120,7 +120,7 @@ def _refused_edits(session: Session, plan: Plan, subjects: Collection[str]) -> l
 
 def _goes_on(session: Session, subject: str) -> bool:
     """Tell whether a subject goes on with all documents that another tool signed: nothing new is signed for it."""
-    name = subject.removeprefix("/")
+    name = name_of(subject)
     kept = session.package(name).kept
     return bool(kept) and all(
         session.tree.read(session.workspace.build / name / document) == content for document, content in kept.items()

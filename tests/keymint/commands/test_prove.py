@@ -126,10 +126,11 @@ def test_an_enclave_without_sources_is_not_proven(keymint: Callable, provisioned
     assert "the enclave /talker is installed, but has no source package" in outcome.err
 
 
-def test_what_vendors_decide_differently_can_be_accepted(keymint: Callable, tmp_path: Path):
+@pytest.mark.parametrize("subject", ["/talker", "/"])
+def test_what_vendors_decide_differently_can_be_accepted(keymint: Callable, tmp_path: Path, subject: str):
     policy = tmp_path / "policy.xml"
     policy.write_text(
-        '<profiles><profile name="p"><attachment>/talker</attachment><topic qualifier="ALLOW">'
+        f'<profiles><profile name="p"><attachment>{subject}</attachment><topic qualifier="ALLOW">'
         "<attachment>rt/a\\[</attachment><permissions><publish/></permissions></topic></profile></profiles>"
     )
     made = keymint("provision", policy, "-w", "ws", "--allow-vendor-specific")
