@@ -81,7 +81,7 @@ class IdentityCheck:
             certificate: the identity certificate.
             public_key: the key that it must be for (PEM), if the private key is elsewhere; empty if it may be for any.
         """
-        if public_key and not public_keys.is_of(public_key, certificate):
+        if public_key and public_keys.from_pem(public_key) != certificate.public_key():
             yield self._error("key-mismatch", CERTIFICATE, "is for another public key than the package has")
         pem = self._files.get(KEY)
         if pem is None:

@@ -36,12 +36,7 @@ CURVES: Mapping[str, ec.EllipticCurve] = MappingProxyType(
 """Curves by their SEC 2 names."""
 _CURVE_ALIASES = {
     "PRIME256V1": "SECP256R1",
-    "P256": "SECP256R1",
-    "NISTP256": "SECP256R1",
-    "P384": "SECP384R1",
-    "NISTP384": "SECP384R1",
-    "P521": "SECP521R1",
-    "NISTP521": "SECP521R1",
+    **{f"{prefix}{bits}": f"SECP{bits}R1" for prefix in ("P", "NISTP") for bits in (256, 384, 521)},
 }
 MIN_RSA_BITS = 2048
 """NIST SP 800-57 part 1, 5.6.2: 112 bits of security."""
@@ -148,7 +143,7 @@ def from_pem(pem: bytes, password: bytes | None = None, where: Origin | None = N
             help="restore the file from a backup",
             code="key-password" if encrypted else "key-invalid",
         ) from None
-    if not isinstance(key, ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey):
+    if not isinstance(key, PrivateKey):
         raise KeymintError(
             "a private key that is neither EC nor RSA",
             where=where,

@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-from cryptography import x509
 from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
-from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError
@@ -27,7 +25,7 @@ def from_pem(pem: bytes, where: Origin | None = None) -> PublicKey:
         key = serialization.load_pem_public_key(pem)
     except (ValueError, TypeError, UnsupportedAlgorithm):
         key = None
-    if not isinstance(key, ec.EllipticCurvePublicKey | rsa.RSAPublicKey):
+    if not isinstance(key, PublicKey):
         raise KeymintError(
             "not an EC or RSA public key in PEM (SubjectPublicKeyInfo), or a damaged one",
             where=where,
@@ -40,8 +38,3 @@ def from_pem(pem: bytes, where: Origin | None = None) -> PublicKey:
 def to_pem(key: PublicKey) -> bytes:
     """Return a public key as PEM; equal keys give equal bytes."""
     return key.public_bytes(serialization.Encoding.PEM, serialization.PublicFormat.SubjectPublicKeyInfo)
-
-
-def is_of(pem: bytes, certificate: x509.Certificate) -> bool:
-    """Tell whether a certificate is for a public key in PEM; errors as :func:`from_pem`."""
-    return from_pem(pem) == certificate.public_key()
