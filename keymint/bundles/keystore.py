@@ -8,6 +8,7 @@ not the one that the enclave has.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from cryptography import x509
@@ -85,7 +86,10 @@ class Keystore:
         issuing: set[str] = set()
         for folder in self._folders(str(self._root)):
             files = {name: self._tree.try_read(f"{folder}/{name}") or b"" for name, _ in self._tree.names(folder)}
-            chains = {file: chain for each in files.items() for file, chain in _chains(*each)}
+            chains: dict[str, tuple[x509.Certificate, ...]] = {}
+            for file, content in files.items():
+                with suppress(KeymintError):  # what cannot be read is trusted by nobody
+                    chains |= certificates_of_authorities({file: content})
             for file, chain in chains.items():
                 known.setdefault(file, set()).update(map(certificates.fingerprint, chain))
             issuing |= issuing_files(files[CERTIFICATE], chains)
@@ -138,11 +142,3 @@ class Keystore:
         """Return the change that makes an enclave what its bundle says; arguments as for :meth:`folder`."""
         files = {file: File(content, secret=file == KEY) for file, content in acceptance.files.items()}
         return FolderChange(self.folder(enclaves, name), files, acceptance.removed, private=True)
-
-
-def _chains(name: str, content: bytes) -> Iterator[tuple[str, tuple[x509.Certificate, ...]]]:
-    """Yield the certificates of authorities in a file with its name; what cannot be read is trusted by nobody."""
-    try:
-        yield from certificates_of_authorities({name: content})
-    except KeymintError:
-        return

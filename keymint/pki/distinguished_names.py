@@ -67,9 +67,11 @@ _ASCII_TYPES = frozenset({"C", "DC", "emailAddress", "serialNumber", "dnQualifie
 _UNBOUNDED = 1024
 """Maximum characters of a value whose type has no upper bound of its own."""
 
-_TYPE_THEN_EQUALS = lazy_regex(r"\s*([A-Za-z][A-Za-z0-9.-]*|[0-9][0-9.]*)\s*=")
-_SPECIAL = lazy_regex(r'[\\,/"+]')
-_HEX_PAIR = lazy_regex(r"[0-9A-Fa-f]{2}")
+_TYPE_THEN_EQUALS = lazy_regex(r"\s*([A-Za-z][A-Za-z0-9.-]*|[0-9][0-9.]*)\s*= *")
+_PART = lazy_regex(r"""\\(?P<escaped>[0-9A-Fa-f]{2}|[,+"\\<>;=/# ])|[\\,/"+]|[^\\,/"+]+""")
+"""What a value consists of: an escaped byte or character, a character that may end it, or other text."""
+_HEX_PAIR = 3
+"""Characters of an escaped byte."""
 _ESCAPABLE = frozenset(',+"\\<>;=/# ')
 _ESCAPED_IN_TEXT = frozenset(',+"\\<>;')
 _EXAMPLE = "write e.g. CN=/robot/camera,OU=x1 or /C=US/O=Acme/CN=ca"
@@ -183,36 +185,25 @@ def _value(text: str, position: int) -> tuple[str, int]:
     """Return the value that begins at a position, unescaped, and the position of the separator after it."""
     raw = bytearray()
     kept = 0  # bytes to keep when spaces are trimmed, because they were escaped
-    while position < len(text) and text[position] == " ":
-        position += 1
-    while position < len(text):
-        character = text[position]
-        if character == "\\":
-            if pair := _HEX_PAIR.match(text, position + 1):
-                raw.append(int(pair.group(), 16))
-                position += 3
-            elif text[position + 1 : position + 2] in _ESCAPABLE:
-                raw += text[position + 1].encode()
-                position += 2
-            else:
-                expected = f"one of {''.join(sorted(_ESCAPABLE))!r} or two hexadecimal digits"
-                raise _invalid(text, f"expected after '\\' {expected}", "write \\\\ for a backslash")
+    while part := _PART.match(text, position):
+        shown = part[0]
+        if part["escaped"] is not None:
+            raw += bytes.fromhex(part["escaped"]) if len(shown) == _HEX_PAIR else part["escaped"].encode()
             kept = len(raw)
-            continue
-        if character == "," or (character == "/" and _begins_attribute(text, position + 1)):
+        elif shown == "\\":
+            expected = f"one of {''.join(sorted(_ESCAPABLE))!r} or two hexadecimal digits"
+            raise _invalid(text, f"expected after '\\' {expected}", "write \\\\ for a backslash")
+        elif shown == "," or (shown == "/" and _begins_attribute(text, part.end())):
             break
-        if character == '"' or (character == "+" and _begins_attribute(text, position + 1)):
-            problem = "values are not quoted" if character == '"' else "RDNs with several attributes are not supported"
-            help_ = f"separate attributes by ',', or write \\{character} for the character itself"
+        elif shown == '"' or (shown == "+" and _begins_attribute(text, part.end())):
+            problem = "values are not quoted" if shown == '"' else "RDNs with several attributes are not supported"
+            help_ = f"separate attributes by ',', or write \\{shown} for the character itself"
             raise _invalid(text, problem, help_)
-        special = _SPECIAL.search(text, position + 1)
-        end = special.start() if special else len(text)
-        raw += text[position:end].encode("utf-8", "surrogatepass")
-        position = end
-    while len(raw) > kept and raw.endswith(b" "):
-        del raw[-1:]
+        else:
+            raw += shown.encode("utf-8", "surrogatepass")
+        position = part.end()
     try:
-        return raw.decode(), position
+        return (raw[:kept] + raw[kept:].rstrip(b" ")).decode(), position
     except UnicodeDecodeError:
         raise _invalid(text, "an escaped value is not UTF-8") from None
 

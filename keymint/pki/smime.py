@@ -8,7 +8,6 @@ openssl and ``cryptography`` write, and only if every reader sees the same conte
 from __future__ import annotations
 
 import functools
-from dataclasses import replace
 from datetime import datetime
 
 from cryptography import x509
@@ -103,11 +102,8 @@ def read(signed: bytes, ca_pem: bytes, *, at: datetime | None = None, where: Ori
     try:
         return _read(signed, ca_pem, at)
     except KeymintError as error:
-        file = where.file if where else ""
-        lines = [each.where.line if each.where else 0 for each in error.diagnostics]
-        places = [Origin(file, line) if file and line else where for line in lines]
-        found = [replace(each, where=place) for each, place in zip(error.diagnostics, places, strict=True)]
-        raise KeymintError.of(found) from None
+        found = error.diagnostics[0].where
+        raise error.at(Origin(where.file, found.line) if where and found and found.line else where) from None
 
 
 # Several claims rest on one file, and many enclaves have a file in common.
