@@ -4,23 +4,19 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
 from typing import Any, cast
 
 import pkcs11
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from pkcs11 import Attribute, KeyType, ObjectClass
+from pkcs11.util.ec import encode_named_curve_parameters
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError
 from keymint.pki import der, keys
 
-_CURVES: Mapping[bytes, ec.EllipticCurve] = {
-    der.oid("1.2.840.10045.3.1.7"): ec.SECP256R1(),
-    der.oid("1.3.132.0.34"): ec.SECP384R1(),
-    der.oid("1.3.132.0.35"): ec.SECP521R1(),
-}
+_CURVES = {encode_named_curve_parameters(each.name): each for each in keys.CURVES.values()}
 """Curves by CKA_EC_PARAMS: the OID of a named curve in DER (PKCS #11, 2.3.3)."""
 _LOST = (
     pkcs11.DeviceRemoved,
