@@ -10,7 +10,7 @@ from datetime import timedelta
 
 from cryptography import x509
 
-from comarmor.errors import Defects, Diagnostic, Origin, Severity
+from comarmor.errors import Defects, Diagnostic, Severity
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import authority_files, token_keys
@@ -35,7 +35,7 @@ def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
                 "authority-missing",
                 Severity.ERROR,
                 f"the authority {authority.name!r} has no certificate",
-                Origin(files.certificate_file),
+                files.certificate_file,
                 "'keymint install' restores it"
                 if files.key or authority.certificate.key.uri
                 else f"restore it; {authority_files.new_authority_help(authority.name)}",
@@ -90,13 +90,13 @@ def _key(inputs: Inputs, files: AuthorityFiles) -> Generator[Diagnostic, None, k
             yield from key_defects(error)
     elif files.content is not None:
         message = f"the private key of {files.authority.name!r} is not here"
-        where, help_ = Origin(files.certificate_file), "restore it to sign anything"
+        where, help_ = files.certificate_file, "restore it to sign anything"
         yield Diagnostic("authority-key-missing", Severity.NOTE, message, where, help_)
     return None
 
 
 def _unreadable(files: AuthorityFiles) -> Iterator[Diagnostic]:
-    where = Origin(files.certificate_file)
+    where = files.certificate_file
     help_ = "'keymint install' restores it" if files.key else "restore it from a backup"
     with Defects() as defects:
         certificates.public_key(certificates.load(files.content or b"", where), where)
@@ -127,7 +127,7 @@ def _certificate(
             "authority-drift",
             Severity.ERROR,
             f"the certificate of {files.authority.name!r} is not the one that the profile specifies",
-            Origin(files.certificate_file),
+            files.certificate_file,
             "run 'keymint install', which reissues it for the same key, and redeploy all enclaves",
         )
 
@@ -135,7 +135,7 @@ def _certificate(
 def _validity(
     inputs: Inputs, files: AuthorityFiles, certificate: x509.Certificate, within: timedelta
 ) -> Iterator[Diagnostic]:
-    name, where, end = files.authority.name, Origin(files.certificate_file), certificate.not_valid_after_utc
+    name, where, end = files.authority.name, files.certificate_file, certificate.not_valid_after_utc
     help_ = f"'keymint authority renew {name}' issues it again for the same key, as long as before"
     if end < inputs.now:
         message = f"the certificate of {name!r} expired on {end:%Y-%m-%d %H:%M} UTC"

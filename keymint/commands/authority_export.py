@@ -38,7 +38,7 @@ def command(run: Run, name: str, output: Path | None, chain: bool, key_file: Pat
     if files.certificate is None or files.content is None:
         raise KeymintError(
             f"the authority {name!r} has no certificate",
-            where=Origin(files.certificate_file),
+            where=files.certificate_file,
             help="'keymint install' makes it",
             code="authority-missing",
         )
@@ -75,7 +75,7 @@ def _export_key(run: Run, files: authority_files.AuthorityFiles, key_file: Path)
     if files.key is None:
         raise KeymintError(
             f"the private key of the authority {files.authority.name!r} is not here",
-            where=Origin(files.key_file),
+            where=files.key_file,
             help="export it where it is",
             code="authority-key-missing",
         )

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Diagnostic
 from comarmor.text import counted
 from keymint.commands.options import complete_authority
 from keymint.commands.run import Run
@@ -46,7 +46,7 @@ def _findings(session: Session, names: tuple[str, ...]) -> list[Diagnostic]:
     for authority in session.profile.authorities:
         files = authority_files.read_files(session, authority, tuple)
         if files.certificate is not None and (not names or authority.name in names):
-            found += adoption.lacking(files.certificate, authority.name, Origin(files.certificate_file))
+            found += adoption.lacking(files.certificate, authority.name, files.certificate_file)
     return found
 
 

@@ -9,7 +9,7 @@ from dataclasses import field
 
 from cryptography import x509
 
-from comarmor.errors import Defects, Diagnostic, Origin, Severity
+from comarmor.errors import Defects, Diagnostic, Severity
 from comarmor.values import dataclass
 from keymint.api import SigningAuthority
 from keymint.changes import Action, File, FolderChange, Plan, Step, changed
@@ -186,7 +186,7 @@ def _require_replaceable(files: AuthorityFiles) -> None:
         why = "its replacement is under way" if issuance.rollover else "its certificate was imported"
         raise KeymintError(
             f"the authority {name!r} is not made again at once: {why}",
-            where=Origin(files.certificate_file),
+            where=files.certificate_file,
             help=f"use 'keymint authority replace {name}'",
             code="authority-not-minted",
         )
@@ -200,7 +200,7 @@ def _new_certificate(
     if not files.known():
         return issued.pem, issued.diagnostics
     message = f"{files.authority.name!r} is a new authority: {authority_files.COST}"
-    new = Diagnostic("authority-new", Severity.WARNING, message, Origin(files.certificate_file))
+    new = Diagnostic("authority-new", Severity.WARNING, message, files.certificate_file)
     return issued.pem, (*issued.diagnostics, new)
 
 
@@ -228,7 +228,7 @@ def _certificate(
         "authority-reissued",
         Severity.WARNING,
         f"the certificate of the authority {files.authority.name!r} is reissued for the same key",
-        Origin(files.certificate_file),
+        files.certificate_file,
         "deploy all enclaves together: if it signs rights, some vendors let subjects that hold different certificates "
         "of it not communicate",
     )
@@ -247,7 +247,7 @@ def _signing_error(inputs: Inputs, files: AuthorityFiles) -> KeymintError | None
     if files.key is None:
         return KeymintError(
             f"the private key of the authority {name!r} is not here, and is needed to sign",
-            where=Origin(files.key_file),
+            where=files.key_file,
             help=f"restore it; {authority_files.new_authority_help(name)}",
             code="authority-key-missing",
         )
@@ -268,8 +268,8 @@ def _without_key(
             the key.
     """
     spec, content = files.authority.certificate, files.content or b""
-    certificate = certificates.load(content, Origin(files.certificate_file))
-    public_key = certificates.public_key(certificate, Origin(files.certificate_file))
+    certificate = certificates.load(content, files.certificate_file)
+    public_key = certificates.public_key(certificate, files.certificate_file)
     authority_files.require_rollover(files, public_key)
     authority_files.require_known(files, public_key)
     authority_files.require_name(files)

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Diagnostic
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import authority_files, key_record
@@ -44,7 +44,7 @@ def contradictions_for(contradictions: Contradictions, issuers: Iterable[str]) -
 
 
 def _against(inputs: Inputs, files: AuthorityFiles, content: bytes) -> Iterator[Diagnostic]:
-    where = Origin(files.certificate_file)
+    where = files.certificate_file
     try:
         # Transports differ in what they read of a file with several blocks: some trust each certificate in it.
         certificates.load(content, where)
@@ -68,7 +68,7 @@ def _require_adopted(files: AuthorityFiles, content: bytes) -> None:
     if adopted and content != adopted:
         raise KeymintError(
             f"is not the certificate that was imported for the authority {name!r}",
-            where=Origin(files.certificate_file),
+            where=files.certificate_file,
             help="'keymint install' restores it; 'keymint authority import' takes another one",
             code="authority-drift",
         )
@@ -85,7 +85,7 @@ def _require_key(inputs: Inputs, files: AuthorityFiles, certificate: x509.Certif
         return
     try:
         secret = password(spec.key, inputs.environment, spec.origin)
-        key = keys.from_pem(files.key, secret, Origin(files.key_file)).public_key()
+        key = keys.from_pem(files.key, secret, files.key_file).public_key()
     except KeymintError:
         return
     if not key_record.was_under_way(inputs.state, keys.fingerprint(key)) and certificate == files.certificate:

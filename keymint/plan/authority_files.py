@@ -33,8 +33,8 @@ class AuthorityFiles:
 
     Attributes:
         authority: the authority as the profile specifies it.
-        key_file: path of its private key, as the user would type it.
-        certificate_file: path of its certificate, as the user would type it.
+        key_file: its private key, for messages.
+        certificate_file: its certificate, for messages.
         key: content of the key file, or None.
         content: content of the certificate file, or None.
         certificate: its certificate, or None if it is missing or damaged.
@@ -43,8 +43,8 @@ class AuthorityFiles:
     """
 
     authority: Authority
-    key_file: str
-    certificate_file: str
+    key_file: Origin
+    certificate_file: Origin
     key: bytes | None = field(repr=False)
     content: bytes | None
     certificate: x509.Certificate | None
@@ -91,8 +91,8 @@ def read_files(
     content = inputs.tree.read(path)
     return AuthorityFiles(
         authority=authority,
-        key_file=workspace.shown(key_path),
-        certificate_file=workspace.shown(path),
+        key_file=inputs.workspace.origin(key_path),
+        certificate_file=inputs.workspace.origin(path),
         key=inputs.tree.read(key_path),
         content=content,
         certificate=_readable(content),
@@ -206,7 +206,7 @@ def load_private_key(inputs: Inputs, files: AuthorityFiles) -> keys.PrivateKey:
     """Load the private key of an authority that has one; errors as :func:`keymint.plan.private_keys.load_key`."""
     spec = files.authority.certificate
     remedy = f"restore it from a backup; {new_authority_help(files.authority.name)}"
-    shown = Origin(files.key_file)
+    shown = files.key_file
     return load_key(keys.from_pem, files.key or b"", spec.key, inputs.environment, shown, spec.origin, remedy)
 
 
@@ -225,7 +225,7 @@ def require_unused(files: AuthorityFiles) -> None:
         name = files.authority.name
         raise KeymintError(
             f"the authority {name!r} has neither key nor certificate here, but enclaves that are installed trust it",
-            where=Origin(files.certificate_file),
+            where=files.certificate_file,
             help=f"restore them, or the certificate alone from an enclave; {new_authority_help(name)}",
             code="authority-lost",
         )
@@ -243,13 +243,13 @@ def require_fit(files: AuthorityFiles, key: keys.PublicKey) -> None:
     if keys.fingerprint(key) in files.known():
         raise KeymintError(
             f"is the certificate of another key than {files.key_file}, which is the key of {name!r}",
-            where=Origin(files.certificate_file),
+            where=files.certificate_file,
             help=f"restore it, or remove it and run 'keymint install'; {new_authority_help(name)}",
             code="authority-key-mismatch",
         )
     raise KeymintError(
         f"is not the private key of {files.certificate_file}",
-        where=Origin(files.key_file),
+        where=files.key_file,
         help=f"restore the file that is wrong; {new_authority_help(name)}",
         code="authority-key-mismatch",
     )
@@ -267,7 +267,7 @@ def require_name(files: AuthorityFiles) -> None:
     raise KeymintError(
         f"is for {distinguished_names.to_text(files.certificate.subject)!r}, but {spec.origin} asks for "
         f"{distinguished_names.to_text(files.subject)!r}",
-        where=Origin(files.certificate_file),
+        where=files.certificate_file,
         help=f"restore the file or the subject_name; {new_authority_help(name)}",
         code="authority-renamed",
     )
@@ -285,7 +285,7 @@ def require_known(files: AuthorityFiles, key: keys.PublicKey) -> None:
     name = files.authority.name
     raise KeymintError(
         f"the key of the authority {name!r} was replaced: the deployed enclaves trust another one",
-        where=Origin(files.certificate_file if files.key is None else files.key_file),
+        where=files.certificate_file if files.key is None else files.key_file,
         help=f"restore {files.key_file} and {files.certificate_file}; {new_authority_help(name)}",
         code="authority-replaced",
     )
@@ -302,7 +302,7 @@ def require_rollover(files: AuthorityFiles, key: keys.PublicKey) -> None:
         name = files.authority.name
         raise KeymintError(
             f"the replacement of the key of {name!r} was interrupted",
-            where=Origin(files.key_file),
+            where=files.key_file,
             help=f"'keymint authority replace {name}' goes on",
             code="rollover-interrupted",
         )

@@ -118,7 +118,7 @@ def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
     present = None
     if files.key is not None:
         secret = password(spec.key, session.environment, spec.origin)
-        present = keys.from_pem(files.key, secret, Origin(files.key_file)).public_key()
+        present = keys.from_pem(files.key, secret, files.key_file).public_key()
     if key and present != public:
         changes.append(FolderChange(key_path.parent, {key_path.name: File(key, secret=True)}, private=True))
     elif present is not None and present != public:

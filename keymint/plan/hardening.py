@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import StrEnum
 
-from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import HardenedPackageType, HardenedProfileType
 from keymint.changes import Action, Plan, Step, changed_below
@@ -87,7 +86,7 @@ def _lacking(session: Session) -> tuple[str, ...]:
     found = []
     for authority in session.profile.authorities:
         files = read_files(session, authority, tuple)
-        where = Origin(files.certificate_file)
+        where = files.certificate_file
         if files.certificate is not None and any(adoption.lacking(files.certificate, authority.name, where)):
             found.append(authority.name)
     return tuple(found)

@@ -33,7 +33,7 @@ def load(inputs: Inputs, files: AuthorityFiles, *, renew: bool) -> keys.PrivateK
     present = files.certificate
     if present is not None and not renew:
         public = certificates.public_key(present)
-        _require_kind(files, public, Origin(files.certificate_file))
+        _require_kind(files, public, files.certificate_file)
         return inputs.tokens.private_key(spec.key, public, spec.origin)
     if not renew:
         authority_files.require_unused(files)
@@ -57,7 +57,7 @@ def left_over(files: AuthorityFiles) -> Iterator[Diagnostic]:
             "authority-key-copy",
             Severity.WARNING,
             f"is a private key of the authority {files.authority.name!r}, whose key is to lie in a token only",
-            Origin(files.key_file),
+            files.key_file,
             "move it to a safe place that is no computer's disk, or destroy it",
         )
 
