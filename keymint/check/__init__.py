@@ -17,7 +17,7 @@ from comarmor.errors import Diagnostic
 from comarmor.regex import lazy_regex
 from keymint.api import Inspection
 from keymint.check import revocations
-from keymint.check.authorities import authorities, authority_keys, in_defect
+from keymint.check.authorities import authorities, in_defect
 from keymint.check.enclaves import Examined, LoadedEnclave, examine, load
 from keymint.check.file_status import file_status
 from keymint.check.git_exposure import git_exposure
@@ -26,6 +26,7 @@ from keymint.check.shared_documents import check_shared
 from keymint.errors import KeymintError
 from keymint.executors import Pool
 from keymint.plan import identity_keys
+from keymint.plan.authority_files import authority_keys
 from keymint.plan.enclaves import unaccounted
 from keymint.plan.identity_keys import Keyring
 from keymint.plugins import Plugins

@@ -52,16 +52,6 @@ def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
     yield from defects.found
 
 
-def authority_keys(session: Session) -> Mapping[str, str]:
-    """Return the names of the authorities by the fingerprints of the keys that their certificates certify."""
-    places = (authority_files.read_files(session, authority, tuple) for authority in session.profile.authorities)
-    return {
-        certificates.fingerprint(files.certificate): files.authority.name
-        for files in places
-        if files.certificate is not None
-    }
-
-
 def in_defect(findings: tuple[Diagnostic, ...]) -> Diagnostic | None:
     """Return a finding that makes installing fail until a person decides, or None."""
     return next((finding for finding in findings if finding.code in _DECIDED_BY_A_PERSON), None)

@@ -96,6 +96,11 @@ def fits(key: PrivateKey | PublicKey, spec: KeySpec) -> bool:
     return found.size == spec.size if curve is None else found.curve == curve.name.upper()
 
 
+def described(spec: KeySpec) -> str:
+    """Return a kind of key as messages name it."""
+    return f"an EC key on {spec.curve}" if spec.algorithm == "ec" else f"an RSA key of {spec.size} bits"
+
+
 def to_pem(key: PrivateKey, password: bytes | None = None) -> bytes:
     """Return a private key as PKCS #8 PEM, encrypted (PBES2, AES-256) if a password is given."""
     if not password:

@@ -114,7 +114,7 @@ def _plan_authority(
     signing_error = _signing_error(inputs, files)
     if signing_error is not None and files.content is not None and not renew:
         return _without_key(inputs, files, above, signing_error), _stored(inputs, name, files.content), ()
-    secret = password(spec.key, inputs.environment, spec.origin)
+    secret = password(inputs, spec)
     changes: tuple[FolderChange, ...] = ()
     if files.key is None or renew:
         if not renew:
@@ -252,7 +252,7 @@ def _signing_error(inputs: Inputs, files: AuthorityFiles) -> KeymintError | None
             code="authority-key-missing",
         )
     try:
-        password(spec.key, inputs.environment, spec.origin)
+        password(inputs, spec)
     except KeymintError as error:
         return error
     return None

@@ -17,7 +17,6 @@ from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import authority_files, key_record
 from keymint.plan.authority_files import AuthorityFiles
-from keymint.plan.private_keys import password
 from keymint.session import Inputs, Session
 
 Contradictions = Mapping[str, tuple[Diagnostic, ...]]
@@ -80,13 +79,13 @@ def _require_key(inputs: Inputs, files: AuthorityFiles, certificate: x509.Certif
     Raises:
         KeymintError: it does not match.
     """
-    spec = files.authority.certificate
-    if files.key is None or spec.key.uri:
-        return
+    authority = files.authority
     try:
-        secret = password(spec.key, inputs.environment, spec.origin)
-        key = keys.from_pem(files.key, secret, files.key_file).public_key()
+        stored = (
+            None if authority.certificate.key.uri else authority_files.stored_key(inputs, authority, authority.name)
+        )
     except KeymintError:
         return
-    if not key_record.was_under_way(inputs.state, keys.fingerprint(key)) and certificate == files.certificate:
+    key = stored[1].public_key() if stored else None
+    if key and not key_record.was_under_way(inputs.state, keys.fingerprint(key)) and certificate == files.certificate:
         authority_files.require_fit(files, key)

@@ -18,7 +18,7 @@ from keymint.errors import KeymintError
 from keymint.pki import certificates, distinguished_names, keys
 from keymint.plan import key_record
 from keymint.plan.enclaves import INSTALLED
-from keymint.plan.private_keys import load_key
+from keymint.plan.private_keys import load_key, password
 from keymint.session import Inputs, Session
 
 COST = "no deployed enclave trusts it until all are redeployed"
@@ -154,7 +154,7 @@ def issuers(session: Session) -> Iterator[tuple[str, str, x509.Certificate]]:
         if certificate is not None:
             yield name, name, certificate
         if rollover is not None and is_bundled(authority):
-            yield f"{name}.{other(authority)}", name, certificates.load(rollover.certificate)
+            yield other(authority), name, certificates.load(rollover.certificate)
 
 
 def chain(inputs: Inputs, authority: Authority, certificate: bytes, above: bytes) -> bytes:
@@ -171,7 +171,7 @@ def chain(inputs: Inputs, authority: Authority, certificate: bytes, above: bytes
     rollover, name = authority.issuance.rollover, authority.name
     if rollover is None or not is_bundled(authority) or not certificate:
         return certificate + above
-    paths = (inputs.workspace.revocation_list(each) for each in (name, f"{name}.{other(authority)}"))
+    paths = (inputs.workspace.revocation_list(each) for each in (name, other(authority)))
     lists = b"".join(inputs.tree.read(path) or b"" for path in paths)
     return certificate + above + rollover.certificate + lists
 
@@ -183,11 +183,16 @@ def is_bundled(authority: Authority) -> bool:
 
 
 def other(authority: Authority) -> str:
-    """Return the suffix of the files of an authority's key and list that are not in force; empty if it has none."""
+    """Return the name of the files of an authority's key and list that are not in force; empty if it has none."""
     rollover = authority.issuance.rollover
     if rollover is None:
         return ""
-    return FORMER if rollover.phase is Phase.REISSUE else NEXT
+    return f"{authority.name}.{FORMER if rollover.phase is Phase.REISSUE else NEXT}"
+
+
+def authority_keys(session: Session) -> Mapping[str, str]:
+    """Return the names of the authorities that enclaves trust, by the fingerprints of their keys."""
+    return {keys.fingerprint(certificates.public_key(each)): name for _, name, each in issuers(session)}
 
 
 def satisfies(pem: bytes, spec: CertificateSpec, key: keys.PublicKey, issuer: x509.Certificate | None) -> bool:
@@ -206,8 +211,25 @@ def load_private_key(inputs: Inputs, files: AuthorityFiles) -> keys.PrivateKey:
     """Load the private key of an authority that has one; errors as :func:`keymint.plan.private_keys.load_key`."""
     spec = files.authority.certificate
     remedy = f"restore it from a backup; {new_authority_help(files.authority.name)}"
-    shown = files.key_file
-    return load_key(keys.from_pem, files.key or b"", spec.key, inputs.environment, shown, spec.origin, remedy)
+    return load_key(inputs, keys.from_pem, files.key or b"", spec, files.key_file, remedy)
+
+
+def stored_key(inputs: Inputs, authority: Authority, name: str) -> tuple[bytes, keys.PrivateKey] | None:
+    """Return a private key of an authority as it is stored, and loaded; None if it is not here.
+
+    Args:
+        inputs: the workspace.
+        authority: the authority.
+        name: the name of the file: that of the authority, or the one of a key that is not in force.
+
+    Raises:
+        KeymintError: it is damaged, or its password is not set or wrong.
+    """
+    path = inputs.workspace.authority_key(name)
+    pem = inputs.tree.read(path)
+    if pem is None:
+        return None
+    return pem, keys.from_pem(pem, password(inputs, authority.certificate), inputs.workspace.origin(path))
 
 
 def new_authority_help(name: str) -> str:

@@ -6,8 +6,10 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import datetime, timedelta
 
+from cryptography import x509
+
 from comarmor.errors import Origin
-from keymint.api import AuthorityIssuance, Validity
+from keymint.api import Authority, AuthorityIssuance, Validity
 from keymint.changes import Action, File, FolderChange, Plan, Step, changed
 from keymint.errors import KeymintError
 from keymint.pki import adoption, certificates, keys
@@ -17,7 +19,6 @@ from keymint.plan.authority_files import AuthorityFiles
 from keymint.plan.authority_issuance import STAGE, authority_named, plan_authority_issuance
 from keymint.plan.enclaves import deployed_authorities
 from keymint.plan.given_authority import GivenAuthority, checked
-from keymint.plan.private_keys import password
 from keymint.session import Session
 
 
@@ -41,7 +42,7 @@ def plan_renewal(session: Session, name: str) -> Plan:
     start = begin_of(session.now)
     issuance = replace(authority.issuance, renewed=start)
     if authority.issuance.adopted:
-        issuance = replace(issuance, adopted=_adopted_again(session, name, minted, start))
+        issuance = replace(issuance, adopted=_adopted_again(session, authority, minted))
     plan = plan_authority_issuance(session, {name: issuance}, f"{name} renewed on {session.now:%Y-%m-%d}")
     after = authority_named(session.after(plan).session(), name).certificate
     if (after.validity, after.adopted) == (authority.certificate.validity, authority.certificate.adopted):
@@ -49,17 +50,44 @@ def plan_renewal(session: Session, name: str) -> Plan:
     return plan
 
 
-def _adopted_again(session: Session, name: str, minted: MintedAuthority, start: datetime) -> bytes:
+def _adopted_again(session: Session, authority: Authority, minted: MintedAuthority) -> bytes:
     """Return the successor of an imported certificate, or the certificate itself if it is from today."""
     certificate = minted.certificate
-    where = session.workspace.origin(session.workspace.authority_certificate(name))
-    first, last = certificates.period(certificate)
-    end = start + (last - (authority_named(session, name).issuance.renewed or first))
-    if last >= end and not any(adoption.lacking(certificate, name, where)):
+    where = session.workspace.origin(session.workspace.authority_certificate(authority.name))
+    is_of_today = certificate.not_valid_after_utc >= _later_end(session, authority, certificate)
+    if is_of_today and not any(adoption.lacking(certificate, authority.name, where)):
         return certificates.to_pem(certificate)
-    above = authority_named(session, name).certificate.issuer
-    issuer = plan_authorities(session)[1][above].issuer if above else None
-    return adoption.issued_like(certificate, minted.issuer.key, Validity(first, max(end, last)), issuer, where)
+    return issued_like(session, authority, certificate, minted.issuer.key)
+
+
+def _later_end(session: Session, authority: Authority, certificate: x509.Certificate) -> datetime:
+    """Return the end of an imported certificate that is issued again: it is as long as before."""
+    begin = authority.issuance.renewed or certificate.not_valid_before_utc
+    return begin_of(session.now) + (certificate.not_valid_after_utc - begin)
+
+
+def issued_like(session: Session, authority: Authority, certificate: x509.Certificate, key: keys.PrivateKey) -> bytes:
+    """Return a certificate of an authority like an imported one, but with a later end, PEM.
+
+    Args:
+        session: the workspace and its profile.
+        authority: the authority.
+        certificate: the imported certificate.
+        key: the private key that it certifies.
+
+    Raises:
+        KeymintError: the authority above it cannot sign here.
+    """
+    end = max(_later_end(session, authority, certificate), certificate.not_valid_after_utc)
+    validity = Validity(certificate.not_valid_before_utc, end)
+    where = session.workspace.origin(session.workspace.authority_certificate(authority.name))
+    return adoption.issued_like(certificate, key, validity, issuer_of(session, authority), where)
+
+
+def issuer_of(session: Session, authority: Authority) -> certificates.Issuer | None:
+    """Return the authority above another one, as an issuer; None if the other one has a self-signed certificate."""
+    above = authority.certificate.issuer
+    return plan_authorities(session)[1][above].issuer if above else None
 
 
 def _require_key(name: str, minted: MintedAuthority) -> None:
@@ -114,11 +142,8 @@ def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
     files = authority_files.read_files(session, authority, lambda: deployed_authorities(session))
     _require_same_key(files, public, given.where)
     changes: list[FolderChange] = []
-    key_path, spec = session.workspace.authority_key(name), authority.certificate
-    present = None
-    if files.key is not None:
-        secret = password(spec.key, session.environment, spec.origin)
-        present = keys.from_pem(files.key, secret, files.key_file).public_key()
+    key_path, stored = session.workspace.authority_key(name), authority_files.stored_key(session, authority, name)
+    present = stored[1].public_key() if stored else None
     if key and present != public:
         changes.append(FolderChange(key_path.parent, {key_path.name: File(key, secret=True)}, private=True))
     elif present is not None and present != public:

@@ -58,7 +58,7 @@ def checked(session: Session, authority: Authority, given: GivenAuthority) -> tu
     spec = authority.certificate
     if spec.key.uri:
         raise token_keys.only_in_token(authority, "import it with the token's own tool")
-    secret, shown = password(spec.key, session.environment, spec.origin), Origin(given.key_file)
+    secret, shown = password(session, spec), Origin(given.key_file)
     private = keys.from_pem(given.key, secret, shown)
     if not keys.matches(private, certificate):
         raise KeymintError(

@@ -37,9 +37,7 @@ def _new(name: str) -> str:
 
 def load(inputs: Inputs, package: Package, path: str, pem: bytes) -> keys.PublicKey:
     """Load the public key of a package's stored key; errors as :func:`keymint.plan.private_keys.load_key`."""
-    identity, shown = package.identity, inputs.workspace.origin(path)
-    remedy = _remedy(package.name)
-    return load_key(keys.public_of, pem, identity.key, inputs.environment, shown, identity.origin, remedy)
+    return load_key(inputs, keys.public_of, pem, package.identity, inputs.workspace.origin(path), _remedy(package.name))
 
 
 def key_digest(session: Session, name: str) -> str | None:
@@ -131,7 +129,7 @@ def mint(inputs: Inputs, package: Package, path: str) -> tuple[FolderChange, str
     """Plan a new key for a package; returns the change, and the key's fingerprint."""
     spec = package.identity.key
     key = keys.generate(spec, package.identity.origin)
-    pem = keys.to_pem(key, password(spec, inputs.environment, package.identity.origin))
+    pem = keys.to_pem(key, password(inputs, package.identity))
     return _stored(path, pem), keys.fingerprint(key)
 
 
@@ -146,7 +144,7 @@ def restore_or_mint(session: Session, package: Package, path: str) -> tuple[Fold
         return mint(session, package, path)
     pem = session.tree.try_read(session.enclave(package.name) / KEY) or b""
     try:
-        secret = password(package.identity.key, session.environment, package.identity.origin)
+        secret = password(session, package.identity)
         there = keys.fingerprint(keys.from_pem(pem, secret)) if pem else ""
     except KeymintError:
         there = ""

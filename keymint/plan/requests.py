@@ -18,9 +18,9 @@ from keymint.bundles.request import Request
 from keymint.changes import Plan
 from keymint.errors import KeymintError
 from keymint.names import subject_of
-from keymint.pki import certificates, keys, public_keys
+from keymint.pki import keys, public_keys
 from keymint.pki.distinguished_names import common_name
-from keymint.plan.authority_files import trusted_chains
+from keymint.plan.authority_files import authority_keys
 from keymint.plan.identity_keys import Keyring, known_fingerprint
 from keymint.plan.issuance import issuance_of, place_of, plan_issuance
 from keymint.plan.register import register_of
@@ -67,7 +67,7 @@ def plan_requests(
             )
     requests: dict[str, Request] = {}
     owners: dict[str, str] = {}
-    defects, keyring = Defects(), Keyring(session, _authorities(session))
+    defects, keyring = Defects(), Keyring(session, authority_keys(session))
     for each in given:
         with defects:
             name = _package(session, each, fingerprints)
@@ -153,9 +153,8 @@ def _require_certifiable(session: Session, package: Package, given: Given, keyri
     request, spec = given.request, package.identity.key
     key = public_keys.from_pem(request.public_key, given.where)
     if not keys.fits(key, spec):
-        kind = f"an EC key on {spec.curve}" if spec.algorithm == "ec" else f"an RSA key of {spec.size} bits"
         raise _refused(
-            f"is not for {kind}, which {package.identity.origin} asks for",
+            f"is not for {keys.described(spec)}, which {package.identity.origin} asks for",
             given,
             "make a key of that kind on the robot (keymint request --key-type), or change the sources",
             "key-kind",
@@ -181,12 +180,6 @@ def _require_unknown(session: Session, name: str, given: Given) -> None:
 
 def _barred(session: Session, fingerprint: str) -> str:
     return register_of(session).barred(fingerprint)
-
-
-def _authorities(session: Session) -> Mapping[str, str]:
-    """Return the names of the authorities by the fingerprint of their key."""
-    chains = {name: chain for name, chain in trusted_chains(session).items() if chain}
-    return {certificates.fingerprint(certificates.load_bundle(chain)[0]): name for name, chain in chains.items()}
 
 
 def _refused(message: str, given: Given, help_: str, code: str) -> KeymintError:

@@ -36,7 +36,7 @@ def lists(session: Session) -> Mapping[str, bytes]:
 def _lists(session: Session) -> Mapping[str, bytes]:
     names = [authority.name for authority in session.profile.authorities]
     bundled = filter(authority_files.is_bundled, session.profile.authorities)
-    names += [f"{authority.name}.{authority_files.other(authority)}" for authority in bundled]
+    names += map(authority_files.other, bundled)
     contents = {name: session.tree.read(session.workspace.revocation_list(name)) for name in names}
     return {name: content for name, content in contents.items() if content is not None}
 

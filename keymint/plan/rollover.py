@@ -14,19 +14,18 @@ Each exchange of keys is one group of changes. A run that was killed within it i
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 from cryptography import x509
 
 from keymint.api import Authority, AuthorityIssuance, Phase, Rollover
 from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
-from keymint.pki import adoption, certificates, extensions, keys
+from keymint.pki import certificates, extensions, keys
 from keymint.plan import authority_files, key_record, token_keys
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.authority_files import FORMER, NEXT
 from keymint.plan.authority_issuance import STAGE, authority_named, plan_authority_issuance
-from keymint.plan.authority_renewal import begin_of
+from keymint.plan.authority_renewal import begin_of, issued_like, issuer_of
 from keymint.plan.enclaves import deployed_authorities
 from keymint.plan.given_authority import GivenAuthority, checked
 from keymint.plan.private_keys import password
@@ -59,9 +58,9 @@ def plan_begin(session: Session, name: str, phase: Phase, given: GivenAuthority 
             "phases exchange keys in files. Make a new key in the token, name it in <pkcs11>, and run 'keymint install "
             f"--new-authority {name}': then all enclaves change at one restart",
         )
-    present = _certificate_in_force(session, authority)
-    key_path = _key_path(session, name, NEXT)
-    pem, key = _given(session, authority, given) if given else _made(session, authority)
+    present = plan_authorities(session)[1][name].certificate
+    key_path = session.workspace.authority_key(f"{name}.{NEXT}")
+    pem, key = _given(session, authority, given, present) if given else _made(session, authority)
     if phase is Phase.DISTRIBUTE:
         _require_distinct(session, name, present, certificates.load(pem))
     changes: tuple[FolderChange, ...] = ()
@@ -83,21 +82,25 @@ def plan_switch(session: Session, name: str) -> Plan:
     rollover = authority.issuance.rollover
     assert rollover is not None  # noqa: S101 - the caller asked for the phase
     following = certificates.load(rollover.certificate)
-    in_force, next_key = (_stored_key(session, authority, suffix) for suffix in ("", NEXT))
+    names = name, f"{name}.{NEXT}", f"{name}.{FORMER}"
+    key_path, next_path, former_path = map(session.workspace.authority_key, names)
+    in_force, next_key = (authority_files.stored_key(session, authority, each) for each in names[:2])
     files: dict[str, File] = {}
-    removed: list[str] = []
+    removed: tuple[str, ...] = ()
     if next_key is not None:
         if not keys.matches(next_key[1], following):
-            raise _wrong_key(session, name, NEXT)
-        files[_key_path(session, name).name] = File(next_key[0], secret=True)
-        removed.append(_key_path(session, name, NEXT).name)
-        if in_force is not None and rollover.phase is Phase.DISTRIBUTE:
-            files[_key_path(session, name, FORMER).name] = File(in_force[0], secret=True)
+            raise KeymintError(
+                f"is not the private key of the next certificate of {name!r}",
+                where=session.workspace.origin(next_path),
+                help=f"restore it, or give up with 'keymint authority replace {name} --cancel'",
+                code="authority-key-mismatch",
+            )
+        files[key_path.name] = File(next_key[0], secret=True)
+        removed = (next_path.name,)
     elif in_force is not None and not keys.matches(in_force[1], following):
-        # The next key is elsewhere, and the present one must not stand in its place.
-        removed.append(_key_path(session, name).name)
-        if rollover.phase is Phase.DISTRIBUTE:
-            files[_key_path(session, name, FORMER).name] = File(in_force[0], secret=True)
+        removed = (key_path.name,)  # the next key is elsewhere, and the present one must not stand in its place
+    if removed and in_force is not None and rollover.phase is Phase.DISTRIBUTE:
+        files[former_path.name] = File(in_force[0], secret=True)
     issuance = _issuance_of(session, name, rollover.certificate)
     if rollover.phase is Phase.DISTRIBUTE:
         former = _former(session, authority, _stored_certificate(session, name), following)
@@ -106,7 +109,7 @@ def plan_switch(session: Session, name: str) -> Plan:
     decided = plan_authority_issuance(session, {name: issuance}, shown)
     public = session.workspace.authority_certificate(name)
     changes = (
-        FolderChange(_key_path(session, name).parent, files, tuple(removed), private=True),
+        FolderChange(key_path.parent, files, removed, private=True),
         FolderChange(public.parent, {public.name: File(rollover.certificate)}),
     )
     exchanged = Step(STAGE, name, Action.UPDATED, tuple(each for each in changes if each.files or each.removed), "key")
@@ -130,9 +133,7 @@ def plan_cancel(session: Session, name: str) -> Plan:
     """
     authority = authority_named(session, name)
     rollover = authority.issuance.rollover
-    in_force = _stored_key(session, authority, "")
-    switched = rollover and in_force and keys.matches(in_force[1], certificates.load(rollover.certificate))
-    if rollover and (rollover.phase is Phase.REISSUE or switched):
+    if rollover and (rollover.phase is Phase.REISSUE or is_interrupted(session, name)):
         raise KeymintError(
             f"the next key of {name!r} is in force already: its replacement cannot be cancelled",
             help=f"end it with 'keymint authority replace {name} --phase end'; then replace the key once more",
@@ -151,13 +152,10 @@ def is_interrupted(session: Session, name: str) -> bool:
     """Tell whether a run was killed that put the next authority into force."""
     authority = authority_named(session, name)
     rollover = authority.issuance.rollover
-    in_force = _stored_key(session, authority, "") if rollover else None
-    return bool(
-        rollover
-        and rollover.phase is not Phase.REISSUE
-        and in_force
-        and keys.matches(in_force[1], certificates.load(rollover.certificate))
-    )
+    if rollover is None or rollover.phase is Phase.REISSUE:
+        return False
+    in_force = authority_files.stored_key(session, authority, name)
+    return in_force is not None and keys.matches(in_force[1], certificates.load(rollover.certificate))
 
 
 # -- the next authority ----------------------------------------------------------------------------------------------
@@ -166,19 +164,14 @@ def is_interrupted(session: Session, name: str) -> bool:
 def _made(session: Session, authority: Authority) -> tuple[bytes, bytes]:
     """Return the certificate and the private key of a new authority of the same name, both PEM."""
     name, spec = authority.name, authority.certificate
-    secret = password(spec.key, session.environment, spec.origin)
     # A key that a killed run left behind is used: nobody trusts it yet.
-    found = _stored_key(session, authority, NEXT)
-    usable = found is not None and keys.fits(found[1], spec.key)
-    pem, key = found if found and usable else _minted(keys.generate(spec.key, spec.origin), secret)
-    above = plan_authorities(session)[1][spec.issuer].issuer if spec.issuer else None
+    found = authority_files.stored_key(session, authority, f"{name}.{NEXT}")
+    if found is None or not keys.fits(found[1], spec.key):
+        new = keys.generate(spec.key, spec.origin)
+        found = keys.to_pem(new, password(session, spec)), new
+    pem, key = found
     if spec.adopted:
-        present = certificates.load(spec.adopted)
-        first, last = certificates.period(present)
-        end = begin_of(session.now) + (last - (authority.issuance.renewed or first))
-        where = session.workspace.origin(session.workspace.authority_certificate(name))
-        validity = replace(spec.validity, not_before=first, not_after=max(end, last))
-        return adoption.issued_like(present, key, validity, above, where), pem
+        return issued_like(session, authority, certificates.load(spec.adopted), key), pem
     if spec.serial is not None:
         raise KeymintError(
             f"the authority {name!r} has a fixed serial number, which its next certificate must not have as well",
@@ -188,21 +181,20 @@ def _made(session: Session, authority: Authority) -> tuple[bytes, bytes]:
         )
     renewed = replace(authority.issuance, renewed=begin_of(session.now))
     after = session.after(plan_authority_issuance(session, {name: renewed}, "")).session()
-    return certificates.issue_authority(authority_named(after, name).certificate, key, above).pem, pem
+    issuer = issuer_of(session, authority)
+    return certificates.issue_authority(authority_named(after, name).certificate, key, issuer).pem, pem
 
 
-def _minted(key: keys.PrivateKey, secret: bytes | None) -> tuple[bytes, keys.PrivateKey]:
-    return keys.to_pem(key, secret), key
-
-
-def _given(session: Session, authority: Authority, given: GivenAuthority) -> tuple[bytes, bytes]:
+def _given(
+    session: Session, authority: Authority, given: GivenAuthority, present: x509.Certificate
+) -> tuple[bytes, bytes]:
     """Return a next authority that was made elsewhere: its certificate, and its private key or nothing.
 
     Raises:
         KeymintError: as :func:`keymint.plan.given_authority.checked`; or it has the present key.
     """
     certificate, key = checked(session, authority, given)
-    if certificate.public_key() == _certificate_in_force(session, authority).public_key():
+    if certificate.public_key() == present.public_key():
         raise KeymintError(
             f"has the present key of the authority {authority.name!r}",
             where=given.where,
@@ -238,37 +230,9 @@ def _require_distinct(session: Session, name: str, present: x509.Certificate, fo
 # -- files -----------------------------------------------------------------------------------------------------------
 
 
-def _key_path(session: Session, name: str, suffix: str = "") -> Path:
-    return session.workspace.authority_key(f"{name}.{suffix}" if suffix else name)
-
-
-def _stored_key(session: Session, authority: Authority, suffix: str) -> tuple[bytes, keys.PrivateKey] | None:
-    """Return a private key of an authority as it is stored, and loaded; None if it is not here.
-
-    Raises:
-        KeymintError: it is damaged, or its password is not set or wrong.
-    """
-    path = _key_path(session, authority.name, suffix)
-    pem = session.tree.read(path)
-    if pem is None:
-        return None
-    spec = authority.certificate
-    secret = password(spec.key, session.environment, spec.origin)
-    return pem, keys.from_pem(pem, secret, session.workspace.origin(path))
-
-
 def _stored_certificate(session: Session, name: str) -> x509.Certificate:
     path = session.workspace.authority_certificate(name)
     return certificates.load(session.tree.read(path) or b"", session.workspace.origin(path))
-
-
-def _certificate_in_force(session: Session, authority: Authority) -> x509.Certificate:
-    """Return the certificate of an authority that has no defect.
-
-    Raises:
-        KeymintError: an authority of the workspace has a defect.
-    """
-    return plan_authorities(session)[1][authority.name].certificate
 
 
 def _former(session: Session, authority: Authority, present: x509.Certificate, following: x509.Certificate) -> bytes:
@@ -310,20 +274,11 @@ def _issuance_of(session: Session, name: str, pem: bytes) -> AuthorityIssuance:
 
 
 def _without_key(session: Session, name: str, suffix: str) -> tuple[Step, ...]:
-    path = _key_path(session, name, suffix)
+    path = session.workspace.authority_key(f"{name}.{suffix}")
     if not session.tree.has_file(path):
         return ()
     change = FolderChange(path.parent, removed=(path.name,), private=True)
     return (Step(STAGE, name, Action.REMOVED, (change,), f"{suffix} key"),)
-
-
-def _wrong_key(session: Session, name: str, suffix: str) -> KeymintError:
-    return KeymintError(
-        f"is not the private key of the next certificate of {name!r}",
-        where=session.workspace.origin(_key_path(session, name, suffix)),
-        help=f"restore it, or give up with 'keymint authority replace {name} --cancel'",
-        code="authority-key-mismatch",
-    )
 
 
 def _require_free_names(session: Session, name: str) -> None:

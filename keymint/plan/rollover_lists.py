@@ -5,7 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from comarmor.errors import Origin
+from cryptography import x509
+
 from keymint.api import Authority, SigningAuthority
 from keymint.changes import Action, FolderChange, Step
 from keymint.errors import KeymintError
@@ -24,7 +25,7 @@ def others(session: Session) -> Mapping[str, tuple[str, MintedAuthority]]:
         Each with the name of the authority in force.
     """
     return {
-        f"{each.name}.{authority_files.other(each)}": (each.name, _other(session, each))
+        authority_files.other(each): (each.name, _other(session, each))
         for each in session.profile.authorities
         if authority_files.is_bundled(each)
     }
@@ -34,36 +35,34 @@ def outdated(session: Session, stage: str) -> Iterator[Step]:
     """Yield what removes the revocation lists of authorities that enclaves trust no more, or not yet."""
     for each in session.profile.authorities:
         for suffix in (NEXT, FORMER):
-            path = session.workspace.revocation_list(f"{each.name}.{suffix}")
-            if suffix != authority_files.other(each) and session.tree.has_file(path):
-                change = FolderChange(path.parent, removed=(path.name,))
-                yield Step(stage, f"{each.name}.{suffix}", Action.REMOVED, (change,))
+            name = f"{each.name}.{suffix}"
+            path = session.workspace.revocation_list(name)
+            if name != authority_files.other(each) and session.tree.has_file(path):
+                yield Step(stage, name, Action.REMOVED, (FolderChange(path.parent, removed=(path.name,)),))
 
 
 def _other(session: Session, authority: Authority) -> MintedAuthority:
-    rollover, spec = authority.issuance.rollover, authority.certificate
+    rollover = authority.issuance.rollover
     pem = rollover.certificate if rollover else b""
     certificate = certificates.load(pem)
-    path = session.workspace.authority_key(f"{authority.name}.{authority_files.other(authority)}")
-    where = session.workspace.origin(path)
-    content = session.tree.read(path)
-    if content is not None:
-        try:
-            secret = password(spec.key, session.environment, spec.origin)
-            key = keys.from_pem(content, secret, where)
-        except KeymintError as error:
-            return MintedAuthority(certificate, b"", error)
-        if keys.matches(key, certificate):
-            signer = SigningAuthority(authority.name, pem, content, secret)
-            return MintedAuthority(certificate, b"", (certificates.Issuer(certificate, key), signer))
-    return MintedAuthority(certificate, b"", _missing(authority.name, where))
+    try:
+        stored, key = _key(session, authority, certificate)
+        signer = SigningAuthority(authority.name, pem, stored, password(session, authority.certificate))
+    except KeymintError as error:
+        return MintedAuthority(certificate, b"", error)
+    return MintedAuthority(certificate, b"", (certificates.Issuer(certificate, key), signer))
 
 
-def _missing(name: str, where: Origin) -> KeymintError:
-    return KeymintError(
-        f"the private key that the one of the authority {name!r} is exchanged with is not here, and is needed to sign "
-        "its revocation list",
-        where=where,
-        help="restore it",
-        code="authority-key-missing",
-    )
+def _key(session: Session, authority: Authority, certificate: x509.Certificate) -> tuple[bytes, keys.PrivateKey]:
+    """Return the private key of an authority that is not in force, as it is stored, and loaded."""
+    name = authority_files.other(authority)
+    found = authority_files.stored_key(session, authority, name)
+    if found is None or not keys.matches(found[1], certificate):
+        raise KeymintError(
+            f"the private key that the one of the authority {authority.name!r} is exchanged with is not here, and is "
+            "needed to sign its revocation list",
+            where=session.workspace.origin(session.workspace.authority_key(name)),
+            help="restore it",
+            code="authority-key-missing",
+        )
+    return found

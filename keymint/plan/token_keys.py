@@ -80,9 +80,9 @@ def only_in_token(authority: Authority, help_: str) -> KeymintError:
 def _require_kind(files: AuthorityFiles, public: keys.PublicKey, where: Origin) -> None:
     spec = files.authority.certificate
     if not keys.fits(public, spec.key):
-        kind = f"an EC key on {spec.key.curve}" if spec.key.algorithm == "ec" else f"an RSA key of {spec.key.size} bits"
         raise KeymintError(
-            f"the key of the authority {files.authority.name!r} is not {kind}, which {spec.origin} asks for",
+            f"the key of the authority {files.authority.name!r} is not {keys.described(spec.key)}, which {spec.origin} "
+            "asks for",
             where=where,
             help="write the type of the token's key into <asymmetric_type>",
             code="key-kind",
