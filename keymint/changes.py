@@ -67,6 +67,12 @@ def changed(tree: Tree, folder: Path, files: Mapping[str, File]) -> tuple[Folder
     return (FolderChange(folder, different),) if different else ()
 
 
+def secret_file(path: Path | str, content: bytes) -> FolderChange:
+    """Return the change that writes one secret file."""
+    path = Path(path)
+    return FolderChange(path.parent, {path.name: File(content, secret=True)}, private=True)
+
+
 def by_folder(root: Path, files: Mapping[str, File]) -> dict[Path, dict[str, File]]:
     """Return files, given by path relative to a folder, by the folder that each lies in."""
     folders: dict[Path, dict[str, File]] = {}

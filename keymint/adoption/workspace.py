@@ -28,7 +28,7 @@ from keymint.api import (
     KeystoreFile,
     KeystoreFiles,
 )
-from keymint.changes import Action, File, FolderChange, Plan, Step, changed_below
+from keymint.changes import Action, File, FolderChange, Plan, Step, changed_below, secret_file
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import package_name
@@ -161,8 +161,7 @@ def _sources(session: Session, adoption: Adoption) -> Plan:
         }
         changes = [FolderChange(session.workspace.src / name, {file: File(each) for file, each in files.items()})]
         if enclave.key:
-            path = Path(session.workspace.identity_key(name))
-            changes.append(FolderChange(path.parent, {path.name: File(enclave.key, secret=True)}, private=True))
+            changes.append(secret_file(session.workspace.identity_key(name), enclave.key))
         steps.append(Step(STAGE, name, Action.CREATED, tuple(changes)))
     return Plan(tuple(steps), session.state)
 

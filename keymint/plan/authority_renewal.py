@@ -10,7 +10,7 @@ from cryptography import x509
 
 from comarmor.errors import Origin
 from keymint.api import Authority, AuthorityIssuance, Validity
-from keymint.changes import Action, File, FolderChange, Plan, Step, changed
+from keymint.changes import Action, File, FolderChange, Plan, Step, changed, secret_file
 from keymint.errors import KeymintError
 from keymint.pki import adoption, certificates, keys
 from keymint.plan import authority_files, key_record
@@ -145,7 +145,7 @@ def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
     key_path, stored = session.workspace.authority_key(name), authority_files.stored_key(session, authority, name)
     present = stored[1].public_key() if stored else None
     if key and present != public:
-        changes.append(FolderChange(key_path.parent, {key_path.name: File(key, secret=True)}, private=True))
+        changes.append(secret_file(key_path, key))
     elif present is not None and present != public:
         # Nobody trusts the key that was minted: the enclaves, if there are any, trust the new one.
         changes.append(FolderChange(key_path.parent, removed=(key_path.name,), private=True))

@@ -9,11 +9,10 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Package
-from keymint.changes import File, FolderChange
+from keymint.changes import FolderChange, secret_file
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.pki import certificates, keys, public_keys
@@ -130,7 +129,7 @@ def mint(inputs: Inputs, package: Package, path: str) -> tuple[FolderChange, str
     spec = package.identity.key
     key = keys.generate(spec, package.identity.origin)
     pem = keys.to_pem(key, password(inputs, package.identity))
-    return _stored(path, pem), keys.fingerprint(key)
+    return secret_file(path, pem), keys.fingerprint(key)
 
 
 def restore_or_mint(session: Session, package: Package, path: str) -> tuple[FolderChange, str]:
@@ -155,7 +154,7 @@ def restore_or_mint(session: Session, package: Package, path: str) -> tuple[Fold
             help=f"restore it from a backup, or mint a new one with {_new(package.name)}",
             code="key-missing",
         )
-    return _stored(path, pem), there
+    return secret_file(path, pem), there
 
 
 def known_fingerprint(session: Session, name: str) -> str:
@@ -278,8 +277,3 @@ def _shared(name: str, other: str, shown: Origin) -> KeymintError:
         help=f"mint a new one with {_new(name)}",
         code="key-shared",
     )
-
-
-def _stored(path: str, pem: bytes) -> FolderChange:
-    folder, _, name = path.rpartition("/")
-    return FolderChange(Path(folder), {name: File(pem, secret=True)}, private=True)

@@ -10,7 +10,7 @@ from cryptography import x509
 
 from comarmor.errors import Origin
 from keymint.api import Package
-from keymint.changes import File, FolderChange
+from keymint.changes import FolderChange, secret_file
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.pki import certificates, revocation_lists
@@ -93,8 +93,7 @@ def register_change(session: Session, register: Register) -> tuple[FolderChange,
     """Return what writes a register, if it differs from the one on the disk; see :attr:`keymint.changes.Plan.first`."""
     if register == register_of(session):
         return ()
-    path = session.workspace.register
-    return (FolderChange(path.parent, {path.name: File(database.dump(register), secret=True)}, private=True),)
+    return (secret_file(session.workspace.register, database.dump(register)),)
 
 
 @lru_cache(maxsize=64)

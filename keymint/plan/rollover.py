@@ -18,7 +18,7 @@ from dataclasses import replace
 from cryptography import x509
 
 from keymint.api import Authority, AuthorityIssuance, Phase, Rollover
-from keymint.changes import Action, File, FolderChange, Plan, Step
+from keymint.changes import Action, File, FolderChange, Plan, Step, secret_file
 from keymint.errors import KeymintError
 from keymint.pki import certificates, extensions, keys
 from keymint.plan import authority_files, key_record, token_keys
@@ -65,7 +65,7 @@ def plan_begin(session: Session, name: str, phase: Phase, given: GivenAuthority 
         _require_distinct(session, name, present, certificates.load(pem))
     changes: tuple[FolderChange, ...] = ()
     if key and session.tree.read(key_path) != key:
-        changes = (FolderChange(key_path.parent, {key_path.name: File(key, secret=True)}, private=True),)
+        changes = (secret_file(key_path, key),)
     issuance = replace(authority.issuance, rollover=Rollover(phase, pem))
     decided = plan_authority_issuance(session, {name: issuance}, f"{name}: phase {phase}")
     made = Step(STAGE, name, Action.CREATED, changes, "next key")
