@@ -12,7 +12,7 @@ from cryptography import x509
 from comarmor.errors import Defects, Diagnostic, Severity
 from comarmor.values import dataclass
 from keymint.api import SigningAuthority
-from keymint.changes import Action, File, FolderChange, Plan, Step, changed
+from keymint.changes import Action, File, FolderChange, Plan, Step, changed, secret_file
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import authority_files, key_record, token_keys
@@ -63,8 +63,8 @@ def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, M
     """Plan the keys and certificates of all authorities that the profile names.
 
     Existing keys are kept; a key in a token is never made here. A certificate without its key means that the key is
-    kept elsewhere; it is not replaced. A
-    certificate is reissued for the same key if the profile specifies another validity, issuer or extension.
+    kept elsewhere; it is not replaced. A certificate is reissued for the same key if the profile specifies another
+    validity, issuer or extension.
 
     Args:
         session: the workspace and its profile.
@@ -109,54 +109,46 @@ def _plan_authority(
     above = minted[spec.issuer] if spec.issuer else None
     if renew:
         _require_replaceable(files)
-    if spec.key.uri:
-        return _in_token(inputs, files, above, renew=renew)
-    signing_error = _signing_error(inputs, files)
+    signing_error = None if spec.key.uri else _signing_error(inputs, files)
     if signing_error is not None and files.content is not None and not renew:
         return _without_key(inputs, files, above, signing_error), _stored(inputs, name, files.content), ()
     secret = password(inputs, spec)
     changes: tuple[FolderChange, ...] = ()
-    if files.key is None or renew:
+    pem, is_new = files.key or b"", renew
+    if spec.key.uri:  # the token is opened only if a certificate must be issued
+        key, pem = token_keys.load(inputs, files, renew=renew), b""
+    elif files.key is None or renew:
         if not renew:
             authority_files.require_unused(files)
-        key = keys.generate(spec.key, spec.origin)
+        key, is_new = keys.generate(spec.key, spec.origin), True
         pem = keys.to_pem(key, secret)
-        key_path = inputs.workspace.authority_key(name)
-        changes = (FolderChange(key_path.parent, {key_path.name: File(pem, secret=True)}, private=True),)
+        changes = (secret_file(inputs.workspace.authority_key(name), pem),)
+    else:
+        key = authority_files.load_private_key(inputs, files)
+    if is_new:
         certificate, warnings = _new_certificate(files, key, above)
     else:
-        key, pem = authority_files.load_private_key(inputs, files), files.key
-        public = key.public_key()
-        authority_files.require_rollover(files, public)
-        if key_record.was_under_way(inputs.state, keys.fingerprint(public)):
-            files = files.without_other_certificate(public)
-        else:
-            authority_files.require_fit(files, public)
-            authority_files.require_name(files)
-            authority_files.require_known(files, public)
-        certificate, warnings = _certificate(files, key, above)
+        certificate, warnings = _certificate(_in_use(inputs, files, key.public_key()), key, above)
     changes += _stored(inputs, name, certificate)
-    keyed = certificates.Issuer(certificates.load(certificate), key), SigningAuthority(name, certificate, pem, secret)
-    return _minted(inputs, files, certificate, above, keyed), changes, warnings
-
-
-def _in_token(
-    inputs: Inputs, files: AuthorityFiles, above: MintedAuthority | None, *, renew: bool
-) -> tuple[MintedAuthority, tuple[FolderChange, ...], Sequence[Diagnostic]]:
-    """Plan an authority whose key lies in a token, which is opened only if a certificate must be issued."""
-    key = token_keys.load(inputs, files, renew=renew)
-    if renew:
-        certificate, warnings = _new_certificate(files, key, above)
-    else:
-        authority_files.require_rollover(files, key.public_key())
-        authority_files.require_name(files)
-        authority_files.require_known(files, key.public_key())
-        certificate, warnings = _certificate(files, key, above)
-    name = files.authority.name
-    signer = SigningAuthority(name, certificate, b"", token_key=key)
+    signer = SigningAuthority(name, certificate, pem, secret, token_key=key if spec.key.uri else None)
     keyed = certificates.Issuer(certificates.load(certificate), key), signer
-    changes = _stored(inputs, name, certificate)
-    return _minted(inputs, files, certificate, above, keyed), changes, (*warnings, *token_keys.left_over(files))
+    left_over = token_keys.left_over(files) if spec.key.uri else ()
+    return _minted(inputs, files, certificate, above, keyed), changes, (*warnings, *left_over)
+
+
+def _in_use(inputs: Inputs, files: AuthorityFiles, key: keys.PublicKey) -> AuthorityFiles:
+    """Return the files of an authority, without the certificate of another key that a killed run did not replace.
+
+    Raises:
+        KeymintError: the key is not the one of the certificate, or of another authority than the enclaves trust.
+    """
+    authority_files.require_rollover(files, key)
+    if key_record.was_under_way(inputs.state, keys.fingerprint(key)):
+        return files.without_other_certificate(key)
+    authority_files.require_fit(files, key)
+    authority_files.require_name(files)
+    authority_files.require_known(files, key)
+    return files
 
 
 def _stored(inputs: Inputs, name: str, certificate: bytes) -> tuple[FolderChange, ...]:
