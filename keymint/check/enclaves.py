@@ -196,7 +196,7 @@ def _identity_key(
             return "", (Diagnostic("key-missing", Severity.NOTE, message, where, help_, subject),)
         key = identity_keys.public_key(session, package)
         fingerprint = keys.fingerprint(key)
-        identity_keys.require_own(session, package, keyring, key)
+        keyring.require_own(package, key)
         if pem is not None and package.issuance.public_key:
             message = f"is a private key of {subject}, whose certificate is for a key elsewhere: nothing uses this one"
             where, help_ = session.workspace.origin(path), "remove it, once no installed enclave uses it"

@@ -22,7 +22,7 @@ from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import listed, subject_of
 from keymint.output.report import Report, findings_if
-from keymint.plan.issuance import issuance_of, plan_issuance
+from keymint.plan.issuance import plan_issuance
 from keymint.plan.register import with_enclaves
 from keymint.plan.renewal import (
     PERMISSIONS,
@@ -166,7 +166,7 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
     after = session.after(plan)
     done = frozenset(names)
     taken = [each for each in due.enclaves if each.name in done]
-    rows = [_Renewed(each, _end(after, each.name), bool(issuance_of(session, each.name).public_key)) for each in taken]
+    rows = [_Renewed(each, _end(after, each.name), bool(session.issuance(each.name).public_key)) for each in taken]
     changed = frozenset(updated(plan))
     if due.following is not None and due.following.name in changed:  # it was named, and its dates are others now
         due = replace(due, following=None)

@@ -172,17 +172,15 @@ def _key(session: Session, package: Package, *, renew: bool) -> tuple[tuple[Fold
     Raises:
         KeymintError: the stored key cannot be used, or the key to replace is elsewhere.
     """
-    path = session.workspace.identity_key(package.name)
     if renew:
         identity_keys.refuse_elsewhere(session, package.name)
     if package.issuance.public_key or identity_keys.is_awaited(package):
         return (), ""  # the private key is on the subject's machine, and none is needed here
-    content = session.tree.read(path)
-    if content is not None and not renew:
-        identity_keys.load(session, package, path, content)
+    if not renew and session.tree.read(session.workspace.identity_key(package.name)) is not None:
+        identity_keys.public_key(session, package)
         return (), ""
     new_key = identity_keys.mint if renew else identity_keys.restore_or_mint
-    change, fingerprint = new_key(session, package, path)
+    change, fingerprint = new_key(session, package)
     return (change,), fingerprint
 
 

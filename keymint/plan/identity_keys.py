@@ -18,7 +18,7 @@ from keymint.names import subject_of
 from keymint.pki import certificates, keys, public_keys
 from keymint.plan import key_record
 from keymint.plan.enclaves import INSTALLED, KEY, installed, installed_certificate
-from keymint.plan.issuance import issuance_of, place_of
+from keymint.plan.issuance import place_of
 from keymint.plan.private_keys import load_key, password
 from keymint.session import Inputs, Session
 from keymint.state import digest
@@ -34,18 +34,13 @@ def _new(name: str) -> str:
     return f"'keymint build --renew {name}'"
 
 
-def load(inputs: Inputs, package: Package, path: str, pem: bytes) -> keys.PublicKey:
-    """Load the public key of a package's stored key; errors as :func:`keymint.plan.private_keys.load_key`."""
-    return load_key(inputs, keys.public_of, pem, package.identity, inputs.workspace.origin(path), _remedy(package.name))
-
-
 def key_digest(session: Session, name: str) -> str | None:
     """Return a digest of the key that a package's certificate is issued for; None if the workspace lacks it.
 
     Raises:
         KeymintError: what the authority decided about the package has defects.
     """
-    public = issuance_of(session, name).public_key
+    public = session.issuance(name).public_key
     return digest(public) if public else session.tree.digest(session.workspace.identity_key(name))
 
 
@@ -55,7 +50,7 @@ def is_there(session: Session, name: str) -> bool:
     Raises:
         KeymintError: the package has defects.
     """
-    if issuance_of(session, name).public_key or session.tree.has_file(session.workspace.identity_key(name)):
+    if session.issuance(name).public_key or session.tree.has_file(session.workspace.identity_key(name)):
         return True
     return is_awaited(session.package(name))  # no key is ever made for it here
 
@@ -66,7 +61,7 @@ def refuse_elsewhere(session: Session, name: str) -> None:
     Raises:
         KeymintError: it is not here; what the authority decided about the package, or its sources, say so.
     """
-    if issuance_of(session, name).public_key or session.package(name).identity.key.uri:
+    if session.issuance(name).public_key or session.package(name).identity.key.uri:
         raise KeymintError(
             f"the private key of {subject_of(name)} is not here, so no other one is made for it",
             where=place_of(session, name),
@@ -109,30 +104,24 @@ def public_key(session: Session, package: Package) -> keys.PublicKey:
         return public_keys.from_pem(package.issuance.public_key, place_of(session, package.name))
     if is_awaited(package):
         raise KeymintError.of([replace(awaited(package), severity=Severity.ERROR)])
-    path = session.workspace.identity_key(package.name)
-    return load(session, package, path, private_key(session, package))
+    pem, place = private_key(session, package), _place(session, package.name)
+    return load_key(session, keys.public_of, pem, package.identity, place, _remedy(package.name))
 
 
-def require_own(session: Session, package: Package, keyring: Keyring, key: keys.PublicKey) -> str:
-    """Require that the key of a package is its subject's, and nobody else's; returns its fingerprint.
-
-    Raises:
-        KeymintError: it is an authority's key, was replaced, or belongs to another subject.
-    """
-    if package.issuance.public_key:
-        return keyring.require_free(package.name, key)
-    return keyring.require_own(package.name, session.workspace.identity_key(package.name), key)
+def _place(inputs: Inputs, name: str) -> Origin:
+    """Return the place of a package's stored private key."""
+    return inputs.workspace.origin(inputs.workspace.identity_key(name))
 
 
-def mint(inputs: Inputs, package: Package, path: str) -> tuple[FolderChange, str]:
+def mint(inputs: Inputs, package: Package) -> tuple[FolderChange, str]:
     """Plan a new key for a package; returns the change, and the key's fingerprint."""
     spec = package.identity.key
     key = keys.generate(spec, package.identity.origin)
     pem = keys.to_pem(key, password(inputs, package.identity))
-    return secret_file(path, pem), keys.fingerprint(key)
+    return secret_file(inputs.workspace.identity_key(package.name), pem), keys.fingerprint(key)
 
 
-def restore_or_mint(session: Session, package: Package, path: str) -> tuple[FolderChange, str]:
+def restore_or_mint(session: Session, package: Package) -> tuple[FolderChange, str]:
     """Plan the key of a package that has none: the one in its enclave, or a new one if it never had any.
 
     Raises:
@@ -140,7 +129,7 @@ def restore_or_mint(session: Session, package: Package, path: str) -> tuple[Fold
     """
     known = known_fingerprint(session, package.name)
     if not known:
-        return mint(session, package, path)
+        return mint(session, package)
     pem = session.tree.try_read(session.enclave(package.name) / KEY) or b""
     try:
         secret = password(session, package.identity)
@@ -150,11 +139,11 @@ def restore_or_mint(session: Session, package: Package, path: str) -> tuple[Fold
     if there != known:
         raise KeymintError(
             f"the private key of {subject_of(package.name)} is missing",
-            where=session.workspace.origin(path),
+            where=_place(session, package.name),
             help=f"restore it from a backup, or mint a new one with {_new(package.name)}",
             code="key-missing",
         )
-    return secret_file(path, pem), there
+    return secret_file(session.workspace.identity_key(package.name), pem), there
 
 
 def known_fingerprint(session: Session, name: str) -> str:
@@ -182,41 +171,42 @@ class Keyring:
         self._session = session
         self._authorities = authorities
 
-    def require_own(self, name: str, path: str, key: keys.PublicKey) -> str:
-        """Require that a stored key is its subject's, and nobody else's; returns its fingerprint.
+    def require_own(self, package: Package, key: keys.PublicKey) -> str:
+        """Require that the key of a package is its subject's, and nobody else's; returns its fingerprint.
 
         Args:
-            name: the package.
-            path: path of the stored key.
+            package: the package.
             key: its public key.
 
         Raises:
             KeymintError: it is an authority's key, was replaced, or belongs to another subject.
         """
-        state = self._session.state
-        fingerprint = keys.fingerprint(key)
+        name, session = package.name, self._session
+        if package.issuance.public_key:
+            return self.require_free(name, key)
+        state, fingerprint = session.state, keys.fingerprint(key)
         if fingerprint in self._authorities:
             authority = self._authorities[fingerprint]
             raise KeymintError(
                 f"is the private key of the authority {authority!r}, which must never reach a robot",
-                where=self._place(path),
+                where=_place(session, name),
                 help=_remedy(name),
                 code="key-of-authority",
             )
         if key_record.was_under_way(state, fingerprint):
             return fingerprint
-        known = known_fingerprint(self._session, name)
+        known = known_fingerprint(session, name)
         if known and known != fingerprint:
             raise KeymintError(
                 f"is not the private key that {subject_of(name)} had: it was replaced",
-                where=self._place(path),
+                where=_place(session, name),
                 help=_remedy(name),
                 code="key-replaced",
             )
         if key_record.recorded(state, key_record.IDENTITIES, name) != fingerprint:  # so it may not be its own
             for other in self._owners.get(fingerprint, ()):
                 if other != name:
-                    raise _shared(name, other, self._place(path))
+                    raise _shared(session, name, other)
         return fingerprint
 
     def require_free(self, name: str, key: keys.PublicKey) -> str:
@@ -231,20 +221,17 @@ class Keyring:
         Raises:
             KeymintError: it is an authority's key, or belongs to another subject.
         """
-        fingerprint, where = keys.fingerprint(key), place_of(self._session, name)
+        fingerprint = keys.fingerprint(key)
         owner = f"the authority {self._authorities[fingerprint]!r}" if fingerprint in self._authorities else ""
         others = [other for other in self._owners.get(fingerprint, ()) if other != name]
         if owner or others:
             raise KeymintError(
                 f"the public key of {subject_of(name)} is that of {owner or subject_of(others[0])}",
-                where=where,
+                where=place_of(self._session, name),
                 help="make a new key with 'keymint request' on the machine of this subject, then run 'keymint sign'",
                 code="key-of-authority" if owner else "key-shared",
             )
         return fingerprint
-
-    def _place(self, path: str) -> Origin:
-        return self._session.workspace.origin(path)
 
     @functools.cached_property
     def _owners(self) -> Mapping[str, Sequence[str]]:
@@ -265,15 +252,14 @@ def shared_keys(inputs: Inputs, fingerprints: Mapping[str, str]) -> Iterator[Dia
     for name, fingerprint in fingerprints.items():
         other = owners.setdefault(fingerprint, name)
         if other != name:
-            where = inputs.workspace.origin(inputs.workspace.identity_key(name))
-            yield from (replace(each, subject=subject_of(name)) for each in _shared(name, other, where).diagnostics)
+            yield from (replace(each, subject=subject_of(name)) for each in _shared(inputs, name, other).diagnostics)
 
 
-def _shared(name: str, other: str, shown: Origin) -> KeymintError:
+def _shared(inputs: Inputs, name: str, other: str) -> KeymintError:
     """Return the error for two subjects that have the same key."""
     return KeymintError(
         f"is the private key of {subject_of(other)} as well, so that each could act as the other",
-        where=shown,
+        where=_place(inputs, name),
         help=f"mint a new one with {_new(name)}",
         code="key-shared",
     )

@@ -173,7 +173,7 @@ def _plan_enclave(
     documents = build.built_documents(session, name)
     existing, unreadable = enclave_files(session, name)
     key_pem, public = identity_keys.private_key(session, package), identity_keys.public_key(session, package)
-    fingerprint = identity_keys.require_own(session, package, keyring, public)
+    fingerprint = keyring.require_own(package, public)
     if reason := register_of(session).barred(fingerprint):
         return PackagePlan(name, withdrawn=reason)
     artifacts, issued, warnings = sign(session, package, documents, authorities, (key_pem, public), existing)

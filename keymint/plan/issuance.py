@@ -18,15 +18,6 @@ _CREATE = "create"
 """Key of the record of the stage that made the packages."""
 
 
-def issuance_of(session: Session, name: str) -> Issuance:
-    """Return what the authority decided about a package; the defaults if it has nothing about it.
-
-    Raises:
-        KeymintError: the file has defects, with ``file:line`` of each.
-    """
-    return session.issuance(name)
-
-
 def place_of(session: Session, name: str) -> Origin:
     """Return the place of what the authority decided about a package, or of the package's manifest if it has none."""
     files = session.issuance_files
@@ -74,7 +65,7 @@ def plan_issuance(session: Session, stage: str, new: Mapping[str, Issuance], det
 
 def _defects(session: Session, name: str, new: Issuance) -> list[Diagnostic]:
     """Return why the authority must not decide this about a package."""
-    before = issuance_of(session, name)
+    before = session.issuance(name)
     subject, where = subject_of(name), place_of(session, name)
     if new.generation < before.generation:
         message = f"has generation {before.generation}, and would fall to {new.generation}"

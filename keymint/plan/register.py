@@ -17,7 +17,6 @@ from keymint.pki import certificates, revocation_lists
 from keymint.plan import authority_files
 from keymint.plan.build_types import revocation_files
 from keymint.plan.enclaves import installed, installed_certificate
-from keymint.plan.issuance import issuance_of
 from keymint.register import database
 from keymint.register.register import IssuedCertificate, Register
 from keymint.session import Session
@@ -140,7 +139,7 @@ def _restored(session: Session, *, lossy: bool) -> Register:
             is not known; then it is not known which key must not be certified again.
     """
     register = Register().with_issued(_found(session, installed(session)))
-    generations = {name: issuance_of(session, name).generation for name in session.packages()}
+    generations = {name: session.issuance(name).generation for name in session.packages()}
     lost = [name for name, generation in generations.items() if generation]
     for file, name, authority in authority_files.issuers(session):
         path = session.workspace.revocation_list(file)
@@ -190,7 +189,7 @@ def _found(session: Session, names: Collection[str]) -> Iterator[IssuedCertifica
         certificate = installed_certificate(session, name)
         for authority, issuer in issuers:
             if certificate is not None and certificates.is_issued_by(certificate, issuer):
-                generation = issuance_of(session, name).generation if name in known else 0
+                generation = session.issuance(name).generation if name in known else 0
                 yield _entry(certificate, issuer, authority, name, generation, rights="")
                 break
 

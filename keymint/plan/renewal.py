@@ -18,7 +18,6 @@ from keymint.pki import certificates, periods
 from keymint.plan import lifetimes
 from keymint.plan.authority_files import in_order
 from keymint.plan.enclaves import INSTALLED, installed, installed_certificate
-from keymint.plan.issuance import issuance_of
 from keymint.plan.revocation import list_of
 from keymint.plan.threshold import DEFAULT, Threshold
 from keymint.session import Session
@@ -283,7 +282,7 @@ def renewed(session: Session, name: str) -> Issuance:
     Raises:
         KeymintError: the package has defects.
     """
-    package, before = session.package(name), issuance_of(session, name)
+    package, before = session.package(name), session.issuance(name)
     validities = [each for each in (package.identity.validity, package.grant.validity) if each]
     begin = periods.begin(session.now, min(each.not_after - each.not_before for each in validities))
     # What began today already begins then; what has yet to begin was written while a clock was wrong.

@@ -13,7 +13,7 @@ from keymint.errors import KeymintError
 from keymint.names import name_of, subject_of
 from keymint.plan import authorities, build
 from keymint.plan.enclaves import installed
-from keymint.plan.issuance import issuance_of, place_of
+from keymint.plan.issuance import place_of
 from keymint.plan.register import register_of
 from keymint.session import Session
 from keymint.state import Stamp, State
@@ -51,7 +51,7 @@ def chosen(session: Session, names: Iterable[str], *, rekey: bool) -> Chosen:
     there = frozenset(installed(session))
     for name in names:
         with defects:
-            if rekey and issuance_of(session, name).public_key:
+            if rekey and session.issuance(name).public_key:
                 requests.append(_request(session, name))
                 continue
             _require_certified(session, name, there, rekey=rekey)

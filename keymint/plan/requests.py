@@ -22,7 +22,7 @@ from keymint.pki import keys, public_keys
 from keymint.pki.distinguished_names import common_name
 from keymint.plan.authority_files import authority_keys
 from keymint.plan.identity_keys import Keyring, known_fingerprint
-from keymint.plan.issuance import issuance_of, place_of, plan_issuance
+from keymint.plan.issuance import place_of, plan_issuance
 from keymint.plan.register import register_of
 from keymint.session import Session
 
@@ -83,7 +83,7 @@ def plan_requests(
             requests[name] = each.request
     defects.require_none()
     new = {
-        name: replace(issuance_of(session, name), public_key=request.public_key)
+        name: replace(session.issuance(name), public_key=request.public_key)
         for name, request in requests.items()
         if not _is_kept_here(session, name, request)
     }
@@ -136,7 +136,7 @@ def _vouches(session: Session, name: str, request: Request) -> bool:
 
 def current_fingerprint(session: Session, name: str) -> str:
     """Return the fingerprint of the key that a package has, wherever it is; empty if it has none yet."""
-    public = issuance_of(session, name).public_key
+    public = session.issuance(name).public_key
     return (
         keys.fingerprint(public_keys.from_pem(public, place_of(session, name)))
         if public
@@ -146,7 +146,7 @@ def current_fingerprint(session: Session, name: str) -> str:
 
 def _is_kept_here(session: Session, name: str, request: Request) -> bool:
     """Tell whether the workspace has the private key itself, as that of a robot that was provisioned from here."""
-    return not issuance_of(session, name).public_key and known_fingerprint(session, name) == request.fingerprint
+    return not session.issuance(name).public_key and known_fingerprint(session, name) == request.fingerprint
 
 
 def _require_certifiable(session: Session, package: Package, given: Given, keyring: Keyring) -> None:
@@ -168,7 +168,7 @@ def _require_certifiable(session: Session, package: Package, given: Given, keyri
 def _require_unknown(session: Session, name: str, given: Given) -> None:
     """Require that no other package has the key, or ever had it."""
     for other in session.packages():
-        public = issuance_of(session, other).public_key if other != name else b""
+        public = session.issuance(other).public_key if other != name else b""
         if public == given.request.public_key:
             raise _refused(
                 f"has the key of {subject_of(other)}, so that each could act as the other", given, _AGAIN, "key-shared"

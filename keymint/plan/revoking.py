@@ -15,7 +15,7 @@ from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.plan.enclaves import INSTALLED, installed
 from keymint.plan.install import Leaving, withdraw
-from keymint.plan.issuance import issuance_of, plan_issuance
+from keymint.plan.issuance import plan_issuance
 from keymint.plan.register import complete_register, register_change
 from keymint.register.register import SUPERSEDED, IssuedCertificate, Register
 from keymint.session import Session
@@ -68,7 +68,7 @@ def plan_revocation(session: Session, names: Sequence[str], reason: str) -> Revo
     issuances = {}
     for name in names:
         if name in with_sources:
-            own, lowest = issuance_of(session, name), after.generation(name)
+            own, lowest = session.issuance(name), after.generation(name)
             if own.generation < lowest:
                 issuances[name] = replace(own, generation=lowest)
             packages.append(name)

@@ -18,7 +18,7 @@ from keymint.api import Issuance, IssuanceFiles
 from keymint.changes import Action
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, public_keys
-from keymint.plan.issuance import issuance_of, plan_issuance
+from keymint.plan.issuance import plan_issuance
 from tests.conftest import NOW, snapshot
 from tests.keymint.plan.sessions import session_of
 
@@ -54,8 +54,8 @@ class TestPlan:
         ]
         assert [[*change.files] for step in plan.steps for change in step.changes] == [["issuance.xml"]] * 2
         after = session.after(plan)
-        assert {name: issuance_of(after, name) for name in new} == new
-        assert issuance_of(session, "talker") == Issuance()
+        assert {name: after.issuance(name) for name in new} == new
+        assert session.issuance("talker") == Issuance()
         assert not plan_issuance(after, "revoke", new).writes()
 
     def test_the_file_is_no_edit_of_the_owner(self, ws: Path) -> None:
@@ -87,7 +87,7 @@ class TestPlan:
             monkeypatch.delattr(RosPackageType, name)
         assert not isinstance(package_type, IssuanceFiles)
         session = session_of(ws)
-        assert issuance_of(session, "talker") == Issuance()
+        assert session.issuance("talker") == Issuance()
         with pytest.raises(KeymintError, match="can neither be renewed nor revoked"):
             plan_issuance(session, "renew", {"talker": Issuance(1)})
 
