@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, Self, TypeVar, TypeVarTuple
 
 from comarmor.errors import Origin
 from comarmor.text import did_you_mean
@@ -44,6 +45,7 @@ from keymint.workspace import (
 )
 
 _T = TypeVar("_T")
+_Arguments = TypeVarTuple("_Arguments")
 _FILES = "files"
 """First part of the key of what a session knows about the files of a package."""
 
@@ -347,3 +349,13 @@ class Session(Inputs):
             install_space = str(self.workspace.install)
             self._packages[key] = load(self.profile, name, folder, files, self.plugins.build_type, install_space)
         return self._packages[key]
+
+
+def once(make: Callable[[Session, *_Arguments], _T]) -> Callable[[Session, *_Arguments], _T]:
+    """Let a function of a session, and perhaps of hashable values, make each result once for a session; a decorator."""
+
+    @functools.wraps(make)
+    def known(session: Session, /, *arguments: *_Arguments) -> _T:
+        return session.once((make, *arguments), lambda: make(session, *arguments))
+
+    return known

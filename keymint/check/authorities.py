@@ -22,7 +22,7 @@ from keymint.session import Inputs, Session
 
 def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
     """Yield the findings on the keys and certificates of all authorities."""
-    deployed = functools.cache(functools.partial(deployed_authorities, session))
+    deployed = functools.partial(deployed_authorities, session)
     issuers: dict[str, x509.Certificate] = {}
     fingerprints: dict[str, str] = {}
     for authority in authority_files.in_order(session.profile.authorities):

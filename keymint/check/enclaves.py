@@ -126,7 +126,7 @@ def _inspections(session: Session, package: Package, files: Mapping[str, bytes],
     """
     build_types = build_types_of(session, package)
     recorded = _recorded(session, package.name) if len(build_types) == 1 else None  # which does not say whose each is
-    chains = session.once("chains", lambda: trusted_chains(session))
+    chains = trusted_chains(session)
     folder, layout = session.workspace.shown(session.enclave_folder(package.name)), session.profile.layout
     found: dict[str, tuple[BuildType, Inspection]] = {}
     for name, build_type in build_types.items():

@@ -80,7 +80,7 @@ def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, M
     """
     for name in new:
         authority_named(session, name)
-    deployed = functools.cache(functools.partial(deployed_authorities, session))
+    deployed = functools.partial(deployed_authorities, session)
     minted: dict[str, MintedAuthority] = {}
     steps: list[Step] = []
     warnings: list[Diagnostic] = []

@@ -19,7 +19,7 @@ from keymint.pki import certificates, distinguished_names, keys
 from keymint.plan import key_record
 from keymint.plan.enclaves import INSTALLED
 from keymint.plan.private_keys import load_key, password
-from keymint.session import Inputs, Session
+from keymint.session import Inputs, Session, once
 
 COST = "no deployed enclave trusts it until all are redeployed"
 """The consequence of a new authority, for messages."""
@@ -134,6 +134,7 @@ def in_order(authorities: Sequence[Authority]) -> tuple[Authority, ...]:
     return tuple(ordered.values())
 
 
+@once
 def trusted_chains(session: Session) -> Mapping[str, bytes]:
     """Return the certificate chain (PEM) of each authority from the disk; see :func:`chain`."""
     chains: dict[str, bytes] = {}

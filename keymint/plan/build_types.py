@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, MutableMapp
 from comarmor.errors import Diagnostic, Severity
 from keymint.api import Artifact, AuthorityRole, BuildType, Package, RevocationReader, SharedDocuments
 from keymint.errors import KeymintError
-from keymint.session import Session
+from keymint.session import Session, once
 from keymint.state import digest
 
 BUILD = "build"
@@ -135,19 +135,16 @@ def inputs_digest(session: Session, name: str, build_types: Iterable[str] | None
     )
 
 
+@once
 def shared_builder(session: Session, name: str) -> SharedDocuments | None:
     """Return a build type that has shared documents; None if it has none, or is not installed.
 
     The documents of such a build type name each other by absolute paths, so they depend on the install space.
     """
-
-    def find() -> SharedDocuments | None:
-        if not any(info.group == "keymint.build_types" and info.name == name for info in session.plugins.infos):
-            return None
-        build_type: object = session.plugins.build_type(name)
-        return build_type if isinstance(build_type, SharedDocuments) else None
-
-    return session.once(("shared builder", name), find)
+    if not any(info.group == "keymint.build_types" and info.name == name for info in session.plugins.infos):
+        return None
+    build_type: object = session.plugins.build_type(name)
+    return build_type if isinstance(build_type, SharedDocuments) else None
 
 
 def may_share(session: Session, names: Iterable[str]) -> bool:

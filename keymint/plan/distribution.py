@@ -20,7 +20,7 @@ from keymint.plan.authority_files import trusted_chains
 from keymint.plan.build_types import recorded_build_types, revocation_files
 from keymint.plan.enclaves import CERTIFICATE, INSTALLED, installed
 from keymint.plan.revocation import enclave_lists, require_nothing_lost
-from keymint.session import Session
+from keymint.session import Session, once
 from keymint.state import Stamp
 
 
@@ -82,13 +82,9 @@ def _is_by(pem: bytes, issuer: x509.Certificate) -> bool:
         return False
 
 
+@once
 def _files(session: Session, build_types: tuple[str, ...], revocations: bytes) -> dict[str, File]:
     """Return the files of a list by name, as the transports read them."""
-    key = ("revocation files", build_types, revocations)
-    return session.once(key, lambda: _of_build_types(session, build_types, revocations))
-
-
-def _of_build_types(session: Session, build_types: tuple[str, ...], revocations: bytes) -> dict[str, File]:
     found = (session.plugins.build_type(name, session.profile_marker()) for name in build_types)
     artifacts = revocation_files(found, session.profile.distro, session.profile.layout, revocations)
     return {file: File(artifact.content) for file, artifact in artifacts}

@@ -15,7 +15,7 @@ from keymint.changes import file_mode
 from keymint.errors import KeymintError
 from keymint.names import ROOT, subject_of
 from keymint.pki import certificates
-from keymint.session import Inputs, Session
+from keymint.session import Inputs, Session, once
 from keymint.workspace import hidden_by
 
 CERTIFICATE, KEY = "cert.pem", "key.pem"
@@ -23,12 +23,9 @@ INSTALLED = "install"
 """Key of the record of installed enclaves."""
 
 
+@once
 def installed(session: Session) -> tuple[str, ...]:
     """Return the names of the installed enclaves, sorted."""
-    return session.once("installed", lambda: _installed(session))
-
-
-def _installed(session: Session) -> tuple[str, ...]:
     names: list[str] = []
     has_root = session.enclaves != session.workspace.install
 
@@ -114,10 +111,10 @@ def files_in(session: Session, name: str) -> tuple[str, ...]:
         return found
     if KEY not in found and CERTIFICATE not in found:
         return ()
-    known = session.once("names of files", lambda: _known_names(session))
-    return tuple(file for file in found if file in known)
+    return tuple(file for file in found if file in _known_names(session))
 
 
+@once
 def _known_names(session: Session) -> frozenset[str]:
     """Return the names of the files that any installed build type puts into enclaves."""
     infos = (info for info in session.plugins.infos if info.group == "keymint.build_types")
@@ -169,6 +166,7 @@ def not_installed(name: str, folder: str) -> Diagnostic:
     return Diagnostic("enclave-missing", Severity.ERROR, message, Origin(folder), help_, subject_of(name))
 
 
+@once
 def deployed_authorities(session: Session) -> tuple[x509.Certificate, ...]:
     """Return the certificates of authorities that the installed enclaves trust, each once.
 

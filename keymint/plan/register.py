@@ -19,19 +19,16 @@ from keymint.plan.build_types import revocation_files
 from keymint.plan.enclaves import installed, installed_certificate
 from keymint.register import database
 from keymint.register.register import IssuedCertificate, Register
-from keymint.session import Session
+from keymint.session import Session, once
 
 
+@once
 def register_of(session: Session) -> Register:
     """Return the register of a workspace as it is on the disk; empty if there is none.
 
     Raises:
         KeymintError: it is damaged.
     """
-    return session.once("register", lambda: _read(session))
-
-
-def _read(session: Session) -> Register:
     path = session.workspace.register
     content = session.tree.read(path)
     return Register() if content is None else _load(content, session.workspace.shown(path))
@@ -43,16 +40,13 @@ def _load(content: bytes, shown: str) -> Register:
     return database.load(content, Origin(shown))
 
 
+@once
 def withdrawn(session: Session) -> Mapping[str, str]:
     """Return the packages whose certificate was revoked and whose enclave is gone, each with the reason.
 
     Raises:
         KeymintError: the register is damaged.
     """
-    return session.once("withdrawn", lambda: _withdrawn(session))
-
-
-def _withdrawn(session: Session) -> dict[str, str]:
     register, there = register_of(session), frozenset(installed(session))
     found = {name: register.withdrawn(name) for name in session.packages() if name not in there}
     return {name: reason for name, reason in found.items() if reason}

@@ -11,6 +11,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 
+from cryptography import x509
+
 from comarmor.errors import Defects
 from comarmor.values import dataclass
 from keymint.api import Issuance
@@ -20,7 +22,7 @@ from keymint.plan.authority_files import in_order
 from keymint.plan.enclaves import INSTALLED, installed, installed_certificate
 from keymint.plan.revocation import list_of
 from keymint.plan.threshold import DEFAULT, Threshold
-from keymint.session import Session
+from keymint.session import Session, once
 
 CERTIFICATE, PERMISSIONS, LIST = "certificate", "permissions", "revocation list"
 
@@ -70,21 +72,18 @@ class EnclaveTerms:
         return min(own, key=lambda each: threshold.moment(each.first, each.last), default=None)
 
 
+@once
 def authority_ends(session: Session) -> Mapping[str, datetime]:
     """Return the end of the certificate of each authority whose certificate is here, UTC, issuers first."""
-    return session.once("authority ends", lambda: {name: end for name, (_, end) in _authority_periods(session).items()})
+    return {name: certificate.not_valid_after_utc for name, certificate in _authorities_here(session).items()}
 
 
-def _authority_periods(session: Session) -> Mapping[str, tuple[datetime, datetime]]:
-    return session.once("authority periods", lambda: dict(_each_authority_period(session)))
-
-
-def _each_authority_period(session: Session) -> Iterator[tuple[str, tuple[datetime, datetime]]]:
-    for authority in in_order(session.profile.authorities):
-        content = session.tree.read(session.workspace.authority_certificate(authority.name))
-        if content:
-            certificate = certificates.load_first(content)
-            yield authority.name, certificates.period(certificate)
+@once
+def _authorities_here(session: Session) -> Mapping[str, x509.Certificate]:
+    """Return the certificate of each authority that has one here, issuers first."""
+    names = [authority.name for authority in in_order(session.profile.authorities)]
+    contents = {name: session.tree.read(session.workspace.authority_certificate(name)) for name in names}
+    return {name: certificates.load_first(content) for name, content in contents.items() if content}
 
 
 def enclave_terms(session: Session, name: str, period: tuple[datetime, datetime] | None = None) -> EnclaveTerms | None:
@@ -148,8 +147,9 @@ def _matters_from(session: Session, term: Term, threshold: Threshold) -> datetim
     One that lasts half as long as the authority's certificate, or longer, ends near it in any case, as in a keystore of
     ``ros2 security``, where both last ten years. It has time until the document is due itself.
     """
-    first, last = _authority_periods(session)[term.authority]
-    return threshold.moment(term.first, term.last) if 2 * (term.last - term.first) >= last - first else term.first
+    authority = _authorities_here(session)[term.authority]
+    length = authority.not_valid_after_utc - authority.not_valid_before_utc
+    return threshold.moment(term.first, term.last) if 2 * (term.last - term.first) >= length else term.first
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,20 +20,17 @@ from keymint.plan import authority_files, rollover_lists
 from keymint.plan.authorities import MintedAuthority
 from keymint.plan.register import issuer_of, register_change, register_of
 from keymint.register.register import Register
-from keymint.session import Session
+from keymint.session import Session, once
 
 STAGE = "crl"
 
 
+@once
 def lists(session: Session) -> Mapping[str, bytes]:
     """Return the revocation lists in the public space, PEM, by authority.
 
     While the key of an authority is replaced, there may be one more: ``NAME.next`` or ``NAME.former``.
     """
-    return session.once("revocation lists", lambda: _lists(session))
-
-
-def _lists(session: Session) -> Mapping[str, bytes]:
     names = [authority.name for authority in session.profile.authorities]
     bundled = filter(authority_files.is_bundled, session.profile.authorities)
     names += map(authority_files.other, bundled)
@@ -41,23 +38,20 @@ def _lists(session: Session) -> Mapping[str, bytes]:
     return {name: content for name, content in contents.items() if content is not None}
 
 
+@once
 def list_of(session: Session, name: str) -> RevocationList | None:
     """Return the revocation list of an authority, or None if it has none.
 
     Raises:
         KeymintError: it cannot be read.
     """
-    return session.once(("revocation list", name), lambda: _list(session, name))
+    content, path = lists(session).get(name), session.workspace.revocation_list(name)
+    return None if content is None else revocation_lists.load(content, session.workspace.origin(path))
 
 
 def loaded_lists(session: Session) -> Mapping[str, RevocationList]:
     """Return the revocation lists of :func:`lists`, read; errors as :func:`list_of`."""
     return {name: found for name in lists(session) if (found := list_of(session, name))}
-
-
-def _list(session: Session, name: str) -> RevocationList | None:
-    content, path = lists(session).get(name), session.workspace.revocation_list(name)
-    return None if content is None else revocation_lists.load(content, session.workspace.origin(path))
 
 
 def enclave_lists(session: Session) -> Mapping[str, bytes]:

@@ -14,7 +14,7 @@ from keymint.plan.build_types import build_types_of, issuers_of, suffixes_read
 from keymint.plan.enclaves import enclave_files
 from keymint.plan.shared_documents import users
 from keymint.plan.shared_install import shared_files, shared_roles
-from keymint.session import Session
+from keymint.session import Session, once
 
 
 def anchors_of(session: Session, package: Package, build_type: BuildType, chains: Mapping[str, bytes]) -> TrustAnchors:
@@ -27,7 +27,7 @@ def anchors_of(session: Session, package: Package, build_type: BuildType, chains
         chains: certificates of the authorities by name; see :func:`keymint.plan.authority_files.trusted_chains`.
     """
     roles = build_type.authorities(package)
-    authorities = {role.role: _anchor(session, [role.name], chains) for role in roles}
+    authorities = {role.role: _anchor(session, ((role.name, chains.get(role.name, b"")),)) for role in roles}
     subject_name, public_key = package.identity.subject_name, package.issuance.public_key
     uri = package.identity.key.uri
     return TrustAnchors(authorities, subject_name, session.profile.layout, public_key, uri, package.distro)
@@ -48,20 +48,18 @@ def shared_anchors(
         KeymintError: two packages have different authorities in a role that signs.
     """
     return {
-        role: _anchor(session, [each.name for each in of_role], chains)
+        role: _anchor(session, tuple((each.name, chains.get(each.name, b"")) for each in of_role))
         for role, of_role in shared_roles(packages, build_type).items()
     }
 
 
-def _anchor(session: Session, names: Sequence[str], chains: Mapping[str, bytes]) -> TrustAnchor:
-    contents = tuple(chains.get(name, b"") for name in names)
-    return session.once(("anchor", *names, *contents), lambda: _make_anchor(session, names, contents))
-
-
-def _make_anchor(session: Session, names: Sequence[str], contents: Sequence[bytes]) -> TrustAnchor:
+@once
+def _anchor(session: Session, authorities: tuple[tuple[str, bytes], ...]) -> TrustAnchor:
+    """Return the trust anchor of some authorities, given by name with their certificates."""
     workspace = session.workspace
-    files = ", ".join(workspace.shown(workspace.authority_certificate(name)) for name in names)
-    return TrustAnchor(", ".join(names), files, b"".join(dict.fromkeys(contents)))
+    files = ", ".join(workspace.shown(workspace.authority_certificate(name)) for name, _ in authorities)
+    names = ", ".join(name for name, _ in authorities)
+    return TrustAnchor(names, files, b"".join(dict.fromkeys(content for _, content in authorities)))
 
 
 def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...]:
