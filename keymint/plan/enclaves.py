@@ -16,6 +16,7 @@ from keymint.errors import KeymintError
 from keymint.names import ROOT, subject_of
 from keymint.pki import certificates
 from keymint.session import Inputs, Session, once
+from keymint.state import Stamp
 from keymint.workspace import hidden_by
 
 CERTIFICATE, KEY = "cert.pem", "key.pem"
@@ -199,3 +200,15 @@ def has_mode(inputs: Inputs, path: Path | str, *, secret: bool) -> bool:
     """Tell whether an installed file has its mode, or does not exist."""
     status = inputs.tree.status(path)
     return status is None or stat.S_IMODE(status.st_mode) & 0o777 == file_mode(secret=secret)
+
+
+def has_outputs(inputs: Inputs, folder: str, stamp: Stamp) -> bool:
+    """Tell whether the files of a stamp in a folder are as they were installed; none is if it cannot be read."""
+    try:
+        return all(
+            inputs.tree.digest(f"{folder}/{file}") == value
+            and has_mode(inputs, f"{folder}/{file}", secret=file in stamp.secret)
+            for file, value in stamp.outputs.items()
+        )
+    except KeymintError:
+        return False

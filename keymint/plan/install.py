@@ -10,7 +10,6 @@ from dataclasses import replace
 from cryptography import x509
 
 from comarmor.errors import Diagnostic, Severity
-from comarmor.values import dataclass
 from keymint.api import Artifact, Package, Succession
 from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
@@ -25,6 +24,7 @@ from keymint.plan.enclaves import (
     enclave_files,
     files_in,
     has_mode,
+    has_outputs,
     installed,
     orphans,
     require_sources,
@@ -33,7 +33,7 @@ from keymint.plan.enclaves import (
 from keymint.plan.environment import plan_scripts
 from keymint.plan.identity_keys import Keyring
 from keymint.plan.register import complete_register, register_change, register_of, require_free_serials
-from keymint.plan.shared_files import ChangedEnclaves, build_types_in_use, shared_copies, shared_steps
+from keymint.plan.shared_files import EnclaveChanges, build_types_in_use, shared_copies, shared_steps
 from keymint.plan.shared_install import HAND_EDITED, OUTDATED, plan_shared_install
 from keymint.plan.signing import sign
 from keymint.plan.stage import PackagePlan, recorded, steps_of
@@ -88,11 +88,9 @@ class InstallStage:
         removed = orphans(session) if prune else ()
         shared = plan_shared_install(session, [each.name for each in planned], self._authorities, removed)
         withdrawn = {each.name: each.withdrawn for each in planned if each.withdrawn}
-        leaving = Leaving(changed, frozenset((*removed, *withdrawn)))
-        build_types = build_types_in_use(session, changed, leaving.removed)
-        copies = shared_steps(session, changed, build_types, leaving.removed)
-        scripts, foreign = plan_scripts(session, build_types)
-        steps = [*shared.steps, *copies, *scripts, *steps_of(planned)]
+        changes = EnclaveChanges(changed, frozenset((*removed, *withdrawn)))
+        scripts, foreign = plan_scripts(session, build_types_in_use(session, changes))
+        steps = [*shared.steps, *shared_steps(session, changes), *scripts, *steps_of(planned)]
         diagnostics = [*(diagnostic for each in planned for diagnostic in each.diagnostics), *foreign]
         diagnostics += _outdated(session, [each.name for each in planned if each.outdated])
         diagnostics += shared.diagnostics
@@ -100,12 +98,11 @@ class InstallStage:
         diagnostics += [each for each in unaccounted(session) if not prune or each.code != "enclave-orphaned"]
         state = recorded(session.state, STAGE, planned, (*removed, *shared.removed, *withdrawn))
         state = state.updated(STAGE, shared.stamps)
-        for name, reason in withdrawn.items():
-            steps.append(withdraw(session, name, reason, leaving))
+        steps += [withdraw(session, name, reason, changes) for name, reason in withdrawn.items()]
         if prune:
             require_sources(session)
             diagnostics += _still_good(session, removed)
-            steps += [_prune(session, name, leaving) for name in removed]
+            steps += [_prune(session, name, changes) for name in removed]
             state = key_record.forget(state, key_record.IDENTITIES, removed)
         return Plan(tuple(steps), state, tuple(diagnostics), _register(session, planned))
 
@@ -331,15 +328,7 @@ def is_current(session: Session, name: str, chains: Mapping[str, bytes]) -> bool
 
 def _has_outputs(session: Session, name: str, stamp: Stamp, inputs: str | None) -> bool:
     """Tell whether an enclave was made from these inputs, and is as it was made."""
-    folder = session.enclave_folder(name)
-    try:
-        return stamp.inputs == inputs and all(
-            session.tree.digest(f"{folder}/{file}") == value
-            and has_mode(session, f"{folder}/{file}", secret=file in stamp.secret)
-            for file, value in stamp.outputs.items()
-        )
-    except KeymintError:
-        return False  # a file cannot be read
+    return stamp.inputs == inputs and has_outputs(session, session.enclave_folder(name), stamp)
 
 
 def inputs_of(session: Session, name: str, chains: Mapping[str, bytes]) -> str | None:
@@ -360,39 +349,25 @@ def inputs_of(session: Session, name: str, chains: Mapping[str, bytes]) -> str |
     return digest(inputs_digest(session, name), key, digest_files(chains), session.profile.layout, *built, *more)
 
 
-@dataclass(frozen=True, slots=True)
-class Leaving:
-    """The enclaves that a run removes.
-
-    Attributes:
-        changed: build types and files of each enclave that changes, by package.
-        removed: the packages whose enclaves are removed.
-    """
-
-    changed: ChangedEnclaves
-    removed: frozenset[str]
-
-
-def withdraw(session: Session, name: str, reason: str, leaving: Leaving) -> Step:
+def withdraw(session: Session, name: str, reason: str, changes: EnclaveChanges) -> Step:
     """Return the step for a subject whose key must not be certified again: no robot may get its enclave.
 
     Args:
         session: the workspace and its profile.
         name: the package.
         reason: why its certificate was revoked.
-        leaving: the enclaves that the run removes, this one included.
+        changes: what the run does to the enclaves; it removes this one.
     """
     if name in installed(session):
-        return replace(_prune(session, name, leaving), detail=f"revoked: {reason}")
+        return replace(_prune(session, name, changes), detail=f"revoked: {reason}")
     return Step(STAGE, name, Action.KEPT, detail=f"revoked: {reason}; 'keymint renew --rekey {name}' makes a new key")
 
 
-def _prune(session: Session, name: str, leaving: Leaving) -> Step:
+def _prune(session: Session, name: str, changes: EnclaveChanges) -> Step:
     folder = session.enclave(name)
     files = files_in(session, name)
     if name == ROOT:  # its folder keeps what the other enclaves share
-        build_types = build_types_in_use(session, leaving.changed, leaving.removed)
-        copies = shared_copies(session, leaving.changed, build_types, leaving.removed)
+        copies = shared_copies(session, changes)
         shared = {session.workspace.install / path for of_type in copies for path in of_type}
         files = tuple(file for file in files if folder / file not in shared)
     # The certificate goes last, so that what a killed run leaves is still recognised as an enclave.

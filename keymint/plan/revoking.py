@@ -14,9 +14,10 @@ from keymint.changes import Action, Plan, Step
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.plan.enclaves import INSTALLED, installed
-from keymint.plan.install import Leaving, withdraw
+from keymint.plan.install import withdraw
 from keymint.plan.issuance import plan_issuance
 from keymint.plan.register import complete_register, register_change
+from keymint.plan.shared_files import EnclaveChanges
 from keymint.register.register import SUPERSEDED, IssuedCertificate, Register
 from keymint.session import Session
 
@@ -75,8 +76,8 @@ def plan_revocation(session: Session, names: Sequence[str], reason: str) -> Revo
     plan = Plan((), session.state, first=register_change(session, after))
     plan = plan.then(plan_issuance(session, STAGE, issuances, f"{reason}, new generation"))
     orphans = [name for name in names if name not in with_sources]
-    leaving = Leaving({}, frozenset(orphans))
-    steps = [withdraw(session, name, reason, leaving) for name in orphans if name in installed(session)]
+    changes = EnclaveChanges(removed=frozenset(orphans))
+    steps = [withdraw(session, name, reason, changes) for name in orphans if name in installed(session)]
     steps += [Step(STAGE, name, Action.UPDATED, detail=reason) for name in orphans if name not in installed(session)]
     plan = plan.then(Plan(tuple(steps), plan.state.updated(INSTALLED, {}, orphans)))
     skipped = tuple(_nothing_to_revoke(last) for last in without if last.revoked is None or last.reason != reason)

@@ -6,12 +6,13 @@ They hold the rights of everybody, so each run brings them up to date, whichever
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import contextlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
 from typing import cast
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Defects, Diagnostic, Severity
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, BuildResult, BuildType, Package, SharedDocuments
@@ -61,36 +62,29 @@ def users(session: Session) -> Users:
     Raises:
         KeymintError: which build types a package has is unknown, because its sources have defects.
     """
-    names = session.packages()
-    recorded: dict[str, tuple[str, ...]] = {}
+    names, recorded = session.packages(), session.state.stamps.get(STAGE, {})
+    found: dict[str, tuple[str, ...]] = {}
     for name in names:
-        stamp = session.state.stamp(STAGE, name)
-        if stamp is not None and stamp.build_types:
-            recorded[name] = stamp.build_types
-    broken: list[tuple[str, KeymintError]] = []
-
-    def load(name: str) -> tuple[str, ...]:
-        try:
-            return tuple(build_types_of(session, session.package(name)))
-        except KeymintError as error:
-            broken.append((name, error))
-            return ()
-
-    found = recorded | {name: load(name) for name in names if name not in recorded}
-    shared = {name for of_package in found.values() for name in of_package if shared_builder(session, name)}
-    if not shared:
+        with contextlib.suppress(KeymintError):  # raised below, if there are shared documents
+            known = recorded[name].build_types if name in recorded else ()
+            found[name] = known or tuple(build_types_of(session, session.package(name)))
+    if not (shared := _shared(session, found)):
         return {}
-    for name in recorded:
-        stamp = session.state.stamp(STAGE, name)
-        if stamp is None or stamp.inputs != inputs_digest(session, name):
-            found[name] = load(name)
-    if broken:
-        raise _blocked(session, sorted(shared), broken)
+    defects = Defects()
+    for name in names:
+        if name not in found or (name in recorded and recorded[name].inputs != inputs_digest(session, name)):
+            with defects, _blocking(session, shared, name):
+                found[name] = tuple(build_types_of(session, session.package(name)))
+    defects.require_none()
     return {
-        build_type: tuple(name for name in names if build_type in found[name])
-        for build_type in sorted({name for of_package in found.values() for name in of_package})
-        if shared_builder(session, build_type)
+        build_type: tuple(name for name in names if build_type in found[name]) for build_type in _shared(session, found)
     }
+
+
+def _shared(session: Session, build_types: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return the build types of some packages that have shared documents, sorted."""
+    known = {build_type for of_package in build_types.values() for build_type in of_package}
+    return sorted(build_type for build_type in known if shared_builder(session, build_type))
 
 
 def load_packages(session: Session, build_type: str, names: Iterable[str]) -> tuple[Package, ...]:
@@ -100,28 +94,27 @@ def load_packages(session: Session, build_type: str, names: Iterable[str]) -> tu
         KeymintError: the sources of a package have defects, so the shared documents cannot be built.
     """
     loaded: list[Package] = []
-    broken: list[tuple[str, KeymintError]] = []
+    defects = Defects()
     for name in names:
-        try:
+        with defects, _blocking(session, [build_type], name):
             loaded.append(session.package(name))
-        except KeymintError as error:
-            broken.append((name, error))
-    if broken:
-        raise _blocked(session, [build_type], broken)
+    defects.require_none()
     return tuple(loaded)
 
 
-def _blocked(session: Session, build_types: Sequence[str], broken: Iterable[tuple[str, KeymintError]]) -> KeymintError:
-    diagnostics: list[Diagnostic] = []
-    for name, error in broken:
+@contextlib.contextmanager
+def _blocking(session: Session, build_types: Iterable[str], name: str) -> Iterator[None]:
+    """Say of the defects of a package that they block the shared documents of some build types; a context."""
+    try:
+        yield
+    except KeymintError as error:
         of_types = ", ".join(build_types)
         message = (
             f"the sources of {subject_of(name)} have defects, so the shared documents of {of_types} cannot be built"
         )
-        help_ = "fix it: they hold the rights of all packages"
-        where = session.package_marker(name)
-        diagnostics += (Diagnostic("shared-blocked", Severity.ERROR, message, where, help_), *error.diagnostics)
-    return KeymintError.of(list(dict.fromkeys(diagnostics)))
+        where, help_ = session.package_marker(name), "fix it: they hold the rights of all packages"
+        blocked = Diagnostic("shared-blocked", Severity.ERROR, message, where, help_)
+        raise KeymintError.of((blocked, *error.diagnostics)) from None
 
 
 def sources_digest(session: Session, names: Iterable[str]) -> str:
@@ -203,27 +196,32 @@ def plan_shared_build(session: Session, options: BuildOptions, *, force: bool) -
                     help="use them in different workspaces",
                     code="file-conflict",
                 )
-    gone = [key for key in _recorded_keys(session) if key.removeprefix(f"{FOLDER}/") not in of_types]
-    steps += [_removal(session, key) for key in gone]
-    return SharedPlan(tuple(steps), stamps, tuple(gone), tuple(dict.fromkeys(diagnostics)))
+    gone = obsolete(session, STAGE, shared_folder(session), of_types)
+    return SharedPlan((*steps, *gone.values()), stamps, tuple(gone), tuple(dict.fromkeys(diagnostics)))
 
 
-def _recorded_keys(session: Session) -> list[str]:
-    return [key for key in session.state.stamps.get(STAGE, {}) if key.startswith(f"{FOLDER}/")]
+def obsolete(session: Session, stage: str, folder: Path, of_types: Users) -> dict[str, Step]:
+    """Return what removes the documents of build types that no package has any more, by the key of their record.
 
-
-def _removal(session: Session, key: str) -> Step:
-    stamp = session.state.stamps[STAGE][key]
-    changes = removals(session, shared_folder(session), stamp.outputs)
-    return Step(STAGE, "", Action.REMOVED, changes, f"shared documents of {key.removeprefix(f'{FOLDER}/')}")
+    Args:
+        session: the workspace and its profile.
+        stage: the stage that recorded them.
+        folder: the folder that the recorded paths are relative to.
+        of_types: the packages of each build type.
+    """
+    gone: dict[str, Step] = {}
+    for key, stamp in session.state.stamps.get(stage, {}).items():
+        kind, _, build_type = key.partition("/")
+        if kind == FOLDER and build_type not in of_types:
+            changes = removals(session, folder, stamp.outputs)
+            gone[key] = Step(stage, "", Action.REMOVED, changes, f"shared documents of {build_type}")
+    return gone
 
 
 def removals(session: Session, folder: Path, paths: Iterable[str]) -> tuple[FolderChange, ...]:
     """Return the changes that remove files, given by path relative to a folder; missing ones are skipped."""
-    existing = [folder / path for path in sorted(paths) if session.tree.has_file(folder / path)]
-    folders: dict[Path, list[str]] = {}
-    for path in existing:
-        folders.setdefault(path.parent, []).append(path.name)
+    existing = [path for path in sorted(paths) if session.tree.has_file(folder / path)]
+    folders = by_folder(folder, dict.fromkeys(existing, File(b"")))
     return tuple(FolderChange(parent, removed=tuple(names)) for parent, names in folders.items())
 
 
@@ -245,13 +243,13 @@ def _plan_documents(
             detail = f"{', '.join(edited)} edited by hand; -f rebuilds" if edited else ", ".join(existing)
             return Step(STAGE, "", Action.KEPT if edited else Action.UNCHANGED, detail=detail), None, ()
     built = build_shared(session, name, load_packages(session, name, names), options)
-    obsolete = set(stamp.outputs if stamp else ()) - set(built.documents)
+    left_over = set(stamp.outputs if stamp else ()) - set(built.documents)
     if not force:
-        _refuse_edits(session, key, {**built.documents, **dict.fromkeys(obsolete, b"")})
+        _refuse_edits(session, key, {**built.documents, **dict.fromkeys(left_over, b"")})
     different = {
         path: File(content) for path, content in built.documents.items() if session.tree.read(folder / path) != content
     }
-    changes = (*removals(session, folder, obsolete), *written(folder, different))
+    changes = (*removals(session, folder, left_over), *written(folder, different))
     action = (Action.UPDATED if stamp else Action.CREATED) if changes else Action.UNCHANGED
     shown = ", ".join(f"{path} {len(content):,} bytes" for path, content in built.documents.items())
     outputs = {path: digest(content) for path, content in built.documents.items()}

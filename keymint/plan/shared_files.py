@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from dataclasses import field
 
+from comarmor.values import dataclass
 from keymint.api import Artifact, BuildType
 from keymint.changes import Action, File, Step, by_folder, changed
 from keymint.errors import KeymintError
@@ -13,57 +15,59 @@ from keymint.plan.build_types import recorded_build_types
 from keymint.plan.enclaves import INSTALLED, installed
 from keymint.session import Session
 
-ChangedEnclaves = Mapping[str, tuple[Collection[str], Mapping[str, Artifact]]]
-"""Build types and files of each enclave that changes, by package."""
+
+@dataclass(frozen=True, slots=True)
+class EnclaveChanges:
+    """What a run does to the enclaves.
+
+    Attributes:
+        changed: build types and files of each enclave that changes, by package.
+        removed: the packages whose enclaves are removed; they are no example for the others.
+    """
+
+    changed: Mapping[str, tuple[Collection[str], Mapping[str, Artifact]]] = field(default_factory=dict)
+    removed: frozenset[str] = frozenset()
+
+    def kept(self, session: Session) -> list[str]:
+        """Return the packages whose installed enclaves stay as they are."""
+        return [name for name in installed(session) if name not in self.removed and name not in self.changed]
 
 
-def build_types_in_use(
-    session: Session, changed_enclaves: ChangedEnclaves | None = None, removed: Collection[str] = ()
-) -> list[str]:
-    """Return the names of the build types of all enclaves, sorted; arguments as for :func:`shared_steps`."""
-    changing = changed_enclaves or {}
-    kept = (name for name in installed(session) if name not in removed and name not in changing)
+NO_CHANGES = EnclaveChanges()
+
+
+def build_types_in_use(session: Session, changes: EnclaveChanges = NO_CHANGES) -> list[str]:
+    """Return the names of the build types that all enclaves have after some changes, sorted."""
     of_packages = [
-        *(of_package for of_package, _ in changing.values()),
-        *(recorded_build_types(session, name) for name in kept),
+        *(of_package for of_package, _ in changes.changed.values()),
+        *(recorded_build_types(session, name) for name in changes.kept(session)),
     ]
     return sorted({build_type for of_package in of_packages for build_type in of_package})
 
 
-def shared_steps(
-    session: Session, changed_enclaves: ChangedEnclaves, build_types: Collection[str], removed: Collection[str] = ()
-) -> list[Step]:
-    """Return the steps that write the shared files.
-
-    Args:
-        session: the workspace and its profile.
-        changed_enclaves: the enclaves that change.
-        build_types: the build types of all enclaves; see :func:`build_types_in_use`.
-        removed: enclaves that are removed, and so are no example for the others.
-    """
+def shared_steps(session: Session, changes: EnclaveChanges) -> list[Step]:
+    """Return the steps that write the shared files, as the enclaves have them after some changes."""
     steps = []
-    for copies in shared_copies(session, changed_enclaves, build_types, removed):
+    for copies in shared_copies(session, changes):
         files = {path: File(each.content, secret=each.secret, replaces_link=True) for path, each in copies.items()}
         folders = by_folder(session.workspace.install, files)
-        changes = [change for folder, own in folders.items() for change in changed(session.tree, folder, own)]
-        if changes:
+        written = [change for folder, own in folders.items() for change in changed(session.tree, folder, own)]
+        if written:
             existed = any(session.tree.read(session.workspace.install / path) for path in files)
             action = Action.UPDATED if existed else Action.CREATED
-            steps.append(Step(INSTALLED, "", action, tuple(changes), "shared by all enclaves"))
+            steps.append(Step(INSTALLED, "", action, tuple(written), "shared by all enclaves"))
     return steps
 
 
-def shared_copies(
-    session: Session, changed_enclaves: ChangedEnclaves, build_types: Collection[str], removed: Collection[str] = ()
-) -> list[Mapping[str, Artifact]]:
+def shared_copies(session: Session, changes: EnclaveChanges) -> list[Mapping[str, Artifact]]:
     """Return the shared files of each build type by path relative to the install space, as :func:`shared_steps`."""
-    kept = [name for name in installed(session) if name not in removed]
+    build_types = build_types_in_use(session, changes)
     copied = {file for name in build_types for file in session.plugins.build_type(name).COPIED}
     enclaves: dict[str, Mapping[str, Artifact]] = {}
     contents: dict[str | None, Artifact | None] = {None: None}  # enclaves usually have the same files
-    for name in sorted({*changed_enclaves, *kept}):
-        if name in changed_enclaves:
-            enclaves[subject_of(name)] = changed_enclaves[name][1]
+    for name in sorted((*changes.changed, *changes.kept(session))):
+        if name in changes.changed:
+            enclaves[subject_of(name)] = changes.changed[name][1]
             continue
         existing = {file: _artifact(session, f"{session.enclave_folder(name)}/{file}", contents) for file in copied}
         enclaves[subject_of(name)] = {file: each for file, each in existing.items() if each and each.content}

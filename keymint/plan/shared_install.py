@@ -16,15 +16,15 @@ from keymint.changes import Action, File, Step
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.plan.authorities import MintedAuthority
-from keymint.plan.enclaves import INSTALLED, has_mode
+from keymint.plan.enclaves import INSTALLED, has_mode, has_outputs
 from keymint.plan.shared_documents import (
-    FOLDER,
     STAGE,
     SharedPlan,
     build_shared,
     built_shared,
     is_current,
     load_packages,
+    obsolete,
     record_key,
     removals,
     shared_folder,
@@ -80,13 +80,8 @@ def plan_shared_install(
         steps += [step] if step.changes else []
         stamps[record_key(name)] = stamp
         diagnostics += _edits(session, name, documents)
-    recorded = session.state.stamps.get(INSTALLED, {})
-    gone = [key for key in recorded if key.startswith(f"{FOLDER}/") and key.removeprefix(f"{FOLDER}/") not in of_types]
-    for key in gone:
-        changes = removals(session, session.workspace.install, recorded[key].outputs)
-        detail = f"shared documents of {key.removeprefix(f'{FOLDER}/')}"
-        steps.append(Step(INSTALLED, "", Action.REMOVED, changes, detail))
-    return SharedPlan(tuple(steps), stamps, tuple(gone), tuple(diagnostics))
+    gone = obsolete(session, INSTALLED, session.workspace.install, of_types)
+    return SharedPlan((*steps, *gone.values()), stamps, tuple(gone), tuple(diagnostics))
 
 
 def is_installed(session: Session, build_type: str, names: Sequence[str], chains: Mapping[str, bytes]) -> bool:
@@ -99,17 +94,11 @@ def is_installed(session: Session, build_type: str, names: Sequence[str], chains
         chains: certificates of the authorities by name.
     """
     stamp, documents = session.state.stamp(INSTALLED, record_key(build_type)), built_shared(session, build_type)
-    install = session.workspace.install
     return (
         stamp is not None
         and documents is not None
         and stamp.inputs == _inputs_digest(session, names, documents, chains)
-        and all(
-            (content := session.tree.try_read(install / path)) is not None
-            and digest(content) == value
-            and has_mode(session, install / path, secret=path in stamp.secret)
-            for path, value in stamp.outputs.items()
-        )
+        and has_outputs(session, str(session.workspace.install), stamp)
     )
 
 
@@ -216,8 +205,8 @@ def _plan_documents(
         for path, artifact in artifacts.items()
         if existing.get(path) != artifact.content or not has_mode(session, install / path, secret=artifact.secret)
     }
-    obsolete = set(stamp.outputs if stamp else ()) - set(artifacts)
-    changes = (*removals(session, install, obsolete), *written(install, different))
+    left_over = set(stamp.outputs if stamp else ()) - set(artifacts)
+    changes = (*removals(session, install, left_over), *written(install, different))
     action = Action.UPDATED if existing else Action.CREATED
     chains = {authority: minted.chain for authority, minted in authorities.items()}
     made = Stamp(
