@@ -33,7 +33,7 @@ def command(run: Run, names: tuple[str, ...]) -> Report:
     session = run.session()
     for name in names:
         authority_named(session, name)
-    shown = [each for each in statuses(session) if not names or each.name in names]
+    shown = [each for each in statuses(session) if not names or each.authority.name in names]
     for each in shown:
         run.console.lines(_lines(each, session.now))
     result = {"authorities": [_document(each) for each in shown]}
@@ -51,14 +51,15 @@ def _findings(session: Session, names: tuple[str, ...]) -> list[Diagnostic]:
 
 
 def _lines(each: AuthorityStatus, now: datetime) -> Iterator[str]:
-    yield each.name
+    authority = each.authority
+    yield authority.name
     if each.certificate is None:
         yield "  no certificate"
     else:
         for label, text in _of_certificate(each.certificate, now):
             yield f"  {label:13} {text}"
-    issuer = each.issuer or "itself"
-    yield f"  {'issued by':13} {issuer}{' (imported)' if each.adopted else ''}"
+    issuer = authority.certificate.issuer or "itself"
+    yield f"  {'issued by':13} {issuer}{' (imported)' if authority.certificate.adopted else ''}"
     yield f"  {'private key':13} {each.key_place}"
     served = [
         f"{counted(use.packages, 'package')} ({use.role}{', signs' if use.signs else ''}; {use.build_type})"
@@ -69,8 +70,9 @@ def _lines(each: AuthorityStatus, now: datetime) -> Iterator[str]:
         of_list = each.revocations
         text = f"number {of_list.number}, {len(of_list.revocations)} revoked, until {of_list.next_update:%Y-%m-%d}"
         yield f"  {'revocations':13} {text}"
-    if each.phase and each.other:
-        yield f"  {'replacement':13} phase {each.phase}; the other key is {each.other.fingerprint}"
+    rollover = authority.issuance.rollover
+    if rollover and each.other:
+        yield f"  {'replacement':13} phase {rollover.phase}; the other key is {each.other.fingerprint}"
 
 
 def _of_certificate(status: CertificateStatus, now: datetime) -> Iterator[tuple[str, str]]:
@@ -85,12 +87,13 @@ def _of_certificate(status: CertificateStatus, now: datetime) -> Iterator[tuple[
 
 
 def _document(each: AuthorityStatus) -> dict[str, Any]:
+    spec, rollover = each.authority.certificate, each.authority.issuance.rollover
     return {
-        "name": each.name,
-        "issuer": each.issuer or None,
+        "name": each.authority.name,
+        "issuer": spec.issuer or None,
         "certificate": _certificate(each.certificate),
         "private_key": each.key_place,
-        "imported": each.adopted,
+        "imported": bool(spec.adopted),
         "serves": [
             {"build_type": use.build_type, "role": use.role, "signs": use.signs, "packages": use.packages}
             for use in each.uses
@@ -102,7 +105,7 @@ def _document(each: AuthorityStatus) -> dict[str, Any]:
             "next_update": each.revocations.next_update,
             "revoked": len(each.revocations.revocations),
         },
-        "replacement": {"phase": each.phase.value, "certificate": _certificate(each.other)} if each.phase else None,
+        "replacement": {"phase": rollover.phase.value, "certificate": _certificate(each.other)} if rollover else None,
     }
 
 

@@ -9,7 +9,7 @@ from datetime import datetime
 from cryptography import x509
 
 from comarmor.values import dataclass
-from keymint.api import Phase
+from keymint.api import Authority
 from keymint.pki import certificates, distinguished_names, extensions, keys
 from keymint.pki.revocation_lists import RevocationList
 from keymint.plan import authority_files
@@ -28,24 +28,18 @@ class AuthorityStatus:
     """An authority as it is.
 
     Attributes:
-        name: its name in the profile.
-        issuer: name of its issuer in the profile; empty for a self-signed certificate.
+        authority: the authority as the profile specifies it.
         certificate: its certificate as data, or None if it is missing or damaged.
         key_place: where its private key is: ``here``, ``elsewhere`` or ``token``.
         uses: what it does.
-        adopted: its certificate was imported.
-        phase: how far the replacement of its key has come, or None.
-        other: the other certificate of this replacement, or None.
+        other: the other certificate while its key is replaced, or None.
         revocations: its revocation list, or None if it never revoked anything.
     """
 
-    name: str
-    issuer: str
+    authority: Authority
     certificate: CertificateStatus | None
     key_place: str
     uses: tuple[Use, ...]
-    adopted: bool
-    phase: Phase | None
     other: CertificateStatus | None
     revocations: RevocationList | None
 
@@ -90,13 +84,10 @@ def statuses(session: Session) -> Iterator[AuthorityStatus]:
         files = authority_files.read_files(session, authority, tuple)
         rollover = authority.issuance.rollover
         yield AuthorityStatus(
-            name=authority.name,
-            issuer=authority.certificate.issuer,
+            authority=authority,
             certificate=status_of(files.certificate, due.get(authority.name)) if files.certificate else None,
             key_place=_place(files),
             uses=used[authority.name],
-            adopted=bool(authority.certificate.adopted),
-            phase=rollover.phase if rollover else None,
             other=status_of(certificates.load(rollover.certificate)) if rollover else None,
             revocations=list_of(session, authority.name),
         )

@@ -18,14 +18,10 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.values import dataclass
 from keymint.api import Authority, Package, Validity
 from keymint.names import subject_of
-from keymint.plan.terms import shown
+from keymint.plan.terms import LATER, how_to_renew, shown
 from keymint.session import Session
 from keymint.state import Stamp
 from keymint.workspace import Workspace
-
-_RENEW = "'keymint renew' issues it again with later dates"
-_RENEW_AUTHORITY = "'keymint authority renew' issues it again for the same key"
-_LATER = "compare the clock of this machine, or let it begin earlier"
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,11 +99,11 @@ def _of(each: Lifetime, authorities: Mapping[str, Authority], now: datetime, wha
         return Diagnostic(f"{each.what}-{code}", Severity.WARNING, message, each.where, help_)
 
     if now > each.last:
-        renew = _RENEW_AUTHORITY if each.what == "authority" else _RENEW
-        yield warning("expired", f"the {what} expired on {shown(each.last)}: nothing is permitted now", renew)
+        message = f"the {what} expired on {shown(each.last)}: nothing is permitted now"
+        yield warning("expired", message, how_to_renew(each.what))
     elif now < each.first:
         message = f"the {what} is not valid before {shown(each.first)}: nothing is permitted now"
-        yield warning("not-yet-valid", message, _LATER)
+        yield warning("not-yet-valid", message, LATER)
     authority = authorities.get(each.issuer)
     if authority is not None and each.last > authority.certificate.validity.not_after:
         end = authority.certificate.validity

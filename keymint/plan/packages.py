@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted, did_you_mean, first_few, quoted
 from comarmor.values import dataclass
 from comarmor.xml.package_folders import InstalledPackages, PackageFolders, ShippedFile
@@ -171,7 +171,7 @@ def plan_acceptance(
                 code="package-unknown",
                 exit_code=ExitCode.USAGE,
             )
-        before = accepted.get(name, AcceptedPackage({}))
+        before = _of(accepted, name)
         files = {each.path: _sha256(each.content) for each in by_package[name]}
         if wanted and wanted != package_digest(files):
             raise KeymintError(
@@ -260,14 +260,10 @@ def _refuse_edited_copies(session: Session, shipped: Sequence[ShippedFile]) -> N
         if content is not None and _sha256(content) != _accepted(session, name, path):
             raise KeymintError(
                 f"is not the copy of what was accepted of the package {quoted(name)}; an edit here grants nothing",
-                where=_marker(session, copies / name / path),
+                where=session.workspace.origin(copies / name / path),
                 help="restore it, or remove it; to change rights, write them into the policy",
                 code="package-copy-edited",
             )
-
-
-def _marker(session: Session, path: Path) -> Origin:
-    return session.workspace.origin(path)
 
 
 def _diagnostics(shipped: Sequence[ShippedFile], found: Mapping[ShippedFile, UnacceptedFile]) -> Iterator[Diagnostic]:

@@ -227,9 +227,8 @@ class ProofStage:
         if proof.diagnostics or any(claim.proof is not Proof.PROVEN for claim in proof.claims):
             return PackageProof(key, proof, stamp.build_types, refuted=True)
         rules = tuple(rules)
-        outputs = proof_record.dump(proof.claims, proof.terms, rules, folder)
-        outputs = proof_record.written(outputs, self._written(each.subject for each in rules))
-        return PackageProof(key, proof, stamp.build_types, replace(stamp, outputs=outputs, context=self._policy_digest))
+        stamp = replace(stamp, outputs=proof_record.dump(proof.claims, proof.terms, rules, folder))
+        return PackageProof(key, proof, stamp.build_types, self._of_policy(stamp, [each.subject for each in rules]))
 
     def _of_enclave(self, name: str, unread: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
         """Return the diagnostics of unreadable files that belong to the enclave, by the record or by their names."""

@@ -9,7 +9,6 @@ from functools import lru_cache
 from cryptography import x509
 
 from comarmor.errors import Origin
-from keymint.api import Package
 from keymint.changes import FolderChange, secret_file
 from keymint.errors import KeymintError
 from keymint.names import subject_of
@@ -95,23 +94,24 @@ def issuer_of(authority: x509.Certificate) -> str:
     return certificates.fingerprint(authority)
 
 
-def issued_certificate(
-    package: Package, certificate: x509.Certificate, issuer: x509.Certificate, rights: str
+def entry_of(
+    certificate: x509.Certificate,
+    issuer: x509.Certificate,
+    authority: str,
+    name: str,
+    generation: int,
+    rights: str = "",
 ) -> IssuedCertificate:
     """Return the entry of a certificate for the register.
 
     Args:
-        package: the package.
-        certificate: its certificate.
+        certificate: the certificate.
         issuer: the certificate of its issuer.
-        rights: digest of the package's documents.
+        authority: name of its issuer.
+        name: the package.
+        generation: its generation.
+        rights: digest of the package's documents; empty if it is not known.
     """
-    return _entry(certificate, issuer, package.identity.issuer, package.name, package.issuance.generation, rights)
-
-
-def _entry(
-    certificate: x509.Certificate, issuer: x509.Certificate, authority: str, name: str, generation: int, rights: str
-) -> IssuedCertificate:
     return IssuedCertificate(
         issuer=issuer_of(issuer),
         serial=certificate.serial_number,
@@ -184,7 +184,7 @@ def _found(session: Session, names: Collection[str]) -> Iterator[IssuedCertifica
         for authority, issuer in issuers:
             if certificate is not None and certificates.is_issued_by(certificate, issuer):
                 generation = session.issuance(name).generation if name in known else 0
-                yield _entry(certificate, issuer, authority, name, generation, rights="")
+                yield entry_of(certificate, issuer, authority, name, generation)
                 break
 
 

@@ -131,17 +131,16 @@ def _package(session: Session, given: Given, fingerprints: Mapping[str, str]) ->
 def _vouches(session: Session, name: str, request: Request) -> bool:
     """Tell whether the key that a package has signed a request, for itself or for another key."""
     current = current_fingerprint(session, name)
-    return bool(current) and current in {request.fingerprint, request.signer} and not _barred(session, current)
+    return (
+        bool(current) and current in {request.fingerprint, request.signer} and not register_of(session).barred(current)
+    )
 
 
 def current_fingerprint(session: Session, name: str) -> str:
     """Return the fingerprint of the key that a package has, wherever it is; empty if it has none yet."""
-    public = session.issuance(name).public_key
-    return (
-        keys.fingerprint(public_keys.from_pem(public, place_of(session, name)))
-        if public
-        else (known_fingerprint(session, name))
-    )
+    if public := session.issuance(name).public_key:
+        return keys.fingerprint(public_keys.from_pem(public, place_of(session, name)))
+    return known_fingerprint(session, name)
 
 
 def _is_kept_here(session: Session, name: str, request: Request) -> bool:
@@ -159,7 +158,7 @@ def _require_certifiable(session: Session, package: Package, given: Given, keyri
             "make a key of that kind on the robot (keymint request --key-type), or change the sources",
             "key-kind",
         )
-    if reason := _barred(session, request.fingerprint):
+    if reason := register_of(session).barred(request.fingerprint):
         raise _refused(f"is for a key that was revoked ({reason})", given, _AGAIN, "key-barred")
     keyring.require_free(package.name, key)
     _require_unknown(session, package.name, given)
@@ -176,10 +175,6 @@ def _require_unknown(session: Session, name: str, given: Given) -> None:
     for issued in register_of(session).certificates.values():
         if issued.key == given.request.fingerprint and issued.name not in {"", name}:
             raise _refused(f"has a key that was certified for /{issued.name} before", given, _AGAIN, "key-shared")
-
-
-def _barred(session: Session, fingerprint: str) -> str:
-    return register_of(session).barred(fingerprint)
 
 
 def _refused(message: str, given: Given, help_: str, code: str) -> KeymintError:

@@ -17,7 +17,7 @@ from keymint.plan.authorities import MintedAuthority
 from keymint.plan.build_types import build_types_of, roles_of, two_writers
 from keymint.plan.enclaves import CERTIFICATE
 from keymint.plan.issuance import place_of
-from keymint.plan.register import issued_certificate, issuer_of, register_of
+from keymint.plan.register import entry_of, issuer_of, register_of
 from keymint.plan.revocation import enclave_lists
 from keymint.plan.signers import Signers
 from keymint.register.register import IssuedCertificate, Register
@@ -84,7 +84,8 @@ def sign(
         if conflicts := two_writers(session, package, writers, name, own, different):
             raise KeymintError.of(conflicts)
         artifacts |= own
-    entry = issued_certificate(package, loaded, issuer.certificate, digest_files(documents))
+    identity, generation, rights = package.identity, package.issuance.generation, digest_files(documents)
+    entry = entry_of(loaded, issuer.certificate, identity.issuer, package.name, generation, rights)
     return artifacts, entry, warnings
 
 

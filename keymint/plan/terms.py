@@ -15,7 +15,13 @@ _HELP_BY_CODE = {
     "authority": "'keymint authority renew' issues it again for the same key",
     "revocation-list": "'keymint crl --refresh' issues it again",
 }
-_LATER = "compare the clock of this machine, or let it begin earlier"
+LATER = "compare the clock of this machine, or let it begin earlier"
+"""How to mend what is not valid yet."""
+
+
+def how_to_renew(what: str) -> str:
+    """Return how to mend what expired: an ``authority``, a ``revocation-list``, or a document of an enclave."""
+    return _HELP_BY_CODE.get(what, _HELP)
 
 
 def shown(moment: datetime) -> str:
@@ -60,7 +66,7 @@ def findings(terms: Sequence[ValidityTerm], now: datetime, subject: str) -> Iter
         else:
             code, message = "never-valid", "is never valid"
         text = f"{term.what} {message}{reading}; now is {shown(now)}, and nothing is permitted"
-        help_ = _LATER if later is not None else _HELP_BY_CODE.get(term.code, _HELP)
+        help_ = LATER if later is not None else how_to_renew(term.code)
         yield Diagnostic(f"{term.code}-{code}", Severity.ERROR, text, term.where, help_, subject)
 
 

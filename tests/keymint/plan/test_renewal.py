@@ -44,10 +44,13 @@ def planning(days: float = 0, end: datetime = END, issuer: str = "") -> Any:
         SimpleNamespace(name=name, certificate=SimpleNamespace(issuer=above))
         for name, above in (("root", ""), ("ca", issuer))
     ]
-    periods = {"root": (CLOCK - 3650 * DAY, END), "ca": (CLOCK - 3650 * DAY, end)}
+    certificates = {
+        name: SimpleNamespace(not_valid_before_utc=CLOCK - 3650 * DAY, not_valid_after_utc=last)
+        for name, last in (("root", END), ("ca", end))
+    }
     return SimpleNamespace(
         now=CLOCK + days * DAY, profile=SimpleNamespace(authorities=authorities),
-        once=lambda key, make: periods if key == "authority periods" else make(),
+        once=lambda key, make: certificates if key[0].__name__ == "_authorities_here" else make(),
     )  # fmt: skip
 
 
