@@ -199,7 +199,7 @@ class Client:
     def _loaded(self, session: Session) -> LoadedPolicy:
         """Return the policy, which is loaded again if one of its files changed."""
         known, policy = self._policy
-        fingerprint = session.plugins.policy_type(session.profile.policy_type, session.profile_marker()).fingerprint
+        fingerprint = session.policy_type.fingerprint
         changed = policy is None or any(fingerprint(path) != value for path, value in policy.seen.items())
         if policy is None or changed or known != locations_digest(session):
             policy = load_policy(session)

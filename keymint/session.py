@@ -15,6 +15,7 @@ from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint import __version__
 from keymint.api import (
+    BuildType,
     BuiltPackageType,
     Infrastructure,
     InfrastructurePackage,
@@ -23,6 +24,8 @@ from keymint.api import (
     Layout,
     Package,
     PackageType,
+    PolicyType,
+    ProfileType,
     Role,
     WorkspaceProfile,
 )
@@ -156,14 +159,13 @@ class Session(Inputs):
         Raises:
             KeymintError: no build type knows the layout, or one cannot be loaded.
         """
-        name, where = self.profile.layout, self.profile_marker()
-        build_types = [self.plugins.build_type(each, where) for each in self.profile.build_types]
+        name, build_types = self.profile.layout, self.build_types.values()
         if layouts := tuple(each.LAYOUTS[name] for each in build_types if name in each.LAYOUTS):
             return layouts
         known = sorted({layout for each in build_types for layout in each.LAYOUTS})
         raise KeymintError(
             f"no build type of the workspace has a layout {name!r}",
-            where=where,
+            where=self.profile_marker(),
             help=did_you_mean(name, known, f"known are {', '.join(known)}"),
             code="layout-unknown",
         )
@@ -181,6 +183,21 @@ class Session(Inputs):
         """Return :meth:`enclave` as a text."""
         enclaves = self.once("enclaves as a text", lambda: str(self.enclaves))
         return enclaves if name == ROOT else f"{enclaves}/{name}"
+
+    @property
+    def profile_type(self) -> ProfileType:
+        """The type of the profile."""
+        return self.plugins.profile_type(self.profile.profile_type)
+
+    @property
+    def policy_type(self) -> PolicyType:
+        """The type of the policy; errors as :meth:`keymint.plugins.Plugins.policy_type`."""
+        return self.plugins.policy_type(self.profile.policy_type, self.profile_marker())
+
+    @property
+    def build_types(self) -> Mapping[str, BuildType]:
+        """The build types of new packages by name; errors as :meth:`keymint.plugins.Plugins.build_type`."""
+        return {each: self.plugins.build_type(each, self.profile_marker()) for each in self.profile.build_types}
 
     @property
     def package_type(self) -> PackageType:
@@ -321,8 +338,7 @@ class Session(Inputs):
             KeymintError: two build types need a package of one name, or the profile has a defect.
         """
         needed: dict[str, tuple[InfrastructurePackage, str]] = {}
-        for build_type in self.profile.build_types:
-            plugin = self.plugins.build_type(build_type, self.profile_marker())
+        for build_type, plugin in self.build_types.items():
             for each in plugin.packages(self.profile) if isinstance(plugin, Infrastructure) else ():
                 if each.name in needed:
                     raise KeymintError(

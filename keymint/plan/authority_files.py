@@ -115,6 +115,28 @@ def _readable(content: bytes | None) -> x509.Certificate | None:
     return certificate
 
 
+def stored_certificate(inputs: Inputs, name: str) -> x509.Certificate:
+    """Return the certificate of an authority.
+
+    Raises:
+        KeymintError: it is missing or damaged.
+    """
+    path = inputs.workspace.authority_certificate(name)
+    return certificates.load(inputs.tree.read(path) or b"", inputs.workspace.origin(path))
+
+
+def with_issuers(name: str, issuers: Mapping[str, str]) -> Iterator[str]:
+    """Yield the names of an authority and of those above it; cycles were refused on loading.
+
+    Args:
+        name: the authority.
+        issuers: the name of the issuer of each authority, or an empty text.
+    """
+    while name in issuers:
+        yield name
+        name = issuers[name]
+
+
 def in_order(authorities: Sequence[Authority]) -> tuple[Authority, ...]:
     """Return authorities in an order in which each follows its issuer."""
     ordered: dict[str, Authority] = {}

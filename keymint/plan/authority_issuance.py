@@ -43,7 +43,7 @@ def plan_authority_issuance(session: Session, new: Mapping[str, AuthorityIssuanc
         KeymintError: the type of the profile cannot keep it.
     """
     profile = session.profile
-    plugin = session.plugins.profile_type(profile.profile_type)
+    plugin = session.profile_type
     if not isinstance(plugin, AuthorityIssuanceFiles):
         raise KeymintError(
             f"the profile type {profile.profile_type!r} cannot keep what is decided about authorities",

@@ -10,6 +10,7 @@ from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.api import AuthorityChanges, Implementation
 from keymint.errors import ExitCode, KeymintError
+from keymint.plan.authority_files import with_issuers
 from keymint.plan.build_types import build_types_of
 from keymint.session import Session
 
@@ -47,10 +48,8 @@ def _uses(session: Session) -> dict[str, tuple[Use, ...]]:
         for build_type, plugin in build_types_of(session, package).items():
             found: set[tuple[str, str, str, bool]] = set()
             for role in plugin.authorities(package):
-                name, signs = role.name, role.signs
-                while name:
-                    found.add((name, build_type, role.role, signs))
-                    name, signs = issuers.get(name, ""), False
+                for name in with_issuers(role.name, issuers):
+                    found.add((name, build_type, role.role, role.signs and name == role.name))
             counts.update(found)
     return {
         authority: tuple(

@@ -42,8 +42,7 @@ def refuse_unsupported(session: Session) -> None:
         KeymintError: a build type has no such layout, or its transport does not exist for the distribution.
     """
     profile = session.profile
-    for name in profile.build_types:
-        build_type = session.plugins.build_type(name, session.profile_marker())
+    for build_type in session.build_types.values():
         if profile.layout not in build_type.LAYOUTS:
             raise KeymintError(
                 f"the transport {build_type.TRANSPORT} has no layout {profile.layout!r}",
@@ -68,7 +67,7 @@ def plan_policy(session: Session, policy: str) -> Plan:
     wanted = (session.workspace.profile / policy).resolve()
     if [source.path.resolve() for source in profile.policies] == [wanted]:
         return Plan((), session.state)
-    files = session.plugins.profile_type(profile.profile_type).with_policy(profile.files, policy)
+    files = session.profile_type.with_policy(profile.files, policy)
     changes = changed_below(session.tree, session.workspace.profile, files)
     return Plan((Step(STAGE, "", Action.UPDATED, changes, f"policy {policy}"),), session.state)
 

@@ -141,7 +141,7 @@ def shared_builder(session: Session, name: str) -> SharedDocuments | None:
 
     The documents of such a build type name each other by absolute paths, so they depend on the install space.
     """
-    if not any(info.group == "keymint.build_types" and info.name == name for info in session.plugins.infos):
+    if name not in session.plugins.names("keymint.build_types"):
         return None
     build_type: object = session.plugins.build_type(name)
     return build_type if isinstance(build_type, SharedDocuments) else None
@@ -149,7 +149,7 @@ def shared_builder(session: Session, name: str) -> SharedDocuments | None:
 
 def may_share(session: Session, names: Iterable[str]) -> bool:
     """Tell whether packages may have documents that depend on other packages: cautious, and reads manifests only."""
-    sharing = {each.name for each in session.plugins.infos if shared_builder(session, each.name)}
+    sharing = {name for name in session.plugins.names("keymint.build_types") if shared_builder(session, name)}
     if not sharing.isdisjoint(session.profile.build_types) or session.infrastructure():
         return True
     texts = [name.encode() for name in sharing]

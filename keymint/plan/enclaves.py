@@ -118,8 +118,7 @@ def files_in(session: Session, name: str) -> tuple[str, ...]:
 @once
 def _known_names(session: Session) -> frozenset[str]:
     """Return the names of the files that any installed build type puts into enclaves."""
-    infos = (info for info in session.plugins.infos if info.group == "keymint.build_types")
-    build_types = (session.plugins.build_type(info.name) for info in infos)
+    build_types = map(session.plugins.build_type, session.plugins.names("keymint.build_types"))
     return frozenset(file for each in build_types for file in each.files(session.profile.layout))
 
 

@@ -12,7 +12,7 @@ from comarmor.values import dataclass
 from keymint.api import Authority
 from keymint.errors import KeymintError
 from keymint.pki import adoption, certificates, distinguished_names, keys
-from keymint.plan import token_keys
+from keymint.plan import authority_files, token_keys
 from keymint.plan.private_keys import password
 from keymint.session import Session
 
@@ -76,10 +76,7 @@ def _require_issuer(session: Session, issuer: str, certificate: x509.Certificate
     Raises:
         KeymintError: it was not: enclaves need all authorities up to a self-signed one.
     """
-    above = certificate
-    if issuer:
-        path = session.workspace.authority_certificate(issuer)
-        above = certificates.load(session.tree.read(path) or b"", session.workspace.origin(path))
+    above = authority_files.stored_certificate(session, issuer) if issuer else certificate
     if not certificates.is_issued_by(certificate, above):
         expected = f"the authority {issuer!r}" if issuer else "itself"
         raise KeymintError(

@@ -122,7 +122,7 @@ def plan_authority(session: Session, former: str) -> Plan:
         KeymintError: the profile is written in another way than Keymint writes it, or has such an authority.
     """
     profile = session.profile
-    profile_type: object = session.plugins.profile_type(profile.profile_type)
+    profile_type: object = session.profile_type
     if not isinstance(profile_type, HardenedProfileType):
         raise _unsupported(session, f"profiles of the type {profile.profile_type!r}")
     name = profile_type.SIGNER

@@ -18,6 +18,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.values import dataclass
 from keymint.api import Authority, Package, Validity
 from keymint.names import subject_of
+from keymint.plan.authority_files import with_issuers
 from keymint.plan.terms import LATER, how_to_renew, shown
 from keymint.session import Session
 from keymint.state import Stamp
@@ -73,23 +74,17 @@ def findings(by_package: Mapping[str, Iterable[Lifetime]], session: Session) -> 
     """
     authorities = {authority.name: authority for authority in session.profile.authorities}
     warnings: list[Diagnostic] = []
+    issuers = {name: authority.certificate.issuer for name, authority in authorities.items()}
     used: dict[str, None] = {}
     for name, lifetimes in by_package.items():
         for each in lifetimes:
-            used.update(dict.fromkeys(_above(each.issuer, authorities)))
+            used.update(dict.fromkeys(with_issuers(each.issuer, issuers)))
             warnings += (replace(found, subject=subject_of(name)) for found in _of(each, authorities, session.now))
     for name in used:
         spec = authorities[name].certificate
         own = _lifetime("authority", spec.validity, spec.issuer, spec.origin)
         warnings += _of(own, authorities, session.now, f"certificate of the authority {name!r}")
     return tuple(dict.fromkeys(warnings))
-
-
-def _above(name: str, authorities: Mapping[str, Authority]) -> Iterator[str]:
-    """Yield an authority and those above it; names and cycles were checked on loading."""
-    while name in authorities:
-        yield name
-        name = authorities[name].certificate.issuer
 
 
 def _of(each: Lifetime, authorities: Mapping[str, Authority], now: datetime, what: str = "") -> Iterator[Diagnostic]:

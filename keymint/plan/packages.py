@@ -150,7 +150,7 @@ def plan_acceptance(
             profile cannot keep it.
     """
     profile = session.profile
-    plugin = session.plugins.profile_type(profile.profile_type)
+    plugin = session.profile_type
     if not isinstance(plugin, AcceptedPackageFiles) or profile.package_copies is None:
         raise KeymintError(
             f"the profile type {profile.profile_type!r} cannot keep what was accepted of packages",
@@ -204,7 +204,7 @@ def plan_release(session: Session, policy: LoadedPolicy) -> Plan:
         policy: its policy. One that is not loaded has not changed, and drops nothing.
     """
     profile = session.profile
-    plugin = session.plugins.profile_type(profile.profile_type)
+    plugin = session.profile_type
     if (
         not profile.packages
         or not isinstance(policy, PolicyWithPackages)

@@ -88,12 +88,11 @@ def plan_acceptance(session: Session, named: Mapping[str, str], *, trust_links: 
 
 def _load(session: Session, folders: PackageFolders) -> LoadedPolicy:
     profile = session.profile
-    policy_type = session.plugins.policy_type(profile.policy_type, session.profile_marker())
     library, shown = profile.library, None
     if library is not None and not library.is_dir():
-        library, shown = session.plugins.profile_type(profile.profile_type).library(profile.distro), library
+        library, shown = session.profile_type.library(profile.distro), library
     try:
-        return packages.load_with(policy_type, profile.policies, library, shown, folders)
+        return packages.load_with(session.policy_type, profile.policies, library, shown, folders)
     except KeymintError as error:
         paths = [source.path for source in profile.policies]
         foreign = foreign_policy(session.plugins, paths, profile.policy_type)
@@ -123,7 +122,7 @@ def is_recorded(session: Session) -> bool:
 def is_unchanged(session: Session) -> bool:
     """Tell whether the policy would be read from the recorded files with the recorded content."""
     recorded = session.state.stamp(_STAGE, _FILES)
-    policy_type = session.plugins.policy_type(session.profile.policy_type, session.profile_marker())
+    policy_type = session.policy_type
     return (
         recorded is not None
         and session.state.stamp(_STAGE, _SUBJECTS) is not None

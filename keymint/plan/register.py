@@ -165,8 +165,7 @@ def _restored(session: Session, *, lossy: bool) -> Register:
 def _installed_list(session: Session, authority: x509.Certificate) -> bytes | None:
     """Return the revocation list of an authority that enclaves have, which is the last one that they got, or None."""
     profile, found = session.profile, dict[int, bytes]()
-    build_types = [session.plugins.build_type(each, session.profile_marker()) for each in profile.build_types]
-    files = dict(revocation_files(build_types, profile.distro, profile.layout, b"list"))
+    files = dict(revocation_files(session.build_types.values(), profile.distro, profile.layout, b"list"))
     for name in installed(session):
         for file in files:
             content = session.tree.try_read(f"{session.enclave_folder(name)}/{file}") or b""

@@ -18,7 +18,7 @@ from comarmor.values import dataclass
 from keymint.api import Issuance
 from keymint.pki import certificates, periods
 from keymint.plan import lifetimes
-from keymint.plan.authority_files import in_order
+from keymint.plan.authority_files import in_order, with_issuers
 from keymint.plan.enclaves import INSTALLED, installed, installed_certificate
 from keymint.plan.revocation import list_of
 from keymint.plan.threshold import DEFAULT, Threshold
@@ -233,10 +233,8 @@ def _authorities(session: Session, terms: Sequence[EnclaveTerms], threshold: Thr
     That is where the threshold for an authority comes from: with ten years of validity, and a year for what it signs,
     it is due a year before its end.
     """
-    ends, issuers = (
-        authority_ends(session),
-        {each.name: each.certificate.issuer for each in session.profile.authorities},
-    )
+    ends = authority_ends(session)
+    issuers = {each.name: each.certificate.issuer for each in session.profile.authorities}
     cut: dict[str, dict[str, None]] = {}
     for each in terms:
         for term in each.terms:
@@ -250,13 +248,9 @@ def _authorities(session: Session, terms: Sequence[EnclaveTerms], threshold: Thr
     for name, end in ends.items():
         soon = name in used and threshold.left is not None and end - session.now <= threshold.left
         if name in cut or soon:
-            above = [issuer for issuer in _above(name, issuers) if issuer in ends and ends[issuer] <= end]
-            yield AuthorityDue(name, end, tuple(cut.get(name, ())), tuple(above))
-
-
-def _above(name: str, issuers: Mapping[str, str]) -> Iterator[str]:
-    while name := issuers.get(name, ""):
-        yield name
+            _, *above = with_issuers(name, issuers)
+            before = tuple(issuer for issuer in above if issuer in ends and ends[issuer] <= end)
+            yield AuthorityDue(name, end, tuple(cut.get(name, ())), before)
 
 
 def installed_terms(session: Session, names: Iterable[str]) -> tuple[EnclaveTerms, ...]:

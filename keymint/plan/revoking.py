@@ -128,8 +128,7 @@ def _limits(
     """Return what stays possible although the certificates are revoked."""
     found: list[Diagnostic] = []
     profile = session.profile
-    readers = [session.plugins.build_type(each, session.profile_marker()) for each in profile.build_types]
-    of_lists = [each for each in readers if isinstance(each, RevocationReader)]
+    of_lists = [each for each in session.build_types.values() if isinstance(each, RevocationReader)]
     if of_lists and not any(each.revocation_files(profile.distro, profile.layout, b"list") for each in of_lists):
         end = max((each.not_after for each in certificates), default=None)
         until = f" until {end:%Y-%m-%d}" if end else ""

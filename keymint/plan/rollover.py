@@ -103,7 +103,7 @@ def plan_switch(session: Session, name: str) -> Plan:
         files[former_path.name] = File(in_force[0], secret=True)
     issuance = _issuance_of(session, name, rollover.certificate)
     if rollover.phase is Phase.DISTRIBUTE:
-        former = _former(session, authority, _stored_certificate(session, name), following)
+        former = _former(session, authority, authority_files.stored_certificate(session, name), following)
         issuance = replace(issuance, rollover=Rollover(Phase.REISSUE, former))
     shown = f"{name}: {f'phase {Phase.REISSUE}' if issuance.rollover else 'replaced'}"
     decided = plan_authority_issuance(session, {name: issuance}, shown)
@@ -230,11 +230,6 @@ def _require_distinct(session: Session, name: str, present: x509.Certificate, fo
 # -- files -----------------------------------------------------------------------------------------------------------
 
 
-def _stored_certificate(session: Session, name: str) -> x509.Certificate:
-    path = session.workspace.authority_certificate(name)
-    return certificates.load(session.tree.read(path) or b"", session.workspace.origin(path))
-
-
 def _former(session: Session, authority: Authority, present: x509.Certificate, following: x509.Certificate) -> bytes:
     """Return the certificate that was in force, also if a killed run replaced its file already.
 
@@ -267,7 +262,7 @@ def _issuance_of(session: Session, name: str, pem: bytes) -> AuthorityIssuance:
         plain = AuthorityIssuance(renewed=certificate.not_valid_after_utc - base)
         after = session.after(plan_authority_issuance(session, {name: plain}, "")).session()
         spec = authority_named(after, name).certificate
-        issuer = _stored_certificate(after, spec.issuer) if spec.issuer else None
+        issuer = authority_files.stored_certificate(after, spec.issuer) if spec.issuer else None
         if authority_files.satisfies(pem, spec, certificates.public_key(certificate), issuer):
             return plain
     return AuthorityIssuance(renewed=plain.renewed, adopted=pem)
