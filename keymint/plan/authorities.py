@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 
 from cryptography import x509
 
@@ -144,7 +144,8 @@ def _in_use(inputs: Inputs, files: AuthorityFiles, key: keys.PublicKey) -> Autho
     """
     authority_files.require_rollover(files, key)
     if key_record.was_under_way(inputs.state, keys.fingerprint(key)):
-        return files.without_other_certificate(key)
+        is_other = files.certificate is not None and certificates.public_key(files.certificate) != key
+        return replace(files, certificate=None) if is_other else files
     authority_files.require_fit(files, key)
     authority_files.require_name(files)
     authority_files.require_known(files, key)

@@ -75,12 +75,6 @@ class AuthorityFiles:
         pem = self.authority.certificate.adopted
         return replace(self, content=pem, certificate=certificates.load(pem)) if pem else self
 
-    def without_other_certificate(self, key: keys.PublicKey) -> AuthorityFiles:
-        """Return the files without the certificate of another key that a killed run did not replace."""
-        if self.certificate is None or certificates.public_key(self.certificate) == key:
-            return self
-        return replace(self, certificate=None)
-
 
 def read_files(
     inputs: Inputs, authority: Authority, deployed: Callable[[], Sequence[x509.Certificate]]

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping, MutableMapping
 
 from comarmor.errors import Diagnostic, Severity
-from keymint.api import Artifact, AuthorityRole, BuildType, Package, RevocationReader, SharedDocuments
+from keymint.api import Artifact, AuthorityRole, BuildType, Package, Prover, RevocationReader, SharedDocuments
 from keymint.errors import KeymintError
 from keymint.session import Session, once
 from keymint.state import digest
@@ -145,6 +145,13 @@ def shared_builder(session: Session, name: str) -> SharedDocuments | None:
         return None
     build_type: object = session.plugins.build_type(name)
     return build_type if isinstance(build_type, SharedDocuments) else None
+
+
+@once
+def prover_of(session: Session, name: str) -> Prover | None:
+    """Return a build type if it proves claims about enclaves."""
+    build_type: object = session.plugins.build_type(name)
+    return build_type if isinstance(build_type, Prover) else None
 
 
 def may_share(session: Session, names: Iterable[str]) -> bool:

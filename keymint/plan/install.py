@@ -160,7 +160,7 @@ def _plan_enclave(
             code="symlink-refused",
         )
     stamp = session.state.stamp(STAGE, name)
-    if stamp is not None and _has_outputs(session, name, stamp, inputs):
+    if stamp and stamp.inputs == inputs and has_outputs(session, session.enclave_folder(name), stamp):
         own = lifetimes.recalled(session, name, stamp)
         return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED), lifetimes=own)
     package, folder = session.package(name), session.enclave(name)
@@ -323,12 +323,8 @@ def is_current(session: Session, name: str, chains: Mapping[str, bytes]) -> bool
         chains: certificates of the authorities by name.
     """
     stamp = session.state.stamp(STAGE, name)
-    return stamp is not None and _has_outputs(session, name, stamp, inputs_of(session, name, chains))
-
-
-def _has_outputs(session: Session, name: str, stamp: Stamp, inputs: str | None) -> bool:
-    """Tell whether an enclave was made from these inputs, and is as it was made."""
-    return stamp.inputs == inputs and has_outputs(session, session.enclave_folder(name), stamp)
+    is_same = stamp is not None and stamp.inputs == inputs_of(session, name, chains)
+    return stamp is not None and is_same and has_outputs(session, session.enclave_folder(name), stamp)
 
 
 def inputs_of(session: Session, name: str, chains: Mapping[str, bytes]) -> str | None:

@@ -31,7 +31,7 @@ from keymint.ir import SubjectRules
 from keymint.names import name_of, subject_of
 from keymint.plan import authority_evidence, proof_record, terms
 from keymint.plan.authority_files import trusted_chains
-from keymint.plan.build_types import build_types_of, inputs_digest, issuers_of, suffixes_read
+from keymint.plan.build_types import build_types_of, inputs_digest, issuers_of, prover_of, suffixes_read
 from keymint.plan.enclaves import INSTALLED, enclave_digests, enclave_files, not_installed
 from keymint.plan.proof_results import EnclaveProof, PackageProof, ProofEffort, ProofResults
 from keymint.plan.shared_documents import load_packages, record_key
@@ -130,7 +130,7 @@ class ProofStage:
         assumptions: dict[str, Sequence[str]] = {}
         standards: set[str] = set()
         for name in dict.fromkeys(name for each in proven for name in each.build_types):
-            if prover := self._prover(name):
+            if prover := prover_of(self._session, name):
                 assumptions |= prover.assumptions()
                 standards.update([*prover.assumptions()][:1])
         proofs, shared = tuple(each.proof for each in proven), tuple(each.proof for each in across)
@@ -277,7 +277,7 @@ class ProofStage:
         diagnostics: list[Diagnostic] = []
         build_types = build_types_of(self._session, package)
         for name in build_types:
-            prover = self._prover(name)
+            prover = prover_of(self._session, name)
             if prover is None:
                 message, marker = f"the build type {name} proves nothing", self._session.package_marker(package.name)
                 diagnostics.append(Diagnostic(NO_PROVER, Severity.ERROR, message, marker))
@@ -322,11 +322,6 @@ class ProofStage:
         if found := prover.differences(task.files, task.folder, task.anchors, task.shared, task.shared_folder):
             raise KeymintError.of(found)
         return ()
-
-    def _prover(self, name: str) -> Prover | None:
-        """Return a build type if it proves claims about enclaves."""
-        build_type: object = self._session.plugins.build_type(name)
-        return self._session.once(("prover", name), lambda: build_type if isinstance(build_type, Prover) else None)
 
     def _inputs_digest(self, name: str, digests: Mapping[str, str], build_types: Iterable[str]) -> str:
         """Return the digest of everything that a proof depends on, except the policy."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from datetime import datetime
+from datetime import datetime, timedelta
 
 from cryptography import x509
 
@@ -45,6 +45,15 @@ class Term:
     authority: str
     is_cut: bool
 
+    @property
+    def length(self) -> timedelta:
+        """The time from begin to end."""
+        return self.last - self.first
+
+    def renew_after(self, threshold: Threshold) -> datetime:
+        """Return from when on it is due."""
+        return threshold.moment(self.first, self.last)
+
 
 @dataclass(frozen=True, slots=True)
 class EnclaveTerms:
@@ -60,7 +69,7 @@ class EnclaveTerms:
     def renew_after(self, threshold: Threshold = DEFAULT) -> datetime | None:
         """Return from when on the enclave is due; None if all that it has ends with its authorities."""
         first = self.first(threshold)
-        return threshold.moment(first.first, first.last) if first else None
+        return first.renew_after(threshold) if first else None
 
     def ends_with(self) -> str:
         """Return the name of the authority that all of them end with; empty if some can be renewed."""
@@ -69,7 +78,7 @@ class EnclaveTerms:
     def first(self, threshold: Threshold = DEFAULT) -> Term | None:
         """Return the term that is due first, without what ends with its authority."""
         own = [each for each in self.terms if not each.is_cut]
-        return min(own, key=lambda each: threshold.moment(each.first, each.last), default=None)
+        return min(own, key=lambda each: each.renew_after(threshold), default=None)
 
 
 @once
@@ -135,7 +144,7 @@ def authority_renewals(session: Session, terms: Iterable[EnclaveTerms]) -> Mappi
     for each in terms:
         for term in each.terms:
             if term.what != LIST and term.authority in ends:
-                moment = session.now if term.is_cut else ends[term.authority] - (term.last - term.first)
+                moment = session.now if term.is_cut else ends[term.authority] - term.length
                 moment = max(moment, _matters_from(session, term, DEFAULT))
                 due[term.authority] = min(due.get(term.authority, moment), moment)
     return due
@@ -149,7 +158,7 @@ def _matters_from(session: Session, term: Term, threshold: Threshold) -> datetim
     """
     authority = _authorities_here(session)[term.authority]
     length = authority.not_valid_after_utc - authority.not_valid_before_utc
-    return threshold.moment(term.first, term.last) if 2 * (term.last - term.first) >= length else term.first
+    return term.renew_after(threshold) if 2 * term.length >= length else term.first
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,12 +224,12 @@ def schedule(session: Session, terms: Iterable[EnclaveTerms], threshold: Thresho
     later: list[Due] = []
     for each in of_enclaves:
         for term in each.terms:
-            after = threshold.moment(term.first, term.last)
+            after = term.renew_after(threshold)
             if term.what == LIST and not term.is_cut and after <= session.now:
                 due_lists.setdefault(term.authority, Due(term.authority, term, after))
         own = EnclaveTerms(each.name, tuple(term for term in each.terms if term.what != LIST))
-        first, moment = own.first(threshold), own.renew_after(threshold)
-        if first is not None and moment is not None:
+        if first := own.first(threshold):
+            moment = first.renew_after(threshold)
             (enclaves if moment <= session.now else later).append(Due(each.name, first, moment))
     following = min(later, key=lambda each: (each.after or session.now, each.name), default=None)
     authorities = tuple(_authorities(session, of_enclaves, threshold))
@@ -238,11 +247,10 @@ def _authorities(session: Session, terms: Sequence[EnclaveTerms], threshold: Thr
     cut: dict[str, dict[str, None]] = {}
     for each in terms:
         for term in each.terms:
-            length = term.last - term.first
             end = ends.get(term.authority)
             if term.what == LIST or end is None or session.now < _matters_from(session, term, threshold):
                 continue
-            if term.is_cut or periods.begin(session.now, length) + length > end:
+            if term.is_cut or periods.begin(session.now, term.length) + term.length > end:
                 cut.setdefault(term.authority, {})[each.name] = None
     used = {term.authority for each in terms for term in each.terms}
     for name, end in ends.items():
@@ -288,7 +296,7 @@ def list_end(session: Session, due: Due) -> datetime | None:
     """Return nextUpdate of a list that is issued again: it is as long as before; None for the end of the authority."""
     if due.why is None:
         return None
-    length = due.why.last - due.why.first
+    length = due.why.length
     end = session.now - periods.back(length) + length
     last = authority_ends(session).get(due.name)
     return None if last is None or end >= last else end

@@ -152,10 +152,11 @@ def is_interrupted(session: Session, name: str) -> bool:
     """Tell whether a run was killed that put the next authority into force."""
     authority = authority_named(session, name)
     rollover = authority.issuance.rollover
-    if rollover is None or rollover.phase is Phase.REISSUE:
+    if rollover is None:
         return False
     in_force = authority_files.stored_key(session, authority, name)
-    return in_force is not None and keys.matches(in_force[1], certificates.load(rollover.certificate))
+    is_next = in_force is not None and keys.matches(in_force[1], certificates.load(rollover.certificate))
+    return is_next and rollover.phase is not Phase.REISSUE
 
 
 # -- the next authority ----------------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ a removed subject end before anything else changes.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import cast
 
 from comarmor.errors import Diagnostic, Origin, Severity
@@ -227,20 +227,19 @@ def _not_built(session: Session, name: str) -> KeymintError:
     )
 
 
-def _places(session: Session, documents: Iterable[str]) -> Sequence[Origin]:
-    return [session.workspace.origin(shared_folder(session) / path) for path in documents]
+def _places(session: Session, documents: Iterable[str]) -> Iterator[Origin]:
+    return (session.workspace.origin(shared_folder(session) / path) for path in documents)
 
 
 def _outdated(session: Session, documents: Iterable[str]) -> Diagnostic:
-    where = next(iter(_places(session, documents)), None)
-    message, help_ = "is stale; signing the existing build", "'keymint build' rebuilds it"
-    return Diagnostic(OUTDATED, Severity.WARNING, message, where, help_)
+    where, message = next(_places(session, documents), None), "is stale; signing the existing build"
+    return Diagnostic(OUTDATED, Severity.WARNING, message, where, "'keymint build' rebuilds it")
 
 
 def _outdated_removal(session: Session, documents: Iterable[str], orphans: Sequence[str]) -> KeymintError:
     return KeymintError(
         f"is stale, and may still have the rights of {subject_of(orphans[0])}, whose enclave is to be removed",
-        where=next(iter(_places(session, documents)), None),
+        where=next(_places(session, documents), None),
         help="run 'keymint build' first",
         code=OUTDATED,
     )

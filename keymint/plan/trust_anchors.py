@@ -7,10 +7,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from comarmor.errors import Diagnostic
-from keymint.api import BuildType, Package, Prover, TrustAnchor, TrustAnchors
+from keymint.api import BuildType, Package, TrustAnchor, TrustAnchors
 from keymint.plan import authority_evidence
 from keymint.plan.authority_files import trusted_chains
-from keymint.plan.build_types import build_types_of, issuers_of, suffixes_read
+from keymint.plan.build_types import build_types_of, issuers_of, prover_of, suffixes_read
 from keymint.plan.enclaves import enclave_files
 from keymint.plan.shared_documents import users
 from keymint.plan.shared_install import shared_files, shared_roles
@@ -85,9 +85,9 @@ def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...
         issuers = issuers_of(session, package)
         findings += authority_evidence.contradictions_for(contradictions, issuers)
         folder = session.workspace.shown(session.enclave_folder(name))
-        for build_type, prover in build_types_of(session, package).items():
-            if isinstance(prover, Prover):
-                anchors = anchors_of(session, package, build_types_of(session, package)[build_type], chains)
+        for build_type, plugin in build_types_of(session, package).items():
+            if prover := prover_of(session, build_type):
+                anchors = anchors_of(session, package, plugin, chains)
                 shared = shared_files(session, build_type, of_types[build_type]) if build_type in of_types else {}
                 shown = session.workspace.shown(session.workspace.install)
                 found = prover.differences(files, folder, anchors, shared, shown)
