@@ -14,9 +14,9 @@ from keymint.commands.proof_diagnostics import dated_of, diagnostics_of, effort_
 from keymint.commands.run import Run
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import name_of
+from keymint.plan.built_documents import HAND_EDITED
 from keymint.plan.proof_results import EnclaveProof
 from keymint.plan.prove import NO_PROVER, ProofStage
-from keymint.plan.shared_install import HAND_EDITED
 from keymint.plan.shared_proof import affected
 from keymint.plan.terms import merged
 from keymint.session import Session

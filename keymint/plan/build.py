@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 from comarmor.errors import Defects, Diagnostic
 from keymint.api import BuildOptions, BuildResult, LoadedPolicy, Package
@@ -14,6 +13,7 @@ from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.plan import identity_keys, lifetimes, shared_documents
 from keymint.plan.build_types import BUILD, build_types_of, inputs_digest, two_writers
+from keymint.plan.built_documents import kept, refuse_edits
 from keymint.plan.rule_places import RulePlaces
 from keymint.plan.stage import PackagePlan, recorded, steps_of
 from keymint.session import Inputs, Session
@@ -130,25 +130,19 @@ def _plan_package(
     options_digest = digest(repr(options))
     stamp = session.state.stamp(STAGE, name)
     same = stamp is not None and stamp.context == options_digest and is_current(session, name)
-    if stamp and same and not force and not renew and identity_keys.is_there(session, name):
-        digests = {file: session.tree.digest(f"{folder}/{file}") for file in stamp.outputs}
-        if None not in digests.values():
-            edited = [file for file, value in digests.items() if value != stamp.outputs[file]]
-            detail = f"{', '.join(edited)} edited by hand; -f rebuilds" if edited else ""
-            step = Step(STAGE, name, Action.KEPT if edited else Action.UNCHANGED, detail=detail)
-            return PackagePlan(name, step, lifetimes=lifetimes.recalled(session, name, stamp))
+    may_stay = stamp and same and not force and not renew and identity_keys.is_there(session, name)
+    if stamp and may_stay and (step := kept(session, stamp, folder, name)):
+        return PackagePlan(name, step, lifetimes=lifetimes.recalled(session, name, stamp))
     package = session.package(name)
     built = _built(session, package, options)
     existing = {file: session.tree.read(f"{folder}/{file}") for file in built.documents}
     files = {file: File(content) for file, content in built.documents.items()}
     new_files = {file: new for file, new in files.items() if existing[file] != new.content}
     if not force:
-        _refuse_edits(session, name, folder, {file: existing[file] for file in new_files})
+        refuse_edits(session, name, folder, {file: existing[file] for file in new_files}, name)
     changes: tuple[FolderChange, ...] = (FolderChange(folder, new_files),) if new_files else ()
     obsolete = [file for file in stamp.outputs if file not in built.documents] if stamp else []
-    changes += tuple(
-        FolderChange(folder, removed=(file,)) for file in obsolete if session.tree.has_file(f"{folder}/{file}")
-    )
+    changes += shared_documents.removals(session, folder, obsolete)
     minted, fingerprint = _key(session, package, renew=renew)
     before = stamp is not None or any(content is not None for content in existing.values())
     action = (Action.UPDATED if before else Action.CREATED) if changes or minted else Action.UNCHANGED
@@ -216,24 +210,3 @@ def _smaller(size: DocumentSize) -> str:
     if size.bytes == size.plain_bytes:
         return f"{size.file} {size.bytes:,} bytes"
     return f"{size.file} {size.bytes:,} bytes, plain {size.plain_bytes:,}"
-
-
-def _refuse_edits(inputs: Inputs, name: str, folder: Path, existing: Mapping[str, bytes | None]) -> None:
-    """Raise an error for a document that differs from the new one, and is not the recorded build either."""
-    for file, content in existing.items():
-        if content is None or inputs.state.wrote(STAGE, name, file, content):
-            continue
-        where = inputs.workspace.origin(folder / file)
-        if inputs.state.stamp(STAGE, name) is None:
-            raise KeymintError(
-                "is not from a build of this workspace, and differs from what its sources give",
-                where=where,
-                help=f"'keymint build -f {name}' replaces it",
-                code="build-foreign",
-            )
-        raise KeymintError(
-            "was edited by hand, and its sources changed too",
-            where=where,
-            help=f"'keymint build -f {name}' discards the edit",
-            code="hand-edited",
-        )

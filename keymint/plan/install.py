@@ -18,6 +18,7 @@ from keymint.pki import certificates
 from keymint.plan import authority_files, build, identity_keys, key_record, lifetimes, revocation
 from keymint.plan.authorities import MintedAuthority
 from keymint.plan.build_types import build_types_of, inputs_digest
+from keymint.plan.built_documents import OUTDATED, edits
 from keymint.plan.enclaves import (
     CERTIFICATE,
     INSTALLED,
@@ -34,7 +35,7 @@ from keymint.plan.environment import plan_scripts
 from keymint.plan.identity_keys import Keyring
 from keymint.plan.register import complete_register, register_change, register_of, require_free_serials
 from keymint.plan.shared_files import EnclaveChanges, build_types_in_use, shared_copies, shared_steps
-from keymint.plan.shared_install import HAND_EDITED, OUTDATED, plan_shared_install
+from keymint.plan.shared_install import plan_shared_install
 from keymint.plan.signing import sign
 from keymint.plan.stage import PackagePlan, recorded, steps_of
 from keymint.plan.terms import shown
@@ -204,7 +205,7 @@ def _plan_enclave(
     is_recorded = session.state.stamp(build.STAGE, name) is not None
     build_types = build_types_of(session, package)
     copied = {file for each in build_types.values() for file in each.COPIED}
-    edits = _edits(session, name, documents) if is_recorded else ()
+    edited = edits(session, name, workspace.build / name, documents, name) if is_recorded else ()
     made = Stamp(
         inputs,
         {file: item.digest for file, item in files.items()},
@@ -215,7 +216,7 @@ def _plan_enclave(
         name,
         Step(STAGE, name, action, changes),
         made,
-        (*warnings, *(replace(each, severity=Severity.WARNING) for each in foreign), *edits, *outliving),
+        (*warnings, *(replace(each, severity=Severity.WARNING) for each in foreign), *edited, *outliving),
         fingerprint=fingerprint,
         lifetimes=own,
         build_types=tuple(build_types),
@@ -296,22 +297,6 @@ def _outdated(inputs: Inputs, names: Sequence[str]) -> Sequence[Diagnostic]:
             subject_of(name) if one else "",
         ),
     )
-
-
-def _edits(inputs: Inputs, name: str, documents: Mapping[str, bytes]) -> Sequence[Diagnostic]:
-    """Return a warning for each document that is signed although it differs from the built one."""
-    return [
-        Diagnostic(
-            HAND_EDITED,
-            Severity.WARNING,
-            "was edited by hand; signing the edited document",
-            inputs.workspace.origin(inputs.workspace.build / name / file),
-            f"'keymint build -f {name}' discards the edit",
-            subject_of(name),
-        )
-        for file, content in documents.items()
-        if not inputs.state.wrote(build.STAGE, name, file, content)
-    ]
 
 
 def is_current(session: Session, name: str, chains: Mapping[str, bytes]) -> bool:

@@ -20,6 +20,7 @@ from keymint.changes import Action, File, FolderChange, Step, by_folder
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.plan.build_types import BUILD, build_types_of, inputs_digest, shared_builder
+from keymint.plan.built_documents import kept, refuse_edits
 from keymint.session import Session
 from keymint.state import Stamp, digest
 
@@ -236,36 +237,18 @@ def _plan_documents(
     key, folder = record_key(name), shared_folder(session)
     stamp = session.state.stamp(STAGE, key)
     inputs, context = sources_digest(session, names), digest(repr(options))
-    if stamp is not None and (stamp.inputs, stamp.context) == (inputs, context) and not force:
-        existing = built_shared(session, name)
-        if existing is not None:
-            edited = [path for path, content in existing.items() if digest(content) != stamp.outputs[path]]
-            detail = f"{', '.join(edited)} edited by hand; -f rebuilds" if edited else ", ".join(existing)
-            return Step(STAGE, "", Action.KEPT if edited else Action.UNCHANGED, detail=detail), None, ()
+    is_same = stamp is not None and (stamp.inputs, stamp.context) == (inputs, context) and not force
+    if stamp and is_same and (step := kept(session, stamp, folder, "", ", ".join(stamp.outputs))):
+        return step, None, ()
     built = build_shared(session, name, load_packages(session, name, names), options)
     left_over = set(stamp.outputs if stamp else ()) - set(built.documents)
+    existing = {path: session.tree.read(folder / path) for path in (*built.documents, *left_over)}
+    different = {path: File(content) for path, content in built.documents.items() if existing[path] != content}
     if not force:
-        _refuse_edits(session, key, {**built.documents, **dict.fromkeys(left_over, b"")})
-    different = {
-        path: File(content) for path, content in built.documents.items() if session.tree.read(folder / path) != content
-    }
+        refuse_edits(session, key, folder, {path: existing[path] for path in (*different, *left_over)})
     changes = (*removals(session, folder, left_over), *written(folder, different))
     action = (Action.UPDATED if stamp else Action.CREATED) if changes else Action.UNCHANGED
     shown = ", ".join(f"{path} {len(content):,} bytes" for path, content in built.documents.items())
     outputs = {path: digest(content) for path, content in built.documents.items()}
     made = Stamp(inputs, outputs, context=context, build_types=(name,))
     return Step(STAGE, "", action, changes, shown), made, built.diagnostics
-
-
-def _refuse_edits(session: Session, key: str, documents: Mapping[str, bytes]) -> None:
-    """Raise an error for an existing document that is neither the recorded build nor the new one."""
-    for path, content in documents.items():
-        file = shared_folder(session) / path
-        existing = session.tree.read(file)
-        if existing is not None and existing != content and not session.state.wrote(STAGE, key, path, existing):
-            raise KeymintError(
-                "was edited by hand, and its sources changed too",
-                where=session.workspace.origin(file),
-                help="'keymint build -f' discards the edit",
-                code="hand-edited",
-            )

@@ -7,7 +7,7 @@ a removed subject end before anything else changes.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import cast
 
 from comarmor.errors import Diagnostic, Origin, Severity
@@ -16,6 +16,7 @@ from keymint.changes import Action, File, Step
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.plan.authorities import MintedAuthority
+from keymint.plan.built_documents import OUTDATED, edits
 from keymint.plan.enclaves import INSTALLED, has_mode, has_outputs
 from keymint.plan.shared_documents import (
     STAGE,
@@ -37,9 +38,6 @@ from keymint.plan.signing import authority_of
 from keymint.session import Session
 from keymint.state import Stamp, digest, digest_files
 from keymint.workspace import placed
-
-OUTDATED, HAND_EDITED = "build-outdated", "hand-edited"
-"""Codes of the diagnostics on stale builds and on documents that a person edited."""
 
 
 def plan_shared_install(
@@ -79,7 +77,7 @@ def plan_shared_install(
         step, stamp = _plan_documents(session, name, names, documents, authorities)
         steps += [step] if step.changes else []
         stamps[record_key(name)] = stamp
-        diagnostics += _edits(session, name, documents)
+        diagnostics += edits(session, record_key(name), shared_folder(session), documents)
     gone = obsolete(session, INSTALLED, session.workspace.install, of_types)
     return SharedPlan((*steps, *gone.values()), stamps, tuple(gone), tuple(diagnostics))
 
@@ -227,30 +225,22 @@ def _not_built(session: Session, name: str) -> KeymintError:
     )
 
 
-def _places(session: Session, documents: Iterable[str]) -> Iterator[Origin]:
-    return (session.workspace.origin(shared_folder(session) / path) for path in documents)
+def _first(session: Session, documents: Iterable[str]) -> Origin | None:
+    return next((session.workspace.origin(shared_folder(session) / path) for path in documents), None)
 
 
 def _outdated(session: Session, documents: Iterable[str]) -> Diagnostic:
-    where, message = next(_places(session, documents), None), "is stale; signing the existing build"
+    where, message = _first(session, documents), "is stale; signing the existing build"
     return Diagnostic(OUTDATED, Severity.WARNING, message, where, "'keymint build' rebuilds it")
 
 
 def _outdated_removal(session: Session, documents: Iterable[str], orphans: Sequence[str]) -> KeymintError:
     return KeymintError(
         f"is stale, and may still have the rights of {subject_of(orphans[0])}, whose enclave is to be removed",
-        where=next(_places(session, documents), None),
+        where=_first(session, documents),
         help="run 'keymint build' first",
         code=OUTDATED,
     )
-
-
-def _edits(session: Session, name: str, documents: Mapping[str, bytes]) -> Iterable[Diagnostic]:
-    """Yield a warning for each document that is signed although it differs from the built one."""
-    for where, (path, content) in zip(_places(session, documents), documents.items(), strict=True):
-        if not session.state.wrote(STAGE, record_key(name), path, content):
-            message, help_ = "was edited by hand; signing the edited document", "'keymint build -f' discards the edit"
-            yield Diagnostic(HAND_EDITED, Severity.WARNING, message, where, help_)
 
 
 def _inputs_digest(
