@@ -34,7 +34,7 @@ from keymint.session import Session
 def command(run: Run, name: str, output: Path | None, chain: bool, key_file: Path | None) -> Report:
     """Write the certificate of an authority as PEM; never its private key, unless --with-key asks for it."""
     session = run.session()
-    files = authority_files.read_files(session, authority_named(session, name), tuple)
+    files = authority_files.read_files(session, authority_named(session, name))
     if files.certificate is None or files.content is None:
         raise KeymintError(
             f"the authority {name!r} has no certificate",

@@ -44,7 +44,7 @@ def _findings(session: Session, names: tuple[str, ...]) -> list[Diagnostic]:
     """Return the warnings about what certificates lack."""
     found: list[Diagnostic] = []
     for authority in session.profile.authorities:
-        files = authority_files.read_files(session, authority, tuple)
+        files = authority_files.read_files(session, authority)
         if files.certificate is not None and (not names or authority.name in names):
             found += adoption.lacking(files.certificate, authority.name, files.certificate_file)
     return found

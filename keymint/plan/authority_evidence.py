@@ -30,7 +30,7 @@ def contradictions(session: Session) -> Contradictions:
     """
     by_authority: dict[str, tuple[Diagnostic, ...]] = {}
     for authority in authority_files.in_order(session.profile.authorities):
-        files = authority_files.read_files(session, authority, tuple)
+        files = authority_files.read_files(session, authority)
         own = () if files.content is None else tuple(_against(session, files, files.content))
         if all_ := (*own, *by_authority.get(authority.certificate.issuer, ())):
             by_authority[authority.name] = all_

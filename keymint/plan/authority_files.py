@@ -77,9 +77,15 @@ class AuthorityFiles:
 
 
 def read_files(
-    inputs: Inputs, authority: Authority, deployed: Callable[[], Sequence[x509.Certificate]]
+    inputs: Inputs, authority: Authority, deployed: Callable[[], Sequence[x509.Certificate]] = tuple
 ) -> AuthorityFiles:
-    """Read the files of an authority."""
+    """Read the files of an authority.
+
+    Args:
+        inputs: the workspace.
+        authority: the authority.
+        deployed: returns the authorities' certificates in installed enclaves; by default they are no evidence.
+    """
     workspace = inputs.workspace
     key_path, path = workspace.authority_key(authority.name), workspace.authority_certificate(authority.name)
     content = inputs.tree.read(path)

@@ -81,7 +81,7 @@ def statuses(session: Session) -> Iterator[AuthorityStatus]:
     used = uses(session)
     due = authority_renewals(session, installed_terms(session, session.packages()))
     for authority in session.profile.authorities:
-        files = authority_files.read_files(session, authority, tuple)
+        files = authority_files.read_files(session, authority)
         rollover = authority.issuance.rollover
         yield AuthorityStatus(
             authority=authority,

@@ -4,14 +4,14 @@
 from __future__ import annotations
 
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.changes import file_mode
+from keymint.changes import File, file_mode
 from keymint.errors import KeymintError
 from keymint.names import ROOT, subject_of
 from keymint.pki import certificates
@@ -199,6 +199,17 @@ def has_mode(inputs: Inputs, path: Path | str, *, secret: bool) -> bool:
     """Tell whether an installed file has its mode, or does not exist."""
     status = inputs.tree.status(path)
     return status is None or stat.S_IMODE(status.st_mode) & 0o777 == file_mode(secret=secret)
+
+
+def differing(
+    inputs: Inputs, folder: Path, existing: Mapping[str, bytes], files: Mapping[str, File]
+) -> dict[str, File]:
+    """Return the files that a folder does not have yet, with their content and their mode."""
+    return {
+        path: file
+        for path, file in files.items()
+        if existing.get(path) != file.content or not has_mode(inputs, folder / path, secret=file.secret)
+    }
 
 
 def has_outputs(inputs: Inputs, folder: str, stamp: Stamp) -> bool:

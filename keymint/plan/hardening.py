@@ -85,7 +85,7 @@ def _lacking(session: Session) -> tuple[str, ...]:
     """Return the authorities whose certificate lacks something that it would have from Keymint."""
     found = []
     for authority in session.profile.authorities:
-        files = read_files(session, authority, tuple)
+        files = read_files(session, authority)
         where = files.certificate_file
         if files.certificate is not None and any(adoption.lacking(files.certificate, authority.name, where)):
             found.append(authority.name)

@@ -22,9 +22,9 @@ from keymint.plan.built_documents import OUTDATED, edits
 from keymint.plan.enclaves import (
     CERTIFICATE,
     INSTALLED,
+    differing,
     enclave_files,
     files_in,
-    has_mode,
     has_outputs,
     installed,
     orphans,
@@ -188,11 +188,7 @@ def _plan_enclave(
     files = {
         file: File(artifact.content, secret=artifact.secret, replaces_link=True) for file, artifact in artifacts.items()
     }
-    different = {
-        file: item
-        for file, item in files.items()
-        if existing.get(file) != item.content or not has_mode(session, f"{folder}/{file}", secret=item.secret)
-    }
+    different = differing(session, folder, existing, files)
     # The certificate comes last: a node that starts in between fails, and admits nobody.
     ordered = dict(sorted(different.items(), key=lambda item: item[0] == CERTIFICATE))
     issuer = authorities[package.identity.issuer].certificate

@@ -17,7 +17,7 @@ from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.plan.authorities import MintedAuthority
 from keymint.plan.built_documents import OUTDATED, edits
-from keymint.plan.enclaves import INSTALLED, has_mode, has_outputs
+from keymint.plan.enclaves import INSTALLED, differing, has_outputs
 from keymint.plan.shared_documents import (
     STAGE,
     SharedPlan,
@@ -198,19 +198,15 @@ def _plan_documents(
         raise ValueError(f"{name} installs {foreign[0]!r}, which belongs to none of its shared documents")
     stamp = session.state.stamp(INSTALLED, record_key(name))
     install = session.workspace.install
-    different = {
-        path: File(artifact.content, secret=artifact.secret)
-        for path, artifact in artifacts.items()
-        if existing.get(path) != artifact.content or not has_mode(session, install / path, secret=artifact.secret)
-    }
+    files = {path: File(artifact.content, secret=artifact.secret) for path, artifact in artifacts.items()}
     left_over = set(stamp.outputs if stamp else ()) - set(artifacts)
-    changes = (*removals(session, install, left_over), *written(install, different))
+    changes = (*removals(session, install, left_over), *written(install, differing(session, install, existing, files)))
     action = Action.UPDATED if existing else Action.CREATED
     chains = {authority: minted.chain for authority, minted in authorities.items()}
     made = Stamp(
         _inputs_digest(session, names, documents, chains),
-        {path: digest(artifact.content) for path, artifact in artifacts.items()},
-        tuple(path for path, artifact in artifacts.items() if artifact.secret),
+        {path: file.digest for path, file in files.items()},
+        tuple(path for path, file in files.items() if file.secret),
         build_types=(name,),
     )
     return Step(INSTALLED, "", action, changes, f"{', '.join(documents)}, for all enclaves"), made
