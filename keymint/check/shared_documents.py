@@ -16,7 +16,7 @@ from keymint.plan.build_types import shared_builder
 from keymint.plan.enclaves import INSTALLED
 from keymint.plan.shared_documents import build_shared, load_packages, record_key, users
 from keymint.plan.shared_install import installed_shared, shared_roles
-from keymint.plan.shared_proof import SharedReader
+from keymint.plan.shared_proof import enclaves_of
 from keymint.session import Session
 from keymint.state import digest
 
@@ -60,7 +60,7 @@ def _inspection(session: Session, name: str, names: Sequence[str], within: timed
         packages=packages,
         documents=built.documents,
         files=installed_shared(session, sorted({*built.documents, *(stamp.outputs if stamp else ())})),
-        enclaves=SharedReader(session, unsigned=False).enclaves(name),
+        enclaves=enclaves_of(session, name),
         folder=session.workspace.shown(session.workspace.install),
         layout=session.profile.layout,
         chains={

@@ -104,8 +104,8 @@ def unaccepted(run: Run, error: UnacceptedPackagesError) -> Report:
     from keymint.output.json import differences_json  # noqa: PLC0415
 
     files = [
-        {"package": each.package, "path": each.path, "accepted": each.accepted or None, "shipped": each.shipped}
-        for each in error.files
+        {"package": each.package, "path": each.path, "accepted": accepted or None, "shipped": each.sha256}
+        for each, accepted in error.files.items()
     ]
     result: dict[str, object] = {"unaccepted": files, "subjects": None}
     diagnostics = error.diagnostics

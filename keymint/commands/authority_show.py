@@ -15,10 +15,9 @@ from keymint.commands.options import complete_authority
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.output.report import Report
-from keymint.pki import adoption
-from keymint.plan import authority_files
 from keymint.plan.authority_issuance import authority_named
 from keymint.plan.authority_status import AuthorityStatus, CertificateStatus, statuses
+from keymint.plan.hardening import lacks
 from keymint.plan.terms import days_left
 from keymint.session import Session
 
@@ -42,12 +41,7 @@ def command(run: Run, names: tuple[str, ...]) -> Report:
 
 def _findings(session: Session, names: tuple[str, ...]) -> list[Diagnostic]:
     """Return the warnings about what certificates lack."""
-    found: list[Diagnostic] = []
-    for authority in session.profile.authorities:
-        files = authority_files.read_files(session, authority)
-        if files.certificate is not None and (not names or authority.name in names):
-            found += adoption.lacking(files.certificate, authority.name, files.certificate_file)
-    return found
+    return [each for name, found in lacks(session).items() if not names or name in names for each in found]
 
 
 def _lines(each: AuthorityStatus, now: datetime) -> Iterator[str]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import StrEnum
 
+from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.api import HardenedPackageType, HardenedProfileType
 from keymint.changes import Action, Plan, Step, changed_below
@@ -57,7 +58,7 @@ def open_steps(session: Session) -> tuple[OpenStep, ...]:
     if both := _signing_issuers(session):
         cost = "a flag day: all documents are signed again, and all robots restart together with the new keystore"
         found.append(OpenStep(Weakness.AUTHORITY, both, flag_day=True, cost=cost))
-    if lacking := _lacking(session):
+    if lacking := tuple(lacks(session)):
         signs = {name for name in lacking if any(each.signs for each in uses(session).get(name, ()))}
         cost = "nothing restarts: robots with the old and with the new certificate of the authority work together"
         if signs:
@@ -81,15 +82,15 @@ def _signing_issuers(session: Session) -> tuple[str, ...]:
     )
 
 
-def _lacking(session: Session) -> tuple[str, ...]:
-    """Return the authorities whose certificate lacks something that it would have from Keymint."""
-    found = []
-    for authority in session.profile.authorities:
-        files = read_files(session, authority)
-        where = files.certificate_file
-        if files.certificate is not None and any(adoption.lacking(files.certificate, authority.name, where)):
-            found.append(authority.name)
-    return tuple(found)
+def lacks(session: Session) -> dict[str, list[Diagnostic]]:
+    """Return what the certificates of authorities lack that they would have from Keymint, as warnings by authority."""
+    files = [read_files(session, authority) for authority in session.profile.authorities]
+    found = {
+        each.authority.name: list(adoption.lacking(each.certificate, each.authority.name, each.certificate_file))
+        for each in files
+        if each.certificate is not None
+    }
+    return {name: warnings for name, warnings in found.items() if warnings}
 
 
 def _is_unique(session: Session, name: str) -> bool:

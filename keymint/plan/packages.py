@@ -10,7 +10,6 @@ from pathlib import Path
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted, did_you_mean, first_few, quoted
-from comarmor.values import dataclass
 from comarmor.xml.package_folders import InstalledPackages, PackageFolders, ShippedFile
 from keymint.api import (
     AcceptedPackage,
@@ -30,33 +29,16 @@ _SHOWN = 5
 """Files that a message lists."""
 
 
-@dataclass(frozen=True, slots=True)
-class UnacceptedFile:
-    """A file of a package that a policy includes, and that its owner did not accept as it is now.
-
-    Attributes:
-        package: name of the package.
-        path: path below the package's folder of profiles.
-        accepted: SHA-256 of what was accepted, in hex; empty if nothing was.
-        shipped: SHA-256 of what the package ships.
-    """
-
-    package: str
-    path: str
-    accepted: str
-    shipped: str
-
-
 class UnacceptedPackagesError(KeymintError):
     """The policy includes files of packages that its owner did not accept as they are now.
 
     Attributes:
-        files: these files.
+        files: these files, each with the SHA-256 of what was accepted of it, in hex; empty if nothing was.
         before: loads the policy with what was accepted of them, which is nothing of a file that is new.
         after: the policy with what the packages ship.
     """
 
-    files: tuple[UnacceptedFile, ...] = ()
+    files: Mapping[ShippedFile, str]
     before: Callable[[], LoadedPolicy]
     after: LoadedPolicy
 
@@ -107,17 +89,14 @@ def refuse_unaccepted(session: Session, policy: LoadedPolicy, before: Callable[[
     if not shipped:
         return
     _refuse_edited_copies(session, shipped)
-    found: dict[ShippedFile, UnacceptedFile] = {}
-    for each in shipped:
-        accepted, value = _accepted(session, each.package, each.path), _sha256(each.content)
-        if value != accepted:
-            found[each] = UnacceptedFile(each.package, each.path, accepted, value)
+    accepted = {each: _accepted(session, each.package, each.path) for each in shipped}
+    found = {each: value for each, value in accepted.items() if each.sha256 != value}
     if not found:
         return
     error = UnacceptedPackagesError("")
     error.diagnostics = tuple(_diagnostics(shipped, found))
     error.args = (str(error.diagnostics[0]),)
-    error.files, error.before, error.after = tuple(found.values()), before, policy
+    error.files, error.before, error.after = found, before, policy
     raise error
 
 
@@ -127,7 +106,7 @@ def package_digest(files: Mapping[str, str]) -> str:
     Args:
         files: SHA-256 of each file, in hex, by its path.
     """
-    return _sha256("".join(f"{value}  {path}\n" for path, value in sorted(files.items())).encode())
+    return hashlib.sha256("".join(f"{value}  {path}\n" for path, value in sorted(files.items())).encode()).hexdigest()
 
 
 def plan_acceptance(
@@ -172,7 +151,7 @@ def plan_acceptance(
                 exit_code=ExitCode.USAGE,
             )
         before = _of(accepted, name)
-        files = {each.path: _sha256(each.content) for each in by_package[name]}
+        files = {each.path: each.sha256 for each in by_package[name]}
         if wanted and wanted != package_digest(files):
             raise KeymintError(
                 f"the package {quoted(name)} ships something else than what is to be accepted: its digest is "
@@ -257,7 +236,7 @@ def _refuse_edited_copies(session: Session, shipped: Sequence[ShippedFile]) -> N
     named = [(name, path) for name in packages for path in _of(session.profile.packages, name).files]
     for name, path in dict.fromkeys((*named, *((each.package, each.path) for each in shipped))):
         content = session.tree.read(copies / name / path)
-        if content is not None and _sha256(content) != _accepted(session, name, path):
+        if content is not None and hashlib.sha256(content).hexdigest() != _accepted(session, name, path):
             raise KeymintError(
                 f"is not the copy of what was accepted of the package {quoted(name)}; an edit here grants nothing",
                 where=session.workspace.origin(copies / name / path),
@@ -266,18 +245,18 @@ def _refuse_edited_copies(session: Session, shipped: Sequence[ShippedFile]) -> N
             )
 
 
-def _diagnostics(shipped: Sequence[ShippedFile], found: Mapping[ShippedFile, UnacceptedFile]) -> Iterator[Diagnostic]:
+def _diagnostics(shipped: Sequence[ShippedFile], found: Mapping[ShippedFile, str]) -> Iterator[Diagnostic]:
     """Yield an error for each package; it has the digest, so that exactly what was seen can be accepted."""
     for name in dict.fromkeys(each.package for each in found):
         own = [each for each in found if each.package == name]
         paths = first_few([each.path for each in own], _SHOWN)
-        known = any(found[each].accepted for each in own)
+        known = any(found[each] for each in own)
         message = (
             f"the package {quoted(name)} ships something else than what was accepted: {paths}"
             if known
             else f"what the package {quoted(name)} ships was not accepted yet: {paths}"
         )
-        value = package_digest({each.path: _sha256(each.content) for each in shipped if each.package == name})
+        value = package_digest({each.path: each.sha256 for each in shipped if each.package == name})
         help_ = (
             "'keymint create --all' and 'keymint provision' list who gains and who loses what by it; if that is right, "
             f"repeat the command with --accept-package {name}={value}"
@@ -293,7 +272,3 @@ def _of(packages: Mapping[str, AcceptedPackage], name: str) -> AcceptedPackage:
 def _accepted(session: Session, package: str, path: str) -> str:
     """Return the SHA-256 of a file that was accepted, or an empty text."""
     return _of(session.profile.packages, package).files.get(path, "")
-
-
-def _sha256(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()

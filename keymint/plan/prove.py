@@ -29,13 +29,12 @@ from keymint.errors import KeymintError
 from keymint.executors import Pool
 from keymint.ir import SubjectRules
 from keymint.names import name_of, subject_of
-from keymint.plan import authority_evidence, proof_record, terms
+from keymint.plan import authority_evidence, proof_record, shared_proof, terms
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.build_types import build_types_of, inputs_digest, issuers_of, prover_of, suffixes_read
 from keymint.plan.enclaves import INSTALLED, enclave_digests, enclave_files, not_installed
 from keymint.plan.proof_results import EnclaveProof, PackageProof, ProofEffort, ProofResults
-from keymint.plan.shared_documents import load_packages, record_key
-from keymint.plan.shared_proof import SharedReader
+from keymint.plan.shared_documents import load_packages, record_key, shared_folder, users
 from keymint.plan.trust_anchors import anchors_of, shared_anchors
 from keymint.session import Session
 from keymint.state import Stamp, digest, digest_files
@@ -115,7 +114,8 @@ class ProofStage:
         self._policy_digest = digest(*(f"{path} {value.hex()}" for path, value in sorted(policy.seen.items())))
         self._chains_digest = digest_files(self._chains)
         self._digested = policy if isinstance(policy, DigestedPolicy) else None
-        self._shared = SharedReader(session, unsigned=unsigned)
+        workspace = session.workspace
+        self._shared_folder = workspace.shown(shared_folder(session) if unsigned else workspace.install)
         self._asked: list[tuple[RemoteProver, object]] | None = None
         """What other machines are to prove; None while it is proven here."""
 
@@ -184,15 +184,15 @@ class ProofStage:
 
     def _across(self, names: Collection[str]) -> Iterator[PackageProof]:
         """Prove the claims across subjects of the build types that some packages have, unless these are cached."""
-        for name, of_type in self._shared.users.items():
+        for name, of_type in users(self._session).items():
             build_type: object = self._session.plugins.build_type(name)
             if isinstance(build_type, SharedProver) and not set(names).isdisjoint(of_type):
                 yield self._prove_across(name, of_type, build_type)
 
     def _prove_across(self, name: str, names: Sequence[str], prover: SharedProver) -> PackageProof:
-        session, key, folder = self._session, record_key(name), self._shared.folder
-        enclaves = self._shared.enclaves(name)
-        inputs = self._shared.inputs_digest(names, enclaves, name, self._chains_digest)
+        session, key, folder = self._session, record_key(name), self._shared_folder
+        enclaves = shared_proof.enclaves_of(session, name)
+        inputs = shared_proof.inputs_digest(session, name, enclaves, self._chains_digest)
         stamp, subjects = session.state.stamp(STAGE, key), [subject_of(each) for each in names]
         cached = proof_record.load(stamp, folder) if stamp and stamp.inputs == inputs else None
         if stamp and cached and self._same_rules(stamp, subjects):
@@ -206,7 +206,7 @@ class ProofStage:
                 rules,
                 enclaves,
                 session.workspace.shown(session.workspace.build if self._unsigned else session.enclaves),
-                self._shared.files(name),
+                shared_proof.installed_documents(session, name),
                 folder,
                 shared_anchors(session, packages, session.plugins.build_type(name), self._chains),
                 self._effort.states,
@@ -293,8 +293,8 @@ class ProofStage:
                     self._effort.deadline(),
                     self._standard_only,
                     self._unsigned,
-                    self._shared.files(name),
-                    self._shared.folder,
+                    shared_proof.installed_documents(self._session, name),
+                    self._shared_folder,
                 )
                 own = self._claims(prover, task)
                 periods = prover.terms(files, folder, task.anchors, task.shared, task.shared_folder)
@@ -325,7 +325,7 @@ class ProofStage:
 
     def _inputs_digest(self, name: str, digests: Mapping[str, str], build_types: Iterable[str]) -> str:
         """Return the digest of everything that a proof depends on, except the policy."""
-        shared = (self._shared.digest(each) for each in build_types)
+        shared = (shared_proof.documents_digest(self._session, each) for each in build_types)
         files = (part for item in sorted(digests.items()) for part in item)
         return digest(inputs_digest(self._session, name), self._chains_digest, __version__, *shared, "", *files)
 

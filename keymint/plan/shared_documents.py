@@ -21,7 +21,7 @@ from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.plan.build_types import BUILD, build_types_of, inputs_digest, shared_builder
 from keymint.plan.built_documents import kept, refuse_edits
-from keymint.session import Session
+from keymint.session import Session, once
 from keymint.state import Stamp, digest
 
 FOLDER = "shared.d"
@@ -55,6 +55,7 @@ def record_key(build_type: str) -> str:
     return f"{FOLDER}/{build_type}"
 
 
+@once
 def users(session: Session) -> Users:
     """Return the packages of each build type that has shared documents; build types without packages are omitted.
 

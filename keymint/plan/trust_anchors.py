@@ -12,8 +12,8 @@ from keymint.plan import authority_evidence
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.build_types import build_types_of, issuers_of, prover_of, suffixes_read
 from keymint.plan.enclaves import enclave_files
-from keymint.plan.shared_documents import users
-from keymint.plan.shared_install import shared_files, shared_roles
+from keymint.plan.shared_install import shared_roles
+from keymint.plan.shared_proof import installed_documents
 from keymint.session import Session, once
 
 
@@ -72,7 +72,6 @@ def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...
     """
     findings: list[Diagnostic] = []
     chains, contradictions = trusted_chains(session), authority_evidence.contradictions(session)
-    of_types = users(session)
     for name in names:
         files, unread = enclave_files(session, name)
         if not (files or unread):
@@ -88,7 +87,7 @@ def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...
         for build_type, plugin in build_types_of(session, package).items():
             if prover := prover_of(session, build_type):
                 anchors = anchors_of(session, package, plugin, chains)
-                shared = shared_files(session, build_type, of_types[build_type]) if build_type in of_types else {}
+                shared = installed_documents(session, build_type)
                 shown = session.workspace.shown(session.workspace.install)
                 found = prover.differences(files, folder, anchors, shared, shown)
                 findings += (replace(each, subject=package.subject) for each in found)
