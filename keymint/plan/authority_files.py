@@ -215,7 +215,7 @@ def other(authority: Authority) -> str:
 
 def authority_keys(session: Session) -> Mapping[str, str]:
     """Return the names of the authorities that enclaves trust, by the fingerprints of their keys."""
-    return {keys.fingerprint(certificates.public_key(each)): name for _, name, each in issuers(session)}
+    return {certificates.fingerprint(each): name for _, name, each in issuers(session)}
 
 
 def satisfies(pem: bytes, spec: CertificateSpec, key: keys.PublicKey, issuer: x509.Certificate | None) -> bool:
