@@ -83,8 +83,8 @@ def plan_adoption(inputs: Inputs, adoption: Adoption) -> Plan:
     refuse_unsupported(session)
     plan = profile
     for authority in adoption.found.authorities:
-        place = f"{adoption.files.folder}/{authority.file}"
-        key_place = f"{adoption.files.folder}/{next(iter(authority.key_files), '')}"
+        place = Origin(f"{adoption.files.folder}/{authority.file}")
+        key_place = Origin(f"{adoption.files.folder}/{next(iter(authority.key_files), '')}")
         given = GivenAuthority(authority.certificate, place, authority.key, key_place)
         plan = plan.then(plan_import(session, authority.name, given))
         session = inputs.after(plan).session()  # whose profile has the certificate

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.changes import Plan
 from keymint.commands.reissue import reissued
 from keymint.commands.run import Run
@@ -29,8 +29,8 @@ def given_authority(run: Run, certificate: Path, key: Path | None) -> GivenAutho
     Raises:
         KeymintError: a file cannot be read.
     """
-    content = read_input(run, key) if key else b""
-    return GivenAuthority(read_input(run, certificate), str(certificate), content, str(key or ""))
+    given = GivenAuthority(read_input(run, certificate), Origin(str(certificate)))
+    return replace(given, key=read_input(run, key), key_file=Origin(str(key))) if key else given
 
 
 def _require_flag_day(session: Session, name: str) -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import asdict
 from datetime import datetime
 from typing import Any
 
@@ -70,28 +71,23 @@ def _lines(each: AuthorityStatus, now: datetime) -> Iterator[str]:
 
 
 def _of_certificate(status: CertificateStatus, now: datetime) -> Iterator[tuple[str, str]]:
-    left = days_left(status.last, now)
+    first, last, renew = status.not_before, status.not_after, status.renew_after
     yield "subject", status.subject
     yield "key", f"{status.key}, SHA-256 {status.fingerprint}"
-    yield (
-        "valid",
-        f"{status.first:%Y-%m-%d} to {status.last:%Y-%m-%d} ({left}), renew after {status.renew_after:%Y-%m-%d}",
-    )
+    yield "valid", f"{first:%Y-%m-%d} to {last:%Y-%m-%d} ({days_left(last, now)}), renew after {renew:%Y-%m-%d}"
     yield "key usage", "any" if status.key_usage is None else ", ".join(status.key_usage)
 
 
 def _document(each: AuthorityStatus) -> dict[str, Any]:
     spec, rollover = each.authority.certificate, each.authority.issuance.rollover
+    other = each.other and asdict(each.other)
     return {
         "name": each.authority.name,
         "issuer": spec.issuer or None,
-        "certificate": _certificate(each.certificate),
+        "certificate": each.certificate and asdict(each.certificate),
         "private_key": each.key_place,
         "imported": bool(spec.adopted),
-        "serves": [
-            {"build_type": use.build_type, "role": use.role, "signs": use.signs, "packages": use.packages}
-            for use in each.uses
-        ],
+        "serves": [asdict(use) for use in each.uses],
         "revocation_list": None
         if each.revocations is None
         else {
@@ -99,21 +95,5 @@ def _document(each: AuthorityStatus) -> dict[str, Any]:
             "next_update": each.revocations.next_update,
             "revoked": len(each.revocations.revocations),
         },
-        "replacement": {"phase": rollover.phase.value, "certificate": _certificate(each.other)} if rollover else None,
-    }
-
-
-def _certificate(status: CertificateStatus | None) -> dict[str, Any] | None:
-    if status is None:
-        return None
-    return {
-        "subject": status.subject,
-        "serial": f"{status.serial:x}",
-        "key": status.key,
-        "fingerprint": status.fingerprint,
-        "not_before": status.first,
-        "not_after": status.last,
-        "renew_after": status.renew_after,
-        "key_usage": None if status.key_usage is None else list(status.key_usage),
-        "subject_key_identifier": status.key_identifier or None,
+        "replacement": {"phase": rollover.phase.value, "certificate": other} if rollover else None,
     }

@@ -150,7 +150,7 @@ def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
         # Nobody trusts the key that was minted: the enclaves, if there are any, trust the new one.
         changes.append(FolderChange(key_path.parent, removed=(key_path.name,), private=True))
     decided = AuthorityIssuance(adopted=certificates.to_pem(certificate))
-    plan = plan_authority_issuance(session, {name: decided}, f"{name} imported from {given.certificate_file}")
+    plan = plan_authority_issuance(session, {name: decided}, f"{name} imported from {given.where}")
     path = session.workspace.authority_certificate(name)
     changes += changed(session.tree, path.parent, {path.name: File(decided.adopted)})
     files_step = Step(STAGE, name, Action.UPDATED, tuple(changes), "certificate authority")

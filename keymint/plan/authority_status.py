@@ -50,26 +50,26 @@ class CertificateStatus:
 
     Attributes:
         subject: its subject name (RFC 4514).
-        serial: its serial number.
+        serial: its serial number, hexadecimal.
         key: kind of its key, e.g. ``EC SECP256R1`` or ``RSA 2048``.
         fingerprint: SHA-256 of the public key, hexadecimal.
-        first: begin of its validity, UTC.
-        last: end of its validity, UTC.
+        not_before: begin of its validity, UTC.
+        not_after: end of its validity, UTC.
         renew_after: when it begins to shorten what it signs, as 'keymint renew' reports it; when two thirds of its
             validity are over if it signed nothing that is installed; UTC.
         key_usage: its key usages (RFC 5280, 4.2.1.3), or None if it has no such extension and may do everything.
-        key_identifier: its subjectKeyIdentifier, hexadecimal; empty if it has none.
+        subject_key_identifier: in hexadecimal; None if it has none.
     """
 
     subject: str
-    serial: int
+    serial: str
     key: str
     fingerprint: str
-    first: datetime
-    last: datetime
+    not_before: datetime
+    not_after: datetime
     renew_after: datetime
     key_usage: tuple[str, ...] | None
-    key_identifier: str
+    subject_key_identifier: str | None
 
 
 def statuses(session: Session) -> Iterator[AuthorityStatus]:
@@ -106,14 +106,14 @@ def status_of(certificate: x509.Certificate, due: datetime | None = None) -> Cer
     identifier = extensions.value(certificate, x509.SubjectKeyIdentifier)
     return CertificateStatus(
         subject=distinguished_names.to_text(certificate.subject),
-        serial=certificate.serial_number,
+        serial=f"{certificate.serial_number:x}",
         key=f"RSA {kind.size}" if kind.algorithm == "rsa" else f"EC {kind.curve}",
         fingerprint=keys.fingerprint(public),
-        first=first,
-        last=last,
+        not_before=first,
+        not_after=last,
         renew_after=due or DEFAULT.moment(first, last),
         key_usage=extensions.usages(certificate),
-        key_identifier=identifier.digest.hex() if identifier else "",
+        subject_key_identifier=identifier.digest.hex() if identifier else None,
     )
 
 

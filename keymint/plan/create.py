@@ -127,7 +127,8 @@ class CreateStage:
         """
         session, infrastructure = self._session, self._session.needed_infrastructure()
         refuse_named(self._policy, infrastructure)
-        subjects = [name for name in names if name not in infrastructure and self._is_subject(name)]
+        others = {name for name in self.existing.intersection(names) if session.role(name) is not Role.SUBJECT}
+        subjects = [name for name in names if name not in infrastructure and name not in others]
         refuse_case_collisions([*self.existing, *subjects, *infrastructure])
         reserved = [each for layout in session.layouts for each in layout.reserved]
         for name in (*subjects, *infrastructure):
@@ -144,9 +145,6 @@ class CreateStage:
         steps = steps_of(planned)
         diagnostics = tuple(diagnostic for each in planned for diagnostic in each.diagnostics)
         return Plan(steps, recorded(record_policy(session, self._policy), STAGE, planned), diagnostics)
-
-    def _is_subject(self, name: str) -> bool:
-        return name not in self.existing or self._session.role(name) is Role.SUBJECT
 
     def package(self, name: str) -> PackagePlan:
         """Return the plan for a package."""

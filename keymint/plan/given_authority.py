@@ -23,20 +23,15 @@ class GivenAuthority:
 
     Attributes:
         certificate: a file with a certificate.
-        certificate_file: its path as the user typed it.
+        where: this file, for messages.
         key: a file with its private key, encrypted with the authority's password or not; empty if none is given.
-        key_file: its path as the user typed it.
+        key_file: this file, for messages; None if none is given.
     """
 
     certificate: bytes
-    certificate_file: str
+    where: Origin
     key: bytes = field(default=b"", repr=False)
-    key_file: str = ""
-
-    @property
-    def where(self) -> Origin:
-        """The file of the certificate, for messages."""
-        return Origin(self.certificate_file)
+    key_file: Origin | None = None
 
 
 def checked(session: Session, authority: Authority, given: GivenAuthority) -> tuple[x509.Certificate, bytes]:
@@ -58,12 +53,12 @@ def checked(session: Session, authority: Authority, given: GivenAuthority) -> tu
     spec = authority.certificate
     if spec.key.uri:
         raise token_keys.only_in_token(authority, "import it with the token's own tool")
-    secret, shown = password(session, spec), Origin(given.key_file)
-    private = keys.from_pem(given.key, secret, shown)
+    secret = password(session, spec)
+    private = keys.from_pem(given.key, secret, given.key_file)
     if not keys.matches(private, certificate):
         raise KeymintError(
-            f"is not the private key of {given.certificate_file}",
-            where=shown,
+            f"is not the private key of {given.where}",
+            where=given.key_file,
             help="name the files that belong together",
             code="authority-key-mismatch",
         )
