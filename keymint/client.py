@@ -94,7 +94,7 @@ class Client:
         def make_plan(inputs: Inputs) -> Plan:
             session = inputs.session()
             policy = self._loaded(session)
-            create = CreateStage(session, policy, force=False)
+            create = CreateStage(session, policy)
             names = create.subjects((name,))
             created = create.plan([create.package(each) for each in names])
             needed = tuple(dict.fromkeys((*names, *session.after(created).infrastructure())))

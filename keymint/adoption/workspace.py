@@ -96,7 +96,7 @@ def plan_adoption(inputs: Inputs, adoption: Adoption) -> Plan:
     for planned in (_sources, _keystore, _lists, _register):
         go_on(planned(session, adoption))
     names = [package_name(each.subject) for each in adoption.found.enclaves]
-    build = BuildStage(session, BuildOptions(), force=False, renew=False)
+    build = BuildStage(session, BuildOptions())
     built = build.plan([build.package(name) for name in names])
     _require_kept(session, adoption, built)
     go_on(built)

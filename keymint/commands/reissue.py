@@ -70,9 +70,9 @@ def reissued(
     if revoked.writes() and any(map(is_bundled, session.profile.authorities)):
         names = tuple(dict.fromkeys((*names, *with_sources(session))))  # their authorities' file has the lists
     of_package = {name: options or options_as_built(session, name) for name in names}
-    packages = [BuildStage(session, of_package[name], force=False, renew=name in rekey).package(name) for name in names]
+    packages = [BuildStage(session, of_package[name], renew=name in rekey).package(name) for name in names]
     shared = options or next(iter(of_package.values()), BuildOptions())
-    built = BuildStage(session, shared, force=False, renew=False).plan(packages)
+    built = BuildStage(session, shared).plan(packages)
     session = session.after(built)
     install = InstallStage(session, authorities, prune=False)
     planned = [install.package(name) for name in names]

@@ -45,7 +45,7 @@ def staged_keystore(run: Run, session: Session, name: str, names: Sequence[str])
     """
     ahead, authorities, listed = session_ahead(session, name)
     names = tuple(dict.fromkeys((*names, *with_sources(ahead))))  # what was revoked since is withdrawn from it as well
-    build = BuildStage(ahead, BuildOptions(), force=False, renew=False)
+    build = BuildStage(ahead, BuildOptions())
     built = build.plan([build.package(each) for each in names])
     ahead = ahead.after(built)
     install = InstallStage(ahead, authorities, prune=True)

@@ -36,7 +36,13 @@ class BuildStage:
     NAME = STAGE
 
     def __init__(
-        self, session: Session, options: BuildOptions, *, force: bool, renew: bool, policy: LoadedPolicy | None = None
+        self,
+        session: Session,
+        options: BuildOptions,
+        *,
+        force: bool = False,
+        renew: bool = False,
+        policy: LoadedPolicy | None = None,
     ) -> None:
         self._session = session
         self._options = options

@@ -53,7 +53,7 @@ def stale(session: Session, policy: LoadedPolicy, names: Sequence[str]) -> Mappi
     Raises:
         KeymintError: names collide.
     """
-    stage = CreateStage(session, policy, force=False)
+    stage = CreateStage(session, policy)
     refuse_case_collisions([*stage.existing, *names])
     differing: dict[str, tuple[Diagnostic, ...]] = {}
     for name in (each for each in names if session.role(each) is Role.SUBJECT):
@@ -108,7 +108,7 @@ class CreateStage:
 
     NAME = STAGE
 
-    def __init__(self, session: Session, policy: LoadedPolicy, *, force: bool, valid_for: str = "") -> None:
+    def __init__(self, session: Session, policy: LoadedPolicy, *, force: bool = False, valid_for: str = "") -> None:
         self._session = session
         self._valid_for = valid_for
         self._policy = policy

@@ -24,7 +24,7 @@ from keymint.session import Session, once
 from keymint.state import Stamp
 
 
-def plan_distribution(before: Session, session: Session, omitted: Collection[str] = ()) -> Plan:
+def plan_distribution(before: Session, session: Session, omitted: Collection[str]) -> Plan:
     """Plan the revocation lists of all installed enclaves.
 
     Args:

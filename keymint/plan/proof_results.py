@@ -39,7 +39,7 @@ class EnclaveProof:
     """
 
     subject: str
-    claims: tuple[Claim, ...]
+    claims: tuple[Claim, ...] = ()
     cached: bool = False
     diagnostics: tuple[Diagnostic, ...] = ()
     terms: tuple[ValidityTerm, ...] = ()

@@ -158,14 +158,14 @@ class ProofStage:
         if digests is None:
             files, unread = enclave_files(session, name)
             if defects := self._of_enclave(name, unread):
-                return PackageProof(name, EnclaveProof(subject_of(name), (), diagnostics=defects), refuted=True)
+                return PackageProof(name, EnclaveProof(subject_of(name), diagnostics=defects), refuted=True)
             digests = {file: digest(content) for file, content in files.items()}
         if self._contradictions and (
             contradictions := authority_evidence.contradictions_for(
                 self._contradictions, issuers_of(session, session.package(name))
             )
         ):
-            return PackageProof(name, EnclaveProof(subject_of(name), (), diagnostics=contradictions))
+            return PackageProof(name, EnclaveProof(subject_of(name), diagnostics=contradictions))
         stamp, folder = session.state.stamp(STAGE, name), self._shown(name)
         current = stamp is not None and stamp.inputs == self._inputs_digest(name, digests, stamp.build_types)
         cached = proof_record.load(stamp, folder) if stamp and current else None
@@ -215,7 +215,7 @@ class ProofStage:
             )
             proof = EnclaveProof("", tuple(prover.prove_shared(task)), build_type=name)
         except KeymintError as error:
-            proof = EnclaveProof("", (), diagnostics=tuple(error.diagnostics), build_type=name)
+            proof = EnclaveProof("", diagnostics=tuple(error.diagnostics), build_type=name)
         return self._kept(key, proof, rules.values(), Stamp(inputs, {}, build_types=(name,)), folder)
 
     def _kept(
@@ -271,7 +271,7 @@ class ProofStage:
     def _proof(self, package: Package, rules: SubjectRules, files: Mapping[str, bytes], folder: str) -> EnclaveProof:
         subject = package.subject
         if not files:
-            return EnclaveProof(subject, (), diagnostics=(not_installed(package.name, folder),))
+            return EnclaveProof(subject, diagnostics=(not_installed(package.name, folder),))
         claims: list[Claim] = []
         validity: list[ValidityTerm] = []
         diagnostics: list[Diagnostic] = []

@@ -101,7 +101,7 @@ def _require_same(session: Session, name: str) -> Mapping[str, Stamp]:
     """
     if build.is_current(session, name) or not build.is_built(session, name):
         return {}
-    planned = build.BuildStage(session, BuildOptions(), force=False, renew=False).package(name)
+    planned = build.BuildStage(session, BuildOptions()).package(name)
     if planned.errors:
         raise KeymintError.of(planned.errors)
     if planned.step and any(_is_other(session, name, change) for change in planned.step.changes):

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
@@ -25,7 +26,7 @@ class RulePlaces:
     def __init__(self, session: Session, policy: LoadedPolicy | None = None) -> None:
         self._session = session
         self._policy = policy
-        self._moved: dict[str, Mapping[Origin, Origin]] = {}
+        self._moved = functools.cache(self._moves)
 
     def in_policy(self, diagnostics: Iterable[Diagnostic], subject: str = "") -> tuple[Diagnostic, ...]:
         """Return diagnostics about built packages with the places that their rules have now.
@@ -40,9 +41,7 @@ class RulePlaces:
         where = diagnostic.where
         if where is None or not subject:
             return diagnostic
-        if subject not in self._moved:
-            self._moved[subject] = self._moves(subject)
-        place = self._moved[subject].get(where)
+        place = self._moved(subject).get(where)
         return replace(diagnostic, where=place) if place else diagnostic
 
     def _moves(self, subject: str) -> Mapping[Origin, Origin]:

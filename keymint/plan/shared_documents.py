@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import field
 from pathlib import Path
 from typing import cast
 
@@ -44,10 +43,10 @@ class SharedPlan:
         diagnostics: findings on the documents.
     """
 
-    steps: tuple[Step, ...] = ()
-    stamps: Mapping[str, Stamp] = field(default_factory=dict)
-    removed: tuple[str, ...] = ()
-    diagnostics: tuple[Diagnostic, ...] = ()
+    steps: tuple[Step, ...]
+    stamps: Mapping[str, Stamp]
+    removed: tuple[str, ...]
+    diagnostics: tuple[Diagnostic, ...]
 
 
 def record_key(build_type: str) -> str:

@@ -44,7 +44,7 @@ def plan_shared_install(
     session: Session,
     chosen: Collection[str],
     authorities: Mapping[str, MintedAuthority],
-    orphans: Sequence[str] = (),
+    orphans: Sequence[str],
 ) -> SharedPlan:
     """Plan the installed shared documents of all build types.
 

@@ -64,8 +64,7 @@ def test_what_was_not_accepted(session: Any, accepted: dict[str, AcceptedPackage
     with pytest.raises(UnacceptedPackagesError) as caught:
         refuse_unaccepted(accepting(session, **accepted), policy(FILE), policy)
     assert [(each.code, each.where) for each in caught.value.diagnostics] == [(code, FILE.where)]
-    (found,) = caught.value.files
-    assert (found.accepted, found.shipped) == (before, VALUE)
+    assert [(each.sha256, accepted) for each, accepted in caught.value.files.items()] == [(VALUE, before)]
 
 
 def test_one_error_for_each_package(session: Any) -> None:
