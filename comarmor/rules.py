@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from enum import StrEnum
 from types import MappingProxyType
 
@@ -112,3 +112,15 @@ PARTS: Mapping[tuple[str, str], tuple[tuple[str, str, str], ...]] = MappingProxy
 def parts(kind: str, permission: str) -> tuple[tuple[str, str, str], ...]:
     """Return the parts of a permission; a permission that is not composite is its only part, without suffix."""
     return PARTS.get((kind, permission)) or ((kind, permission, ""),)
+
+
+def suffixes(rule: Rule, kind: str, permission: str) -> Iterator[str]:
+    """Yield what follows the names of a rule in the names of the objects on which it has a permission without parts."""
+    if rule.kind == kind:
+        if permission in rule.permissions:
+            yield ""
+        return
+    for granted in rule.permissions:
+        for part_kind, part, suffix in PARTS.get((rule.kind, granted), ()):
+            if (part_kind, part) == (kind, permission):
+                yield suffix

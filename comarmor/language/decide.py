@@ -8,13 +8,13 @@ texts that they begin with. What a set of matching rules decides is computed onc
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 
 from comarmor.errors import ComArmorError, Reason
 from comarmor.language.syntax import Decision
 from comarmor.patterns.expression import beginning, literal, matches
 from comarmor.patterns.rule_matching import rule_matches_partition
-from comarmor.rules import PARTS, PERMISSIONS, Effect, Rule
+from comarmor.rules import PARTS, PERMISSIONS, Effect, Rule, suffixes
 from comarmor.text import did_you_mean, quoted
 from comarmor.values import dataclass
 
@@ -58,17 +58,13 @@ class RuleIndex:
             ComArmorError: the kind or the permission is not known.
         """
         row = self._rows.get((kind, permission))
-        return self._added(kind, permission) if row is None else row
-
-    def _added(self, kind: str, permission: str) -> Row:
-        _known(kind, permission)
-        parts = PARTS.get((kind, permission))
-        row: Row
-        if parts is None:
-            row = _ElementaryRow(self._rules, kind, permission)
-        else:
-            row = _CompositeRow(kind, permission, [(self.row(*part[:2]), part[2]) for part in parts])
-        self._rows[kind, permission] = row
+        if row is None:
+            _known(kind, permission)
+            if parts := PARTS.get((kind, permission)):
+                row = _CompositeRow(kind, permission, [(self.row(*part[:2]), part[2]) for part in parts])
+            else:
+                row = _ElementaryRow(self._rules, kind, permission)
+            self._rows[kind, permission] = row
         return row
 
 
@@ -119,7 +115,7 @@ class _ElementaryRow(Row):
         exact: dict[str, set[int]] = {}
         self._wild: list[tuple[int, str, str]] = []
         for at, rule in enumerate(rules):
-            for suffix in _suffixes(rule, kind, permission):
+            for suffix in suffixes(rule, kind, permission):
                 for expression in rule.expressions:
                     text = literal(expression)
                     if text is None:
@@ -204,18 +200,6 @@ class _CompositeRow(Row):
 
     def parts(self, name: str, partitions: Sequence[str]) -> tuple[Decision, ...]:
         return tuple(row.decision(name + suffix, partitions) for row, suffix in self._parts)
-
-
-def _suffixes(rule: Rule, kind: str, permission: str) -> Iterator[str]:
-    """Yield what follows the names of a rule in the names of the objects on which it has a permission."""
-    if rule.kind == kind:
-        if permission in rule.permissions:
-            yield ""
-        return
-    for granted in rule.permissions:
-        for part_kind, part_permission, suffix in PARTS.get((rule.kind, granted), ()):
-            if (part_kind, part_permission) == (kind, permission):
-                yield suffix
 
 
 def _known(kind: str, permission: str) -> None:

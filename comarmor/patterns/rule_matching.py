@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from comarmor.patterns.expression import matches
-from comarmor.rules import PARTS, Effect, Rule
+from comarmor.rules import Effect, Rule, suffixes
 
 
 def rule_matches(rule: Rule, kind: str, permission: str, name: str) -> bool:
@@ -16,14 +16,9 @@ def rule_matches(rule: Rule, kind: str, permission: str, name: str) -> bool:
         permission: a permission that is not composite.
         name: name of the object.
     """
-    if rule.kind == kind:
-        return permission in rule.permissions and any(matches(expression, name) for expression in rule.expressions)
     return any(
-        (part_kind, part_permission) == (kind, permission)
-        and name.endswith(suffix)
-        and any(matches(expression, name.removesuffix(suffix)) for expression in rule.expressions)
-        for granted in rule.permissions
-        for part_kind, part_permission, suffix in PARTS.get((rule.kind, granted), ())
+        name.endswith(suffix) and any(matches(expression, name.removesuffix(suffix)) for expression in rule.expressions)
+        for suffix in suffixes(rule, kind, permission)
     )
 
 

@@ -11,14 +11,15 @@ import string
 from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 
-from comarmor.patterns.decision_lists import Block, DecisionList, ProofResult, SearchBudget, Universe
+from comarmor.patterns.decision_lists import Block, DecisionList, Equal, ProofResult, SearchBudget, Universe
 from comarmor.patterns.glob import EVERYTHING, Glob, after, literal, normalise, parse, surround, units
 from comarmor.patterns.matching import matches
+from comarmor.patterns.possible_names import matches_ros_name
 from comarmor.patterns.printing import exact
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import TooComplexError, intersection
 from comarmor.patterns.tokens import ANY, MAX_CODE, STAR, charset
-from comarmor.rules import Effect, parts
+from comarmor.rules import Effect, parts, suffixes
 from keymint.ir import Rule
 
 RAW = "topic"
@@ -57,17 +58,11 @@ def permission_keys(rule: Rule) -> Iterator[PermissionKey]:
 def rule_patterns(rule: Rule, expression: str, key: PermissionKey) -> tuple[Glob, ...]:
     """Return patterns of the words of a kind and permission that an expression of a rule matches."""
     parsed = parse(expression)
+    endings = suffixes(rule, *key)
     if rule.kind == RAW:
-        if key not in permission_keys(rule):
-            return ()
-        default = ("*",) if rule.effect is Effect.DENY else ("",)
-        return tuple(in_partition(partition, parsed) for partition in rule.partitions or default)
-    return tuple(
-        surround("", parsed, suffix)
-        for permission in rule.permissions
-        for kind, part, suffix in parts(rule.kind, permission)
-        if (kind, part) == key
-    )
+        partitions = rule.partitions or (("*",) if rule.effect is Effect.DENY else ("",))
+        return tuple(in_partition(partition, parsed) for _ in endings for partition in partitions)
+    return tuple(surround("", parsed, suffix) for suffix in endings)
 
 
 def object_patterns(rule: Rule, key: PermissionKey) -> Iterator[Glob]:
@@ -172,6 +167,13 @@ def find_permitted(kind: str, *lists: DecisionList, budget: SearchBudget | None 
         A shortest ``Witness``, ``Equal`` if there is none, or ``Unknown``.
     """
     return difference((), *lists, legal_names(kind), universe=universe(kind), budget=budget)
+
+
+def is_possible(kind: str, pattern: Glob) -> bool:
+    """Return True unless no legal name of a kind matches a pattern."""
+    if kind != RAW:
+        return matches_ros_name(pattern)
+    return not isinstance(find_permitted(kind, allow_only(pattern)), Equal)
 
 
 def overlap(one: Glob, other: Glob) -> tuple[Glob, ...]:
