@@ -145,7 +145,7 @@ class _PatternComparison:
             *self._after.surely(key, Effect.DENY, subjects),
             *self._before.surely(key, Effect.ALLOW, subjects),
         )
-        return [(subjects, rule.object, (*rule.reach.conditions, SymbolicCondition(excluded)))]
+        return [(subjects, rule.object, (*rule.reach.conditions, SymbolicCondition(excluded, some=False)))]
 
     def _denied_before(
         self, key: PermissionKey, rule: SymbolicRule, subjects: Glob, lifted: Sequence[SymbolicRule]
@@ -154,24 +154,25 @@ class _PatternComparison:
         overlapping = [denial for denial in lifted if _may_overlap(denial, rule, subjects)]
         if not overlapping:
             return
-        conditions = (*rule.reach.conditions, SymbolicCondition(self._after.surely(key, Effect.DENY, subjects)))
+        denied = SymbolicCondition(self._after.surely(key, Effect.DENY, subjects), some=False)
+        conditions = (*rule.reach.conditions, denied)
         entries = tuple(denial.entry() for denial in overlapping if not placeholders(denial.object))
         if entries:
-            yield [(subjects, rule.object, (*conditions, SymbolicCondition(some=entries)))]
+            yield [(subjects, rule.object, (*conditions, SymbolicCondition(entries, some=True)))]
         for denial in overlapping:
             if placeholders(denial.object):
-                yield [*self._alternatives(rule, subjects, denial, conditions)]
+                yield self._alternatives(rule, subjects, denial, conditions)
 
     @staticmethod
     def _alternatives(
         rule: SymbolicRule, subjects: Glob, denial: SymbolicRule, conditions: _Conditions
-    ) -> Iterator[_SearchArguments]:
-        """Yield alternative searches for what a rule allows and a denial with placeholders denied."""
-        both = (*conditions, *denial.reach.conditions, SymbolicCondition(some=(denial.entry(),)))
-        alternatives = [(subjects, denial.object, (*both, SymbolicCondition(some=(rule.entry(),))))]
+    ) -> _AlternativeSearches:
+        """Return alternative searches for what a rule allows and a denial with placeholders denied."""
+        both = (*conditions, *denial.reach.conditions, SymbolicCondition((denial.entry(),), some=True))
+        alternatives = [(subjects, denial.object, (*both, SymbolicCondition((rule.entry(),), some=True)))]
         if placeholders(rule.object):
             alternatives.append((subjects, rule.object, both))
-        yield from sorted(alternatives, key=_inexact_entries)
+        return sorted(alternatives, key=_inexact_entries)
 
     def _differs(self, key: PermissionKey, pattern: Glob, subject: str) -> bool | Unknown:
         """Return True if only one policy allows a subject something that a pattern matches."""
@@ -194,7 +195,7 @@ _AlternativeSearches = list[_SearchArguments]
 def _inexact_entries(search: _SearchArguments) -> int:
     """Return the number of entries that cannot be rewritten exactly to the placeholders of the shape."""
     _, shape, conditions = search
-    entries = (entry for each in conditions for entry in (*each.none, *(each.some or ())))
+    entries = (entry for each in conditions for entry in each.entries)
     return sum(not fit_pattern(entry.object, shape, *EVERYBODY, wide=False).exact for entry in entries)
 
 

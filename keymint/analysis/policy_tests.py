@@ -17,6 +17,7 @@ from keymint.analysis.rule_lists import (
     allow_only,
     display_name,
     find_permitted,
+    is_possible,
     matching_rule,
     negated,
     object_patterns,
@@ -86,7 +87,7 @@ class ExpectationChecker:
         if not can_exist(within):
             raise _matches_nothing(f"no legal subject name matches {expected.subject!r}", expected.subject, expected)
         name = query_pattern(kind, expected.object, expected.partition)
-        if isinstance(find_permitted(kind, allow_only(name)), Equal):
+        if not is_possible(kind, name):
             message = f"no legal object name matches {expected.object!r}, so the expectation always holds"
             raise _matches_nothing(message, expected.object, expected)
         check = self._check_allow if expected.allowed else self._check_deny

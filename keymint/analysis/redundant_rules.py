@@ -14,22 +14,21 @@ from operator import itemgetter
 
 from comarmor.errors import Diagnostic, Origin, Spot
 from comarmor.patterns.decision_lists import Block, Equal, ProofResult, Unknown
-from comarmor.patterns.glob import Glob, literal
+from comarmor.patterns.glob import Glob
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.proofs import implies
 from comarmor.patterns.relations import TooComplexError
 from comarmor.patterns.steps import StepLimitError, step_limit
-from comarmor.ros_names import is_fully_qualified
 from comarmor.rules import Effect
 from comarmor.values import dataclass
 from keymint.analysis.deny_overlap import may_deny_something
 from keymint.analysis.expression_origins import ExpressionOrigin, ExpressionOrigins
 from keymint.analysis.findings import quoted_list, undecided, warning
 from keymint.analysis.rule_lists import (
-    RAW,
     PermissionKey,
     allow_only,
     find_permitted,
+    is_possible,
     legal_names,
     permission_keys,
     restrict_allowed,
@@ -257,17 +256,8 @@ class RedundantRules:
 
 def can_name_exist(rule: Rule, expression: str) -> bool:
     """Return True unless no legal name matches an expression of a rule."""
-    return any(
-        _is_legal(key[0], pattern) for key in permission_keys(rule) for pattern in rule_patterns(rule, expression, key)
-    )
-
-
-def _is_legal(kind: str, pattern: Glob) -> bool:
-    """Return True unless no legal name matches a pattern."""
-    name = literal(pattern)
-    if name is not None and kind != RAW:
-        return is_fully_qualified(name)
-    return not isinstance(find_permitted(kind, allow_only(pattern)), Equal)
+    keys = permission_keys(rule)
+    return any(is_possible(key[0], pattern) for key in keys for pattern in rule_patterns(rule, expression, key))
 
 
 def _is_proven(outcome: ProofResult) -> bool:

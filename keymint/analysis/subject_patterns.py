@@ -11,10 +11,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from operator import itemgetter
 
-from comarmor.patterns.decision_lists import Equal, Witness
+from comarmor.patterns.decision_lists import Witness
 from comarmor.patterns.glob import Glob, literal, normalise, parse, units
 from comarmor.patterns.matching import matches
 from comarmor.patterns.pattern_index import PatternIndex
+from comarmor.patterns.possible_names import matches_ros_name
 from comarmor.patterns.relations import TooComplexError, intersection
 from comarmor.patterns.steps import StepLimitError, cached, spend, step_limit
 from comarmor.patterns.tokens import Charset, Star
@@ -86,23 +87,19 @@ def _narrowed(patterns: Iterable[Glob], level: Sequence[str]) -> tuple[Glob, ...
 
 def can_exist(pattern: Glob) -> bool:
     """Return True unless no legal subject name matches a pattern."""
-    return _filled_legally(pattern) is not None or not isinstance(find_permitted(_NODE, allow_only(pattern)), Equal)
-
-
-def _filled_legally(pattern: Glob) -> str | None:
-    """Return a legal name that a pattern matches, with the same text for all its wildcards, or None."""
-    name = literal(pattern)
-    if name is not None:
-        return name if is_subject(name) else None
-    candidates = (_filled(pattern, each) for each in _FILLINGS)
-    return next((name for name in candidates if is_fully_qualified(name) and matches(pattern, name)), None)
+    return literal(pattern) == "/" or matches_ros_name(pattern)
 
 
 def example_subject(pattern: Glob) -> str | None:
     """Return a subject that a pattern matches, or None if the search finds none."""
-    filled = _filled_legally(pattern)
-    if filled is not None or literal(pattern) is not None:
-        return filled
+    name = literal(pattern)
+    if name is not None:
+        return name if is_subject(name) else None
+    # Mostly the same text for all wildcards does.
+    filled = (_filled(pattern, each) for each in _FILLINGS)
+    legal = next((name for name in filled if is_fully_qualified(name) and matches(pattern, name)), None)
+    if legal is not None:
+        return legal
     outcome = find_permitted(_NODE, allow_only(pattern))
     return outcome.word if isinstance(outcome, Witness) else None
 

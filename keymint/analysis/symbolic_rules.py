@@ -43,7 +43,7 @@ class ProfileReach:
         """Conditions of the profiles that ``subjects`` ignores."""
         return tuple(
             SymbolicCondition(
-                some=tuple(SymbolicEntry(namespace_name_pairs(parse(expression)), (STAR,)) for expression in level)
+                tuple(SymbolicEntry(namespace_name_pairs(parse(each)), (STAR,)) for each in level), some=True
             )
             for level in self.left
         )

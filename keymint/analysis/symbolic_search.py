@@ -68,12 +68,12 @@ class SymbolicCondition:
     """A condition for words.
 
     Attributes:
-        none: the word matches none of these entries.
-        some: the word matches at least one of these entries; None for no condition.
+        entries: entries.
+        some: the word matches at least one of them; else it matches none.
     """
 
-    none: tuple[SymbolicEntry, ...] = ()
-    some: tuple[SymbolicEntry, ...] | None = None
+    entries: tuple[SymbolicEntry, ...]
+    some: bool
 
 
 SubjectCheck = Callable[[str], bool | Unknown]
@@ -182,11 +182,11 @@ class _Search:
         positives: list[tuple[Glob, ...]] = [(_word(self._namespace, self._name, self._shape),)]
         negatives = [*_illegal(self._kind), *self._surplus_placeholders()]
         for condition in self._conditions:
-            if condition.some is not None:
-                some = (word for entry in condition.some for word in self._entry_words(entry, wide=True))
-                positives.append(tuple(dict.fromkeys(some)))
-            for entry in condition.none:
-                negatives += self._entry_words(entry, wide=False)
+            found = [word for entry in condition.entries for word in self._entry_words(entry, wide=condition.some)]
+            if condition.some:
+                positives.append(tuple(dict.fromkeys(found)))
+            else:
+                negatives += found
         return positives, negatives
 
     def _entry_words(self, entry: SymbolicEntry, *, wide: bool) -> Iterator[Glob]:
@@ -217,7 +217,7 @@ class _Search:
         """Yield the words that rules with placeholders deny for a namespace and name, if they deny a given word."""
         exact = (_text(namespace), _text(name))
         for condition in self._conditions:
-            for entry in condition.none:
+            for entry in () if condition.some else condition.entries:
                 used = placeholders(entry.object)
                 if not used or not matches(fill_placeholders(entry.object, *exact), word):
                     continue

@@ -140,12 +140,12 @@ class _HolderSearch:
 
     def _conditions(self, rules: SymbolicRules, subjects: Glob) -> Iterator[SymbolicCondition]:
         """Yield the conditions of the rules; a composite permission requires all its parts."""
-        yield SymbolicCondition(some=(SymbolicEntry((EVERYBODY,), self._name),))
+        yield SymbolicCondition((SymbolicEntry((EVERYBODY,), self._name),), some=True)
         for number, (kind, part, suffix) in enumerate(parts(self._kind, self._permission)):
             key = (kind, part)
-            yield SymbolicCondition(tuple(_without(rules.surely(key, Effect.DENY, subjects), suffix)))
+            yield SymbolicCondition(tuple(_without(rules.surely(key, Effect.DENY, subjects), suffix)), some=False)
             if number:
-                yield SymbolicCondition(some=tuple(_without(rules.perhaps(key, Effect.ALLOW, subjects), suffix)))
+                yield SymbolicCondition(tuple(_without(rules.perhaps(key, Effect.ALLOW, subjects), suffix)), some=True)
 
     def _check(self, subject: str) -> bool | Unknown:
         outcome = self._shortest_granted(rules_of(self._policy, subject), self._budget)
