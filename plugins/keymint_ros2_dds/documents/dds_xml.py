@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from functools import lru_cache
 
@@ -54,6 +54,12 @@ def child(parent: etree._Element, tag: str, text: str | None = None) -> etree._E
     if text is not None:
         element.text = text
     return element
+
+
+def settings(parent: etree._Element, values: Mapping[str, str | bool]) -> None:
+    """Append an element for each setting: texts as they are, booleans as XML has them."""
+    for tag, value in values.items():
+        child(parent, tag, value if isinstance(value, str) else str(value).lower())
 
 
 def domains(parent: etree._Element, ranges: Iterable[DomainRange]) -> None:

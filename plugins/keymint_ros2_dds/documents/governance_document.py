@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -96,7 +96,7 @@ def _check(governance: Governance, lenient: bool) -> Iterator[Diagnostic]:
 def _domain_rule(parent: etree._Element, rule: DomainRule, distro: str, lenient: bool) -> Iterator[Diagnostic]:
     element = dds_xml.child(parent, "domain_rule")
     dds_xml.domains(element, rule.domains)
-    _settings(element, rule, STRICT_DOMAIN)
+    dds_xml.settings(element, {name: getattr(rule, name) for name in STRICT_DOMAIN})
     topics = dds_xml.child(element, "topic_access_rules")
     covered: list[Glob] = []
     for topic in rule.topic_rules:
@@ -192,11 +192,4 @@ def _expressions(pattern: Glob, topic: TopicProtection, lenient: bool) -> tuple[
 def _topic_rule(parent: etree._Element, expression: str, topic: TopicProtection) -> None:
     element = dds_xml.child(parent, "topic_rule")
     dds_xml.child(element, "topic_expression", expression)
-    _settings(element, topic, STRICT_TOPIC)
-
-
-def _settings(element: etree._Element, rule: DomainRule | TopicProtection, names: Iterable[str]) -> None:
-    """Append an element for each setting of a rule: booleans as XML has them."""
-    for name in names:
-        value = getattr(rule, name)
-        dds_xml.child(element, name, value if isinstance(value, str) else str(value).lower())
+    dds_xml.settings(element, {name: getattr(topic, name) for name in STRICT_TOPIC})

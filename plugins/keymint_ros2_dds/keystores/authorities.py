@@ -16,7 +16,7 @@ from keymint.pki.distinguished_names import to_text
 from keymint_ros2_dds.authority_roles import IDENTITY, PERMISSIONS
 from keymint_ros2_dds.enclave_layout import CA, IDENTITY_CA, PERMISSIONS_CA
 from keymint_ros2_dds.keystores.contents import Contents
-from keymint_ros2_dds.keystores.enclaves import exposure, validity_of
+from keymint_ros2_dds.keystores.enclaves import dates_of, exposure
 from keymint_ros2_dds.keystores.places import EnclavePlace
 
 _FILES = {IDENTITY: IDENTITY_CA, PERMISSIONS: PERMISSIONS_CA}
@@ -58,17 +58,13 @@ def authorities(
         authority, own = _authority(keystore, contents, path, content, roles)
         found += [authority] if authority else []
         findings += own
-    if len({_key_of(each) for each in found}) < len(found):
+    if len({each.facts["fingerprint"] for each in found}) < len(found):
         message = "both authorities have one and the same key"
         help_ = "make a certificate for one of them alone the file of both"
         findings.append(
             Diagnostic("adopt-authority-key", Severity.ERROR, message, contents.place(found[0].file), help_)
         )
     return tuple(found), findings
-
-
-def _key_of(authority: FoundAuthority) -> str:
-    return str(authority.facts["fingerprint"])
 
 
 def _authority(
@@ -104,8 +100,7 @@ def _authority(
         "subject_name": to_text(certificate.subject),
         "fingerprint": keys.fingerprint(public),
         "key_kind": f"RSA {kind.size}" if kind.algorithm == "rsa" else kind.curve,
-        "not_before": f"{validity_of(certificate).not_before:%Y-%m-%dT%H:%M:%SZ}",
-        "not_after": f"{end:%Y-%m-%dT%H:%M:%SZ}",
+        **dates_of(certificate),
         "key_usage": extensions.usages(certificate),
         "subject_key_identifier": extensions.value(certificate, x509.SubjectKeyIdentifier) is not None,
         "authority_key_identifier": extensions.value(certificate, x509.AuthorityKeyIdentifier) is not None,

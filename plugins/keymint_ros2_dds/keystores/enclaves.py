@@ -71,7 +71,7 @@ class _Enclave:
             key=self._content(KEY) if self._facts["key"] == "matches" else b"",
             key_spec=keys.kind_of(certificates.public_key(certificate)) if certificate else None,
             subject_name=self._facts["subject_name"],
-            validity=validity_of(certificate) if certificate else None,
+            validity=Validity(*certificates.period(certificate)) if certificate else None,
             grant_validity=self._grant_validity(),
             domains=self._domains,
             documents=self._documents,
@@ -149,7 +149,7 @@ class _Enclave:
             return
         self._certificate = certificate
         self._facts["subject_name"] = to_text(certificate.subject)
-        self._facts["certificate"] = _period(validity_of(certificate))
+        self._facts["certificate"] = dates_of(certificate)
         if issuer := self._trusted(IDENTITY_CA):
             problems = certification_path.verify_chain(pem, issuer, self._keystore.now, where)
             self._facts["chain"] = all(each.code in _DATED for each in problems)
@@ -318,9 +318,10 @@ class _Enclave:
         return Validity(begin, end) if begin and end and begin < end else None
 
 
-def validity_of(certificate: x509.Certificate) -> Validity:
-    """Return the validity of a certificate."""
-    return Validity(*certificates.period(certificate))
+def dates_of(certificate: x509.Certificate) -> dict[str, str]:
+    """Return the period of a certificate as a report has it."""
+    begin, end = map(_shown, certificates.period(certificate))
+    return {"not_before": begin, "not_after": end}
 
 
 def exposure(keystore: KeystoreFiles, path: str, where: Origin, subject: str) -> Iterator[Diagnostic]:
@@ -342,10 +343,6 @@ def exposure(keystore: KeystoreFiles, path: str, where: Origin, subject: str) ->
 
 def _grant_facts(grant: DocumentGrant) -> dict[str, Any]:
     return {"subject_name": grant.subject_name, "not_before": grant.not_before, "not_after": grant.not_after}
-
-
-def _period(validity: Validity) -> dict[str, str]:
-    return {"not_before": _shown(validity.not_before), "not_after": _shown(validity.not_after)}
 
 
 def _shown(moment: object) -> str:

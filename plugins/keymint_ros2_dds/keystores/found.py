@@ -39,8 +39,8 @@ def found(keystore: KeystoreFiles) -> FoundKeystore:
         enclave, own = examined(keystore, content, replace(place, files={**place.files, **listed}))
         enclaves.append(enclave)
         diagnostics += own
-    defaults: dict[str, bytes] = {}
-    diagnostics += _defaults(content, enclaves, trusted, defaults)
+    defaults, of_governance = _defaults(content, enclaves, trusted)
+    diagnostics += of_governance
     diagnostics += _doubled(content, enclaves)
     diagnostics += revocations.examined(keystore, content, lists, enclaves, by_name=where.layout == "sros2")
     secrets = {keystore.files[path].content for each in trusted for path in each.key_files}
@@ -59,31 +59,29 @@ def found(keystore: KeystoreFiles) -> FoundKeystore:
 
 
 def _defaults(
-    content: Contents,
-    enclaves: Sequence[FoundEnclave],
-    trusted: Sequence[FoundAuthority],
-    defaults: dict[str, bytes],
-) -> Iterator[Diagnostic]:
-    """Yield why the governance cannot become the source of all packages, or add that source to the defaults."""
-    documents = {each.subject: each.documents[GOVERNANCE_XML] for each in enclaves if GOVERNANCE_XML in each.documents}
+    content: Contents, enclaves: Sequence[FoundEnclave], trusted: Sequence[FoundAuthority]
+) -> tuple[Mapping[str, bytes], list[Diagnostic]]:
+    """Return the governance as the source of all packages, and why it cannot become that."""
+    governed = [each for each in enclaves if GOVERNANCE_XML in each.documents]
     signer = next((each.name for each in trusted if SIGNS in each.roles), "")
-    if not documents or not signer:
-        return
-    subject, first = next(iter(documents.items()))
-    file = _governance_file(enclaves, subject)
-    for other, document in documents.items():
-        if not governance.is_same(first, document):
-            message = f"protects other topics or domains than the governance of {subject}, {content.place(file)}"
+    if not governed or not signer:
+        return {}, []
+    findings = []
+    first, document = governed[0], governed[0].documents[GOVERNANCE_XML]
+    place = content.place(first.files[GOVERNANCE_P7S])
+    for other in governed:
+        if not governance.is_same(document, other.documents[GOVERNANCE_XML]):
+            message = f"protects other topics or domains than the governance of {first.subject}, {place}"
             help_ = "all participants of a domain need the same: adopt these enclaves as a keystore of their own"
-            where = content.place(_governance_file(enclaves, other))
-            yield Diagnostic("adopt-governance", Severity.ERROR, message, where, help_, other)
-    made = governance.source(first, signer)
+            where = content.place(other.files[GOVERNANCE_P7S])
+            findings.append(Diagnostic("adopt-governance", Severity.ERROR, message, where, help_, other.subject))
+    made = governance.source(document, signer)
     if made is None:
         message = "has several domain rules, and a profile's defaults have one"
         help_ = "sign a governance with one domain rule, which may have several domains"
-        yield Diagnostic("adopt-governance", Severity.ERROR, message, content.place(file), help_)
-    else:
-        defaults[GOVERNANCE] = made
+        findings.append(Diagnostic("adopt-governance", Severity.ERROR, message, place, help_))
+        return {}, findings
+    return {GOVERNANCE: made}, findings
 
 
 def _in_the_way(
@@ -111,11 +109,6 @@ def _in_the_way(
         message = "has a private key that cannot be read, perhaps an authority's, where robots' files are taken from"
         help_ = "move it out of that folder, e.g. to private/, if no robot needs it; else decrypt it (openssl pkey)"
         yield Diagnostic("adopt-key-sealed", Severity.ERROR, message, content.place(path), help_)
-
-
-def _governance_file(enclaves: Sequence[FoundEnclave], subject: str) -> str:
-    files: Mapping[str, str] = next(each.files for each in enclaves if each.subject == subject)
-    return files[GOVERNANCE_P7S]
 
 
 def _doubled(content: Contents, enclaves: Sequence[FoundEnclave]) -> Iterator[Diagnostic]:

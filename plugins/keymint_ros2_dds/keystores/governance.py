@@ -8,14 +8,16 @@ from lxml import etree
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.reading import signed_governance
 from keymint_ros2_dds.reading.signed_governance import (
+    ACCESS,
     DOMAIN_PROTECTIONS,
     JOIN,
+    TOPIC_PROTECTIONS,
     UNAUTHENTICATED,
     DocumentDomainRule,
     DocumentTopicRule,
-    GovernanceDocument,
 )
 from keymint_ros2_dds.reading.signed_permissions import as_ranges
+from keymint_ros2_dds.settings import STRICT_TOPIC
 
 _HEAD = (
     b'<?xml version="1.0" encoding="UTF-8"?>\n'
@@ -38,10 +40,8 @@ def source(document: bytes, signer: str) -> bytes | None:
     root = etree.Element("defaults")
     dds_xml.child(root, "issuer_name", signer)
     dds_xml.domains(root, as_ranges(rule.domains))
-    dds_xml.child(root, UNAUTHENTICATED, _boolean(rule.unauthenticated))
-    dds_xml.child(root, JOIN, _boolean(rule.join_controlled))
-    for tag, kind in zip(DOMAIN_PROTECTIONS, rule.protections, strict=True):
-        dds_xml.child(root, tag, kind)
+    dds_xml.settings(root, {UNAUTHENTICATED: rule.unauthenticated, JOIN: rule.join_controlled})
+    dds_xml.settings(root, dict(zip(DOMAIN_PROTECTIONS, rule.protections, strict=True)))
     topics = dds_xml.child(root, "topic_access_rules")
     for topic in rule.topic_rules:
         _topic_rule(topics, topic)
@@ -50,27 +50,23 @@ def source(document: bytes, signer: str) -> bytes | None:
 
 
 def _topic_rule(parent: etree._Element, rule: DocumentTopicRule) -> None:
-    discovery, liveliness, metadata, data = rule.protections
+    own: dict[str, str | bool] = {
+        **dict(zip(TOPIC_PROTECTIONS, rule.protections, strict=True)),
+        ACCESS["subscribe"]: rule.read_controlled,
+        ACCESS["publish"]: rule.write_controlled,
+    }
     element = dds_xml.child(parent, "topic_rule")
     dds_xml.child(element, "topic_expression", rule.expression)
-    dds_xml.child(element, "enable_discovery_protection", discovery)
-    dds_xml.child(element, "enable_liveliness_protection", liveliness)
-    dds_xml.child(element, "enable_read_access_control", _boolean(rule.read_controlled))
-    dds_xml.child(element, "enable_write_access_control", _boolean(rule.write_controlled))
-    dds_xml.child(element, "metadata_protection_kind", metadata)
-    dds_xml.child(element, "data_protection_kind", data)
+    dds_xml.settings(element, {name: own[name] for name in STRICT_TOPIC})
 
 
 def is_same(one: bytes, other: bytes) -> bool:
     """Tell whether two governance documents have the same rules in the same order, however they are written."""
-    return _meaning(signed_governance.read(one)) == _meaning(signed_governance.read(other))
+    first, second = ([_meaning(rule) for rule in signed_governance.read(each).domain_rules] for each in (one, other))
+    return first == second
 
 
-def _meaning(document: GovernanceDocument) -> list[tuple[object, ...]]:
-    return [_domain_rule(rule) for rule in document.domain_rules]
-
-
-def _domain_rule(rule: DocumentDomainRule) -> tuple[object, ...]:
+def _meaning(rule: DocumentDomainRule) -> tuple[object, ...]:
     topics = [
         (each.expression.strip(), each.read_controlled, each.write_controlled, *map(_value, each.protections))
         for each in rule.topic_rules
@@ -81,7 +77,3 @@ def _domain_rule(rule: DocumentDomainRule) -> tuple[object, ...]:
 def _value(text: str) -> str:
     """Return a boolean of XML Schema in one form, and other text as it is."""
     return {"1": "true", "0": "false"}.get(text, text)
-
-
-def _boolean(value: bool) -> str:
-    return "true" if value else "false"

@@ -45,8 +45,28 @@ def found_lists(
         places: where the files of its enclaves are.
         issuer: the authority of identities; None if it was not found.
     """
-    findings: list[Diagnostic] = []
-    lists = _verified(keystore, contents, places, issuer, findings) if issuer else {}
+    if issuer is None:
+        return FoundLists({}, "", ())
+    used = {enclave.files[CRL] for enclave in places if CRL in enclave.files}
+    authority = certificates.load(issuer.certificate)
+    lists: dict[str, RevocationList] = {}
+    findings = []
+    for path in sorted({*contents.revocation_lists, *used}):
+        content, place = keystore.files[path].content, contents.place(path)
+        if revocation_lists.problem(content, authority):
+            message, severity = f"is no revocation list of the authority {issuer.name!r}", Severity.WARNING
+            help_ = "nothing, if it concerns no identity of this keystore; it is not taken over"
+            if path in used:
+                message, severity = f"{message}: no node with it starts", Severity.ERROR
+                help_ = "replace it with the authority's, or remove it, here and on the robot"
+            findings.append(Diagnostic(_CODE, severity, message, place, help_))
+            continue
+        try:
+            lists[path] = revocation_lists.load(content, place)
+        except KeymintError:
+            message = "has more than one revocation list, or text around it; enclaves would get another file"
+            help_ = f"rewrite it, here and on the robots: openssl crl -in {place} -out {place}"
+            findings.append(Diagnostic(_CODE, Severity.ERROR, message, place, help_))
     newest = max(lists, key=lambda each: (lists[each].number, lists[each].this_update), default="")
     return FoundLists(lists, newest, tuple(findings))
 
@@ -78,36 +98,6 @@ def examined(
         yield from _elsewhere(keystore, contents, path, enclaves, len(newest.revocations))
     message = f"revokes {counted(len(newest.revocations), 'certificate')}, which stay revoked"
     yield Diagnostic(_CODE, Severity.NOTE, message, contents.place(path), "nothing")
-
-
-def _verified(
-    keystore: KeystoreFiles,
-    contents: Contents,
-    places: Iterable[EnclavePlace],
-    issuer: FoundAuthority,
-    findings: list[Diagnostic],
-) -> Mapping[str, RevocationList]:
-    """Return the lists of an authority by path, and add a finding for each other one."""
-    used = {enclave.files[CRL] for enclave in places if CRL in enclave.files}
-    authority = certificates.load(issuer.certificate)
-    found: dict[str, RevocationList] = {}
-    for path in sorted({*contents.revocation_lists, *used}):
-        content, place = keystore.files[path].content, contents.place(path)
-        if revocation_lists.problem(content, authority):
-            message, severity = f"is no revocation list of the authority {issuer.name!r}", Severity.WARNING
-            help_ = "nothing, if it concerns no identity of this keystore; it is not taken over"
-            if path in used:
-                message, severity = f"{message}: no node with it starts", Severity.ERROR
-                help_ = "replace it with the authority's, or remove it, here and on the robot"
-            findings.append(Diagnostic(_CODE, severity, message, place, help_))
-            continue
-        try:
-            found[path] = revocation_lists.load(content, place)
-        except KeymintError:
-            message = "has more than one revocation list, or text around it; enclaves would get another file"
-            help_ = f"rewrite it, here and on the robots: openssl crl -in {place} -out {place}"
-            findings.append(Diagnostic(_CODE, Severity.ERROR, message, place, help_))
-    return found
 
 
 def _lost(contents: Contents, newest: str, lists: Mapping[str, RevocationList]) -> Iterator[Diagnostic]:
