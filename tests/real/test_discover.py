@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from keymint_ros2_dds.discovery import graph_source
 from keymint_ros2_dds.vendors.participants import DeniedError, System
-from keymint_ros2_dds.vendors.ports import Ports
+from keymint_ros2_dds.vendors.ports import free_ports
 
 from .provisioning import enclave
 
@@ -115,8 +115,8 @@ def running() -> Iterator[Unsecured]:
         if os.environ.get("KEYMINT_REQUIRE_VENDORS") == "1":
             pytest.fail(message, pytrace=False)
         pytest.skip(message)
-    with Ports() as ports, ExitStack() as stack:
-        yield Unsecured(stack, ports.first)
+    with free_ports() as first_port, ExitStack() as stack:
+        yield Unsecured(stack, first_port)
 
 
 def node(name: str, edges: Edges) -> Edges:

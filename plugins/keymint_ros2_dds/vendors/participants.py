@@ -31,7 +31,7 @@ from comarmor.values import dataclass
 from keymint.command_process import GRACE_SECONDS, CommandProcess
 from keymint_ros2_dds.enclave_layout import CRL
 from keymint_ros2_dds.vendors import cyclone_access_control
-from keymint_ros2_dds.vendors.ports import FIRST_PARTICIPANT, Ports
+from keymint_ros2_dds.vendors.ports import FIRST_PARTICIPANT, free_ports
 
 _AT_ONCE = 32
 """Commands that are sent before their answers are read; they fit into a pipe."""
@@ -118,21 +118,18 @@ class FastDDS(Vendor):
         return environment, (str(first_port + FIRST_PARTICIPANT), str(index))
 
 
-class System:
+class System(ExitStack):
     """Participants that discover each other and no others; their processes end with the context."""
 
     def __init__(self, vendor: Vendor) -> None:
+        super().__init__()
         self._vendor = vendor
-        self._stack = ExitStack()
         self._opened = 0
         self.first_port = 0
 
     def __enter__(self) -> Self:
-        self.first_port = self._stack.enter_context(Ports()).first
+        self.first_port = self.enter_context(free_ports())
         return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stack.close()
 
     def open(
         self, enclave: Path, domain: int = 0, *, conforming: bool = True, revocations: bool = True
@@ -152,7 +149,7 @@ class System:
         index, self._opened = self._opened, self._opened + 1
         environment, words = self._vendor.start(self.first_port, index, conforming=conforming)
         process = _ProbeProcess(self._vendor.program, environment)
-        self._stack.callback(process.reap)
+        self.callback(process.reap)
         crl = CRL if revocations and (enclave / CRL).exists() else ""
         answer, reason = process.ask("OPEN", str(domain), str(enclave.resolve()), crl, *words)
         if answer != "OPENED":

@@ -13,6 +13,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import zenoh
@@ -34,16 +35,19 @@ class _Mailbox:
             self._samples.append((key, text))
             self._arrival.notify_all()
 
-    def wait_for_key(self, last: str, seconds: float) -> list[tuple[str, str]]:
-        """Return all samples until now, but first wait for one on the key ``last``, up to a time."""
-        with self._arrival:
-            self._arrival.wait_for(lambda: any(key == last for key, _ in self._samples), seconds)
-            return list(self._samples)
+    def arrived(self, sample: Any) -> None:
+        """Put the key and the text of a sample of the library."""
+        self.put(str(sample.key_expr), sample.payload.to_string())
 
-    def wait(self, last: str, seconds: float) -> list[tuple[str, str]]:
-        """Return all samples until now, but first wait for one with the text ``last``, up to a time."""
+    def replied(self, key: str, reply: Any) -> None:
+        """Put the text of a reply, if it is one, as the answer to the query for a key."""
+        if reply.ok is not None:
+            self.put(key, reply.ok.payload.to_string())
+
+    def wait(self, is_last: Callable[[str, str], bool], seconds: float) -> list[tuple[str, str]]:
+        """Return all samples until now, but first wait for one that is the last by its key and text, up to a time."""
         with self._arrival:
-            self._arrival.wait_for(lambda: any(text == last for _, text in self._samples), seconds)
+            self._arrival.wait_for(lambda: any(is_last(*sample) for sample in self._samples), seconds)
             return list(self._samples)
 
 
@@ -117,7 +121,7 @@ class _Commands:
             zenoh.ext.declare_advanced_subscriber(
                 self._sessions[session],
                 key,
-                lambda sample: box.put(str(sample.key_expr), sample.payload.to_string()),
+                box.arrived,
                 history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
             )
         )
@@ -131,11 +135,7 @@ class _Commands:
         """Declare subscribers on keys, by the names of their mailboxes."""
         for name, key in keys.items():
             box = self._mailboxes[name] = _Mailbox()
-
-            def arrived(sample: Any, box: _Mailbox = box) -> None:
-                box.put(str(sample.key_expr), sample.payload.to_string())
-
-            self._declared[session].append(self._sessions[session].declare_subscriber(key, _in_order(arrived)))
+            self._declared[session].append(self._sessions[session].declare_subscriber(key, _in_order(box.arrived)))
 
     def watch(self, session: str, keys: dict[str, str]) -> None:
         """Declare subscribers on liveliness tokens, by the names of their mailboxes; a text is ``+`` or ``-``."""
@@ -150,12 +150,12 @@ class _Commands:
 
     def answered(self, name: str, last: str, seconds: float) -> list[tuple[str, str]]:
         """Return what is in a mailbox; wait for something on the key ``last``, up to a time."""
-        return self._mailboxes[name].wait_for_key(last, seconds)
+        return self._mailboxes[name].wait(lambda key, _: key == last, seconds)
 
     def received(self, names: list[str], last: str, seconds: float) -> dict[str, list[tuple[str, str]]]:
         """Return the samples in mailboxes; wait for the text ``last`` in the first of them, up to a time."""
-        first = self._mailboxes[names[0]].wait(last, seconds)
-        return {name: first if name == names[0] else self._mailboxes[name].wait("", 0) for name in names}
+        self._mailboxes[names[0]].wait(lambda _, text: text == last, seconds)
+        return {name: self._mailboxes[name].wait(lambda _, __: True, 0) for name in names}
 
     def answer(self, session: str, keys: list[str], text: str, *, complete: bool = True) -> None:
         """Declare queryables that answer each query with a text, on the key of the query if it is literal."""
@@ -171,16 +171,8 @@ class _Commands:
     def query(self, session: str, name: str, keys: list[str]) -> None:
         """Send a query for each key; its answers come into a mailbox as the key and the text."""
         box = self._mailboxes[name] = _Mailbox()
-
-        def ask(key: str) -> None:
-            def replied(reply: Any) -> None:
-                if reply.ok is not None:
-                    box.put(key, reply.ok.payload.to_string())
-
-            self._sessions[session].get(key, _in_order(replied), timeout=_QUERY_SECONDS)
-
         for key in keys:
-            ask(key)
+            self._sessions[session].get(key, _in_order(partial(box.replied, key)), timeout=_QUERY_SECONDS)
 
     def send_queries(self, session: str, keys: list[str]) -> None:
         """Send queries for keys and for liveliness tokens, and do not wait for answers."""

@@ -28,7 +28,7 @@ class ProcessFailedError(Exception):
     """The process hangs or has died: not a decision of Zenoh."""
 
 
-class ZenohSystem:
+class ZenohSystem(ExitStack):
     """Processes of real Zenoh with a private temporary folder; both end with the context.
 
     Args:
@@ -36,17 +36,14 @@ class ZenohSystem:
     """
 
     def __init__(self, variables: Mapping[str, str]) -> None:
+        super().__init__()
         self._variables = {name: variables[name] for name in _INHERITED if name in variables}
-        self._stack = ExitStack()
         self._folder = Path()
         self._started = 0
 
     def __enter__(self) -> Self:
-        self._folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="keymint-zenoh-")))
+        self._folder = Path(self.enter_context(tempfile.TemporaryDirectory(prefix="keymint-zenoh-")))
         return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stack.close()
 
     def start(self, *, log: str = "error") -> ZenohProcess:
         """Start a process without sessions.
@@ -56,7 +53,7 @@ class ZenohSystem:
         """
         self._started += 1
         process = ZenohProcess(self._folder / f"log{self._started}", {**self._variables, "RUST_LOG": log})
-        self._stack.callback(process.reap)
+        self.callback(process.reap)
         return process
 
     def file(self, name: str, content: bytes) -> Path:
