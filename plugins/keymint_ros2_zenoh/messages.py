@@ -26,6 +26,11 @@ class Flow(StrEnum):
     INGRESS = "ingress"
     EGRESS = "egress"
 
+    @property
+    def opposite(self) -> Flow:
+        """The flow at the other end of the link: what enters the router leaves the session, and the reverse."""
+        return Flow.EGRESS if self is Flow.INGRESS else Flow.INGRESS
+
 
 class Permission(StrEnum):
     """Effect of a rule, or the default."""

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import field
-from ipaddress import IPv6Address, ip_address
+from ipaddress import ip_address
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
@@ -64,10 +64,7 @@ def is_router(package: Package) -> bool:
 
 def in_endpoint(host: str) -> str:
     """Return a host as endpoints have it: an IPv6 address stands in brackets."""
-    try:
-        return f"[{host}]" if isinstance(ip_address(host), IPv6Address) else host
-    except ValueError:
-        return host
+    return f"[{host}]" if ":" in host else host
 
 
 def is_address(host: str) -> bool:

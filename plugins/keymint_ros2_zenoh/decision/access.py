@@ -68,15 +68,15 @@ class AccessModel:
     """Decides about messages by the access control of one configuration.
 
     Args:
-        access_control: of the router or session that decides; None if the configuration has none.
+        access_control: of the router or session that decides.
     """
 
-    def __init__(self, access_control: AccessControl | None) -> None:
+    def __init__(self, access_control: AccessControl) -> None:
         self._control = access_control
         self._entries: dict[_Properties, _Entry] = {}
         self._any_name: list[_Properties] = []
         self._of_name: dict[str, list[_Properties]] = {}
-        if access_control is not None and access_control.enabled:
+        if access_control.enabled:
             self._read(access_control)
 
     def on(self, link: Link) -> LinkAccess:
@@ -114,11 +114,11 @@ class LinkAccess:
     """Decides about the messages on one link.
 
     Args:
-        control: the access control, or None.
+        control: the access control.
         entries: those that match the link.
     """
 
-    def __init__(self, control: AccessControl | None, entries: tuple[_Entry, ...]) -> None:
+    def __init__(self, control: AccessControl, entries: tuple[_Entry, ...]) -> None:
         self._control = control
         self._entries = entries
 
@@ -126,7 +126,7 @@ class LinkAccess:
     def watched(self) -> frozenset[Flow]:
         """The flows of which Zenoh looks at each message; it does not look at one that is always allowed."""
         control = self._control
-        if control is None or not control.enabled:
+        if not control.enabled:
             return frozenset()
         if control.default_permission is Permission.DENY:
             return frozenset(Flow)
@@ -141,10 +141,8 @@ class LinkAccess:
             key_expr: its key expression, in canonical form.
         """
         control = self._control
-        if control is None or not control.enabled:
-            return AccessDecision(
-                allowed=True, reason="access control is off", where=None if control is None else control.where
-            )
+        if not control.enabled:
+            return AccessDecision(allowed=True, reason="access control is off", where=control.where)
         default = control.default_permission is Permission.ALLOW
         if not self._entries:
             reason = f"no subject has the link's certificate; the default is {control.default_permission}"

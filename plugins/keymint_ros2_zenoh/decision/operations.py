@@ -14,7 +14,7 @@ from comarmor.values import dataclass
 from keymint.graph import Edge
 from keymint_ros2_zenoh.keyexpr.key_expr import literal
 from keymint_ros2_zenoh.lowering.names import ADVANCED
-from keymint_ros2_zenoh.lowering.slots import SLOTS, WAYS, Place, Slot
+from keymint_ros2_zenoh.lowering.slots import SLOTS, WAYS, Place, Slot, action
 from keymint_ros2_zenoh.messages import Flow, Message
 
 TYPE = "std_msgs::msg::dds_::String_"
@@ -23,8 +23,6 @@ HASH = "TypeHashNotSupported"
 PUBLISH, SUBSCRIBE, CALL, EXECUTE = "ros_publish", "ros_subscribe", "ros_call", "ros_execute"
 OTHER_END: Mapping[str, str] = MappingProxyType({PUBLISH: SUBSCRIBE, SUBSCRIBE: PUBLISH, CALL: EXECUTE, EXECUTE: CALL})
 """The operation at the other end of each operation."""
-MIRRORED: Mapping[Flow, Flow] = MappingProxyType({Flow.INGRESS: Flow.EGRESS, Flow.EGRESS: Flow.INGRESS})
-"""What enters the router leaves the session, and the reverse."""
 _ADVANCED_IDS = "pub/0123456789abcdef/1/_"
 
 
@@ -70,8 +68,7 @@ class Request:
 
     def __str__(self) -> str:
         """Return it in words: ``put in on 0/chatter/…``."""
-        direction = "in" if self.flow is Flow.INGRESS else "out"
-        return f"{self.message.replace('_', ' ')} {direction} on {self.key}"
+        return f"{action(self.message, self.flow)} on {self.key}"
 
 
 def operations(edge: Edge) -> tuple[Operation, ...]:

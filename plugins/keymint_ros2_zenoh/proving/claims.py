@@ -43,7 +43,7 @@ class RightsQuestion:
         router: the rights of all enclaves, as the router has them.
         states: the most states that the search for one claim may visit.
         go_on: polled; the search ends when it returns False.
-        session: what the enclave's own configuration permits on links to the router; None if it restricts nothing.
+        session: what the enclave's own configuration permits on links to the router.
     """
 
     rules: SubjectRules
@@ -53,7 +53,7 @@ class RightsQuestion:
     router: RouterRights
     states: int
     go_on: Callable[[], bool]
-    session: LinkRights | None = None
+    session: LinkRights
 
 
 def prove_rights(question: RightsQuestion) -> Iterator[Claim]:
@@ -110,13 +110,10 @@ class _Rights:
     def _in_session(self, message: Message, flow: Flow) -> Claim | None:
         """Return a claim that is not proven because the enclave's own configuration restricts what is permitted."""
         session = self._question.session
-        if session is None:
-            return None
         if session.unmodelled:
             reason = f"the configuration of the enclave's own sessions: {session.unmodelled}"
             return self.claim(message, flow, Proof.UNKNOWN, reason)
-        other = Flow.EGRESS if flow is Flow.INGRESS else Flow.INGRESS
-        own, permitted = session.keys(message, other), self._policy.permitted(message, flow)
+        own, permitted = session.keys(message, flow.opposite), self._policy.permitted(message, flow)
         needed = [key for allowed, _ in permitted for key in allowed]
         if any(not denied and (session.open or _include(allowed, needed)) for allowed, denied in own):
             return None

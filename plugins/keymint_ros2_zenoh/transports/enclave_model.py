@@ -13,7 +13,7 @@ from keymint.api.installed_enclaves import EnclavesBySubject
 from keymint.graph import Edge
 from keymint_ros2_zenoh.decision import admission
 from keymint_ros2_zenoh.decision.access import AccessDecision, AccessModel, Link
-from keymint_ros2_zenoh.decision.operations import MIRRORED, Request, operations
+from keymint_ros2_zenoh.decision.operations import Request, operations
 from keymint_ros2_zenoh.messages import Flow
 from keymint_ros2_zenoh.transports import installed
 from keymint_ros2_zenoh.transports.edge_verdict import edge_verdict
@@ -55,7 +55,7 @@ class EnclaveModel:
 
     def __init__(self, enclave: Enclave, router: RouterModel, environment: Environment) -> None:
         self.files = installed.session(enclave, environment)
-        self.common_name = installed.session_name(self.files)
+        self.common_name = self.files.common_name(self.files.configuration.tls.connect_certificate)
         self.refusal = _refusal(self.files, router.files, environment)
         self._router_file, self._session_file = str(router.files.file), str(self.files.file)
         session = AccessModel(self.files.configuration.access_control)
@@ -78,7 +78,7 @@ class EnclaveModel:
 
     def at_session(self, request: Request) -> AccessDecision:
         """Return what the session's own access control decides about it."""
-        return self._at_session.decide(request.message, MIRRORED[request.flow], request.key)
+        return self._at_session.decide(request.message, request.flow.opposite, request.key)
 
     def decide(self, request: Request) -> Verdict:
         """Return the decision on a message, with the place that decided: the router's if both allow."""
@@ -138,8 +138,8 @@ class InstalledModels:
         """
         if install not in self._routers:
             files = installed.router(install, self._environment)
-            access = AccessModel(files.configuration.access_control)
-            self._routers[install] = RouterModel(files, installed.router_name(files), access)
+            name = files.common_name(files.configuration.tls.listen_certificate)
+            self._routers[install] = RouterModel(files, name, AccessModel(files.configuration.access_control))
         return self._routers[install]
 
 

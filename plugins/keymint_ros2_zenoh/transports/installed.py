@@ -70,6 +70,14 @@ class InstalledConfiguration:
         """
         return certificates.load_bundle(self.content(path), Origin(str(self.local(path))))[0]
 
+    def common_name(self, path: str) -> str:
+        """Return the common name by which the other side knows a certificate that the configuration names.
+
+        Raises:
+            KeymintError: it cannot be read.
+        """
+        return admission.common_name(self.certificate(path))
+
 
 def session(enclave: Enclave, environment: Environment) -> InstalledConfiguration:
     """Return the configuration of the session of an enclave.
@@ -87,24 +95,6 @@ def router(install: Path, environment: Environment) -> InstalledConfiguration:
         KeymintError: it cannot be read, or Zenoh would refuse it.
     """
     return _read(install / ROUTER, install, environment)
-
-
-def session_name(found: InstalledConfiguration) -> str:
-    """Return the common name that the router sees.
-
-    Raises:
-        KeymintError: the certificate cannot be read.
-    """
-    return admission.common_name(found.certificate(found.configuration.tls.connect_certificate))
-
-
-def router_name(found: InstalledConfiguration) -> str:
-    """Return the common name that sessions see.
-
-    Raises:
-        KeymintError: the certificate cannot be read.
-    """
-    return admission.common_name(found.certificate(found.configuration.tls.listen_certificate))
 
 
 def _read(file: Path, install: Path, environment: Environment) -> InstalledConfiguration:

@@ -14,7 +14,7 @@ from comarmor.errors import Origin
 from keymint.api import Verdict
 from keymint.graph import Edge
 from keymint_ros2_zenoh.decision.access import AccessDecision
-from keymint_ros2_zenoh.decision.operations import MIRRORED, Operation, Request, operations
+from keymint_ros2_zenoh.decision.operations import Operation, Request, operations
 from keymint_ros2_zenoh.messages import Flow
 from keymint_ros2_zenoh.transports.edge_verdict import edge_verdict
 from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel, InstalledModels
@@ -122,7 +122,7 @@ class LoggedSession:
         self._network.close(self._session)
 
     def _decide(self, request: Request) -> Verdict:
-        own = self._at_session.allows(request.message, MIRRORED[request.flow], request.key)
+        own = self._at_session.allows(request.message, request.flow.opposite, request.key)
         if not own:
             return self._verdict(own, "the session", request, self._model.at_session(request))
         return self._decide_at_router(request)

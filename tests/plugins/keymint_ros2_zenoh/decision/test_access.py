@@ -30,9 +30,7 @@ def control(
     return AccessControl(True, Permission(default), rules, subjects, (policy,) if rules and subjects else ())
 
 
-def allowed(
-    access: AccessControl | None, key: str, link: Link = TALKER, message: Message = PUT, flow: Flow = IN
-) -> bool:
+def allowed(access: AccessControl, key: str, link: Link = TALKER, message: Message = PUT, flow: Flow = IN) -> bool:
     return AccessModel(access).decide(link, message, flow, key).allowed
 
 
@@ -113,7 +111,6 @@ def test_a_subject_without_policy_has_the_default_and_not_another_entrys_rules()
 
 
 def test_without_access_control_everything_is_allowed() -> None:
-    assert allowed(None, "0/x")
     assert allowed(AccessControl(enabled=False, default_permission=Permission.DENY), "0/x")
 
 

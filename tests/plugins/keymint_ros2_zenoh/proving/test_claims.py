@@ -30,6 +30,7 @@ from tests.plugins.keymint_ros2_zenoh.lowering.policies import (
 from .controls import DOMAINS, FILE, control_of, with_rules
 
 NAME = "/robot1/talker"
+UNRESTRICTED = RouterRights(AccessControl(False, Permission.DENY)).on(NAME)
 BOTH = ["ros_publish", "ros_subscribe"]
 RULES = subject_rules(
     rule("ALLOW", "ros_topic", BOTH, "/a*", "/b", line=1),
@@ -42,7 +43,9 @@ RULES = subject_rules(
 
 def claims(rules: SubjectRules, control: AccessControl, states: int = 100_000) -> list[Claim]:
     return list(
-        prove_rights(RightsQuestion(rules, "jazzy", DOMAINS, NAME, RouterRights(control), states, lambda: True))
+        prove_rights(
+            RightsQuestion(rules, "jazzy", DOMAINS, NAME, RouterRights(control), states, lambda: True, UNRESTRICTED)
+        )
     )
 
 
