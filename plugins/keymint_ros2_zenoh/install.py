@@ -36,7 +36,8 @@ def install(
     if credentials.key:
         files[KEY] = Artifact(credentials.key, secret=True)
     if not is_router(package):
-        files[SESSION] = Artifact(_document(documents, SESSION, f"{package.name}/{SESSION}", package.name))
+        content = _document(documents.get(SESSION), f"{package.name}/{SESSION}", f"keymint build {package.name}")
+        files[SESSION] = Artifact(content)
     return files
 
 
@@ -58,7 +59,7 @@ def install_shared(
         KeymintError: the configuration is missing or not valid.
     """
     _require_layout(layout)
-    content = _document(documents, ROUTER, ROUTER, "")
+    content = _document(documents.get(ROUTER), ROUTER, "keymint build")
     present, in_force = installed.get(SIGNATURE), certificates.load_bundle(credentials.chains[ACCESS])[0]
     if present is None or signatures.problem(content, present, in_force):
         present = signatures.sign(content, smime.load_signer(credentials.signers[ACCESS]))
@@ -74,14 +75,10 @@ def _require_layout(layout: str) -> None:
         )
 
 
-def _document(documents: Mapping[str, bytes], name: str, shown: str, package: str) -> bytes:
-    content = documents.get(name)
+def _document(content: bytes | None, shown: str, command: str) -> bytes:
     if content is None:
         raise KeymintError(
-            f"there is no {shown}",
-            where=Origin(shown),
-            help=f"run 'keymint build {package}'".replace(" '", "'"),
-            code="document-missing",
+            f"there is no {shown}", where=Origin(shown), help=f"run {command!r}", code="document-missing"
         )
     read(content, shown)
     return content

@@ -41,10 +41,12 @@ def test_the_files_of_an_enclave(number: int, more: set[str]) -> None:
 
 def test_what_is_not_installed() -> None:
     talker = PACKAGES[1]
-    with pytest.raises(KeymintError, match=r"there is no talker/session\.json5"):
+    with pytest.raises(KeymintError, match=r"there is no talker/session\.json5") as own:
         build_type.install(talker, {}, credentials(talker), "sros2", {})
-    with pytest.raises(KeymintError, match=r"there is no zenoh/router\.json5"):
+    assert own.value.diagnostics[0].help == "run 'keymint build talker'"
+    with pytest.raises(KeymintError, match=r"there is no zenoh/router\.json5") as shared:
         install_shared({}, {})
+    assert shared.value.diagnostics[0].help == "run 'keymint build'"
     with pytest.raises(KeymintError, match="layout 'flat' has no place"):
         build_type.install(talker, build_type.build(talker, OPTIONS).documents, credentials(talker), "flat", {})
     with pytest.raises(KeymintError, match="must be one of"):
