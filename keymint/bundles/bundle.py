@@ -9,7 +9,7 @@ this authority is the right one is decided in :mod:`keymint.bundles.acceptance`.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import field, replace
 
 from cryptography import x509
@@ -94,7 +94,7 @@ def read(content: bytes, where: Origin) -> Bundle:
     manifest = load(encoded, where)
     if {name: _digest(data) for name, data in members.items()} != manifest.files:
         raise _altered("has files that are not those of its manifest", where)
-    authorities = dict(certificates_of_authorities(members))
+    authorities = certificates_of_authorities(members)
     try:
         certificate = certificates.load(members.get(CERTIFICATE, b""))
         key = certificates.fingerprint(certificate)
@@ -116,15 +116,17 @@ def read(content: bytes, where: Origin) -> Bundle:
     return Bundle(manifest, encoded, members, certificate, signer, authorities, lists)
 
 
-def certificates_of_authorities(files: Mapping[str, bytes]) -> Iterator[tuple[str, tuple[x509.Certificate, ...]]]:
-    """Yield the certificates that an enclave trusts, with the name of their file.
+def certificates_of_authorities(files: Mapping[str, bytes]) -> dict[str, tuple[x509.Certificate, ...]]:
+    """Return the certificates that an enclave trusts, by the name of their file.
 
     Raises:
         KeymintError: a certificate is damaged.
     """
-    for name, content in files.items():
-        if name != CERTIFICATE and _CERTIFICATE in content and name.endswith(".pem"):
-            yield name, certificates.load_bundle(content)
+    return {
+        name: certificates.load_bundle(content)
+        for name, content in files.items()
+        if name != CERTIFICATE and _CERTIFICATE in content and name.endswith(".pem")
+    }
 
 
 def issuing_files(certificate: bytes, authorities: Mapping[str, tuple[x509.Certificate, ...]]) -> frozenset[str]:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import functools
+import re
 from dataclasses import field
 from datetime import datetime
 
@@ -13,6 +14,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.regex import lazy_regex
 from comarmor.text import quoted
 from comarmor.values import dataclass
 from keymint.api import CertificateSpec
@@ -31,9 +33,9 @@ _UNREADABLE = (
     UserWarning,  # where warnings are errors: a serial number of 0, a country of three letters
 )
 """What the library raises on a damaged certificate."""
-_BEGIN, _END = b"-----BEGIN CERTIFICATE-----", b"-----END CERTIFICATE-----"
-_LIST = b"-----BEGIN X509 CRL-----", b"-----END X509 CRL-----"
-"""The marks of a revocation list, which may follow the certificates of authorities in their file."""
+_CERTIFICATE, _LIST = b"CERTIFICATE", b"X509 CRL"
+_BLOCK = lazy_regex(rb"^-----BEGIN (%b|%b)-----\n[^-]*^-----END \1-----$" % (_CERTIFICATE, _LIST), re.MULTILINE)
+"""A certificate, or a revocation list, which may follow the certificates of authorities in their file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,15 +101,13 @@ def load_first(pem: bytes, where: Origin | None = None, *, with_lists: bool = Fa
     Raises:
         KeymintError: no certificate, or a file that readers of PEM may read differently.
     """
-    lines = pem.replace(b"\r\n", b"\n").split(b"\n")
-    marks = [line for line in lines if b"-----" in line]
-    pairs = list(zip(marks[::2], marks[1::2], strict=False))
-    allowed = {(_BEGIN, _END), _LIST} if with_lists else {(_BEGIN, _END)}
-    in_pairs = len(marks) == 2 * len(pairs) and all(pair in allowed for pair in pairs)
-    bundle = load_bundle(pem, where)
-    if not in_pairs or b"\r" in b"".join(lines) or b"\0" in pem:
+    text, bundle = pem.replace(b"\r\n", b"\n"), load_bundle(pem, where)
+    blocks = list(_BLOCK.finditer(text))
+    first = next((each[0] for each in blocks if each[1] == _CERTIFICATE), b"")
+    has_others = b"-----" in _BLOCK.sub(b"", text) or (not with_lists and any(each[1] == _LIST for each in blocks))
+    if has_others or b"\r" in text or b"\0" in text:
         problem = "has lines beside its certificates that other PEM readers may take for the beginning of one"
-    elif b"\n".join(lines[lines.index(_BEGIN) : lines.index(_END) + 1]) + b"\n" != to_pem(bundle[0]):
+    elif first + b"\n" != to_pem(bundle[0]):
         problem = "is not exactly the encoding of its certificate"
     else:
         return bundle[0]

@@ -138,7 +138,7 @@ def _bundle(
 def _in_force(package: Package, certificate: x509.Certificate, files: Mapping[str, bytes]) -> tuple[datetime, datetime]:
     """Return from when to when all that is in an enclave is in force: what ends first ends all of it."""
     # Software that reads one authority from a file reads the first one.
-    authorities = [chain[0] for _, chain in bundles.certificates_of_authorities(files)]
+    authorities = [chain[0] for chain in bundles.certificates_of_authorities(files).values()]
     periods = [*map(certificates.period, (certificate, *authorities))]
     grant = package.grant.validity
     periods += [(grant.not_before, grant.not_after)] if grant else []

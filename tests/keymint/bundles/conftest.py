@@ -137,7 +137,7 @@ def keystore(
     trusted: dict[str, frozenset[str]] = {}
     issuing: frozenset[str] = frozenset()
     for each in (files or {}, known.files if known else {}):
-        chains = dict(bundle.certificates_of_authorities(each))
+        chains = bundle.certificates_of_authorities(each)
         issuing |= bundle.issuing_files(each.get("cert.pem", b""), chains)
         for name, chain in chains.items():
             trusted[name] = trusted.get(name, frozenset()) | {certificates.fingerprint(one) for one in chain}
