@@ -203,10 +203,9 @@ def _refuse_line(texts: Sequence[bytes], line: int, expected: bytes, where: Orig
 def _separators(document: bytes, texts: Sequence[bytes], separator: bytes, where: Origin | None) -> tuple[int, int]:
     """Return the lines of the last two of the three separators, whose text must occur nowhere else."""
     places: list[int] = []
-    position = document.find(separator)
-    while position >= 0:
+    position = -1
+    while (position := document.find(separator, position + 1)) >= 0:
         places.append(document.count(b"\n", 0, position))
-        position = document.find(separator, position + 1)
     _require(texts, zip(places, (separator, separator, separator + b"--"), strict=False), where)
     if len(places) != _SEPARATORS:
         line = places[_SEPARATORS] if len(places) > _SEPARATORS else len(texts) - 1

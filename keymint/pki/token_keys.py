@@ -49,6 +49,13 @@ class _TokenKey(Generic[_Public]):
         """Return its public key."""
         return self._public
 
+    def _verified(self, signature: bytes, *how: Any) -> bytes:
+        try:
+            self._public.verify(signature, *how)
+        except InvalidSignature:
+            raise mismatch(self._where) from None
+        return signature
+
     def __copy__(self) -> Self:
         return self
 
@@ -85,11 +92,7 @@ class TokenEcKey(_TokenKey[ec.EllipticCurvePublicKey], ec.EllipticCurvePrivateKe
         raw = self._sign(hashlib.new(algorithm.name, data).digest(), "ECDSA")
         half = len(raw) // 2
         signature = utils.encode_dss_signature(int.from_bytes(raw[:half]), int.from_bytes(raw[half:]))
-        try:
-            self._public.verify(signature, data, ec.ECDSA(algorithm))
-        except InvalidSignature:
-            raise mismatch(self._where) from None
-        return signature
+        return self._verified(signature, data, ec.ECDSA(algorithm))
 
 
 class TokenRsaKey(_TokenKey[rsa.RSAPublicKey], rsa.RSAPrivateKey):
@@ -100,12 +103,7 @@ class TokenRsaKey(_TokenKey[rsa.RSAPublicKey], rsa.RSAPrivateKey):
         mechanism = _RSA_MECHANISMS.get(getattr(algorithm, "name", ""))
         if not isinstance(padding, PKCS1v15) or mechanism is None:
             raise TypeError("an RSA key in a token signs data with PKCS #1 v1.5 and SHA-2")
-        signature = self._sign(bytes(data), mechanism)
-        try:
-            self._public.verify(signature, data, padding, algorithm)
-        except InvalidSignature:
-            raise mismatch(self._where) from None
-        return signature
+        return self._verified(self._sign(bytes(data), mechanism), data, padding, algorithm)
 
 
 def token_key(public: keys.PublicKey, sign: Sign, where: Origin | None = None) -> keys.PrivateKey:
