@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
+
+from keymint_comarmor import file_fingerprint
 
 from keymint.api import API_VERSION
 from keymint.api.lazy import lazy
@@ -28,6 +29,7 @@ class Sros2PolicyType:
     FORMAT = "sros2"
     BUILD_TYPE = "keymint_ros2_dds"
 
+    fingerprint = staticmethod(file_fingerprint)
     load = lazy("keymint_ros2_sros2.loaded:load")
     exported = lazy("keymint_ros2_sros2.export:exported")
     translated = lazy("keymint_ros2_sros2.translate:translated")
@@ -44,13 +46,6 @@ class Sros2PolicyType:
         except (OSError, ValueError, ComArmorError):
             return False
         return root.tag == "policy" and (root.get("version") is not None or root.find("enclaves") is not None)
-
-    def fingerprint(self, path: Path) -> bytes:
-        """Return a digest of a file that changes when a policy loaded from it may change; empty if it is unreadable."""
-        try:
-            return hashlib.sha256(path.read_bytes()).digest()
-        except OSError:
-            return b""
 
 
 policy_type = Sros2PolicyType()

@@ -3,11 +3,8 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from keymint_comarmor import file_fingerprint
 
-from comarmor.rules import Expectation
 from keymint.api import API_VERSION
 from keymint.api.lazy import lazy
 
@@ -26,19 +23,8 @@ class TablePolicyType:
 
     load = lazy("keymint_ros2_table.policy:load")
     recognises = lazy("keymint_ros2_table.files:recognises")
-
-    def fingerprint(self, path: Path) -> bytes:
-        """Return a digest of a path that changes when a policy loaded from it may change; empty if it is unreadable."""
-        try:
-            return hashlib.sha256(path.read_bytes()).digest()
-        except OSError:
-            return b""
-
-    def expectations(self, path: Path) -> Mapping[Path, Sequence[Expectation]]:
-        """Return the expectations in the ``*.test.xml`` files beside a table, or in one such file."""
-        from comarmor.language.policy_tests import expectations  # noqa: PLC0415 - only one verb needs it
-
-        return expectations(path)
+    expectations = lazy("comarmor.language.policy_tests:expectations")
+    fingerprint = staticmethod(file_fingerprint)
 
 
 policy_type = TablePolicyType()

@@ -33,8 +33,8 @@ def rows_of(content: bytes, file: str) -> Iterator[Row | ComArmorError]:
     Raises:
         ComArmorError: the file as a whole cannot be read, with its line.
     """
-    reader = csv.reader(io.StringIO(_text(content, file), newline=""), strict=True)
-    header = _record(reader, file)
+    records = _records(_text(content, file), file)
+    header = next(records, None)
     if header is None:
         raise ComArmorError(
             "the table is empty", where=Origin(file), help=f"expected the header {','.join(COLUMNS)}",
@@ -47,12 +47,8 @@ def rows_of(content: bytes, file: str) -> Iterator[Row | ComArmorError]:
             help=f"expected the header {','.join(COLUMNS)}", code="table-header",
         )  # fmt: skip
     order = column_order(names, Origin(file, header[0]))
-    number = 0
-    while (record := _record(reader, file)) is not None:
-        line, fields = record
-        if not fields:
-            continue  # an empty line
-        number += 1
+    written = (record for record in records if record[1])  # not the empty lines
+    for number, (line, fields) in enumerate(written, 1):
         if number > MOST_ROWS:
             raise ComArmorError(
                 f"the table has more than the {MOST_ROWS:,} rows allowed", where=Origin(file, line), code="table-limit"
@@ -80,13 +76,14 @@ def _text(content: bytes, file: str) -> str:
         ) from None
 
 
-def _record(reader: csv._reader, file: str) -> tuple[int, list[str]] | None:  # type: ignore[name-defined]
-    """Return the next record and its first line; None at the end."""
-    line = reader.line_num + 1
+def _records(text: str, file: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield each record, with its first line."""
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    line = 1
     try:
-        return line, next(reader)
-    except StopIteration:
-        return None
+        for fields in reader:
+            yield line, fields
+            line = reader.line_num + 1
     except csv.Error as error:
         raise ComArmorError(
             f"the row is not valid CSV: {error}", where=Origin(file, line),
