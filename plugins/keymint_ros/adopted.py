@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 
 from keymint.api import AdoptedSources, DomainRange, KeySpec, Validity, WorkspaceProfile
 from keymint_ros import bootstrap, permissions_writer
 from keymint_ros.manifest import MARKER
 from keymint_ros.profile import base_of
+from keymint_ros.validity import written
 
 PREFIX = "adopted."
 """Prefix of the files of a package that are documents which another tool signed: ``adopted.permissions.xml``."""
@@ -60,7 +60,7 @@ def adopted_sources(profile: WorkspaceProfile, sources: AdoptedSources) -> Mappi
 
 
 def _validity(validity: Validity) -> str:
-    begin, end = _date(validity.not_before), _date(validity.not_after)
+    begin, end = written(validity.not_before), written(validity.not_after)
     return f"<validity><not_before>{begin}</not_before><not_after>{end}</not_after></validity>"
 
 
@@ -85,7 +85,3 @@ def _key(key: KeySpec) -> str:
         "        <encryption_algorithm>NoEncryption</encryption_algorithm>\n"
         "        <password_env></password_env>"
     )
-
-
-def _date(moment: datetime) -> str:
-    return f"{moment.astimezone(UTC):%Y-%m-%dT%H:%M:%S}"

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import datetime, timedelta
+from datetime import timedelta
 from functools import lru_cache
 from pathlib import PurePosixPath
 
@@ -64,8 +64,8 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
     build_types = request.build_types or (BUILD_TYPE,)
     begin, duration = validity.starting(request.valid_for, request.now) if request.valid_for else ("", "")
     dds = _DDS in build_types
-    not_before = f"<not_before>{begin or _date(start)}</not_before>"
-    end = _date(start + timedelta(days=365 * _PACKAGE_YEARS))
+    not_before = f"<not_before>{begin or validity.written(start)}</not_before>"
+    end = validity.written(start + timedelta(days=365 * _PACKAGE_YEARS))
     not_after = f"<duration>{escaped(duration)}</duration>" if duration else f"<not_after>{end}</not_after>"
     subject_name = SUBJECT_NAMES[request.subject_format]
     values = {
@@ -82,8 +82,8 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
         "issuer": issuer,
         "signer": signer,
         "subject_name": subject_name,
-        "not_before": _date(start),
-        "authority_not_after": _date(start + timedelta(days=365 * _AUTHORITY_YEARS)),
+        "not_before": validity.written(start),
+        "authority_not_after": validity.written(start + timedelta(days=365 * _AUTHORITY_YEARS)),
         "package_validity": (not_before, not_after),
         "grant": (*_grant(subject_name), f"  {not_before}", f"  {not_after}", "</validity>") if dds else (),
     }
@@ -147,10 +147,6 @@ def _grant(subject_name: str) -> tuple[str, ...]:
     """Return the first lines of what only a grant of DDS has."""
     why = "<!-- Must be the subject name of the identity: DDS selects the grant by it. -->"
     return why, f"<subject_name>{escaped(subject_name)}</subject_name>", "<validity>"
-
-
-def _date(date: datetime) -> str:
-    return f"{date:%Y-%m-%dT%H:%M:%S}"
 
 
 def _check_choice(option: str, value: str, known: Mapping[str, object]) -> None:

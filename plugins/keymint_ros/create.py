@@ -11,7 +11,7 @@ from keymint.api import Role, WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import name_of
-from keymint.source_documents import Reader, normal_path
+from keymint.source_documents import Reader
 from keymint_ros import bootstrap, manifest, permissions, permissions_of_2018, permissions_writer, validity
 from keymint_ros.manifest import MARKER
 from keymint_ros.permissions import Grant
@@ -49,8 +49,7 @@ def _permissions_path(files: Mapping[str, bytes], name: str) -> str:
     """Return the path of the permissions in a package, as its manifest gives it."""
     if MARKER not in files:
         return "permissions.xml"
-    part = manifest.read(files[MARKER], f"{name}/{MARKER}").permissions
-    return normal_path(part.path, Origin(f"{name}/{MARKER}", part.line))
+    return manifest.path_of("permissions", name, files)
 
 
 def create_infrastructure(
@@ -130,20 +129,18 @@ def with_validity(
 ) -> Mapping[str, bytes]:
     """Return the files that change: see :meth:`keymint.api.OwnValidity.with_validity`."""
     name = name_of(rules.subject)
-    marker = f"{name}/{MARKER}"
-    own = manifest.read(files[MARKER], marker)
     begin, duration = validity.starting(valid_for, now)
     element = f"<validity><not_before>{begin}</not_before><duration>{duration}</duration></validity>"
-    path = normal_path(own.identities.path, Origin(marker, own.identities.line))
+    path = manifest.path_of("identities", name, files)
     changed: dict[str, bytes] = {}
-    if _read_identity_length(files[path], f"{name}/{path}") != duration if path in files else True:
+    if path not in files or _read_identity_length(files[path], f"{name}/{path}") != duration:
         before = files.get(path, bootstrap.package_document(_IDENTITIES))
         if before != bootstrap.package_document(_IDENTITIES):
             raise _has_own(name, path, duration)
         identity = f"    <identity>\n      <cert>{element}</cert>\n    </identity>\n".encode()
         changed[path] = before.replace(_EMPTY, identity)
-    if bootstrap.has_grant_validity(own.build_types):
-        path = normal_path(own.permissions.path, Origin(marker, own.permissions.line))
+    if bootstrap.has_grant_validity(manifest.read(files[MARKER], f"{name}/{MARKER}").build_types):
+        path = manifest.path_of("permissions", name, files)
         if _read_grant_length(files[path], f"{name}/{path}") != duration:
             base = base_of(profile)
             if files[path] != permissions_writer.render(rules, base):

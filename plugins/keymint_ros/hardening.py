@@ -14,10 +14,9 @@ from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
 from keymint.api import WorkspaceProfile
 from keymint.errors import KeymintError
-from keymint.source_documents import normal_path
 from keymint_ros import manifest
 from keymint_ros.bootstrap import SUBJECT_NAMES
-from keymint_ros.manifest import MARKER, SIGNER
+from keymint_ros.manifest import SIGNER
 from keymint_ros.profile import base_of
 
 _NAME = lazy_regex(r"<subject_name>[^<]*</subject_name>")
@@ -39,7 +38,6 @@ _Edit = Callable[[str], "tuple[int, int, str] | None"]
 def with_unique_name(profile: WorkspaceProfile, name: str, files: Mapping[str, bytes]) -> Mapping[str, bytes]:
     """Return the files that change: see :meth:`keymint.api.HardenedPackageType.with_unique_name`."""
     del profile
-    own = manifest.read(files[MARKER], f"{name}/{MARKER}")
     element = f"<subject_name>{SUBJECT_NAMES['unique']}</subject_name>"
 
     def edit(text: str) -> tuple[int, int, str] | None:
@@ -49,8 +47,8 @@ def with_unique_name(profile: WorkspaceProfile, name: str, files: Mapping[str, b
         return before and (before.start(), before.start(), f"{before[1]}{element}\n")
 
     changed: dict[str, bytes] = {}
-    for part in (own.identities, own.permissions):
-        path = normal_path(part.path, Origin(f"{name}/{MARKER}", part.line))
+    for part in ("identities", "permissions"):
+        path = manifest.path_of(part, name, files)
         changed |= _edited(files, path, f"{name}/{path}", edit, f"write {element} into it")
     return changed
 

@@ -6,11 +6,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
+from comarmor.errors import Origin
 from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint.api import Role
 from keymint.errors import KeymintError
-from keymint.source_documents import Reader, place, require_new, text
+from keymint.source_documents import Reader, file_in, normal_path, place, require_new, text
 
 if TYPE_CHECKING:
     from lxml import etree
@@ -21,6 +22,12 @@ ISSUANCE = "issuance.xml"
 BUILD_TYPE = "keymint_ros2_dds"
 SIGNER = "permissions_ca"
 """Name of the authority that signs documents, where one alone does."""
+_OLDER = (
+    ("permissions", "permissions", "permission"),
+    ("identities", "identities", "identity"),
+    ("governance", "governances", "governance"),
+)
+"""Parts with elements of their own, e.g. ``<permission_path>`` in ``<permission>`` in ``<permissions>``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +57,7 @@ class PackageManifest:
         name: empty if not given; the folder names the package then.
         name_line: line of the name.
         line: line of the root.
-        parts: the parts of build types that it mentions, by name.
+        parts: the parts that it mentions, by name.
         build_types: the plugins that build the package.
         role: why the package exists.
     """
@@ -58,15 +65,14 @@ class PackageManifest:
     name: str
     name_line: int
     line: int
-    permissions: PackagePart
-    identities: PackagePart
     parts: Mapping[str, PackagePart]
     build_types: tuple[str, ...]
     role: Role
 
     def part(self, name: str) -> PackagePart:
-        """Return a part that a build type reads, with the usual paths if the manifest does not mention it."""
-        return self.parts.get(name) or _unmentioned(self.line, f"{name}.xml")
+        """Return a part, with the usual paths if the manifest does not mention it."""
+        usual = f"{name}.xml"
+        return self.parts.get(name) or PackagePart(self.line, usual, False, f"package.defaults/{usual}", "")
 
 
 def _manifest(root: etree._Element) -> PackageManifest:
@@ -75,8 +81,6 @@ def _manifest(root: etree._Element) -> PackageManifest:
         name=text(name) or "",
         name_line=line(root if name is None else name),
         line=line(root),
-        permissions=_group(root, "permissions", "permission", "permissions.xml"),
-        identities=_group(root, "identities", "identity", "identities.xml"),
         parts=_parts(root),
         build_types=build_types(root.findall("export/build_type")) or (BUILD_TYPE,),
         role=Role(text(root.find("role")) or Role.SUBJECT),
@@ -99,26 +103,20 @@ def build_types(elements: Iterable[etree._Element]) -> tuple[str, ...]:
 
 
 def _parts(root: etree._Element) -> Mapping[str, PackagePart]:
-    """Return the parts of build types; governance has elements of its own, which are older than ``<parts>``."""
+    """Return the parts; three have elements of their own, which are older than ``<parts>``."""
     parts: dict[str, PackagePart] = {}
-    if root.find("governances") is not None:
-        parts["governance"] = _group(root, "governances", "governance", "governance.xml")
+    for name, group, item in _OLDER:
+        if (element := root.find(group)) is not None:
+            for tag in ("issuer_name", item):
+                _check_single(element, tag, group)
+            path, defaults = element.find(f"{item}/{item}_path"), element.find(f"{item}/defaults_path")
+            parts[name] = _part(element, path, defaults, f"{name}.xml")
     for element in root.iterfind("parts/part"):
         name = element.get("name", "")
         message = f"the part {name!r} is given twice"
         require_new(name, parts, element, message, "remove one of the elements", "part-doubled")
         parts[name] = _part(element, element.find("path"), element.find("defaults_path"), f"{name}.xml")
     return parts
-
-
-def _group(root: etree._Element, group: str, item: str, usual: str) -> PackagePart:
-    """Return a part whose elements are named after it, e.g. ``<permissions>`` with ``<permission_path>``."""
-    element = root.find(group)
-    if element is None:
-        return _unmentioned(line(root), usual)
-    for tag in ("issuer_name", item):
-        _check_single(element, tag, group)
-    return _part(element, element.find(f"{item}/{item}_path"), element.find(f"{item}/defaults_path"), usual)
 
 
 def _check_single(element: etree._Element, tag: str, group: str) -> None:
@@ -147,12 +145,24 @@ def _part(
     )
 
 
-def _unmentioned(place_line: int, usual: str) -> PackagePart:
-    return PackagePart(place_line, usual, named=False, defaults=f"package.defaults/{usual}", issuer="")
-
-
 read = Reader("keymint_ros", "keymint_package", _manifest)
 """Reads a package manifest."""
+
+
+def path_of(part: str, folder: str, files: Mapping[str, bytes]) -> str:
+    """Return the path of the document of a part, relative to its package.
+
+    Args:
+        part: its name.
+        folder: the package's folder as the user would type it.
+        files: the package's files.
+
+    Raises:
+        KeymintError: the manifest is missing or not valid, or the path leads out of the package.
+    """
+    file = f"{folder}/{MARKER}"
+    found = read(file_in(files, MARKER, Origin(folder), "package"), file).part(part)
+    return normal_path(found.path, Origin(file, found.line))
 
 
 def role(content: bytes) -> Role:

@@ -140,7 +140,7 @@ class _PackageLoader:
             part: the part.
             create: help for the error if the document is missing; empty if it is optional.
         """
-        where = Origin(self.file(MARKER), part.line)
+        where = self.place(part)
         path = normal_path(part.path, where)
         content = self.files.get(path)
         if content is None and (part.named or create):
@@ -156,13 +156,12 @@ class _PackageLoader:
         """Return the path, for messages, and the content of a part's defaults in the package or the profile."""
         file, content = self.optional_defaults(part)
         if content is None:
-            where = Origin(self.file(MARKER), part.line)
-            content = file_in(self.profile.files, part.defaults, where, "package or its profile")
+            content = file_in(self.profile.files, part.defaults, self.place(part), "package or its profile")
         return file, content
 
     def optional_defaults(self, part: PackagePart) -> tuple[str, bytes | None]:
         """Return the same; without content if there are no such defaults."""
-        path = normal_path(part.defaults, Origin(self.file(MARKER), part.line))
+        path = normal_path(part.defaults, self.place(part))
         if path in self.files:
             return self.file(path), self.files[path]
         return self.base + path, self.profile.files.get(path)
@@ -171,10 +170,15 @@ class _PackageLoader:
         """Return the path of a file of the package as the user would type it."""
         return f"{self.folder}/{path}"
 
+    def place(self, part: PackagePart) -> Origin:
+        """Return the place of a part in the manifest."""
+        return Origin(self.file(MARKER), part.line)
+
     def identity(self) -> CertificateSpec:
         """Return the certificate of the subject."""
-        file, content = self.own(self.manifest.identities)
-        defaults_file, defaults_content = self.defaults(self.manifest.identities)
+        part = self.manifest.part("identities")
+        file, content = self.own(part)
+        defaults_file, defaults_content = self.defaults(part)
         defaults, alone = _default_identity(defaults_content, defaults_file)
         own, where = defaults, defaults.origin
         if content is not None:
@@ -193,27 +197,25 @@ class _PackageLoader:
         else:
             spec = certificate.complete(own, defaults, self.values)
         named_at = certificate.issuer(own, defaults)[1] if own.issuer or defaults.issuer else where
-        part = self.manifest.identities
         if part.issuer and (own is defaults or own.issuer is None):
-            spec, named_at = replace(spec, issuer=part.issuer), Origin(self.file(MARKER), part.line)
+            spec, named_at = replace(spec, issuer=part.issuer), self.place(part)
         known_authority(spec.issuer, self.authorities, named_at, "issues the certificate")
         return spec
 
     def grant(self) -> Grant:
         """Return the grant of the subject; infrastructure needs no document for it, since its grant has no rules."""
-        subject = subject_of(self.name)
-        if self.manifest.role is Role.INFRASTRUCTURE and self.files.get(self.manifest.permissions.path) is None:
+        subject, part = subject_of(self.name), self.manifest.part("permissions")
+        if self.manifest.role is Role.INFRASTRUCTURE and part.path not in self.files:
             return self._grant_of(SubjectRules(subject, ()))
-        file, content = self.own(
-            self.manifest.permissions, create=f"'keymint create {self.name}' creates it from the policy"
-        )
-        if self.built and permissions_writer.has_rules_only(content or b"", subject):
-            read = partial(self._rules, content or b"", file)
+        file, found = self.own(part, create=f"'keymint create {self.name}' creates it from the policy")
+        content = found or b""
+        if self.built and permissions_writer.has_rules_only(content, subject):
+            read = partial(self._rules, content, file)
             return self._grant_of(DeferredRules(subject, read), Origin(file, permissions_writer.GRANT_LINE))
-        rendered = permissions_writer.rendered(content or b"", self.base)
+        rendered = permissions_writer.rendered(content, self.base)
         if rendered is not None:
             return self._grant_of(rendered, Origin(file, permissions_writer.GRANT_LINE))
-        grant = permissions.read(content or b"", file, subject)
+        grant = permissions.read(content, file, subject)
         base = self._grant_of(permissions.to_ir(grant, subject, file, self.base), Origin(file, grant.line))
         return replace(
             base,
@@ -238,12 +240,12 @@ class _PackageLoader:
             rules: the rules.
             written: the place of the grant in its document, if there is one.
         """
-        part = self.manifest.permissions
+        part = self.manifest.part("permissions")
         file, content = self.defaults(part)
         defaults = _default_grant(content, file)
         origin = Origin(file, defaults.line)
         return Grant(
-            issuer=signer(part.issuer, Origin(self.file(MARKER), part.line), defaults.issuer, origin, self.authorities),
+            issuer=signer(part.issuer, self.place(part), defaults.issuer, origin, self.authorities),
             name=rules.subject,
             subject_name=placeholders.expand(defaults.subject_name or "", self.values),
             validity=defaults.validity,
@@ -259,8 +261,7 @@ class _PackageLoader:
         part = self.manifest.part(name)
         file, content = self.own(part)
         defaults_file, defaults = self.optional_defaults(part)
-        where = Origin(self.file(MARKER), part.line)
-        return SourcePart(name, file, content, defaults_file, defaults, part.issuer, where)
+        return SourcePart(name, file, content, defaults_file, defaults, part.issuer, self.place(part))
 
 
 def load(
@@ -367,8 +368,6 @@ def _issuers(profile: WorkspaceProfile, name: str) -> Iterator[Authority]:
 
 def rule_places(name: str, folder: str, files: Mapping[str, bytes]) -> tuple[Origin, ...]:
     """Return the place in the package of each of its rules: see :meth:`keymint.api.RuleLocator.rule_places`."""
-    marker = f"{folder}/{MARKER}"
-    part = manifest.read(file_in(files, MARKER, Origin(folder), "package"), marker).permissions
-    path = normal_path(part.path, Origin(marker, part.line))
+    path = manifest.path_of("permissions", folder, files)
     grant = permissions.read(files.get(path, b""), f"{folder}/{path}", subject_of(name))
     return tuple(Origin(f"{folder}/{path}", place.line) for place in grant.places)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -65,15 +65,6 @@ class _ProfileManifest:
     distro_line: int
     accepts: frozenset[str]
     revoke_superseded: bool
-
-
-@dataclass(frozen=True, slots=True)
-class _PolicyElement:
-    """A ``<policy>`` of ``policies.xml``."""
-
-    name: str
-    path: str
-    line: int
 
 
 def _path(element: etree._Element | None, parent: etree._Element, usual: str) -> _PathElement:
@@ -143,16 +134,13 @@ def _check_unique(name: str, known: Mapping[str, object], where: Origin) -> None
         )
 
 
-def _policies(root: etree._Element) -> tuple[_PolicyElement, ...]:
-    return tuple(
-        _PolicyElement(item.get("name", "").strip(), text(path) or "", line(path))
-        for item in root.iterfind("policies/policy")
-        for path in (_profile_path(item),)
-    )
+def _policies(root: etree._Element) -> tuple[tuple[str, _PathElement], ...]:
+    """Return name and path of each policy."""
+    return tuple((item.get("name", "").strip(), _policy_path(item)) for item in root.iterfind("policies/policy"))
 
 
-def _profile_path(policy: etree._Element) -> etree._Element:
-    """Return the element that names the folder of a policy; documents of early 2018 have two, for the same folder.
+def _policy_path(policy: etree._Element) -> _PathElement:
+    """Return the path of a policy; documents of early 2018 have two elements for it, for the same folder.
 
     Raises:
         KeymintError: these two name different folders, but an include is relative to the file that has it.
@@ -168,7 +156,7 @@ def _profile_path(policy: etree._Element) -> etree._Element:
                 "in place of both",
                 code="policy-folders",
             )
-    return path
+    return _PathElement(text(path) or "", line(path))
 
 
 _read_manifest = Reader("keymint_ros", "keymint_profile", _manifest)
@@ -203,7 +191,7 @@ def load(root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
     authorities: dict[str, Authority] = {}
     issuers: dict[str, Origin] = {}
     for path, defaults_path in own.authorities:
-        for authority, origin in _load_authorities(root, files, name, path, defaults_path):
+        for authority, origin in _load_authorities(root, files, path, defaults_path):
             _check_unique(authority.name, authorities, authority.certificate.origin)
             authorities[authority.name], issuers[authority.name] = authority, origin
     for each, issuance in authority_issuance.read(files, str(root), authorities).items():
@@ -215,7 +203,7 @@ def load(root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
         profile_type=NAME,
         policy_type=own.policy_type,
         package_type=own.package_type,
-        policies=_load_policies(root, files, name, own.policies),
+        policies=tuple(source for path in own.policies for source in _load_policies(root, files, path)),
         library=root / LIBRARY,
         authorities=tuple(authorities.values()),
         build_types=own.build_types,
@@ -229,13 +217,17 @@ def load(root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
     )
 
 
+def _document(root: Path, files: Mapping[str, bytes], path: _PathElement) -> tuple[bytes, str]:
+    """Return the content of a document that the manifest names, and its path as the user would type it."""
+    return file_in(files, path.path, Origin(str(root / MANIFEST), path.line), "profile"), str(root / path.path)
+
+
 def _load_authorities(
-    root: Path, files: Mapping[str, bytes], manifest: str, path: _PathElement, defaults_path: _PathElement
+    root: Path, files: Mapping[str, bytes], path: _PathElement, defaults_path: _PathElement
 ) -> list[tuple[Authority, Origin]]:
     """Return the authorities of one document, each with the place that names its issuer."""
-    content = file_in(files, path.path, Origin(manifest, path.line), "profile")
-    defaults_content = file_in(files, defaults_path.path, Origin(manifest, defaults_path.line), "profile")
-    file, defaults_file = str(root / path.path), str(root / defaults_path.path)
+    content, file = _document(root, files, path)
+    defaults_content, defaults_file = _document(root, files, defaults_path)
     defaults = replace(_read_authority_defaults(defaults_content, defaults_file), file=defaults_file)
     authorities = []
     for name, element in _read_authorities(content, file):
@@ -269,32 +261,25 @@ def _check_hierarchy(authorities: Mapping[str, Authority], issuers: Mapping[str,
             chain.append(issuer)
 
 
-def _load_policies(
-    root: Path, files: Mapping[str, bytes], manifest: str, paths: Sequence[_PathElement]
-) -> tuple[PolicySource, ...]:
-    sources: list[PolicySource] = []
-    for path in paths:
-        content = file_in(files, path.path, Origin(manifest, path.line), "profile")
-        file = str(root / path.path)
-        sources += (
-            PolicySource(policy.name, Path(os.path.normpath(root / policy.path)), Origin(file, policy.line))
-            for policy in _read_policies(content, file)
-        )
-    return tuple(sources)
+def _load_policies(root: Path, files: Mapping[str, bytes], path: _PathElement) -> Iterator[PolicySource]:
+    """Yield the policies of one document."""
+    content, file = _document(root, files, path)
+    for name, policy in _read_policies(content, file):
+        yield PolicySource(name, Path(os.path.normpath(root / policy.path)), Origin(file, policy.line))
 
 
 def with_policy(files: Mapping[str, bytes], policy: str) -> Mapping[str, bytes]:
     """Return the files that change with the policy: see :meth:`keymint.api.ProfileType.with_policy`."""
     own = _read_manifest(file_in(files, MANIFEST, Origin(MANIFEST), "profile"), MANIFEST)
     path, *others = own.policies
-    content = file_in(files, path.path, Origin(MANIFEST, path.line), "profile")
-    policies = _read_policies(content, path.path)
+    content, file = _document(Path(), files, path)
+    policies = [each for _, each in _read_policies(content, file)]
     if not others and [each.path for each in policies] == [policy]:
         return {}
     if others or len(policies) != 1 or content != _as_written(policies[0].path):
         raise KeymintError(
             f"not replacing the profile's policies by {policy!r}: they were edited by hand",
-            where=Origin(path.path, policies[0].line),
+            where=Origin(file, policies[0].line),
             help=f"write <profile_path>{policy}</profile_path> into this file, or create a new workspace",
             code="policies-edited",
         )

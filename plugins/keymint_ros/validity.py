@@ -85,7 +85,12 @@ def starting(duration: str, now: datetime) -> tuple[str, str]:
     from keymint.pki import periods  # noqa: PLC0415 - only needed to write new files
 
     begin = periods.begin(now, _sum(now, duration) - now)
-    return f"{begin:%Y-%m-%dT%H:%M:%S}", duration
+    return written(begin), duration
+
+
+def written(moment: datetime) -> str:
+    """Return a date as documents have it: in UTC, without a zone."""
+    return f"{moment.astimezone(UTC):%Y-%m-%dT%H:%M:%S}"
 
 
 def length(root: etree._Element) -> str:
