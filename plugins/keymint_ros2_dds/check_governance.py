@@ -17,7 +17,6 @@ from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.enclave_layout import GOVERNANCE_P7S
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance, cuts
 from keymint_ros2_dds.proving.protection import STRICT, Weaker, weaker
-from keymint_ros2_dds.settings import settings_of
 
 
 def findings(inspection: Inspection) -> Iterator[Diagnostic]:
@@ -39,9 +38,7 @@ def findings(inspection: Inspection) -> Iterator[Diagnostic]:
     except KeymintError:
         return  # the check of signatures reports it
     place = (file, signed.lines_before)
-    governing = EnclaveGovernance(
-        signed.content, place, settings_of(package).governance, package.subject, package.distro
-    )
+    governing = EnclaveGovernance(signed.content, place, package)
     if governing.differs:
         yield from dict.fromkeys(_weaker_protection(inspection, governing))
 

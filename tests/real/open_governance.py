@@ -243,7 +243,7 @@ def claims_of(case: Case, permissions: bytes, subject: str) -> tuple[Claim, ...]
     task = ComparisonTask(
         permissions, "permissions.xml", 0, subject, rules, "humble", (DomainRange(0, 0),), 50_000, lambda: True
     )
-    governing = EnclaveGovernance(governance_of(case), ("governance.p7s", 0), None, "/robot", "humble")
+    governing = EnclaveGovernance(governance_of(case), ("governance.p7s", 0), None)
     return prove_document(ProofQuestion(decision.read(permissions), task, lower(rules, "humble"), governing))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.glob import Glob
@@ -103,13 +104,10 @@ def _plain(lowered: Lowered, report: _PortabilityReport) -> tuple[GrantRule[str]
     if report.diagnostics:
         return report.with_expressions(rule_per_policy_rule(standard_rules(lowered), lowered))
     full = report.empty_copy()
-    try:
-        with step_limit(STEPS):
-            rules = full.with_expressions(rule_per_policy_rule(portable_rules(lowered, reduced=False), lowered))
-    except (UnportableError, StepLimitError):
-        rules = ()
-    if rules and not full.diagnostics:
-        return rules
+    with suppress(UnportableError, StepLimitError), step_limit(STEPS):
+        rules = full.with_expressions(rule_per_policy_rule(portable_rules(lowered, reduced=False), lowered))
+        if rules and not full.diagnostics:
+            return rules
     return report.with_expressions(rule_per_policy_rule(portable_rules(lowered), lowered))
 
 

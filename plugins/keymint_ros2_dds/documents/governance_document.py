@@ -119,11 +119,7 @@ def _domain_rule(parent: etree._Element, rule: DomainRule, distro: str, lenient:
                 topic.origin, "use the same protection in all rules on one base name",
             )  # fmt: skip
         for pattern in effective:
-            texts, problem = _expressions(pattern, topic, lenient)
-            if problem:
-                yield problem
-            for text in texts:
-                _topic_rule(topics, text, topic)
+            yield from _topic_rules(topics, pattern, topic, lenient)
         covered += effective
     if not union_covers(tuple(covered), EVERYTHING):
         last = rule.topic_rules[-1].origin if rule.topic_rules else rule.origin
@@ -179,14 +175,18 @@ def patterns(topic: TopicProtection, distro: str) -> list[Glob]:
     return [p for p in dict.fromkeys(result) if not any(q != p and covers(q, p) for q in result)]
 
 
-def _expressions(pattern: Glob, topic: TopicProtection, lenient: bool) -> tuple[tuple[str, ...], Diagnostic | None]:
+def _topic_rules(parent: etree._Element, pattern: Glob, topic: TopicProtection, lenient: bool) -> Iterator[Diagnostic]:
+    """Append the rules that protect the topics that a pattern matches; yield an error if no expression is portable."""
+    texts: tuple[str, ...] = (exact(pattern),)
     try:
-        return portable_expressions(pattern), None
+        texts = portable_expressions(pattern)
     except NotPortableError as error:
         severity = Severity.WARNING if lenient else Severity.ERROR
         message = f"this {topic.kind} rule cannot be expressed portably across DDS vendors: {error}"
         hint = "write the names out, or build with --allow-vendor-specific"
-        return (exact(pattern),), Diagnostic("portability-expression", severity, message, topic.origin, hint)
+        yield Diagnostic("portability-expression", severity, message, topic.origin, hint)
+    for text in texts:
+        _topic_rule(parent, text, topic)
 
 
 def _topic_rule(parent: etree._Element, expression: str, topic: TopicProtection) -> None:

@@ -83,12 +83,13 @@ class _Members:
 
     def keep(self, made: _Made, domains: Domains) -> None:
         """Keep a member that the engine did as an exemplar, unless its document cannot be a template."""
-        names = None if self.structure is None else self.structure.names(made.arguments)
-        if self.structure is None or names is None or len(self.exemplars) >= MOST_EXEMPLARS:
+        fit = None if self.structure is None else self.structure.fit(made.arguments)
+        if fit is None or len(self.exemplars) >= MOST_EXEMPLARS:
             return
+        names, signature = fit
         minimal, plain = (Template.of(rules, domains, names) for rules in (made.rules, made.plain))
         if minimal.renamed(names) == made.rules and minimal.has_no_names():
-            self.exemplars[self.structure.signature(names)] = made, minimal, plain
+            self.exemplars[signature] = made, minimal, plain
 
 
 _known: dict[tuple[Kind, str, Domains], _Members] = {}
@@ -134,14 +135,12 @@ def _is_minimal(package: Package, emitted: Emitted, compiled: Compiled) -> bool:
 
 def _renamed(package: Package, kind: Kind, arguments: Arguments, members: _Members) -> Emitted | None:
     """Return the document of a package by renaming; None if a condition of the lemma does not hold."""
-    grant, structure = package.grant, members.structure
-    names = None if structure is None else structure.names(arguments)
-    if structure is None or names is None or not _is_plain(grant):
+    grant = package.grant
+    fit = None if members.structure is None else members.structure.fit(arguments)
+    if fit is None or fit[1] not in members.exemplars or not _is_plain(grant):
         return None
-    found = members.exemplars.get(structure.signature(names))
-    if found is None:
-        return None
-    made, minimal, plain = found
+    names, signature = fit
+    made, minimal, plain = members.exemplars[signature]
     rules = minimal.renamed(names)
     if gathered(rules) != rules:
         return None

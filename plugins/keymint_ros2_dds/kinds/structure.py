@@ -51,7 +51,7 @@ class Structure:
 
     @classmethod
     def of(cls, kind: Kind, distro: str) -> Structure | None:
-        """Return the structure of a kind; None if its documents depend on more than :meth:`signature` tells."""
+        """Return the structure of a kind; None if its documents depend on more than :meth:`fit` tells."""
         slots: dict[Slot, None] = {}
         ros: set[int] = set()
         own: dict[Glob, None] = {}
@@ -75,25 +75,21 @@ class Structure:
         match = re.compile("|".join(f"(?:{regex(each)})" for each in wildcards), re.DOTALL) if wildcards else None
         return cls(tuple(slots), frozenset(ros), wildcards, match)
 
-    def names(self, arguments: Arguments) -> list[str] | None:
-        """Return the DDS names of a subject; None if one may be read in several ways, or is no ROS name."""
+    def fit(self, arguments: Arguments) -> tuple[list[str], Signature] | None:
+        """Return the DDS names of a subject, and what subjects with alike documents have in common.
+
+        None if a name may be read in several ways, or is no ROS name.
+        """
         for number, argument in enumerate(arguments):
             if not (is_fully_qualified(argument) if number in self.ros else PLAIN_TEXT.fullmatch(argument)):
                 return None
-        return [head + arguments[number] + tail for head, number, tail in self.slots]
-
-    def signature(self, names: Sequence[str]) -> Signature:
-        """Return what two subjects must have in common.
-
-        Args:
-            names: from :meth:`names`.
-        """
+        names = [head + arguments[number] + tail for head, number, tail in self.slots]
         first: dict[str, int] = {}
         equal = tuple(first.setdefault(name, index) for index, name in enumerate(names))
         if self._any is None:
-            return equal, ()
+            return names, (equal, ())
         match = self._any.fullmatch
-        return equal, tuple(self._matches(name) if match(name) else 0 for name in names)
+        return names, (equal, tuple(self._matches(name) if match(name) else 0 for name in names))
 
     def _matches(self, name: str) -> int:
         return sum(1 << bit for bit, pattern in enumerate(self.wildcards) if matcher(pattern)(name))

@@ -9,7 +9,7 @@ from functools import lru_cache
 from itertools import pairwise
 
 from comarmor.patterns.tokens import PatternError
-from keymint.api import DomainRange
+from keymint.api import DomainRange, Package
 from keymint_ros2_dds.decision.semantics import STANDARD, Semantics
 from keymint_ros2_dds.documents import governance_document
 from keymint_ros2_dds.proving.governance_lists import patterns, regions
@@ -22,7 +22,7 @@ from keymint_ros2_dds.reading.signed_governance import (
     GovernanceDocument,
 )
 from keymint_ros2_dds.reading.signed_permissions import DocumentDomains
-from keymint_ros2_dds.settings import Governance
+from keymint_ros2_dds.settings import settings_of
 
 ACTIONS = ("publish", "subscribe")
 LAST_DOMAIN = 232
@@ -35,9 +35,7 @@ class EnclaveGovernance:
     Args:
         content: the document, unsigned.
         place: its file, and the number of lines before it there.
-        governance: the governance of the sources, if there are sources.
-        subject: the subject of the enclave.
-        distro: ROS 2 distribution whose mapping of names applies.
+        package: the sources of the enclave, if there are any.
 
     Attributes:
         document: the document.
@@ -48,13 +46,14 @@ class EnclaveGovernance:
         KeymintError: the document cannot be read, or the sources cannot be expressed as a document.
     """
 
-    def __init__(
-        self, content: bytes, place: tuple[str, int], governance: Governance | None, subject: str, distro: str
-    ) -> None:
-        built = b""
-        if governance is not None:
-            built, _ = governance_document.build(governance, subject, distro, allow_vendor_specific=True)
-        self._accepted = governance is not None and governance.accepts_open
+    def __init__(self, content: bytes, place: tuple[str, int], package: Package | None) -> None:
+        built, self._accepted = b"", False
+        if package is not None:
+            governance = settings_of(package).governance
+            built, _ = governance_document.build(
+                governance, package.subject, package.distro, allow_vendor_specific=True
+            )
+            self._accepted = governance.accepts_open
         self.document = signed_governance.read(content, *place)
         self.sources = signed_governance.read(built) if built else None
         self.differs = content != built

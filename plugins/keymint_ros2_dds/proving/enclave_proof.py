@@ -16,16 +16,13 @@ from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds.decision import OMG
 from keymint_ros2_dds.enclave_layout import (
     CERTIFICATE,
-    GOVERNANCE_P7S,
-    GOVERNANCE_XML,
-    PERMISSIONS_P7S,
-    PERMISSIONS_XML,
+    GOVERNANCE,
+    PERMISSIONS,
 )
 from keymint_ros2_dds.proving import validity_terms
 from keymint_ros2_dds.proving.anchor_check import differences
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
 from keymint_ros2_dds.proving.proof_cache import prove_content
-from keymint_ros2_dds.settings import settings_of
 from keymint_ros2_dds.transports.enclave_files import subject_name
 
 
@@ -65,12 +62,13 @@ def question(task: ProofTask) -> EnclaveQuestion:
     files, folder = task.files, task.folder
     if findings := differences(files, folder, task.anchors):
         raise KeymintError.of(findings)
-    content, place = _document(files, folder, task.anchors, unsigned=task.unsigned)
+    content, place = _signed(files, folder, task.anchors, PERMISSIONS, unsigned=task.unsigned)
     package, name = task.package, _subject_name(files, folder)
     held = ComparisonTask(
         content, *place, name, task.rules, package.distro, package.grant.domains, task.states, task.go_on
     )
-    return EnclaveQuestion(held, _read_governance(task))
+    signed = _signed(files, folder, task.anchors, GOVERNANCE, unsigned=task.unsigned)
+    return EnclaveQuestion(held, EnclaveGovernance(*signed, package))
 
 
 def terms(
@@ -86,31 +84,21 @@ def terms(
         KeymintError: a file is missing, cannot be read, or is not signed by the workspace's authority.
     """
     del shared, shared_folder  # an enclave is complete
-    content, place = _document(files, folder, anchors)
+    content, place = _signed(files, folder, anchors, PERMISSIONS)
     of_grants = validity_terms.of_grants(content, place, _subject_name(files, folder))
     return (*of_grants, *validity_terms.of_certificates(files, folder))
 
 
-def _document(
-    files: Mapping[str, bytes], folder: str, anchors: TrustAnchors, *, unsigned: bool = False
+def _signed(
+    files: Mapping[str, bytes], folder: str, anchors: TrustAnchors, kind: str, *, unsigned: bool = False
 ) -> tuple[bytes, tuple[str, int]]:
-    """Return the signed permissions document, its file, and the number of lines before it there."""
-    file, where = enclave_file(files, folder, PERMISSIONS_P7S), Origin(f"{folder}/{PERMISSIONS_P7S}")
+    """Return the content of a signed document, its file, and the number of lines before it there."""
+    name, plain = f"{kind}.p7s", f"{kind}.xml"
+    file, where = enclave_file(files, folder, name), Origin(f"{folder}/{name}")
     signed = smime.read(file, anchors.authorities[roles.PERMISSIONS].chain, where=where)
-    plain = unsigned or files.get(PERMISSIONS_XML) == signed.content
-    name, offset = (PERMISSIONS_XML, 0) if plain else (PERMISSIONS_P7S, signed.lines_before)
-    return signed.content, (f"{folder}/{name}", offset)
-
-
-def _read_governance(task: ProofTask) -> EnclaveGovernance:
-    """Read the signed governance, and the one of the sources."""
-    file = f"{task.folder}/{GOVERNANCE_P7S}"
-    document = enclave_file(task.files, task.folder, GOVERNANCE_P7S)
-    signed = smime.read(document, task.anchors.authorities[roles.PERMISSIONS].chain, where=Origin(file))
-    place = (f"{task.folder}/{GOVERNANCE_XML}", 0) if task.unsigned else (file, signed.lines_before)
-    package = task.package
-    expected = settings_of(package).governance
-    return EnclaveGovernance(signed.content, place, expected, task.rules.subject, package.distro)
+    if unsigned or files.get(plain) == signed.content:
+        return signed.content, (f"{folder}/{plain}", 0)
+    return signed.content, (where.file, signed.lines_before)
 
 
 def _subject_name(files: Mapping[str, bytes], folder: str) -> str:

@@ -24,7 +24,7 @@ from comarmor.patterns.decision_lists import (
     Witness,
 )
 from comarmor.patterns.glob import EVERYTHING, Glob
-from comarmor.patterns.tokens import Charset
+from comarmor.patterns.tokens import charset
 from comarmor.values import dataclass
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.proving import octets
@@ -92,15 +92,14 @@ def regions(rule: DocumentDomainRule, action: str, semantics: Semantics, *, pair
     Raises:
         PatternError: implementations read an expression differently.
     """
-    opened, either, covered = [], [], []
-    for topic_rule in rule.topic_rules:
-        globs = patterns(topic_rule.expression, semantics, pairs=pairs)
-        opened.append(Block(not topic_rule.controls(action), globs))
-        either.append(Block(not topic_rule.controlled, globs))
-        covered.append(Block(True, globs))
+    topics = [(each, patterns(each.expression, semantics, pairs=pairs)) for each in rule.topic_rules]
     every = octets.pair(EVERYTHING, EVERYTHING) if pairs else EVERYTHING
-    closed = not any(block.allows for block in either) and any(every in block.patterns for block in covered)
-    return Regions(tuple(opened), tuple(either), tuple(covered), closed)
+    return Regions(
+        opened=tuple(Block(not each.controls(action), globs) for each, globs in topics),
+        either=tuple(Block(not each.controlled, globs) for each, globs in topics),
+        covered=tuple(Block(True, globs) for _, globs in topics),
+        closed=not rule.opens and any(every in globs for _, globs in topics),
+    )
 
 
 def patterns(expression: str, semantics: Semantics, *, pairs: bool) -> tuple[Glob, ...]:
@@ -120,15 +119,8 @@ def refused(decisions: DecisionList) -> DecisionList:
 
 def without_wildcards(universe: Universe) -> Universe:
     """Return the words of a universe without :data:`WILDCARDS`."""
-    kept: list[tuple[int, int]] = []
-    for low, high in universe.alphabet.ranges:
-        begin = low
-        for char in sorted(map(ord, WILDCARDS)):
-            if begin <= char <= high:
-                kept += [(begin, char - 1)] if begin < char else []
-                begin = char + 1
-        kept += [(begin, high)] if begin <= high else []
-    return replace(universe, alphabet=Charset(tuple(kept)))
+    wildcards = charset((ord(char), ord(char)) for char in WILDCARDS)
+    return replace(universe, alphabet=universe.alphabet.intersection(wildcards.complement()))
 
 
 def difference(policy: DecisionList, permitted: Permitted, universe: Universe, budget: SearchBudget) -> ProofResult:

@@ -21,7 +21,7 @@ from comarmor.patterns.tokens import charset
 from comarmor.regex import lazy_regex
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_dds.decision import fnmatch
-from keymint_ros2_dds.decision.semantics import Semantics
+from keymint_ros2_dds.decision.semantics import STANDARD, Semantics
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.reading.signed_permissions import DocumentCriteria, DocumentGrant, PermissionsDocument
 
@@ -68,11 +68,8 @@ def in_text(name: str) -> str:
 
 def is_independent(document: PermissionsDocument, rules: SubjectRules) -> bool:
     """Return whether no expression depends on the locale, however it is read: see :func:`locale_dependence`."""
-    texts = [text for rule in rules.rules for each in (rule.expressions, rule.partitions) for text in each]
-    criteria = (each for grant in document.grants for rule in grant.rules for each in rule.criteria)
-    for each in criteria:
-        texts += (*each.topics, *(each.partitions or ()))
-    joined = "".join(texts)
+    policy = (text for rule in rules.rules for text in (*rule.expressions, *rule.partitions))
+    joined = "".join((*policy, *(text for text, _ in _expressions(document.grants, STANDARD))))
     return joined.isascii() and not _CLASS.search(joined)
 
 
