@@ -65,13 +65,6 @@ def _check(package: Package) -> Iterator[Diagnostic]:
             f"the permissions are for {granted.subject_name!r}, but the identity is {package.identity.subject_name!r}",
             granted.origin, "give both the same subject_name", package.subject,
         )  # fmt: skip
-    if granted.issuer != governance.issuer:
-        yield Diagnostic(
-            "issuer-mismatch", Severity.ERROR,
-            f"the permissions are to be signed by {granted.issuer!r}, but the governance by "
-            f"{governance.issuer!r}: a participant trusts one permissions authority only",
-            granted.origin, "give both the same issuer_name", package.subject,
-        )  # fmt: skip
     if validity.not_after <= validity.not_before:
         yield Diagnostic(
             "validity-empty", Severity.ERROR, "the permissions end before they begin",

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.rules import Effect
@@ -90,19 +91,16 @@ def check_issuers(package: Package) -> Iterator[Diagnostic]:
                 spec.origin,
                 "issue identities by a self-signed authority",
             )
-        try:
-            accepted = _key_name(spec.key, spec.origin) in _ACCEPTED_KEYS
-        except KeymintError:
-            accepted = True  # reported where the authority's key is generated
-        if not accepted:
-            yield Diagnostic(
-                "portability-authority-key",
-                Severity.WARNING,
-                f"the key of the authority {authority.name!r} is not RSA with 2048 bits or SECP256R1; "
-                "Cyclone DDS refuses identities that it issues",
-                spec.origin,
-                "use SECP256R1",
-            )
+        with suppress(KeymintError):  # reported where the authority's key is generated
+            if _key_name(spec.key, spec.origin) not in _ACCEPTED_KEYS:
+                yield Diagnostic(
+                    "portability-authority-key",
+                    Severity.WARNING,
+                    f"the key of the authority {authority.name!r} is not RSA with 2048 bits or SECP256R1; "
+                    "Cyclone DDS refuses identities that it issues",
+                    spec.origin,
+                    "use SECP256R1",
+                )
 
 
 def _key_name(key: KeySpec, where: Origin) -> str:

@@ -99,7 +99,6 @@ class GrantLists:
         self._pairs = pairs
         self._alike = not pairs and all(map(_is_read_alike, grants))
         self._known: dict[tuple[object, ...], DecisionList] = {}
-        self._applying: dict[tuple[object, ...], tuple[tuple[DocumentRule, ...], tuple[int, ...]]] = {}
 
     def of(self, grant: DocumentGrant, domain: int, action: str, semantics: Semantics) -> tuple[DecisionList, ...]:
         """Return what :func:`of_grant` returns.
@@ -109,11 +108,8 @@ class GrantLists:
         """
         if not self._alike:
             return of_grant(grant, domain, action, semantics, pairs=self._pairs)
-        key = id(grant), domain, semantics.domains_count, semantics.min_only_is_exact
-        if key not in self._applying:
-            applying = tuple(rule for rule in grant.rules if semantics.applies(rule, domain))
-            self._applying[key] = applying, tuple(map(id, applying))
-        rules, numbers = self._applying[key]
+        rules = [rule for rule in grant.rules if semantics.applies(rule, domain)]
+        numbers = tuple(map(id, rules))
         if (numbers, action) not in self._known:
             self._known[numbers, action] = tuple(_endpoints(rules, action, semantics, pairs=False))
         if not semantics.topic_check:
