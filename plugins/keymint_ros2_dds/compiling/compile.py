@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from dataclasses import field, replace
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns.glob import Glob
@@ -103,7 +104,7 @@ def _plain(lowered: Lowered, report: _PortabilityReport) -> tuple[GrantRule[str]
     """Return the rules with all their patterns; without redundant ones if all cannot be ordered or are not portable."""
     if report.diagnostics:
         return report.with_expressions(rule_per_policy_rule(standard_rules(lowered), lowered))
-    full = report.empty_copy()
+    full = replace(report)  # without diagnostics
     with suppress(UnportableError, StepLimitError), step_limit(STEPS):
         rules = full.with_expressions(rule_per_policy_rule(portable_rules(lowered, reduced=False), lowered))
         if rules and not full.diagnostics:
@@ -122,22 +123,18 @@ def _endpoint_counts(hints: Iterable[Hint], distro: str) -> EndpointCounts:
     return counts
 
 
+@dataclass(slots=True)
 class _PortabilityReport:
     """Collects the rules that vendors read differently: each reason once for each rule of the policy."""
 
-    def __init__(self, lowered: Lowered, subject: str, warn: bool) -> None:
-        self._lowered = lowered
-        self._subject = subject
-        self._warn = warn
-        self._diagnostics: dict[tuple[str, Rule | None, str], Diagnostic] = {}
+    lowered: Lowered
+    subject: str
+    warn: bool
+    _found: dict[tuple[str, Rule | None, str], Diagnostic] = field(default_factory=dict, init=False)
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        return tuple(self._diagnostics.values())
-
-    def empty_copy(self) -> _PortabilityReport:
-        """Return a report on the same rules without diagnostics."""
-        return _PortabilityReport(self._lowered, self._subject, self._warn)
+        return tuple(self._found.values())
 
     def add(self, code: str, action: TopicAction | None, pattern: Glob, reason: str) -> None:
         rule = self._rule(action, pattern)
@@ -145,15 +142,15 @@ class _PortabilityReport:
         prefix = (
             f"this {rule.effect} {rule.kind} rule cannot be expressed portably across DDS vendors: " if rule else ""
         )
-        if self._warn:
+        if self.warn:
             severity = Severity.WARNING
             message = f"{prefix}{reason}; the document follows the standard, Cyclone DDS and Fast DDS may differ"
             hint = "check which names are affected before you rely on it"
         else:
             severity, message = Severity.ERROR, prefix + reason
             hint = "write the names out, or build with --allow-vendor-specific"
-        diagnostic = Diagnostic(code, severity, message, where, hint, self._subject)
-        self._diagnostics.setdefault((code, rule, reason), diagnostic)
+        diagnostic = Diagnostic(code, severity, message, where, hint, self.subject)
+        self._found.setdefault((code, rule, reason), diagnostic)
 
     def with_expressions(self, rules: Iterable[GrantRule[Glob]]) -> tuple[GrantRule[str], ...]:
         """Return rules with expressions in place of patterns."""
@@ -176,7 +173,7 @@ class _PortabilityReport:
 
     def _rule(self, action: TopicAction | None, pattern: Glob) -> Rule | None:
         """Return the policy rule that has a pattern, or else one that overlaps it; denials first."""
-        patterns = sorted(self._lowered.patterns(), key=lambda item: item[0] is Effect.ALLOW)
+        patterns = sorted(self.lowered.patterns(), key=lambda item: item[0] is Effect.ALLOW)
         candidates = [(other, rule) for _, at, other, rule in patterns if action in {None, at}]
         exact = (rule for other, rule in candidates if other == pattern)
         overlapping = (rule for other, rule in candidates if not disjoint(other, pattern))

@@ -70,7 +70,7 @@ def lower(rules: SubjectRules, distro: str) -> Lowered:
     diagnostics: list[Diagnostic] = []
     for rule in rules.rules:
         side = sides[rule.effect]
-        partitions = tuple(sorted(set(rule.partitions))) if rule.partitions else ()
+        partitions = tuple(sorted(set(rule.partitions)))
         for expression in partitions:
             parse_expression(expression, rule.origin)
         for expression in rule.expressions:

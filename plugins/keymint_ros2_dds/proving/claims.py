@@ -141,9 +141,7 @@ class _Model:
             return claim(Proof.UNKNOWN, self._unmodelled)
         situations = [Situation(action, domain, inside, era) for era in self._eras or (None,)]
         try:
-            outcomes = [
-                (each, self._comparison.of(action, self._permitted(each), inside=inside)) for each in situations
-            ]
+            outcomes = [(each, self._comparison.of(each, self._permitted(each))) for each in situations]
         except PatternError as error:
             return claim(Proof.UNKNOWN, f"{self._question.document.file}: {error}")
         witnesses = [(each, outcome) for each, outcome in outcomes if isinstance(outcome, Witness)]

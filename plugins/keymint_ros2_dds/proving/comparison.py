@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from comarmor.patterns.decision_lists import ProofResult
 from keymint_ros2_dds.proving import octets, permission_lists
+from keymint_ros2_dds.proving.counterexamples import Situation
 from keymint_ros2_dds.proving.enclave_governance import ACTIONS
-from keymint_ros2_dds.proving.governance_lists import Permitted, difference
+from keymint_ros2_dds.proving.governance_lists import NOTHING, Permitted, difference
 from keymint_ros2_dds.proving.questions import ProofQuestion
 
 
@@ -31,9 +32,9 @@ class Comparator:
         }
         self._known: dict[tuple[object, ...], ProofResult] = {}
 
-    def of(self, action: str, permitted: Permitted, *, inside: bool) -> ProofResult:
-        """Compare what the policy allows, in its domains or elsewhere, with what the document permits."""
-        policy = self._policy[action] if inside else ()
+    def of(self, situation: Situation, permitted: Permitted) -> ProofResult:
+        """Compare what the policy allows with what the document permits."""
+        policy = self._policy[situation.action] if situation.inside else NOTHING
         key = (policy, permitted)
         result = self._known.get(key)
         if result is None:

@@ -161,8 +161,6 @@ def _partitions(rule: DocumentRule, together: Sequence[DocumentCriteria], semant
     unlisted = any(criteria.partitions is None for criteria in together)
     if not rule.allows and (semantics.deny_topic or (unlisted and not semantics.deny_default)):
         return (EVERYTHING,)
-    if all(criteria.partitions is None for criteria in together):
-        return (_DEFAULT,)
     listed = (p for criteria in together for p in (("",) if criteria.partitions is None else criteria.partitions))
     return _read(listed, semantics)
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 
-from keymint.api import Claim, ComparisonTask, DomainRange, Proof
+from keymint.api import Claim, ComparisonTask, Proof
 from keymint.keymake.kinds import Arguments, Kind, kind_of
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.documents import dds_xml
@@ -19,7 +19,7 @@ from keymint_ros2_dds.proving.questions import ProofQuestion
 MOST = 10_000
 """Number of documents whose claims are cached."""
 
-_Key = tuple[bytes, bytes, Kind, Arguments, str, str, str, tuple[DomainRange, ...], tuple[str, ...]]
+_Key = tuple[object, ...]
 _proven: dict[_Key, tuple[Claim, ...]] = {}
 
 
