@@ -3,11 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
-
 from comarmor.rules import PERMISSIONS
-from keymint.api import API_VERSION, BuildOptions, Claim, Package
+from keymint.api import API_VERSION
 from keymint.api.lazy import lazy
 from keymint_ros2_dds.enclave_layout import COPIED, LAYOUTS, READS, files
 
@@ -62,6 +59,7 @@ class DdsSecurity:
     meanings = lazy("keymint_ros2_dds.lowering.endpoints:meanings")
     document_topics = lazy("keymint_ros2_dds.transports.enclave_files:document_topics")
 
+    assumptions = lazy("keymint_ros2_dds.proving.claims:assumptions")
     differences = lazy("keymint_ros2_dds.proving.anchor_check:differences")
     prove = lazy("keymint_ros2_dds.proving:prove")
     terms = lazy("keymint_ros2_dds.proving:terms")
@@ -69,27 +67,11 @@ class DdsSecurity:
 
     is_remote = lazy("keymint_ros2_dds.kinds.elsewhere:is_remote")
     receive = lazy("keymint_ros2_dds.kinds.elsewhere:receive")
-
-    def compiling(self) -> Callable[[object, Sequence[tuple[Package, BuildOptions]]], Sequence[object]]:
-        """See :func:`keymint_ros2_dds.kinds.elsewhere.compile_part`."""
-        from keymint_ros2_dds.kinds.elsewhere import compile_part  # noqa: PLC0415
-
-        return compile_part
+    compiling = lazy("keymint_ros2_dds.kinds.elsewhere:compiling")
 
     question = lazy("keymint_ros2_dds.proving.elsewhere:question")
     know = lazy("keymint_ros2_dds.proving.elsewhere:receive")
-
-    def proving(self) -> Callable[[object, Sequence[Any]], Sequence[Sequence[Claim]]]:
-        """See :func:`keymint_ros2_dds.proving.elsewhere.prove_part`."""
-        from keymint_ros2_dds.proving.elsewhere import prove_part  # noqa: PLC0415
-
-        return prove_part
-
-    def assumptions(self) -> Mapping[str, Sequence[str]]:
-        """See :data:`keymint_ros2_dds.proving.ASSUMPTIONS`."""
-        from keymint_ros2_dds.proving import ASSUMPTIONS  # noqa: PLC0415
-
-        return ASSUMPTIONS
+    proving = lazy("keymint_ros2_dds.proving.elsewhere:proving")
 
 
 build_type = DdsSecurity()

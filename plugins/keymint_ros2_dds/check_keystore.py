@@ -76,9 +76,9 @@ def _shared_authorities(inspections: Sequence[Inspection]) -> Iterator[Diagnosti
 
 def _different_authorities(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
     """Yield a finding for each enclave with another permissions authority; Fast DDS requires one for all."""
-    first = inspections[0] if inspections else None
     for inspection in inspections[1:]:
-        if first and inspection.chains[roles.PERMISSIONS] != first.chains[roles.PERMISSIONS]:
+        first = inspections[0]
+        if inspection.chains[roles.PERMISSIONS] != first.chains[roles.PERMISSIONS]:
             yield Diagnostic(
                 "authorities-differ", Severity.WARNING,
                 f"its permissions are signed by {inspection.package.grant.issuer!r}, those of "

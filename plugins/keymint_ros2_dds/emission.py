@@ -76,7 +76,8 @@ def emit(package: Package, options: BuildOptions) -> Emitted:
 def _smallest_proven(package: Package, options: BuildOptions, compiled: Compiled) -> Emitted:
     """Return the document in its first form that is proven, else in its plain form."""
     diagnostics: list[Diagnostic] = []
-    for rules in _forms(compiled, optimise=options.optimise):
+    smaller = [form for form in compiled.forms if form != compiled.plain] if options.optimise else []
+    for rules in (*smaller, compiled.plain):
         document = permissions_document.render(package.grant, rules)
         claims = _claims(package, compiled, document)
         open_claims = _open(claims)
@@ -89,13 +90,6 @@ def _smallest_proven(package: Package, options: BuildOptions, compiled: Compiled
     dds_xml.require_valid(document, PERMISSIONS, PERMISSIONS_XML)
     plain = document if rules == compiled.plain else permissions_document.render(package.grant, compiled.plain)
     return Emitted(document, rules, len(plain), compiled, claims, tuple(diagnostics))
-
-
-def _forms(compiled: Compiled, *, optimise: bool) -> Iterator[tuple[GrantRule[str], ...]]:
-    """Yield the forms of the rules, the preferred one first."""
-    if optimise:
-        yield from (form for form in compiled.forms if form != compiled.plain)
-    yield compiled.plain
 
 
 def is_form_of(package: Package, document: bytes) -> bool:

@@ -7,7 +7,7 @@ Rules about relaying are not covered either, so subjects that have some are comp
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, Claim, Package, Proof
@@ -40,6 +40,11 @@ class Compilation:
 
 _received: dict[str, tuple[Package, BuildOptions, Compilation, bool]] = {}
 """By subject: what other machines compiled, and whether the user trusts them."""
+
+
+def compiling() -> Callable[..., Sequence[Compilation | None]]:
+    """See :meth:`keymint.api.RemoteCompiler.compiling`."""
+    return compile_part
 
 
 def compile_part(_plugins: object, packages: Sequence[tuple[Package, BuildOptions]]) -> tuple[Compilation | None, ...]:

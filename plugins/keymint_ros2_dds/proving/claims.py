@@ -59,6 +59,11 @@ ASSUMPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 
 
+def assumptions() -> Mapping[str, Sequence[str]]:
+    """Return the assumptions of all claims by model; see :meth:`keymint.api.Prover.assumptions`."""
+    return ASSUMPTIONS
+
+
 def prove_document(question: ProofQuestion, *, models: Sequence[str] | None = None) -> tuple[Claim, ...]:
     """Return the claims about a document, by model, action and domains.
 
