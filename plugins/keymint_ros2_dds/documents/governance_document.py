@@ -15,12 +15,11 @@ from comarmor.patterns.glob import EVERYTHING, Glob
 from comarmor.patterns.printing import exact
 from comarmor.patterns.relations import covers, union_covers
 from comarmor.regex import lazy_regex
-from comarmor.rules import PARTS
 from keymint.errors import KeymintError
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import check_domains
 from keymint_ros2_dds.enclave_layout import GOVERNANCE
-from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS
+from keymint_ros2_dds.lowering.dds_topics import needed_topics
 from keymint_ros2_dds.lowering.mapping import ARDENT, dds_patterns, parse_expression
 from keymint_ros2_dds.lowering.portable import NotPortableError, portable_expressions
 from keymint_ros2_dds.settings import STRICT_DOMAIN, STRICT_TOPIC, DomainRule, Governance, TopicProtection
@@ -28,11 +27,11 @@ from keymint_ros2_dds.settings import STRICT_DOMAIN, STRICT_TOPIC, DomainRule, G
 _ODD = lazy_regex(r"[^A-Za-z0-9_/*?\[\]!^\\-]|//|(?<=.)/$")
 """Characters and slashes that no ROS name has; expression syntax aside (ROS 2 design, "Topic and Service Names")."""
 _PERMISSIONS = {
-    "topic": (("topic", "publish"),),
-    "ros_topic": (("ros_topic", "ros_publish"),),
-    "ros_service": (("ros_service", "ros_call"),),
-    "ros_action": (("ros_action", "ros_request"),),
-    "ros_parameter": (("ros_parameter", "ros_read"), ("ros_parameter", "ros_write")),
+    "topic": ("publish",),
+    "ros_topic": ("ros_publish",),
+    "ros_service": ("ros_call",),
+    "ros_action": ("ros_request",),
+    "ros_parameter": ("ros_read", "ros_write"),
 }
 """A permission of each kind that maps to all of its DDS topics: both sides of a ROS entity use the same ones."""
 
@@ -166,9 +165,7 @@ def patterns(topic: TopicProtection, distro: str) -> list[Glob]:
     tokens = parse_expression(topic.expression, topic.origin)
     result = [
         pattern
-        for permission in _PERMISSIONS[topic.kind]
-        for _, part, suffix in PARTS.get(permission, ((*permission, ""),))
-        for dds_topic in DDS_TOPICS[part]
+        for dds_topic, suffix in needed_topics(topic.kind, _PERMISSIONS[topic.kind])
         for pattern, _ in dds_patterns(distro, tokens, dds_topic, suffix)
         if pattern and not glob.is_empty(pattern)
     ]

@@ -29,8 +29,8 @@ _TEXT = str.maketrans(_ESCAPED)
 _ATTRIBUTE = str.maketrans({**_ESCAPED, '"': "&quot;", "\n": "&#10;", "\t": "&#9;"})
 
 
-Around = Mapping[str, Sequence[str]]
-"""The text around the lists of topics of some rules, to the end of the document, for each indentation."""
+Around = Sequence[str]
+"""The text before each list of topics of some rules, and after the last one, to the end of the document."""
 
 
 def render(permissions: Grant, rules: Iterable[GrantRule[str]]) -> bytes:
@@ -40,8 +40,12 @@ def render(permissions: Grant, rules: Iterable[GrantRule[str]]) -> bytes:
         KeymintError: the subject's name, a date or a domain cannot be expressed portably across DDS vendors.
     """
     rules = tuple(rules)
-    begin, around = head(permissions), around_topics(rules, permissions.domains)
-    return dds_xml.indented_if_small(lambda indent: text(begin[indent], rules, around[indent], indent))
+    begin = head(permissions)
+
+    def write(indent: str) -> str:
+        return text(begin[indent], rules, around_topics(rules, permissions.domains, indent), indent)
+
+    return dds_xml.indented_if_small(write)
 
 
 def head(permissions: Grant) -> Mapping[str, str]:
@@ -77,13 +81,13 @@ def head(permissions: Grant) -> Mapping[str, str]:
     }
 
 
-def text(begin: str, rules: Iterable[GrantRule[str]], around: Iterable[str], indent: str) -> str:
+def text(begin: str, rules: Iterable[GrantRule[str]], around: Around, indent: str) -> str:
     """Return a document as text.
 
     Args:
         begin: from :func:`head`.
         rules: its rules, for their lists of topics.
-        around: from :func:`around_topics`: the text before each list, and after the last one.
+        around: from :func:`around_topics`.
         indent: what each level is indented by.
     """
     parts = [begin]
@@ -93,12 +97,8 @@ def text(begin: str, rules: Iterable[GrantRule[str]], around: Iterable[str], ind
     return "".join((*parts, *following))
 
 
-def around_topics(rules: Sequence[GrantRule[str]], domains: tuple[DomainRange, ...]) -> Around:
+def around_topics(rules: Iterable[GrantRule[str]], domains: tuple[DomainRange, ...], indent: str) -> Around:
     """Return the text around the lists of topics of some rules."""
-    return {indent: _around_topics(rules, domains, indent) for indent in dds_xml.INDENTATIONS}
-
-
-def _around_topics(rules: Sequence[GrantRule[str]], domains: tuple[DomainRange, ...], indent: str) -> list[str]:
     texts = [""]
     for rule in rules:
         tag = "allow_rule" if rule.effect is Effect.ALLOW else "deny_rule"

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from itertools import combinations
+from itertools import combinations, product
 
 from comarmor.patterns.glob import Glob, literal, parse
 from comarmor.patterns.matching import matcher, regex
@@ -14,10 +14,9 @@ from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.patterns.tokens import ANY, Charset
 from comarmor.regex import lazy_regex
 from comarmor.ros_names import is_fully_qualified
-from comarmor.rules import parts
 from comarmor.values import dataclass
 from keymint.keymake.kinds import Arguments, Kind
-from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS
+from keymint_ros2_dds.lowering.dds_topics import needed_topics
 from keymint_ros2_dds.lowering.mapping import ARDENT, dds_patterns
 
 MOST_WILDCARDS = 64
@@ -58,17 +57,14 @@ class Structure:
         for effect, rule_kind, permissions, expressions, partitions, _ in kind:
             if partitions or distro == ARDENT:
                 return None
-            for permission in permissions:
-                for _, part, tail in parts(rule_kind, permission):
-                    for topic in DDS_TOPICS[part]:
-                        for each in expressions:
-                            if isinstance(each, int):
-                                slots[topic.prefix, each, tail + topic.suffix] = None
-                                if topic.prefix:
-                                    ros.add(each)
-                            else:
-                                patterns = dds_patterns(distro, parse(each), topic, tail, effect)
-                                own.update((pattern, None) for pattern, _ in patterns)
+            for (topic, tail), each in product(needed_topics(rule_kind, permissions), expressions):
+                if isinstance(each, int):
+                    slots[topic.prefix, each, tail + topic.suffix] = None
+                    if topic.prefix:
+                        ros.add(each)
+                else:
+                    patterns = dds_patterns(distro, parse(each), topic, tail, effect)
+                    own.update((pattern, None) for pattern, _ in patterns)
         wildcards = _with_intersections([*own])
         if wildcards is None:
             return None

@@ -23,11 +23,11 @@ class Template:
 
     Attributes:
         rules: effect, partitions and topics of each rule.
-        around: the text of a document around the lists of topics.
+        around: the text of a document around the lists of topics, for each indentation.
     """
 
     rules: tuple[tuple[Effect, Partitions, tuple[tuple[TopicAction, _Texts], ...]], ...]
-    around: Around
+    around: Mapping[str, Around]
 
     @classmethod
     def of(cls, rules: Sequence[GrantRule[str]], domains: tuple[DomainRange, ...], names: Sequence[str]) -> Template:
@@ -50,7 +50,8 @@ class Template:
             (rule.effect, rule.partitions, tuple((action, split(texts)) for action, texts in rule.topics.items()))
             for rule in rules
         )
-        return cls(split_rules, permissions_document.around_topics(rules, domains))
+        around = {each: permissions_document.around_topics(rules, domains, each) for each in dds_xml.INDENTATIONS}
+        return cls(split_rules, around)
 
     def renamed(self, names: Sequence[str]) -> tuple[GrantRule[str], ...]:
         """Return the rules for another subject, each list of topics sorted as the compiler does."""

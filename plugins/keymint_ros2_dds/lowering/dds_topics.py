@@ -5,8 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import StrEnum
+from functools import lru_cache
 from types import MappingProxyType
 
+from comarmor.rules import parts
 from comarmor.values import dataclass
 
 
@@ -46,3 +48,14 @@ DDS_TOPICS: Mapping[str, tuple[DdsTopic, ...]] = MappingProxyType(
     }
 )
 """The DDS topics of each permission that is not composite."""
+
+
+@lru_cache(maxsize=256)
+def needed_topics(kind: str, permissions: tuple[str, ...]) -> tuple[tuple[DdsTopic, str], ...]:
+    """Return the DDS topics of permissions, with the suffix of each part.
+
+    Raises:
+        KeyError: DDS does not know a permission.
+    """
+    needed = ((part, suffix) for permission in permissions for _, part, suffix in parts(kind, permission))
+    return tuple((topic, suffix) for part, suffix in needed for topic in DDS_TOPICS[part])

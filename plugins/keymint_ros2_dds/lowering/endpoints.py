@@ -5,11 +5,10 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-from comarmor.rules import parts
 from keymint.api import Endpoint
 from keymint.errors import KeymintError
 from keymint.graph import Edge, Object
-from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS
+from keymint_ros2_dds.lowering.dds_topics import needed_topics
 from keymint_ros2_dds.lowering.mapping import ARDENT, check_distro, has_kind
 
 _KINDS = {
@@ -23,12 +22,11 @@ def _dds_topics(distro: str, kind: str, permission: str) -> tuple[tuple[str, str
     check_distro(distro)
     if not has_kind(distro, kind):
         raise KeymintError(f"ROS 2 {distro.capitalize()} has no {kind}", code="distro-kind")
-    result = []
-    for _, part, tail in parts(kind, permission):
-        if part not in DDS_TOPICS:
-            raise KeymintError(f"DDS knows no permission {part!r} of a {kind}", code="permission-unknown")
-        result += [(str(topic.action), topic.prefix, tail + topic.suffix) for topic in DDS_TOPICS[part]]
-    return tuple(result)
+    try:
+        topics = needed_topics(kind, (permission,))
+    except KeyError as error:
+        raise KeymintError(f"DDS knows no permission {error} of a {kind}", code="permission-unknown") from None
+    return tuple((str(topic.action), topic.prefix, suffix + topic.suffix) for topic, suffix in topics)
 
 
 def endpoints(distro: str, edge: Edge) -> tuple[Edge, ...]:

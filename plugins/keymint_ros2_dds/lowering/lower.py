@@ -14,12 +14,12 @@ from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.possible_names import advice, matches_ros_name
 from comarmor.patterns.printing import exact
-from comarmor.rules import Effect, parts
+from comarmor.rules import Effect
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
-from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS, DdsTopic, TopicAction
+from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS, TopicAction, needed_topics
 from keymint_ros2_dds.lowering.grant_rules import Partitions
 from keymint_ros2_dds.lowering.mapping import dds_patterns, has_kind, parse_expression
 
@@ -94,21 +94,10 @@ def _patterns(
     """Return action, topic pattern and mapped partitions of an expression of a rule, for all its permissions."""
     return tuple(
         (topic.action, pattern, () if partition is None else (exact(partition),))
-        for topic, suffix in _needed_topics(kind, permissions)
+        for topic, suffix in needed_topics(kind, permissions)
         for pattern, partition in dds_patterns(distro, tokens, topic, suffix, effect)
         if pattern and not glob.is_empty(pattern) and not (partition and glob.is_empty(partition))
     )
-
-
-@lru_cache(maxsize=256)
-def _needed_topics(kind: str, permissions: tuple[str, ...]) -> tuple[tuple[DdsTopic, str], ...]:
-    """Return the DDS topics of permissions, with the suffix of each part.
-
-    Raises:
-        KeyError: DDS does not know a permission.
-    """
-    needed = ((part, suffix) for permission in permissions for _, part, suffix in parts(kind, permission))
-    return tuple((topic, suffix) for part, suffix in needed for topic in DDS_TOPICS[part])
 
 
 def _unknown_permission(part: str, rule: Rule) -> KeymintError:
