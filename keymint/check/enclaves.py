@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import field, replace
 from datetime import timedelta
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.values import dataclass
-from keymint.api import BuildOptions, BuildResult, BuildType, Inspection, Package
+from keymint.api import BuildOptions, BuildType, Inspection, Package
 from keymint.changes import file_mode
 from keymint.check import revocations
 from keymint.check.file_status import link, linked_twice, modes
@@ -101,7 +101,7 @@ def examine(session: Session, loaded: LoadedEnclave, keyring: identity_keys.Keyr
         *findings,
         *loaded.unread,
         *_on_disk(session, package.name, files),
-        *_unexpected(session, package, files),
+        *_unexpected(session, loaded),
         *revocations.of_enclave(session, package, files),
         *(each for each in defects if each.code != "file-missing" or each.where not in unread_places),
     )
@@ -133,7 +133,7 @@ def _inspections(session: Session, package: Package, files: Mapping[str, bytes],
         own = build_type.files(layout)
         inspection = Inspection(
             package=package,
-            documents=_built(build_type, package).documents if recorded is None else recorded,
+            documents=_built(build_type, package) if recorded is None else recorded,
             files={file: content for file, content in files.items() if file in own},
             folder=folder,
             layout=layout,
@@ -154,26 +154,25 @@ def _recorded(session: Session, name: str) -> Mapping[str, bytes] | None:
     return documents if {file: digest(content) for file, content in documents.items()} == stamp.outputs else None
 
 
-def _built(build_type: BuildType, package: Package) -> BuildResult:
-    """Return what the sources build; differences between vendors were accepted when the package was built.
+def _built(build_type: BuildType, package: Package) -> Mapping[str, bytes]:
+    """Return the documents of the sources; differences between vendors were accepted when the package was built.
 
     Raises:
         KeymintError: the package has defects.
     """
     try:
-        return build_type.build(package, BuildOptions())
+        return build_type.build(package, BuildOptions()).documents
     except KeymintError:
-        return build_type.build(package, BuildOptions(allow_vendor_specific=True))
+        return build_type.build(package, BuildOptions(allow_vendor_specific=True)).documents
 
 
-def _unexpected(session: Session, package: Package, files: Iterable[str]) -> Iterator[Diagnostic]:
+def _unexpected(session: Session, loaded: LoadedEnclave) -> Iterator[Diagnostic]:
     """Yield a finding for each file of an enclave that belongs to none of the package's build types."""
-    layout = session.profile.layout
-    known = frozenset[str]().union(*(each.files(layout) for each in build_types_of(session, package).values()))
-    for file in sorted({*files} - known):
-        where = session.workspace.origin(session.enclave(package.name) / file)
-        message = f"does not belong to the layout {layout!r}"
-        yield Diagnostic("file-unexpected", Severity.WARNING, message, where, "remove it", package.subject)
+    known = frozenset[str]().union(*(own.files for _, own in loaded.seen.values()))
+    for file in sorted(loaded.files.keys() - known):
+        where = session.workspace.origin(session.enclave(loaded.package.name) / file)
+        message = f"does not belong to the layout {session.profile.layout!r}"
+        yield Diagnostic("file-unexpected", Severity.WARNING, message, where, "remove it", loaded.package.subject)
 
 
 def _identity_key(
