@@ -26,6 +26,7 @@ from keymint.commands.run import Run
 from keymint.commands.user_files import read_input
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
+from keymint.output.json import members
 from keymint.output.report import Report
 
 _FINGERPRINT = lazy_regex("[0-9a-f]{64}")
@@ -130,12 +131,6 @@ def _document(taken: _Taken) -> dict[str, object]:
         "enclave": manifest.enclave,
         "bundle": str(taken.file),
         "action": taken.step.action,
-        "key": manifest.key,
-        "authority": manifest.authority,
-        "generation": manifest.generation,
-        "issue": manifest.issue,
-        "revocations": manifest.revocations,
-        "not_before": manifest.not_before,
-        "not_after": manifest.not_after,
+        **members(manifest, "key", "authority", "generation", "issue", "revocations", "not_before", "not_after"),
         "answers_request": taken.acceptance.answered,
     }

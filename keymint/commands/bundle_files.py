@@ -13,6 +13,7 @@ from keymint.commands.options import PATH, usage_error
 from keymint.commands.run import Run
 from keymint.commands.user_files import is_folder, show_written, write_outputs
 from keymint.names import subject_of
+from keymint.output.json import members
 from keymint.plan.bundles import MadeBundle
 
 bundle_output_option = click.option(
@@ -57,12 +58,7 @@ def write_bundles(run: Run, output: Path | None, made: Sequence[MadeBundle]) -> 
                 "enclave": each.manifest.enclave,
                 "file": str(target),
                 "has_private_key": each.secret,
-                "key": each.manifest.key,
-                "authority": each.manifest.authority,
-                "generation": each.manifest.generation,
-                "issue": each.manifest.issue,
-                "revocations": each.manifest.revocations,
-                "not_after": each.manifest.not_after,
+                **members(each.manifest, "key", "authority", "generation", "issue", "revocations", "not_after"),
             }
         )
     for authority in dict.fromkeys(each.manifest.authority for each in made):

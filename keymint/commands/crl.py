@@ -16,6 +16,7 @@ from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import subject_of
+from keymint.output.json import members
 from keymint.output.report import Report
 from keymint.plan.register import complete_register, register_change
 from keymint.plan.revocation import lists, loaded_lists
@@ -88,15 +89,12 @@ def _shown(run: Run, session: Session, done: Report | None = None) -> Report:
             {
                 "authority": name,
                 "file": path,
-                "number": found.number,
-                "this_update": found.this_update,
-                "next_update": found.next_update,
+                **members(found, "number", "this_update", "next_update"),
                 "revoked": [
                     {
                         "serial": f"{each.serial:x}",
                         "subject": subjects.get(each.serial),
-                        "at": each.at,
-                        "reason": each.reason,
+                        **members(each, "at", "reason"),
                     }
                     for each in found.revocations
                 ],

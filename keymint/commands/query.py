@@ -26,7 +26,7 @@ from keymint.commands.options import PolicyOptions, policy_options, usage_error
 from keymint.commands.policies import Policies
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
-from keymint.output.json import line_json
+from keymint.output.json import line_json, members
 from keymint.output.report import Report, findings_if
 
 _MOST = 20
@@ -164,8 +164,7 @@ def _holder(run: Run, holder: PermissionHolder, question: PolicyQuery) -> str:
 
 def _as_data(holder: PermissionHolder, question: PolicyQuery) -> dict[str, Any]:
     return {
-        "subject": holder.subject or None,
-        "like": holder.like or None,
+        **members(holder, "subject", "like"),
         "permission": question.permission,
         "object": display_name(question.kind, holder.word) or None,
         "rule": line_json(holder.where),
@@ -306,9 +305,6 @@ def _step(channel: Channel) -> str:
 
 def _channel(channel: Channel) -> dict[str, Any]:
     return {
-        "writer": channel.writer,
-        "reader": channel.reader,
-        "kind": channel.kind,
-        "permissions": channel.permissions,
+        **members(channel, "writer", "reader", "kind", "permissions"),
         "object": display_name(channel.kind, channel.word) or None,
     }

@@ -17,6 +17,7 @@ from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.names import listed, package_name, subject_of
+from keymint.output.json import members
 from keymint.output.report import Report
 from keymint.plan.enclaves import INSTALLED
 from keymint.plan.revoking import Revoking, plan_revocation
@@ -95,11 +96,5 @@ def document(each: IssuedCertificate) -> dict[str, Any]:
         "serial": f"{each.serial:x}",
         "authority": each.authority,
         "subject": subject_of(each.name) if each.name else None,
-        "generation": each.generation,
-        "not_before": each.not_before,
-        "not_after": each.not_after,
-        "key": each.key or None,
-        "rights": each.rights or None,
-        "revoked": each.revoked,
-        "reason": each.reason or None,
+        **members(each, "generation", "not_before", "not_after", "key", "rights", "revoked", "reason"),
     }

@@ -15,6 +15,7 @@ from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.output.expiry_metrics import gauges
+from keymint.output.json import members
 from keymint.output.openmetrics import openmetrics
 from keymint.output.report import Report
 from keymint.plan.create import packages_to_create
@@ -64,7 +65,7 @@ def status(run: Run, kind: str) -> Report:
     result = {
         "packages": [_document(row) for row in rows],
         "not_created": missing,
-        "shared": [_shared_document(row) for row in shared],
+        "shared": [members(row, "build_type", "documents", "stage", "stale", "problem") for row in shared],
     }
     return run.report(result, diagnostics, workspace=session.workspace)
 
@@ -101,16 +102,6 @@ def _as_typed(run: Run, row: _Row) -> _Row:
     return replace(row, problem=run.as_typed(Diagnostic("problem", Severity.ERROR, row.problem)).message)
 
 
-def _shared_document(row: SharedRow) -> dict[str, Any]:
-    return {
-        "build_type": row.build_type or None,
-        "documents": row.documents,
-        "stage": row.stage,
-        "stale": row.stale or None,
-        "problem": row.problem or None,
-    }
-
-
 def _when(end: datetime | None, now: datetime) -> str:
     """Return a date with the number of days until it."""
     return f"{end:%Y-%m-%d} ({days_left(end, now)})" if end else "-"
@@ -125,15 +116,5 @@ def _renewal(row: PackageRow, now: datetime) -> str:
 
 
 def _document(row: PackageRow) -> dict[str, Any]:
-    renew_after = row.renew_after
-    return {
-        "package": row.package,
-        "subject": f"/{row.package}",
-        "stage": row.stage,
-        "stale": row.stale or None,
-        "certificate_expires": row.certificate_expires,
-        "permissions_expire": row.permissions_expire,
-        "renew_after": renew_after,
-        "ends_with": row.ends_with or None,
-        "problem": row.problem or None,
-    }
+    ends = members(row, "certificate_expires", "permissions_expire", "renew_after", "ends_with", "problem")
+    return {"package": row.package, "subject": f"/{row.package}", **members(row, "stage", "stale"), **ends}

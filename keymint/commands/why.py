@@ -16,7 +16,7 @@ from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.graph import LABELLED
 from keymint.names import name_of
-from keymint.output.json import decision_json, edge_json, place_json, verdict_json
+from keymint.output.json import decision_json, edge_json, members, place_json, verdict_json
 from keymint.output.mismatches import (
     document_reason,
     enumerated,
@@ -183,12 +183,7 @@ def _document(explanation: Explanation, typed: Callable[[str], str]) -> dict[str
 
     def rule(each: MatchedRule) -> dict[str, Any]:
         return {
-            "effect": each.rule.effect,
-            "kind": each.rule.kind,
-            "permissions": each.rule.permissions,
-            "expressions": each.rule.expressions,
-            "partitions": each.rule.partitions,
-            "audit": each.rule.audit,
+            **members(each.rule, "effect", "kind", "permissions", "expressions", "partitions", "audit"),
             "rule": place_json(each.where, typed),
             "note": each.note or None,
         }
