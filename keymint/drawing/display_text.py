@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from comarmor.regex import lazy_regex
 from comarmor.text import printable
 from keymint.drawing.labelled_graph import Label, LabelledEdge
-from keymint.graph import Object
+from keymint.graph import EdgeOutcome, Object
 
 KINDS = {
     "ros_topic": "topic",
@@ -24,6 +24,15 @@ KINDS = {
 OUTWARD = ("publish", "execute", "operate", "write", "relay")
 INWARD = ("subscribe", "call", "request", "read", "relay")
 """Roles by direction of their edge: from the subject to the object, or back."""
+
+OUTCOMES = {
+    EdgeOutcome.FALSE_POSITIVE: "DANGER: allowed, but the policy denies it (false positive)",
+    EdgeOutcome.FALSE_NEGATIVE: "denied, but the policy allows it (false negative)",
+    EdgeOutcome.ALLOW: "allowed",
+    EdgeOutcome.DENY: "denied",
+    EdgeOutcome.UNLABELLED: "no decision",
+}
+"""What is decided about an edge, in the order of pages."""
 
 _LONGEST = 44
 _WORD = lazy_regex(r"[^/_ ]*[/_ ]|[^/_ ]+\Z", re.DOTALL)

@@ -19,7 +19,7 @@ from markupsafe import Markup
 
 from comarmor.errors import Origin, cited
 from comarmor.text import counted, printable
-from keymint.drawing.display_text import KINDS, object_name
+from keymint.drawing.display_text import KINDS, OUTCOMES, object_name
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph, select_edges
 from keymint.drawing.layout import NodeKey
 from keymint.drawing.palette import Theme, style_sheet
@@ -31,13 +31,6 @@ from keymint.graph import DomainObject, EdgeOutcome
 MOST_ROWS = 10_000
 """Maximum number of edges in a report; false labels and explicit denials are listed beyond it. Next are allowed edges.
 The report states the number of unlisted edges."""
-_WORDS = {
-    EdgeOutcome.FALSE_POSITIVE: "DANGER: allowed, but the policy denies it (false positive)",
-    EdgeOutcome.FALSE_NEGATIVE: "denied, but the policy allows it (false negative)",
-    EdgeOutcome.ALLOW: "allowed",
-    EdgeOutcome.DENY: "denied",
-    EdgeOutcome.UNLABELLED: "no decision",
-}
 
 
 def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: DrawingOptions | None = None) -> bytes:
@@ -66,7 +59,7 @@ def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: 
         f"{counted(total, 'edge')}",
         "verdicts": [
             {"value": str(outcome), "words": words, "count": counts[str(outcome)]}
-            for outcome, words in _WORDS.items()
+            for outcome, words in OUTCOMES.items()
             if counts[str(outcome)]
         ],
         "transports": [printable(name) for name in labelled.transports],
@@ -142,7 +135,7 @@ class _Page:
         edge, outcome = one.edge, one.outcome()
         return {
             "outcome": str(outcome),
-            "words": _WORDS[outcome],
+            "words": OUTCOMES[outcome],
             "wrong": outcome.false,
             "subject": printable(edge.subject),
             "subject_number": self.number(edge.subject),

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from comarmor.values import dataclass
-from keymint.drawing.display_text import INWARD, KINDS, OUTWARD, columns, role
+from keymint.drawing.display_text import INWARD, KINDS, OUTCOMES, OUTWARD, columns, role
 from keymint.drawing.labelled_graph import LabelledGraph
 from keymint.drawing.layout import CHARACTER, Panel
 from keymint.drawing.simplify import SimplifiedGraph
@@ -57,14 +57,10 @@ def legend(
         yield LegendEntry("both ways: relay", "plain", "both")
     outcomes = {one.outcome(transport) for one in drawn.edges}
     labels = bool(labelled.transports)
-    texts = {
-        EdgeOutcome.ALLOW: "allowed (true positive)" if labels else "allowed",
-        EdgeOutcome.DENY: "denied (true negative)" if labels else "denied",
-        EdgeOutcome.FALSE_POSITIVE: "DANGER: allowed, but the policy denies it (false positive)",
-        EdgeOutcome.FALSE_NEGATIVE: "denied, but the policy allows it (false negative)",
-    }
-    for outcome, text in texts.items():
+    compared = {EdgeOutcome.ALLOW: " (true positive)", EdgeOutcome.DENY: " (true negative)"} if labels else {}
+    for outcome in (EdgeOutcome.ALLOW, EdgeOutcome.DENY, EdgeOutcome.FALSE_POSITIVE, EdgeOutcome.FALSE_NEGATIVE):
         if outcome in outcomes:
+            text = OUTCOMES[outcome] + compared.get(outcome, "")
             yield LegendEntry(text, edge_classes(outcome, labels=labels), "arrow" if outcome.allowed else "barred")
     if any(one.audit for one in drawn.edges):
         yield LegendEntry("AUDIT rule", "audited", "dot")

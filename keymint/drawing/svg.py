@@ -165,9 +165,8 @@ def _subtitle(labelled: LabelledGraph, options: DrawingOptions, drawn: Simplifie
     sizes = ((labelled.subjects, "subject"), (objects, "object"), (labelled.edges, "edge"))
     notes = [", ".join(counted(len(items), noun) for items, noun in sizes)]
     if labelled.transports:
-        which = "all transports" if options.transport is None else labelled.transports[options.transport]
-        if options.transport is None and len(labelled.transports) == 1:
-            which = labelled.transports[0]
+        transports = labelled.transports if options.transport is None else [labelled.transports[options.transport]]
+        which = transports[0] if len(transports) == 1 else "all transports"
         false = sum(one.outcome(options.transport).false for one in labelled.edges)
         notes.append(f"{printable(which)} compared with the policy: {counted(false, 'mismatch')}")
     if marks := sum(map(len, drawn.marks.values())):
