@@ -135,12 +135,12 @@ def _chosen(session: Session, given: tuple[str, ...]) -> tuple[str, ...]:
     there = frozenset(installed(session))
     for each in given:
         if SPECIAL.search(each):
+            which = "no installed package"
             found = [name for name in known if name in there and matches(parse(each), subject_of(name))]
         else:
-            name = package_name(each)
+            which, name = "no package", package_name(each)
             found = [name] if name in known else []
         if not found:
-            which = "no installed package" if SPECIAL.search(each) else "no package"
             raise KeymintError(
                 f"{which} is called {each!r} in {session.workspace.shown(session.workspace.src)}",
                 help=did_you_mean(each, [subject_of(name) for name in known], "'keymint status' lists them"),

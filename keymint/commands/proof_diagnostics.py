@@ -52,7 +52,7 @@ def dated_of(results: ProofResults) -> Iterator[Diagnostic]:
         yield from terms.findings(enclave.terms, results.now, enclave.subject)
 
 
-def exceptions_of(enclave: EnclaveProof) -> Iterator[Diagnostic]:
+def _exceptions(enclave: EnclaveProof) -> Iterator[Diagnostic]:
     """Yield an error for each exception of a proven claim, for those who accept none."""
     subject = enclave.subject or "all subjects"
     for exception in dict.fromkeys(exception for claim in enclave.claims for exception in claim.excepted):
@@ -61,16 +61,21 @@ def exceptions_of(enclave: EnclaveProof) -> Iterator[Diagnostic]:
         yield Diagnostic("proof-exception", Severity.ERROR, message, None, help_, enclave.subject)
 
 
-def diagnostics_of(enclave: EnclaveProof, *, strict: bool = False) -> Iterator[Diagnostic]:
-    """Yield the diagnostics of an enclave, merging the same result of several models.
+def diagnostics_of(results: ProofResults, *, strict: bool = False) -> list[Diagnostic]:
+    """Return the diagnostics of all enclaves, each once.
 
     Args:
-        enclave: its proof.
+        results: their proofs.
         strict: exceptions of claims are errors.
     """
+    return list(dict.fromkeys(each for enclave in results.all for each in _of_enclave(enclave, strict=strict)))
+
+
+def _of_enclave(enclave: EnclaveProof, *, strict: bool) -> Iterator[Diagnostic]:
+    """Yield the diagnostics of an enclave, merging the same result of several models."""
     yield from enclave.diagnostics
     if strict:
-        yield from exceptions_of(enclave)
+        yield from _exceptions(enclave)
     together: dict[tuple[object, ...], list[Claim]] = {}
     for claim in enclave.claims:
         if claim.counterexample is not None:

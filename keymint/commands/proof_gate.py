@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import partial
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Severity
 from keymint.api import LoadedPolicy, Proof
 from keymint.changes import Plan
 from keymint.commands.proof_diagnostics import dated_of, diagnostics_of, effort_of, merged_packages
@@ -62,9 +62,7 @@ def proven(
     names = [name for name in sorted({*names, *affected(before, session)}) if name not in kept]
     stage = proof(session)
     results = stage.results(run.workers.planned(stage, names))
-    diagnostics = list(
-        dict.fromkeys(diagnostic for enclave in results.all for diagnostic in diagnostics_of(enclave, strict=strict))
-    )
+    diagnostics = diagnostics_of(results, strict=strict)
     of_vendors = {enclave.subject for enclave in results.enclaves if _holds(enclave, results.standards)}
     refused = [
         replace(diagnostic, help=_with_remedy(diagnostic.help, of_vendors=diagnostic.subject in of_vendors))
@@ -94,27 +92,26 @@ def _subject_of(diagnostic: Diagnostic) -> str:
 
 def _refused_edits(session: Session, plan: Plan, subjects: Collection[str]) -> list[Diagnostic]:
     """Return an error for each manually edited document of subjects whose proof fails."""
-    edits: dict[Origin, Diagnostic] = {}
-    for edit in plan.diagnostics:
-        if edit.code == HAND_EDITED and not edit.subject and edit.where:  # a document that all subjects share
-            message = "a manual edit changes what the subjects may do"
-            help_ = "change the policy instead; 'keymint build -f' discards the edit"
-            edits[edit.where] = Diagnostic(HAND_EDITED, Severity.ERROR, message, edit.where, help_)
+    edited = [(each.where, each.subject) for each in plan.diagnostics if each.code == HAND_EDITED and each.where]
+    # A document that all subjects share has no subject.
+    found = [(where, "", "keymint build -f") for where, subject in edited if not subject]
     for subject in sorted(filter(None, subjects)):
         name = name_of(subject)
-        package = session.package(name)
-        built = [
-            diagnostic.where
-            for diagnostic in plan.diagnostics
-            if diagnostic.code == HAND_EDITED and diagnostic.subject == subject
-        ]
-        discard = {where: f"keymint build -f {name}" for where in built if where}
-        if package.grant.edited:
-            discard[package.grant.origin] = f"keymint create -f {name}"
-        for where, command in discard.items():
-            message = f"a manual edit changes what {subject} may do"
-            help_ = f"change the policy instead; '{command}' discards the edit"
-            edits[where] = Diagnostic(HAND_EDITED, Severity.ERROR, message, where, help_, subject)
+        found += [(where, subject, f"keymint build -f {name}") for where, edited_for in edited if edited_for == subject]
+        grant = session.package(name).grant
+        if grant.edited:
+            found.append((grant.origin, subject, f"keymint create -f {name}"))
+    edits = {
+        where: Diagnostic(
+            HAND_EDITED,
+            Severity.ERROR,
+            f"a manual edit changes what {subject or 'the subjects'} may do",
+            where,
+            f"change the policy instead; '{command}' discards the edit",
+            subject,
+        )
+        for where, subject, command in found
+    }
     return list(edits.values())
 
 

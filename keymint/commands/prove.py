@@ -83,8 +83,8 @@ def prove(
     proven = all(claim.proof is Proof.PROVEN and not (strict and claim.excepted) for claim in claims)
     unread = any(enclave.diagnostics for enclave in results.all)
     dated = tuple(terms.merged(dated_of(results)))
-    found = dict.fromkeys(each for enclave in results.all for each in diagnostics_of(enclave, strict=strict))
-    diagnostics = [*_assumptions(results), *merged_packages(found, folder), *dated, *unknown, *unrecorded]
+    found = merged_packages(diagnostics_of(results, strict=strict), folder)
+    diagnostics = [*_assumptions(results), *found, *dated, *unknown, *unrecorded]
     result = {
         "at": terms.shown(results.now),
         "until": _shown(_until(results)),

@@ -117,11 +117,5 @@ def sources(run: Run, labelled: LabelledGraph) -> Mapping[str, bytes]:
         for label in (edge.policy, *edge.transports)
         if label is not None and label.where
     }
-    files = sorted({place.file for place in _with_chains(places)})
+    files = sorted({each.file for place in places for each in (place, *place.chain)})
     return {file: read_input(run, Path(file)) for file in files if exists(run, Path(file))}
-
-
-def _with_chains(places: Iterable[Origin]) -> Iterator[Origin]:
-    for place in places:
-        yield place
-        yield from _with_chains(place.chain)
