@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -18,7 +17,7 @@ from keymint.commands.options import FILE, PATH, PolicyOptions, distro_option, f
 from keymint.commands.policies import Policies
 from keymint.commands.proof_diagnostics import STATES, effort_of
 from keymint.commands.run import Run
-from keymint.commands.user_files import exists, read_input, refuse_replacing, show_written, write_outputs
+from keymint.commands.user_files import deliver, exists, read_input, refuse_replacing
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.output.report import Report
@@ -79,19 +78,14 @@ def import_policy(
     if not force:
         help_ = "name another folder with -o, or replace it with --force"
         refuse_replacing(run, file, imported.document, "the imported policy", help_, "import-exists")
-    written = write_outputs(run, file, imported.document)
+    delivered = deliver(run, file, imported.document)
     same = sum(proof.is_same for proof in proofs)
-    show_written(run, file, written)
     run.console.line(
         f"{counted(len(proofs), 'subject')}: {same} proven to permit, for all names, what {importer.TOOL} lets it do"
     )
-    result: dict[str, Any] = {
-        "file": str(file),
-        "written": written,
-        "subjects": [{"subject": proof.subject, "same": proof.is_same} for proof in proofs],
-    }
+    subjects = [{"subject": proof.subject, "same": proof.is_same} for proof in proofs]
     diagnostics = [*imported.diagnostics, *diagnostics_of(proofs, importer.TOOL), *_beside(run, policy, file)]
-    return run.report(result, diagnostics, notes=True)
+    return run.report({**delivered, "subjects": subjects}, diagnostics, notes=True)
 
 
 def _importer(run: Run, policy: Path) -> PolicyImporter:

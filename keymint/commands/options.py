@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -118,8 +118,8 @@ def option_group(parameter: str, group: type, *options: Decorator) -> Decorator:
 # -- the options of all verbs ----------------------------------------------------------------------------------------
 
 
-def common_options(*, workspace: bool, jobs: bool, dry_run: bool, executor: bool) -> Sequence[Decorator]:
-    """Return the options that are not about what a verb does.
+def common_options(*, workspace: bool, jobs: bool, dry_run: bool, executor: bool) -> Iterator[click.Option]:
+    """Yield the options that are not about what a verb does.
 
     Args:
         workspace: the verb may read or write a workspace.
@@ -127,52 +127,39 @@ def common_options(*, workspace: bool, jobs: bool, dry_run: bool, executor: bool
         dry_run: the verb writes files.
         executor: the verb can compute in other processes, here or on a cluster.
     """
-    options = [
-        click.option("--json", "as_json", is_flag=True, help="Print one JSON document (docs/json.md)."),
-        click.option("-v", "--verbose", count=True, help="Show every step, file and note."),
-        click.option("-q", "--quiet", is_flag=True, help="Show errors only."),
-    ]
     if workspace:
-        options.insert(
-            0,
-            click.option(
-                "-w",
-                "--workspace",
-                type=PATH,
-                metavar="DIR",
-                help="Workspace directory [the one that contains the current directory]. 'keymint --help' lists "
-                "the options that move its spaces.",
-            ),
+        yield click.Option(
+            ["-w", "--workspace"],
+            type=PATH,
+            metavar="DIR",
+            help="Workspace directory [the one that contains the current directory]. 'keymint --help' lists "
+            "the options that move its spaces.",
         )
-        options += [
-            click.option(f"--{space}-space", type=PATH, metavar="DIR", hidden=True)  # 'keymint --help' lists them
-            for space in SPACES
-        ]
+    yield click.Option(["--json", "as_json"], is_flag=True, help="Print one JSON document (docs/json.md).")
+    yield click.Option(["-v", "--verbose"], count=True, help="Show every step, file and note.")
+    yield click.Option(["-q", "--quiet"], is_flag=True, help="Show errors only.")
+    for space in SPACES if workspace else ():  # 'keymint --help' lists them
+        yield click.Option([f"--{space}-space"], type=PATH, metavar="DIR", hidden=True)
     if jobs or executor:
         what = "Write N packages at a time [all cores]." if jobs else "Use N processes [all cores]."
-        options.append(click.option("-j", "--jobs", type=click.IntRange(1, 256), metavar="N", help=what))
+        yield click.Option(["-j", "--jobs"], type=click.IntRange(1, 256), metavar="N", help=what)
     if executor:
-        options.append(
-            click.option(
-                "--executor",
-                default=PROCESSES,
-                show_default=True,
-                metavar="WHERE",
-                help="Compute in processes of this machine, or on a cluster: dask://HOST:PORT, tls://HOST:PORT "
-                "(docs/scale.md).",
-            )
+        yield click.Option(
+            ["--executor"],
+            default=PROCESSES,
+            show_default=True,
+            metavar="WHERE",
+            help="Compute in processes of this machine, or on a cluster: dask://HOST:PORT, tls://HOST:PORT "
+            "(docs/scale.md).",
         )
-        if dry_run:  # the verbs that sign, or record what is proven
-            options.append(
-                click.option(
-                    "--trust-executor",
-                    is_flag=True,
-                    help="Accept what the cluster proves; else documents are proven again here before they are signed.",
-                )
-            )
+    if executor and dry_run:  # the verbs that sign, or record what is proven
+        yield click.Option(
+            ["--trust-executor"],
+            is_flag=True,
+            help="Accept what the cluster proves; else documents are proven again here before they are signed.",
+        )
     if dry_run:
-        options.append(click.option("--dry-run", is_flag=True, help="Show what would change; write nothing."))
-    return options
+        yield click.Option(["--dry-run"], is_flag=True, help="Show what would change; write nothing.")
 
 
 # -- policies outside of a workspace ---------------------------------------------------------------------------------

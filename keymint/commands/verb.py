@@ -17,7 +17,6 @@ from keymint.plan.packages import UnacceptedPackagesError
 
 Verb = Callable[..., Report]
 """The function of a verb; ``inspect.unwrap`` finds it below the callback of its click command."""
-_COMMON = {"workspace", "as_json", "verbose", "quiet", "jobs", "dry_run", "executor", "trust_executor"}
 
 
 def verb(
@@ -43,6 +42,8 @@ def verb(
         name: its name, if that is not the name of its module.
         of: the group of verbs that it belongs to, e.g. ``authority``; empty if it stands alone.
     """
+    shared = list(common_options(workspace=workspace, jobs=jobs, dry_run=dry_run, executor=executor))
+    names = {"jobs", *(option.name for option in shared)}  # 'check' declares --jobs itself
 
     def decorate(function: Verb) -> click.Command:
         module = function.__module__.rsplit(".", 1)[-1]
@@ -50,7 +51,7 @@ def verb(
         said = f"{of} {own_name}".strip()
 
         def command(context: click.Context, /, **options: Any) -> None:
-            common = {key: options.pop(key) for key in list(options) if key in _COMMON or key.endswith("_space")}
+            common = {key: options.pop(key) for key in list(options) if key in names}
             setting: Setting = context.find_root().obj()
             run = Run(setting, said, common)
 
@@ -61,14 +62,9 @@ def verb(
             context.exit(int(_guarded(run, work)))
 
         functools.update_wrapper(command, function)
-        # Click lists the parameters from the last to the first: the verb's own come before the common ones.
-        own: list[click.Parameter] = list(getattr(function, "__click_params__", []))
-        wrapped: Any = click.pass_context(command)
-        wrapped.__click_params__ = []
-        for option in reversed(common_options(workspace=workspace, jobs=jobs, dry_run=dry_run, executor=executor)):
-            wrapped = option(wrapped)
-        wrapped.__click_params__ += own
-        return click.command(own_name)(wrapped)
+        made = click.command(own_name)(click.pass_context(command))
+        made.params += shared
+        return made
 
     return decorate
 
