@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -171,13 +170,20 @@ def graph(
     else:
         labelling = policy_at(policy) if policy is not None else None
         subjects = choose_subjects(system.subjects, shown.subjects, shown.namespaces)
-        labelled = _labelled(run, system, subjects, labelling, shown.everything)
         name = Path(source or "").stem + (f", labelled by {labelling.name}" if labelling else "")
-        labelled = replace(labelled, title=title or name)
+        labelled = _labelled(run, title or name, system, subjects, labelling, everything=shown.everything)
     if shown.only:
         labelled = select_edges(labelled, only={EdgeOutcome.ALLOW if shown.only == "allowed" else EdgeOutcome.DENY})
     content = _drawn(run, labelled, chosen_format, drawing, scale)
-    return _report(run, labelled, chosen_format, output, content, diagnostics)
+    result: dict[str, Any] = {
+        **deliver(run, output, content),
+        "format": chosen_format,
+        "subjects": labelled.subjects,
+        "objects": len({each.edge.domain_object for each in labelled.edges}),
+        "edges": {outcome: labelled.counts[outcome] for outcome in EdgeOutcome if labelled.counts[outcome]},
+        "content": None if output else content.decode(),
+    }
+    return run.report(result, diagnostics)
 
 
 def _format(output: Path | None, kind: str | None) -> str:
@@ -213,15 +219,15 @@ def _policy_of_workspace(run: Run) -> _DrawnPolicy:
 
 
 def _labelled(
-    run: Run, graph: Graph, subjects: tuple[str, ...], policy: _DrawnPolicy | None, everything: bool
+    run: Run, title: str, graph: Graph, subjects: tuple[str, ...], policy: _DrawnPolicy | None, *, everything: bool
 ) -> LabelledGraph:
     if policy is not None:
         return label_graph(
-            "", policy.loaded, graph, subjects, everything=everything, typed=run.typed, common=policy.common
+            title, policy.loaded, graph, subjects, everything=everything, typed=run.typed, common=policy.common
         )
     if everything:
         raise usage_error("--all needs labels", "name the policy: --policy PATH")
-    return select_edges(LabelledGraph.of("", map(LabelledEdge, graph.edges), graph.subjects), subjects=subjects)
+    return select_edges(LabelledGraph.of(title, map(LabelledEdge, graph.edges), graph.subjects), subjects=subjects)
 
 
 def _drawn(run: Run, labelled: LabelledGraph, kind: str, options: DrawingOptions, scale: float) -> bytes:
@@ -235,22 +241,3 @@ def _drawn(run: Run, labelled: LabelledGraph, kind: str, options: DrawingOptions
     if kind == "png":
         return raster.png(svg.svg(labelled, options), scale)
     return svg.svg(labelled, options)
-
-
-def _report(
-    run: Run,
-    labelled: LabelledGraph,
-    kind: str,
-    output: Path | None,
-    content: bytes,
-    diagnostics: tuple[Diagnostic, ...],
-) -> Report:
-    result: dict[str, Any] = {
-        **deliver(run, output, content),
-        "format": kind,
-        "subjects": labelled.subjects,
-        "objects": len({(edge.edge.domain, edge.edge.object) for edge in labelled.edges}),
-        "edges": {outcome: labelled.counts[outcome] for outcome in EdgeOutcome if labelled.counts[outcome]},
-        "content": None if output else content.decode(),
-    }
-    return run.report(result, diagnostics)

@@ -58,11 +58,11 @@ def html_report(labelled: LabelledGraph, sources: Mapping[str, bytes], picture: 
         "size": f"{counted(len(labelled.subjects), 'subject')}, {counted(len(page.objects), 'object')}, "
         f"{counted(total, 'edge')}",
         "verdicts": [
-            {"value": str(outcome), "words": words, "count": counts[str(outcome)]}
+            {"value": outcome, "words": words, "count": counts[outcome]}
             for outcome, words in OUTCOMES.items()
-            if counts[str(outcome)]
+            if counts[outcome]
         ],
-        "transports": [printable(name) for name in labelled.transports],
+        "transports": page.transports,
         "has_policy": any(one.policy for one in labelled.edges),
         "confusions": [(name, labelled.confusion(at)) for at, name in enumerate(page.transports)],
         "differences": [row for row in listed if row["wrong"]],
@@ -134,7 +134,7 @@ class _Page:
     def _row(self, one: LabelledEdge) -> Mapping[str, Any]:
         edge, outcome = one.edge, one.outcome()
         return {
-            "outcome": str(outcome),
+            "outcome": outcome,
             "words": OUTCOMES[outcome],
             "wrong": outcome.false,
             "subject": printable(edge.subject),

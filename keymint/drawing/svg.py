@@ -227,7 +227,7 @@ def _line(
         heads.append(_head(line.x1, line.y1, -forward * size, barred=barred))
     edge = line.labelled.edge
     return {
-        "outcome": str(outcome),
+        "outcome": outcome,
         "classes": f"edge {edge_classes(outcome, labels=bool(labelled.transports))}",
         "title": sentence(line.labelled, labelled.transports),
         "curve": curve,
