@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import click
@@ -13,7 +14,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.adoption.policy import AdoptedPolicy, Compared, compared
 from keymint.adoption.reading import found_in
 from keymint.adoption.workspace import Adoption, plan_adoption
-from keymint.api import Bootstrap, DocumentComparer, FoundEnclave, FoundKeystore, KeystoreFiles
+from keymint.api import Bootstrap, DocumentComparer, FoundKeystore, KeystoreFiles
 from keymint.changes import Plan
 from keymint.commands.adopted_policy import SECONDS, learned_policy, named_policy
 from keymint.commands.options import DEFAULT_PROFILE_TYPE, PATH, PluginOption, PolicyOptions, distro_option
@@ -84,7 +85,8 @@ def adopt(
     if own is None:
         own = learned_policy(run, build_type_name, files, found, workspace, options)
         found = replace(found, diagnostics=(*found.diagnostics, *own.diagnostics))
-    adoption = _adoption(workspace, files, found, own, build_type_name, profile_type, chosen or "jazzy")
+    request = _request(workspace, found, own.path, files.now, chosen or "jazzy")
+    adoption = Adoption(build_type_name, files, found, own, profile_type, request)
     left = tuple(_left(found, str(keystore), workspace))
     notes = [each for each in found.diagnostics if each.severity is not Severity.ERROR]
 
@@ -111,23 +113,20 @@ def _policy(
     return own, compared(build_type, found.enclaves, own.rules, distro, go_on)
 
 
-def _adoption(
-    workspace: Workspace, files: KeystoreFiles, found: FoundKeystore, policy: AdoptedPolicy,
-    build_type: str, profile_type: str, distro: str,
-) -> Adoption:  # fmt: skip
-    """Return what is taken over."""
-    roles = {each.name for each in found.authorities}
-    request = Bootstrap(
+def _request(workspace: Workspace, found: FoundKeystore, policy: str, now: datetime, distro: str) -> Bootstrap:
+    """Return what the new profile is to say."""
+    names = {each.name for each in found.authorities}
+    return Bootstrap(
         name=workspace.root.name or "workspace",
-        policy=policy.path,
+        policy=policy,
         distro=distro,
-        domain=_domain(found.enclaves),
+        # The domain of the first enclave that has one; others state theirs in their own sources.
+        domain=next((each.domains[0].first for each in found.enclaves if each.domains), 0),
         layout=found.layout,
         subject_format=found.subject_format or "unique",
-        now=files.now,
-        authority=found.authorities[0].name if len(roles) == 1 else "",
+        now=now,
+        authority=found.authorities[0].name if len(names) == 1 else "",
     )
-    return Adoption(build_type, files, found, policy, profile_type, request)
 
 
 def _refuse(run: Run, files: KeystoreFiles, found: FoundKeystore, workspace: Workspace) -> None:
@@ -150,11 +149,6 @@ def _refuse(run: Run, files: KeystoreFiles, found: FoundKeystore, workspace: Wor
             "the workspace would lie in the keystore, or the keystore in its install space",
             where=workspace.origin(workspace.root), help="name a folder beside it with -w", code="space-overlap",
         )  # fmt: skip
-
-
-def _domain(enclaves: Sequence[FoundEnclave]) -> int:
-    """Return the domain of the first enclave that has one; others state theirs in their own sources."""
-    return next((each.domains[0].first for each in enclaves if each.domains), 0)
 
 
 def _left(found: FoundKeystore, keystore: str, workspace: Workspace) -> Iterator[Diagnostic]:

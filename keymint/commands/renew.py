@@ -232,12 +232,9 @@ def _authority_due(due: AuthorityDue) -> Diagnostic:
 
 
 def _exit_code(run: Run, renewal: _Renewal, plan: Plan) -> ExitCode:
-    failed = exit_code_of(plan)
-    if failed is not ExitCode.DONE:
-        return failed
     due_lists = (*renewal.schedule.lists, *renewal.waiting_lists)
-    is_due = run.dry_run and bool(due_lists or len(renewal.schedule.enclaves) > len(renewal.unchanged))
-    return findings_if(renewal.needs_person or is_due)
+    is_due = run.dry_run and (due_lists or len(renewal.schedule.enclaves) > len(renewal.unchanged))
+    return exit_code_of(plan) or findings_if(renewal.needs_person or is_due)
 
 
 def _lines(run: Run, renewal: _Renewal) -> Sequence[str]:
@@ -286,35 +283,27 @@ def _date(moment: datetime | None) -> str:
 
 
 def _result(renewal: _Renewal) -> dict[str, Any]:
-    def due_document(due: Due | None) -> dict[str, Any]:
-        why = due.why if due else None
-        return {
-            "why": why.what if why else None,
-            "ends": why.last if why else None,
-            "due": due.after if due else None,
-        }
+    def dates(due: Due) -> dict[str, Any]:
+        why = due.why
+        return {"why": why.what if why else None, "ends": why.last if why else None, "due": due.after}
 
     following = renewal.schedule.following
     return {
         "renewed": [
             {
                 "subject": subject_of(each.due.name),
-                **due_document(each.due),
+                **dates(each.due),
                 "until": each.now,
                 "key_elsewhere": each.elsewhere,
             }
             for each in renewal.renewed
         ],
         "unchanged": [subject_of(each.due.name) for each in renewal.unchanged],
-        "waiting": [{"subject": subject_of(each.name), **due_document(each)} for each in renewal.waiting],
-        "lists": [{"authority": each.name, **due_document(each)} for each in renewal.schedule.lists],
+        "waiting": [{"subject": subject_of(each.name), **dates(each)} for each in renewal.waiting],
+        "lists": [{"authority": each.name, **dates(each)} for each in renewal.schedule.lists],
         "authorities_due": [
-            {
-                "authority": each.name,
-                "ends": each.end,
-                "subjects": [subject_of(name) for name in each.packages],
-            }
+            {"authority": each.name, "ends": each.end, "subjects": [subject_of(name) for name in each.packages]}
             for each in renewal.schedule.authorities
         ],
-        "next": {"subject": f"/{following.name}", **due_document(following)} if following else None,
+        "next": {"subject": f"/{following.name}", **dates(following)} if following else None,
     }
