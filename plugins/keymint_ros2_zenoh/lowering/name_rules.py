@@ -28,6 +28,10 @@ An ALLOW rule on exactly this raw topic grants no right that Zenoh has. The toke
 and every enclave is permitted its own tokens.
 """
 
+_DROPPED = "zenoh-infrastructure"
+_Problem = tuple[str, Severity, str, str]
+"""The code and severity of a finding on a rule, its message, and what to do about it."""
+
 
 @dataclass(frozen=True, slots=True)
 class NameRule:
@@ -72,23 +76,21 @@ def name_rules(rules: SubjectRules, distro: str) -> NameRules:
             distribution has no rmw_zenoh.
     """
     check_distro(distro)
-    errors: list[Diagnostic] = []
-    notes: list[Diagnostic] = []
     found: dict[NameRule, None] = {}
+    diagnostics: list[Diagnostic] = []
     for rule in rules.rules:
-        if is_dds_infrastructure(rule):
-            notes = notes or [_dropped(rule, rules.subject)]
-            continue
-        defects = list(_defects(rule, rules.subject))
-        errors += defects
-        if not defects:
-            for expression in rule.expressions:
-                matched, problems = _of_expression(expression, rule, rules.subject)
-                found.update(dict.fromkeys(matched))
-                (notes if matched or problems[0].severity is not Severity.ERROR else errors).extend(problems)
-    if errors:
+        if not is_dds_infrastructure(rule):
+            for each in _examined(rule):
+                if isinstance(each, NameRule):
+                    found[each] = None
+                else:
+                    code, severity, message, help_ = each
+                    diagnostics.append(Diagnostic(code, severity, message, rule.origin, help_, rules.subject))
+        elif not any(each.code == _DROPPED for each in diagnostics):
+            diagnostics.append(_dropped(rule, rules.subject))
+    if errors := [each for each in diagnostics if each.severity is Severity.ERROR]:
         raise KeymintError.of(errors)
-    return NameRules(rules.subject, tuple(found), tuple(notes))
+    return NameRules(rules.subject, tuple(found), tuple(diagnostics))
 
 
 def is_dds_infrastructure(rule: Rule) -> bool:
@@ -102,84 +104,65 @@ def is_dds_infrastructure(rule: Rule) -> bool:
     )
 
 
-def _of_expression(expression: str, rule: Rule, subject: str) -> tuple[list[NameRule], list[Diagnostic]]:
-    """Return the rules of an expression, and either none or one problem."""
+def _examined(rule: Rule) -> Iterator[NameRule | _Problem]:
+    """Yield the rules that a rule is made of, and what Zenoh cannot express of it."""
+    defects = list(_defects(rule))
+    yield from defects
+    if not defects:
+        for expression in rule.expressions:
+            yield from _of_expression(expression, rule)
+
+
+def _of_expression(expression: str, rule: Rule) -> Iterator[NameRule | _Problem]:
     try:
         pattern = glob.parse(expression)
     except PatternError as error:
         first = error.diagnostics[0]
-        return [], [Diagnostic("expression", Severity.ERROR, first.message, rule.origin, first.help, subject)]
-    result = []
+        yield "expression", Severity.ERROR, first.message, first.help
+        return
+    shown = f"the expression {expression!r} of this {rule.effect} {rule.kind} rule"
     try:
         for permission in rule.permissions:
             for _, part, suffix in parts(rule.kind, permission):
                 own = glob.surround("", pattern, suffix)
                 if key_exprs(own):
-                    result.append(NameRule(rule.effect, part, own, rule))
+                    yield NameRule(rule.effect, part, own, rule)
     except TooManyAlternativesError as error:
-        return [], [_too_many(expression, str(error), rule, subject)]
-    return result, [] if matches_ros_name(pattern) else [_never_matches(expression, rule, subject)]
+        message = f"key expressions have no '?' and no brackets, and without them {shown} cannot be written: {error}"
+        yield "zenoh-expression", Severity.ERROR, message, "write '*', or list the names"
+        return
+    if not matches_ros_name(pattern):
+        message = f"{shown} matches no name: no ROS object can have such a name"
+        yield "never-matches", Severity.WARNING, message, advice(expression) if expression else "remove it"
 
 
-def _defects(rule: Rule, subject: str) -> Iterator[Diagnostic]:
+def _defects(rule: Rule) -> Iterator[_Problem]:
     """Yield what Zenoh cannot express of a rule, whatever its expressions."""
-
-    def defect(code: str, message: str, help_: str) -> Diagnostic:
-        return Diagnostic(code, Severity.ERROR, message, rule.origin, help_, subject)
-
     this = f"this {rule.effect} {rule.kind} rule"
     if rule.kind not in KINDS:
-        yield defect(
-            "zenoh-raw-topic",
-            f"{this} names DDS topics by their own names, which Zenoh does not have",
-            "write a rule of kind ros_topic or ros_service, or leave the rule to a policy for DDS",
-        )
+        message = f"{this} names DDS topics by their own names, which Zenoh does not have"
+        help_ = "write a rule of kind ros_topic or ros_service, or leave the rule to a policy for DDS"
+        yield "zenoh-raw-topic", Severity.ERROR, message, help_
         return
     if rule.partitions:
-        yield defect("zenoh-partition", f"{this} names partitions, which Zenoh does not have", "remove them")
+        message = f"{this} names partitions, which Zenoh does not have"
+        yield "zenoh-partition", Severity.ERROR, message, "remove them"
     for permission in rule.permissions:
         if permission.endswith("relay"):
-            yield defect(
-                "zenoh-relay",
-                f"{this} is about relaying, which Zenoh has no right for",
-                "control who may publish and subscribe instead",
-            )
+            message = f"{this} is about relaying, which Zenoh has no right for"
+            yield "zenoh-relay", Severity.ERROR, message, "control who may publish and subscribe instead"
             continue
         for _, part, _ in parts(rule.kind, permission):
             if part not in SLOTS:
-                known = did_you_mean(part, SLOTS)
-                yield defect("permission-unknown", f"Zenoh knows no permission {part!r} of a {rule.kind} rule", known)
-
-
-def _too_many(expression: str, reason: str, rule: Rule, subject: str) -> Diagnostic:
-    return Diagnostic(
-        "zenoh-expression",
-        Severity.ERROR,
-        f"key expressions have no '?' and no brackets, and without them the expression {expression!r} of this "
-        f"{rule.effect} {rule.kind} rule cannot be written: {reason}",
-        rule.origin,
-        "write '*', or list the names",
-        subject,
-    )
-
-
-def _never_matches(expression: str, rule: Rule, subject: str) -> Diagnostic:
-    return Diagnostic(
-        "never-matches",
-        Severity.WARNING,
-        f"the expression {expression!r} of this {rule.effect} {rule.kind} rule matches no name: no ROS object can have "
-        "such a name",
-        rule.origin,
-        advice(expression) if expression else "remove it",
-        subject,
-    )
+                message = f"Zenoh knows no permission {part!r} of a {rule.kind} rule"
+                yield "permission-unknown", Severity.ERROR, message, did_you_mean(part, SLOTS)
 
 
 def _dropped(rule: Rule, subject: str) -> Diagnostic:
     # Without the files that include the rule: they differ from subject to subject, and all have one note together.
     where = rule.origin.alone()
     return Diagnostic(
-        "zenoh-infrastructure",
+        _DROPPED,
         Severity.NOTE,
         f"the rule on {DDS_INFRASTRUCTURE}, which only DDS has, is left out: on Zenoh every enclave may announce its "
         "own nodes and read the graph",

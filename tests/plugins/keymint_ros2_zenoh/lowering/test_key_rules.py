@@ -187,6 +187,11 @@ def test_the_infrastructure_of_dds_is_left_out_and_reported_once() -> None:
     ]
 
 
+def test_a_warning_before_it_does_not_hide_that_it_is_left_out() -> None:
+    result = lowered(subject_rules(rule("ALLOW", "ros_topic", ["ros_publish"], "a"), raw("ALLOW", "publish")))
+    assert [each.code for each in result.diagnostics] == ["never-matches", "zenoh-infrastructure"]
+
+
 @pytest.mark.parametrize(
     "other",
     [raw("DENY", "publish"), raw("ALLOW", "publish", partitions=("p",)), raw("ALLOW", "publish", "relay")],
