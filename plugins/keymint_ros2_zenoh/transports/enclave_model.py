@@ -7,33 +7,17 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from comarmor.errors import Origin
-from comarmor.values import dataclass
 from keymint.api import Enclave, Environment, Verdict
 from keymint.api.installed_enclaves import EnclavesBySubject
 from keymint.graph import Edge
 from keymint_ros2_zenoh.decision import admission
-from keymint_ros2_zenoh.decision.access import AccessDecision, AccessModel, Link
+from keymint_ros2_zenoh.decision.access import AccessDecision, Link
 from keymint_ros2_zenoh.decision.operations import Request, operations
 from keymint_ros2_zenoh.messages import Flow
 from keymint_ros2_zenoh.transports import installed
 from keymint_ros2_zenoh.transports.edge_verdict import edge_verdict
 from keymint_ros2_zenoh.transports.installed import InstalledConfiguration
 from keymint_ros2_zenoh.vendors import loopback
-
-
-@dataclass(frozen=True, slots=True)
-class RouterModel:
-    """A router.
-
-    Attributes:
-        files: its configuration.
-        common_name: the common name of its certificate.
-        access: the decisions of its access control.
-    """
-
-    files: InstalledConfiguration
-    common_name: str
-    access: AccessModel
 
 
 class EnclaveModel:
@@ -46,21 +30,20 @@ class EnclaveModel:
 
     Attributes:
         files: the configuration of its session.
-        common_name: the common name of its certificate.
         refusal: why there is no link between its session and the router; empty if there is one.
 
     Raises:
         KeymintError: a file cannot be read.
     """
 
-    def __init__(self, enclave: Enclave, router: RouterModel, environment: Environment) -> None:
+    def __init__(self, enclave: Enclave, router: InstalledConfiguration, environment: Environment) -> None:
         self.files = installed.session(enclave, environment)
-        self.common_name = self.files.common_name(self.files.configuration.tls.connect_certificate)
-        self.refusal = _refusal(self.files, router.files, environment)
-        self._router_file, self._session_file = str(router.files.file), str(self.files.file)
-        session = AccessModel(self.files.configuration.access_control)
-        self._at_router = router.access.on(Link(self.common_name, interface="lo", protocol="tls"))
-        self._at_session = session.on(Link(router.common_name, interface="lo", protocol="tls"))
+        own_name = self.files.common_name(self.files.configuration.tls.connect_certificate)
+        others_name = router.common_name(router.configuration.tls.listen_certificate)
+        self.refusal = _refusal(self.files, router, environment)
+        self._router_file, self._session_file = str(router.file), str(self.files.file)
+        self._at_router = router.access.on(Link(own_name, interface="lo", protocol="tls"))
+        self._at_session = self.files.access.on(Link(others_name, interface="lo", protocol="tls"))
 
     @property
     def watched_by_router(self) -> frozenset[Flow]:
@@ -116,7 +99,7 @@ class InstalledModels:
     def __init__(self, enclaves: Iterable[Enclave], environment: Environment) -> None:
         self.enclaves = EnclavesBySubject((enclave.subject, enclave) for enclave in enclaves)
         self._environment = environment
-        self._routers: dict[Path, RouterModel] = {}
+        self._routers: dict[Path, InstalledConfiguration] = {}
         self._models: dict[str, EnclaveModel] = {}
 
     def of(self, subject: str) -> EnclaveModel:
@@ -130,16 +113,14 @@ class InstalledModels:
             self._models[subject] = EnclaveModel(enclave, self.router(enclave.install), self._environment)
         return self._models[subject]
 
-    def router(self, install: Path) -> RouterModel:
-        """Return the model of the router of an install space.
+    def router(self, install: Path) -> InstalledConfiguration:
+        """Return the configuration of the router of an install space.
 
         Raises:
-            KeymintError: a file of it cannot be read.
+            KeymintError: it cannot be read.
         """
         if install not in self._routers:
-            files = installed.router(install, self._environment)
-            name = files.common_name(files.configuration.tls.listen_certificate)
-            self._routers[install] = RouterModel(files, name, AccessModel(files.configuration.access_control))
+            self._routers[install] = installed.router(install, self._environment)
         return self._routers[install]
 
 

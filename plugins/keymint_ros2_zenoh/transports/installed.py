@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path, PurePosixPath
-from typing import cast
 
 from cryptography import x509
 
@@ -21,6 +20,7 @@ from keymint.api.installed_enclaves import installed_file
 from keymint.errors import KeymintError
 from keymint.pki import certificates
 from keymint_ros2_zenoh.decision import admission
+from keymint_ros2_zenoh.decision.access import AccessModel
 from keymint_ros2_zenoh.documents import read as documents
 from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.enclave_layout import ROUTER, SESSION
@@ -34,11 +34,13 @@ class InstalledConfiguration:
         file: its absolute path.
         install: the install space that it belongs to.
         configuration: what it says.
+        access: the decisions of its access control.
     """
 
     file: Path
     install: Path
     configuration: Configuration
+    access: AccessModel
 
     def local(self, path: str) -> Path | None:
         """Return where a file that the configuration names is in this install space; None if it is not there."""
@@ -100,7 +102,9 @@ def router(install: Path, environment: Environment) -> InstalledConfiguration:
 def _read(file: Path, install: Path, environment: Environment) -> InstalledConfiguration:
     content = installed_file(file)
     digest = hashlib.sha256(f"zenoh {file}\n".encode() + content).digest()
-    known = environment.opened.get(digest)
-    if known is None:
-        known = environment.opened[digest] = documents.read(content, str(file))
-    return InstalledConfiguration(file, install, cast("Configuration", known))
+    found = environment.opened.get(digest)
+    if not isinstance(found, InstalledConfiguration):
+        configuration = documents.read(content, str(file))
+        access = AccessModel(configuration.access_control)
+        found = environment.opened[digest] = InstalledConfiguration(file, install, configuration, access)
+    return found

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from itertools import count
 
 from keymint.errors import KeymintError
-from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel, RouterModel
+from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel
 from keymint_ros2_zenoh.transports.installed import InstalledConfiguration
 from keymint_ros2_zenoh.vendors import access_log, loopback
 from keymint_ros2_zenoh.vendors.loopback_ports import free_port
@@ -21,7 +21,7 @@ _NO_ACCESS_CONTROL: Mapping[str, object] = {"access_control": {"enabled": False}
 
 
 @contextmanager
-def running(router: RouterModel, variables: Mapping[str, str]) -> Iterator[Network]:
+def running(router: InstalledConfiguration, variables: Mapping[str, str]) -> Iterator[Network]:
     """Start a router, to which sessions can connect; its processes end with the context.
 
     Args:
@@ -46,12 +46,12 @@ class Network:
         sessions: the process of all sessions; it logs the decisions of their own access control.
     """
 
-    def __init__(self, router: RouterModel, system: ZenohSystem) -> None:
+    def __init__(self, router: InstalledConfiguration, system: ZenohSystem) -> None:
         self.router = system.start(log=access_log.FILTER)
         self.sessions = system.start(log=access_log.FILTER)
         self._ports: Mapping[str, str] = {}
         self._numbers = count()
-        self._open_router(router.files)
+        self._open_router(router)
 
     def open(self, model: EnclaveModel, *, conforming: bool = True) -> str:
         """Open a session of an enclave and return its name in commands.

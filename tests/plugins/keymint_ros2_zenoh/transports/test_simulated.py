@@ -8,7 +8,8 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from keymint_ros2_zenoh.transports import zenoh_1
+from keymint_ros2_zenoh.decision.access import AccessModel
+from keymint_ros2_zenoh.transports import installed, zenoh_1
 
 from keymint.api import Enclave, Environment, Tier, Verdict
 from keymint.errors import KeymintError
@@ -46,6 +47,17 @@ def test_edges_are_decided_by_the_routers_file_which_the_verdict_names(space: In
     assert where.file == str(router)
     assert "'/talker 0.0'" in found[0].reason
     assert '"id": "/talker 0.0"' in "".join(router.read_text().splitlines()[where.line - 1 : where.line + 2])
+
+
+def test_the_rights_of_all_enclaves_are_read_once_although_each_enclave_is_asked_by_itself(
+    space: InstallSpace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = []
+    monkeypatch.setattr(installed, "AccessModel", lambda control: made.append(control) or AccessModel(control))
+    transport = zenoh_1.open(Environment(datetime.now(UTC), Path("/nowhere")))
+    for enclave in space.write():
+        list(transport.label([enclave], [Edge(enclave.subject, "ros_publish", CHATTER)], Tier.DECISION))
+    assert len(made) == 1 + len(space.write())
 
 
 def test_another_domain_is_denied(space: InstallSpace) -> None:
