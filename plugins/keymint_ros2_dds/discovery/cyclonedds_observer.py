@@ -265,20 +265,14 @@ def _entity_name(dds: Any, qos: int | None) -> str:
     name = c_void_p()
     if not qos or not dds.dds_qget_entity_name(qos, byref(name)) or not name.value:
         return ""
-    try:
-        return _text(ctypes.string_at(name.value))
-    finally:
-        dds.dds_free(name)
+    return _text(_freed(dds, name.value))
 
 
 def _user_data(dds: Any, qos: int | None) -> bytes:
     data, size = c_void_p(), c_size_t()
     if not qos or not dds.dds_qget_userdata(qos, byref(data), byref(size)) or not data.value:
         return b""
-    try:
-        return ctypes.string_at(data.value, size.value)
-    finally:
-        dds.dds_free(data)
+    return _freed(dds, data.value, size.value)
 
 
 def _partitions(dds: Any, qos: int | None) -> list[str]:
@@ -286,9 +280,13 @@ def _partitions(dds: Any, qos: int | None) -> list[str]:
     if not qos or not dds.dds_qget_partition(qos, byref(count), byref(names)) or not count.value:
         return []
     addresses = [names[index] for index in range(count.value)]
+    dds.dds_free(names)
+    return [_text(_freed(dds, address)) if address else "" for address in addresses]
+
+
+def _freed(dds: Any, address: int, size: int = -1) -> bytes:
+    """Return the bytes at an address, up to a zero if there is no size, and free them."""
     try:
-        return [_text(ctypes.string_at(address)) if address else "" for address in addresses]
+        return ctypes.string_at(address, size)
     finally:
-        for address in addresses:
-            dds.dds_free(address)
-        dds.dds_free(names)
+        dds.dds_free(address)
