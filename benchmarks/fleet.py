@@ -144,9 +144,12 @@ class Benchmark:
         floor.provision(folder, [f"robot{number}/talker" for number in range(size)], self._sample)
         return Spent(time.perf_counter() - wall, time.process_time() - cpu, 0)
 
-    def _against_floor(self, name: str, must: str, measure: Callable[[int], Spent], repeat: int = 0) -> None:
+    def _cold(self, name: str, must: str, text: str) -> None:
+        self._against_floor(name, must, lambda _: self._provision(self._new(self._scratch), text))
+
+    def _against_floor(self, name: str, must: str, measure: Callable[[int], Spent]) -> None:
         before = self.floor()
-        took = best(repeat or self._repeat, measure)
+        took = best(self._repeat, measure)
         after = self.floor()
         wall, cpu = min(before.wall, after.wall), min(before.cpu, after.cpu)
         print(
@@ -157,15 +160,11 @@ class Benchmark:
 
     def alike(self) -> None:
         """1,000 alike subjects, from nothing to a proven keystore."""
-        text = policy(FLEET)
-        measure = lambda _: self._provision(self._new(self._scratch), text)  # noqa: E731
-        self._against_floor("1,000 alike, cold", "1.0 wall, 1.6 CPU", measure)
+        self._cold("1,000 alike, cold", "1.0 wall, 1.6 CPU", policy(FLEET))
 
     def own(self) -> None:
         """1,000 subjects, each a kind of its own."""
-        text = policy(FLEET, own=True)
-        measure = lambda _: self._provision(self._new(self._scratch), text)  # noqa: E731
-        self._against_floor("1,000 kinds, cold", "3", measure)
+        self._cold("1,000 kinds, cold", "3", policy(FLEET, own=True))
 
     def small(self) -> None:
         """Two enclaves against the imports that they need."""

@@ -19,34 +19,28 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 _DAY = timedelta(days=1)
 
 
-def builder_of(subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePublicKey) -> x509.CertificateBuilder:
-    """Return the builder of a certificate that is valid for a year."""
+def _certificate(
+    name: str,
+    key: ec.EllipticCurvePrivateKey,
+    issuer: str,
+    issuer_key: ec.EllipticCurvePrivateKey,
+    *extensions: tuple[x509.ExtensionType, bool],
+) -> x509.Certificate:
+    """Return a certificate that is valid for a year; each extension with whether it is critical."""
+    subject, issuing = (x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, each)]) for each in (name, issuer))
     now = datetime.now(UTC)
-    return (
-        x509.CertificateBuilder()
-        .subject_name(subject)
-        .issuer_name(issuer)
-        .public_key(key)
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(now - _DAY)
-        .not_valid_after(now + 365 * _DAY)
-    )
+    builder = x509.CertificateBuilder().subject_name(subject).issuer_name(issuing).public_key(key.public_key())
+    builder = builder.serial_number(x509.random_serial_number())
+    builder = builder.not_valid_before(now - _DAY).not_valid_after(now + 365 * _DAY)
+    for extension, critical in extensions:
+        builder = builder.add_extension(extension, critical=critical)
+    return builder.sign(issuer_key, hashes.SHA256())
 
 
-def authority(name: str) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
+def _authority(name: str) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
     """Return a self-signed authority."""
     key = ec.generate_private_key(ec.SECP256R1())
-    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
-    builder = builder_of(subject, subject, key.public_key()).add_extension(
-        x509.BasicConstraints(ca=True, path_length=None), critical=True
-    )
-    return builder.sign(key, hashes.SHA256()), key
-
-
-def private_bytes(key: ec.EllipticCurvePrivateKey) -> bytes:
-    """Return a private key, PEM."""
-    encoding, form = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8
-    return key.private_bytes(encoding, form, serialization.NoEncryption())
+    return _certificate(name, key, name, key, (x509.BasicConstraints(ca=True, path_length=None), True)), key
 
 
 def provision(folder: Path, names: list[str], permissions: bytes, governance: bytes | None = None) -> None:
@@ -58,20 +52,18 @@ def provision(folder: Path, names: list[str], permissions: bytes, governance: by
         permissions: the unsigned permissions document, here the same for all.
         governance: the unsigned governance document; None for an enclave without one.
     """
-    ca, ca_key = authority("identity_ca")
-    notary, notary_key = authority("permissions_ca")
-    ca_pem = ca.public_bytes(serialization.Encoding.PEM)
-    notary_pem = notary.public_bytes(serialization.Encoding.PEM)
+    ca, ca_key = _authority("identity_ca")
+    notary, notary_key = _authority("permissions_ca")
+    encoding, form = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8
+    ca_pem, notary_pem = ca.public_bytes(encoding), notary.public_bytes(encoding)
+    of_node = (
+        (x509.BasicConstraints(ca=False, path_length=None), True),
+        (x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH]), False),
+    )
     options = [pkcs7.PKCS7Options.Text, pkcs7.PKCS7Options.DetachedSignature]
     for name in names:
         key = ec.generate_private_key(ec.SECP256R1())
-        subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
-        certificate = (
-            builder_of(subject, ca.subject, key.public_key())
-            .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-            .add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH]), critical=False)
-            .sign(ca_key, hashes.SHA256())
-        )
+        certificate = _certificate(name, key, "identity_ca", ca_key, *of_node)
         signed = {
             f"{kind}.p7s": pkcs7.PKCS7SignatureBuilder()
             .set_data(content)
@@ -82,8 +74,8 @@ def provision(folder: Path, names: list[str], permissions: bytes, governance: by
         }
         files = signed | {
             "permissions.xml": permissions,
-            "cert.pem": certificate.public_bytes(serialization.Encoding.PEM),
-            "key.pem": private_bytes(key),
+            "cert.pem": certificate.public_bytes(encoding),
+            "key.pem": key.private_bytes(encoding, form, serialization.NoEncryption()),
             "identity_ca.cert.pem": ca_pem,
             "permissions_ca.cert.pem": notary_pem,
         }

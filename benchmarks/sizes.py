@@ -16,7 +16,7 @@ import random
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from datetime import UTC, datetime, timedelta
+from dataclasses import replace
 from pathlib import Path
 from unittest import mock
 
@@ -26,12 +26,12 @@ from keymint_ros2_comarmor import policy_type
 from keymint_ros2_dds import build_type
 from keymint_ros2_dds.compiling import compile, gathering  # noqa: A004 - the module's name
 from keymint_ros2_dds.documents import dds_xml
-from keymint_ros2_dds.settings import BUILD_TYPE, DdsSettings, DomainRule, Governance
+from keymint_ros2_dds.rule_packages import package_of
 from keymint_ros2_dds.vendor_limits import BROKEN, signed_size
 from proof import WORDS
 
 from comarmor.errors import Origin
-from keymint.api import BuildOptions, CertificateSpec, DomainRange, Grant, KeySpec, Package, PolicySource, Validity
+from keymint.api import BuildOptions, Package, PolicySource
 from keymint.ir import SubjectRules
 
 FLEET = Path(__file__).parent.parent / "examples" / "fleet"
@@ -40,23 +40,10 @@ HERE = Origin("benchmark")
 
 
 def package(rules: SubjectRules) -> Package:
-    """Return a package with these rules."""
-    begin = datetime(2026, 1, 1, tzinfo=UTC)
-    validity, domains = Validity(begin, begin + timedelta(days=365)), (DomainRange(0, 0),)
-    name = f"OU=0f,CN={rules.subject}"
-    identity = CertificateSpec(name, validity, None, "identity_ca", "SHA256", KeySpec("ec", "SECP256R1"), (), HERE)
-    permissions = Grant("permissions_ca", rules.subject, name, validity, domains, rules, HERE)
-    domain_rule = DomainRule(domains, False, True, "ENCRYPT", "ENCRYPT", "ENCRYPT", (), HERE)
-    governance = Governance("permissions_ca", (domain_rule,))
-    return Package(
-        rules.subject[1:],
-        rules.subject,
-        "jazzy",
-        identity,
-        permissions,
-        (BUILD_TYPE,),
-        {BUILD_TYPE: DdsSettings(governance)},
-    )
+    """Return a package with these rules, and a subject name that has the usual length."""
+    found, name = package_of(rules, "jazzy"), f"OU=0f,CN={rules.subject}"
+    identity, grant = replace(found.identity, subject_name=name), replace(found.grant, subject_name=name)
+    return replace(found, identity=identity, grant=grant)
 
 
 def subjects(path: Path) -> Iterator[SubjectRules]:
