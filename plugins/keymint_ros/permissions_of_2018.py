@@ -7,7 +7,7 @@ They are compared as they are written: each permission on each expression.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from comarmor.errors import Diagnostic, Origin, Severity
@@ -58,7 +58,12 @@ def differences(content: bytes, file: str, rules: SubjectRules) -> tuple[Diagnos
                 then.setdefault(right, place)
         elif tag in _OF_GRANT or (tag == "default" and (element.text or "").strip() != Effect.DENY):
             others.setdefault(tag, line(element))
-    now = dict.fromkeys(_of_policy(rules))
+    now = dict.fromkeys(
+        _Right(rule.effect, permission, expression, rule.partitions)
+        for rule in rules.rules
+        for permission in rule.permissions
+        for expression in rule.expressions
+    )
     only_then = [right for right in then if right not in now]
     only_now = [right for right in now if right not in then]
     found = []
@@ -99,10 +104,3 @@ def _rights(rule: etree._Element, others: dict[str, int]) -> Iterator[tuple[_Rig
             for each in group:
                 expression = (each.text or "").strip()
                 yield _Right(_EFFECTS[str(rule.tag)], permission, expression, partitions), line(each)
-
-
-def _of_policy(rules: SubjectRules) -> Iterable[_Right]:
-    for rule in rules.rules:
-        for permission in rule.permissions:
-            for expression in rule.expressions:
-                yield _Right(rule.effect, permission, expression, rule.partitions)

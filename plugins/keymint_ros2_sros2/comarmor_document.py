@@ -75,8 +75,7 @@ def _node(profile: etree._Element, node: Node, written: set[Atom]) -> None:
         _comment(profile, rules.introduction)
         if made or not rules.included:
             _comment(profile, rules.comments)
-        profile.extend(made)
-        if made or not rules.included:
+            profile.extend(made)
             _comment(profile, rules.closing)
     _comment(profile, node.closing)
 

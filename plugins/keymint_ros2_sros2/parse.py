@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import field
+from dataclasses import field, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -50,10 +50,10 @@ class _Parser:
         enclaves: list[Enclave] = []
         comments: list[str] = [*root.before]
         for child in self.children(root, (inner,), f"in a policy of version {version}"):
-            comments += (*child.introduction, *child.before)
+            comments += child.comments
             found = self.enclaves(child) if version == NEW else self.nodes_of_old(child)
             for enclave in found:
-                enclaves.append(_commented(enclave, comments))
+                enclaves.append(replace(enclave, comments=(*comments, *enclave.comments)))
                 comments.clear()
             comments += child.closing
         if not enclaves:
@@ -73,9 +73,7 @@ class _Parser:
                     f"the enclave {quoted(child.element.get('path', ''))} has no <profiles>", where=child.where,
                     help="add them, or remove the enclave", code="schema",
                 )  # fmt: skip
-            yield Enclave(
-                child.element.get("path", ""), groups, child.where, (*child.introduction, *child.before), child.closing
-            )
+            yield Enclave(child.element.get("path", ""), groups, child.where, child.comments, child.closing)
 
     def nodes_of_old(self, item: Placed) -> Iterator[Enclave]:
         """Yield an enclave for each node: up to Eloquent a node had a key of its own, named like the node."""
@@ -90,7 +88,7 @@ class _Parser:
             self.lose(f"the type {quoted(item.element.get('type', ''))} of <profiles>", item)
         children = self.children(item, ("profile",), "in <profiles>")
         nodes = tuple(self.node(child) for child in children)
-        return NodeGroup(nodes, item.where, (*item.introduction, *item.before), item.closing)
+        return NodeGroup(nodes, item.where, item.comments, item.closing)
 
     def node(self, item: Placed) -> Node:
         """Return the node of a ``<profile>`` element."""
@@ -101,13 +99,13 @@ class _Parser:
                 help='to include its rules alone: xpointer="xpointer(/profile/*)"' if item.chain else "",
             )  # fmt: skip
         lists = tuple(self.rules(child) for child in self.children(item, tuple(PERMISSIONS), "in <profile>"))
-        return Node(names[0], names[1], lists, item.where, (*item.introduction, *item.before), item.closing)
+        return Node(names[0], names[1], lists, item.where, item.comments, item.closing)
 
     def rules(self, item: Placed) -> RuleList:
         """Return the list of a ``<topics>``, ``<services>`` or ``<actions>`` element."""
         tag = str(item.element.tag)
         entries = tuple(
-            Entry(child.element.text or "", child.where, (*child.introduction, *child.before))
+            Entry(child.element.text or "", child.where, child.comments)
             for child in self.children(item, (tag.removesuffix("s"),), f"in <{tag}>")
         )
         effects = {
@@ -139,8 +137,3 @@ def _misplaced(item: Placed, place: str, expected: tuple[str, ...]) -> ComArmorE
     return ComArmorError(
         f"<{item.element.tag}> is not expected {place}, expected {one_of}", where=item.where, code="schema"
     )
-
-
-def _commented(enclave: Enclave, comments: list[str]) -> Enclave:
-    """Return an enclave with further comments before it."""
-    return Enclave(enclave.path, enclave.groups, enclave.where, (*comments, *enclave.comments), enclave.closing)

@@ -86,6 +86,11 @@ class Placed:
         return self.file.comments.before.get(self.element, ())
 
     @property
+    def comments(self) -> tuple[str, ...]:
+        """All comments before it: those before the include that brings it, and those in its file."""
+        return self.introduction + self.before
+
+    @property
     def closing(self) -> tuple[str, ...]:
         """The comments after its last child."""
         return self.file.comments.closing.get(self.element, ())

@@ -80,7 +80,7 @@ def _rules(subject: SubjectRules, found: list[Diagnostic], *, lossy: bool) -> It
             found.append(_unsayable(rule, str(error), subject.subject, lossy=lossy))
             continue
         if not partitions and rule.effect is Effect.ALLOW:
-            partitions = (TextMatch("", is_regular=False),)
+            partitions = (TextMatch(""),)
         for (kind, permissions), names in by_part.items():
             yield _XacmlRule(rule, kind, permissions, tuple(names), partitions)
 
@@ -111,7 +111,7 @@ def _document(subjects: Iterable[tuple[str, Sequence[_XacmlRule]]]) -> bytes:
         if not rules:
             continue  # the outer set denies everything
         policy = _policy(inner, f"subject:{quote(subject)}", subject)
-        _any_of(_child(policy, "Target"), ids.SUBJECT, [TextMatch(subject, is_regular=False)])
+        _any_of(_child(policy, "Target"), ids.SUBJECT, [TextMatch(subject)])
         for number, rule in enumerate(rules, 1):
             _rule(policy, number, rule)
     etree.indent(outer)
@@ -164,8 +164,8 @@ def _rule(policy: etree._Element, number: int, said: _XacmlRule) -> None:
     rule = _child(policy, "Rule", RuleId=str(number), Effect=effect)
     _child(rule, "Description", origin)
     target = _child(rule, "Target")
-    _any_of(target, ids.KIND, [TextMatch(said.kind, is_regular=False)])
-    _any_of(target, ids.ACTION, [TextMatch(each, is_regular=False) for each in said.permissions])
+    _any_of(target, ids.KIND, [TextMatch(said.kind)])
+    _any_of(target, ids.ACTION, map(TextMatch, said.permissions))
     _any_of(target, ids.NAME, said.names)
     if said.partitions:
         _any_of(target, ids.PARTITION, said.partitions)

@@ -33,7 +33,7 @@ class TextMatch:
     """
 
     text: str
-    is_regular: bool
+    is_regular: bool = False
 
 
 def text_match(expression: str, suffix: str = "") -> TextMatch:
@@ -52,7 +52,7 @@ def text_match(expression: str, suffix: str = "") -> TextMatch:
     if text is None:
         return TextMatch("".join(("^", *map(_token, glob), _token(suffix), "$")), is_regular=True)
     _token(text)
-    return TextMatch(text + suffix, is_regular=False)
+    return TextMatch(text + suffix)
 
 
 def _token(token: Token) -> str:
