@@ -26,6 +26,7 @@ from keymint_ros2_dds.proving.governance_lists import (
     REFUSED,
     WILDCARDS,
     Permitted,
+    is_closed,
     regions,
 )
 from keymint_ros2_dds.proving.grant_periods import grant_periods
@@ -139,7 +140,7 @@ class _Model:
     def _claim(self, action: str, domains: tuple[DomainRange, ...], *, inside: bool) -> Claim:
         domain = domains[0].first
         universe = octets.PAIRS if self._comparison.pairs else octets.TOPICS
-        if not self._unmodelled and self._both_ways(domain, action):
+        if not self._unmodelled and self._both_ways(domain):
             universe += f"; without {' '.join(WILDCARDS)}, which topic rules of the governance are compared with"
         claim = partial(Claim, self._variation.name, action, domains, universe)
         if self._unmodelled:
@@ -175,19 +176,19 @@ class _Model:
         joins = default or any(rule.allows and semantics.applies(rule, domain) for rule in grant.rules)
         if not governed.admits(joins=joins):
             return NOTHING_PERMITTED
-        topics = regions(governed.rule, action, semantics, pairs=pairs)
-        if topics.closed:
+        if is_closed(governed.rule, semantics):
             return Permitted(own)
         if not inside and not semantics.domains_count:
             own = (NOTHING,)  # by assumption the permissions are not used there
         accepted = governance.accepted_rule(domain)
         exempt = NOTHING if accepted is None else regions(accepted, action, semantics, pairs=pairs).opened
+        topics = regions(governed.rule, action, semantics, pairs=pairs)
         return Permitted(own, topics, exempt, semantics.topic_rules_both_ways)
 
-    def _both_ways(self, domain: int, action: str) -> bool:
+    def _both_ways(self, domain: int) -> bool:
         """Tell whether a claim excludes names with wildcards."""
         rule = self._rule(domain) if self._semantics.topic_rules_both_ways else None
-        return rule is not None and not regions(rule, action, self._semantics, pairs=self._comparison.pairs).closed
+        return rule is not None and not is_closed(rule, self._semantics)
 
     def _excepted(self, action: str, domain: int) -> Iterable[str]:
         rule = self._rule(domain)

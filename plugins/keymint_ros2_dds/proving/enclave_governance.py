@@ -12,7 +12,7 @@ from comarmor.patterns.tokens import PatternError
 from keymint.api import DomainRange, Package
 from keymint_ros2_dds.decision.semantics import STANDARD, Semantics
 from keymint_ros2_dds.documents import governance_document
-from keymint_ros2_dds.proving.governance_lists import patterns, regions
+from keymint_ros2_dds.proving.governance_lists import is_closed, patterns
 from keymint_ros2_dds.reading import signed_governance
 from keymint_ros2_dds.reading.signed_governance import (
     ACCESS,
@@ -120,9 +120,7 @@ def _transparent(content: bytes, domains: tuple[DomainRange, ...]) -> bool:
     if document.quirks or _unread(document, STANDARD):
         return False
     closed = all(
-        rule.join_controlled
-        and not rule.unauthenticated
-        and all(regions(rule, action, STANDARD, pairs=False).closed for action in ACTIONS)
+        rule.join_controlled and not rule.unauthenticated and is_closed(rule, STANDARD)
         for rule in document.domain_rules
     )
     exact = all(

@@ -46,16 +46,14 @@ class Regions:
         opened: permits the topics that are open for the action.
         either: permits the topics that are open for this action or the other one.
         covered: permits the topics that a rule matches.
-        closed: every topic is controlled.
     """
 
     opened: DecisionList
     either: DecisionList
     covered: DecisionList
-    closed: bool
 
 
-REFUSED = Regions(NOTHING, NOTHING, NOTHING, closed=False)
+REFUSED = Regions(NOTHING, NOTHING, NOTHING)
 """The topics of a domain that no rule matches."""
 
 
@@ -93,13 +91,17 @@ def regions(rule: DocumentDomainRule, action: str, semantics: Semantics, *, pair
         PatternError: implementations read an expression differently.
     """
     topics = [(each, patterns(each.expression, semantics, pairs=pairs)) for each in rule.topic_rules]
-    every = octets.pair(EVERYTHING, EVERYTHING) if pairs else EVERYTHING
     return Regions(
         opened=tuple(Block(not each.controls(action), globs) for each, globs in topics),
         either=tuple(Block(not each.controlled, globs) for each, globs in topics),
         covered=tuple(Block(True, globs) for _, globs in topics),
-        closed=not rule.opens and any(every in globs for _, globs in topics),
     )
+
+
+def is_closed(rule: DocumentDomainRule, semantics: Semantics) -> bool:
+    """Tell whether a domain rule puts every topic under access control; errors as of :func:`regions`."""
+    matched = (patterns(each.expression, semantics, pairs=False) for each in rule.topic_rules)
+    return not rule.opens and any(EVERYTHING in globs for globs in matched)
 
 
 def patterns(expression: str, semantics: Semantics, *, pairs: bool) -> tuple[Glob, ...]:

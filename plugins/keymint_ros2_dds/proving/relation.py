@@ -104,14 +104,12 @@ class _Comparison:
         Raises:
             PatternError: an expression of the document is not defined.
         """
-        lowered, permitted = self._question.lowered, NOTHING
-        policy = (
-            permission_lists.of_policy(lowered, situation.action, pairs=self._pairs) if situation.inside else NOTHING
-        )
-        if situation.era is not None:
-            (permitted,) = permission_lists.of_grant(
-                situation.era.grant, situation.domain, situation.action, _SEMANTICS, pairs=self._pairs
-            )
+        action, era, pairs = situation.action, situation.era, self._pairs
+        policy, permitted = NOTHING, NOTHING
+        if situation.inside:
+            policy = permission_lists.of_policy(self._question.lowered, action, pairs=pairs)
+        if era is not None:
+            (permitted,) = permission_lists.of_grant(era.grant, situation.domain, action, _SEMANTICS, pairs=pairs)
         return policy, permitted
 
     def _shorter(
