@@ -11,7 +11,7 @@ from __future__ import annotations
 import string
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
-from itertools import pairwise, product
+from itertools import islice, pairwise, product
 
 from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob
@@ -29,6 +29,9 @@ ALPHABET = tuple(string.ascii_letters + string.digits + "_/")
 class TooManyAlternativesError(Exception):
     """A pattern stands for more key expressions than are allowed."""
 
+    def __init__(self) -> None:
+        super().__init__(f"it stands for more than {MAX_ALTERNATIVES} key expressions")
+
 
 @lru_cache(maxsize=1 << 14)
 def key_exprs(pattern: Glob) -> tuple[KeyExpr, ...]:
@@ -39,20 +42,11 @@ def key_exprs(pattern: Glob) -> tuple[KeyExpr, ...]:
     Raises:
         TooManyAlternativesError: there are more than :data:`MAX_ALTERNATIVES`.
     """
-    found: set[KeyExpr] = set()
-    count = 0
-    for plain in _without_sets(pattern):
-        for rest in glob.after(plain, "/"):
-            for text in _texts(rest):
-                count += 1
-                if count > MAX_ALTERNATIVES:
-                    raise TooManyAlternativesError(_message())
-                found.add(canonical(text))
-    return maximal(_merged(found))
-
-
-def _message() -> str:
-    return f"it stands for more than {MAX_ALTERNATIVES} key expressions"
+    texts = (text for plain in _without_sets(pattern) for rest in glob.after(plain, "/") for text in _texts(rest))
+    found = list(islice(texts, MAX_ALTERNATIVES + 1))
+    if len(found) > MAX_ALTERNATIVES:
+        raise TooManyAlternativesError
+    return maximal(_merged(set(map(canonical, found))))
 
 
 def _without_sets(pattern: Glob) -> Iterator[Glob]:
@@ -64,7 +58,7 @@ def _without_sets(pattern: Glob) -> Iterator[Glob]:
             choices.append(tuple(char for char in ALPHABET if char in token))
             count *= len(choices[-1])
             if count > MAX_ALTERNATIVES:
-                raise TooManyAlternativesError(_message())
+                raise TooManyAlternativesError
         else:
             choices.append((token,))
     for tokens in product(*choices):

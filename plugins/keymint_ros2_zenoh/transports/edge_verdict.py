@@ -25,27 +25,24 @@ def edge_verdict(
         decide: decides on a message at the router and at the session's own access control.
         at_router: decides on a message at the router alone.
     """
-    first = denied = missing = None
-    whole: set[Operation] = set()
+    first: Verdict | None = None
+    denied: dict[Operation, tuple[Request, Verdict]] = {}
     for operation in operations:
         for request in operation.requests:
             verdict = decide(request)
             first = first or verdict
             if not verdict.allowed:
-                denied, missing = (denied, missing) if denied else (verdict, request)
+                denied[operation] = request, verdict
                 break
-        else:
-            whole.add(operation)
-    if denied is None or missing is None:
+    if not denied:
         return first or NAMELESS
-    for operation in operations:
-        if operation in whole:
-            continue  # the edge is composite, and this part may be permitted for its own sake
+    missing, denial = next(iter(denied.values()))
+    for operation in denied:  # one that is whole may be permitted for its own sake: the edge is composite
         for way in operation.ways:
             permitted = [at_router(request) for request in way]
             if all(verdict.allowed for verdict in permitted):
-                reason = f"in part: {permitted[0].reason}; but {denied.reason}"
+                reason = f"in part: {permitted[0].reason}; but {denial.reason}"
                 # If the router permits all, the session's own file is the one to look at.
-                where = denied.where if at_router(missing).allowed else permitted[0].where
+                where = denial.where if at_router(missing).allowed else permitted[0].where
                 return Verdict(allowed=False, reason=reason, where=where, partial=True)
-    return denied
+    return denial
