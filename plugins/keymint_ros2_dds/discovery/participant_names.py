@@ -18,6 +18,7 @@ are granted to enclaves, hence to participants.
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from comarmor.errors import Diagnostic, Severity
@@ -49,39 +50,27 @@ def name_participants(
         KeymintError: the user gave an invalid GUID or an illegal name.
     """
     names = _given(participants, given)
-    serves: dict[str, set[str]] = {}
-    meets: dict[str, set[str]] = {}
+    serves: dict[str, set[str]] = defaultdict(set)
+    meets: dict[str, set[str]] = defaultdict(set)
     for endpoint in endpoints:
         entity = ros_name(endpoint.object)
         if entity is None or entity.part == "rt" or not entity.name.endswith(_PARAMETERS):
             continue
         node = entity.name.removesuffix(_PARAMETERS)
-        meets.setdefault(endpoint.participant, set()).add(node)
+        meets[endpoint.participant].add(node)
         if (entity.part, endpoint.permission) == ("rq", "subscribe"):
-            serves.setdefault(endpoint.participant, set()).add(node)
+            serves[endpoint.participant].add(node)
     diagnostics: list[Diagnostic] = []
     for participant in sorted(participants):
-        origin = (
-            ("the name that you gave", names[participant.guid])
-            if participant.guid in names
-            else _announced(participant, serves, meets)
-        )
-        if origin is None:
-            names[participant.guid] = f"/participant_{participant.guid[:24]}"
-            diagnostics.append(
-                Diagnostic(
-                    "subject-unknown",
-                    Severity.WARNING,
-                    f"participant {participant.guid} in domain {participant.domain} does not announce a name; "
-                    f"it is named {names[participant.guid]}",
-                    help=f"name it with {_ASKED}",
-                    subject=names[participant.guid],
-                )
-            )
-            continue
-        how, names[participant.guid] = origin
-        message = f"participant {participant.guid} in domain {participant.domain} is {names[participant.guid]}: {how}"
-        diagnostics.append(Diagnostic("subject-named", Severity.NOTE, message, subject=names[participant.guid]))
+        guid, how = participant.guid, "the name that you gave"
+        if guid not in names:
+            how, names[guid] = _announced(participant, serves[guid], meets[guid])
+        shown, name = f"participant {guid} in domain {participant.domain}", names[guid]
+        if how:
+            diagnostics.append(Diagnostic("subject-named", Severity.NOTE, f"{shown} is {name}: {how}", subject=name))
+        else:
+            message, help_ = f"{shown} does not announce a name; it is named {name}", f"name it with {_ASKED}"
+            diagnostics.append(Diagnostic("subject-unknown", Severity.WARNING, message, help=help_, subject=name))
     diagnostics += _shared(participants, names, given)
     return names, diagnostics
 
@@ -112,10 +101,14 @@ def _shared(
         )
 
 
-def _announced(
-    participant: DiscoveredParticipant, serves: Mapping[str, set[str]], meets: Mapping[str, set[str]]
-) -> tuple[str, str] | None:
-    """Return how a participant announces its name, and the name; or None."""
+def _announced(participant: DiscoveredParticipant, serves: set[str], meets: set[str]) -> tuple[str, str]:
+    """Return how a participant announces its name, and the name; nothing and one of its GUID if it does not.
+
+    Args:
+        participant: the participant.
+        serves: the nodes whose parameters it serves.
+        meets: the nodes whose parameters it serves or calls.
+    """
     fields = _fields(participant.user_data)
     enclave = fields.get("enclave", "")
     if legal_node(enclave):
@@ -125,16 +118,12 @@ def _announced(
         return "node and namespace in its user data", node
     name = participant.name if participant.name.startswith("/") else f"/{participant.name}"
     if legal_node(name):
-        full_names = [
-            node
-            for node in (*serves.get(participant.guid, ()), *meets.get(participant.guid, ()))
-            if node.endswith(name)
-        ]
-        return "the participant's name", full_names[0] if len(set(full_names)) == 1 else name
-    served = [node for node in serves.get(participant.guid, ()) if legal_node(node)]
+        full_names = {node for node in meets if node.endswith(name)}
+        return "the participant's name", full_names.pop() if len(full_names) == 1 else name
+    served = list(filter(legal_node, serves))
     if len(served) == 1:
         return "the node whose parameters it serves", served[0]
-    return None
+    return "", f"/participant_{participant.guid[:24]}"
 
 
 def _fields(user_data: bytes) -> dict[str, str]:
