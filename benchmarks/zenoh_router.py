@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -151,7 +150,7 @@ def _best(runs: Sequence[Running]) -> float:
     return max(run.rate for run in runs)
 
 
-def main() -> int:
+def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sizes", default="10,100,1000")
@@ -162,8 +161,7 @@ def main() -> int:
     print("|---|---|---|---|---|---|---|---|")
     for size in map(int, options.sizes.split(",")):
         measure(size, options.messages, options.repeat)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -33,7 +33,7 @@ def read(element: etree._Element | None) -> Validity | None:
         return None
     start, end = element
     not_before = date(start)
-    not_after = date(end) if end.tag == "not_after" else _later(not_before, end)
+    not_after = date(end) if end.tag == "not_after" else _sum(not_before, text(end) or "", place(end))
     if not_after <= not_before:
         raise KeymintError(
             f"the validity ends at {not_after:%Y-%m-%dT%H:%M:%SZ}, which is not after its start at "
@@ -126,11 +126,6 @@ def date(element: etree._Element) -> datetime:
             code="date-invalid",
         )
     return found.replace(microsecond=0)
-
-
-def _later(start: datetime, element: etree._Element) -> datetime:
-    """Return the date that is a duration (the text of the element) after ``start``."""
-    return _sum(start, text(element) or "", place(element))
 
 
 def _sum(start: datetime, content: str, where: Origin | None = None) -> datetime:
