@@ -56,6 +56,8 @@ def test_the_manifest_may_repeat_the_name(workspace: Workspace, name: str) -> No
         ('<parts><part name="governance"><path>x.xml</path></part></parts>', "file-missing", "create it"),
         ('<parts><part name="a"/><part name="a"/></parts>', "part-doubled", "remove"),
         ('<governances/><parts><part name="governance"/></parts>', "part-doubled", "remove"),
+        ('<permissions/><parts><part name="permissions"/></parts>', "part-doubled", "remove"),
+        ('<parts><part name="identities"><path>x.xml</path></part></parts>', "file-missing", "create it"),
         ('<parts><part name="../a"/></parts>', "schema", ""),
         ("<role>router</role>", "schema", ""),
     ],
