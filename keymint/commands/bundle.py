@@ -52,7 +52,7 @@ def bundle(run: Run, names: tuple[str, ...], output: Path | None, staged: bool =
     made: list[MadeBundle] = []
 
     def make_plan(session: Session) -> Plan:
-        chosen = dict.fromkeys(_chosen(session, names))
+        chosen = _chosen(session, names)
         require_output(run, output, len(chosen))
         if staged:
             ahead, authorities = _second_keystore(run, session)
@@ -123,7 +123,7 @@ def _second_keystore(run: Run, session: Session) -> tuple[Session, Mapping[str, 
     return session_ahead(session, replaced[0])[:2]
 
 
-def _chosen(session: Session, given: tuple[str, ...]) -> tuple[str, ...]:
+def _chosen(session: Session, given: tuple[str, ...]) -> dict[str, None]:
     """Return the packages that the user named, and those with an enclave whose names match a pattern.
 
     What is not installed has no bundle, e.g. after a revocation; a pattern passes over it.
@@ -147,4 +147,4 @@ def _chosen(session: Session, given: tuple[str, ...]) -> tuple[str, ...]:
                 code="package-unknown",
             )
         chosen.update(dict.fromkeys(found))
-    return tuple(chosen)
+    return chosen
