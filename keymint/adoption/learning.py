@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import field, replace
 
 from comarmor.errors import Diagnostic, Origin, Severity
@@ -23,6 +23,7 @@ from keymint.api import (
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import package_name
+from keymint.plan.proof_results import ProofEffort
 from keymint.plugins import Plugins
 
 _REFUSED = frozenset(("adopt-authorities", "adopt-doubled"))
@@ -57,16 +58,14 @@ class Learning:
         policy_type: name of the policy type that writes the policy.
         distro: ROS 2 distribution whose name mapping applies.
         name: path of the new policy, as the user would type it.
-        states: the most states that the search for one answer may visit.
-        deadline: returns a function that is polled while the documents of an enclave are compared; it ends then.
+        effort: the limits of the search for one answer, and of the comparison of an enclave's documents.
     """
 
     build_type: str
     policy_type: str
     distro: str
     name: str
-    states: int
-    deadline: Callable[[], Callable[[], bool]]
+    effort: ProofEffort
 
 
 def learned_from(plugins: Plugins, files: KeystoreFiles, found: FoundKeystore, learning: Learning) -> LearnedKeystore:
@@ -126,7 +125,7 @@ def _unproven(
     for each, rules in zip(granted, written, strict=True):
         task = ComparisonTask(
             each.document, each.file, each.offset, each.subject_name, rules, learning.distro, each.domains,
-            learning.states, learning.deadline(),
+            learning.effort.states, learning.effort.deadline(),
         )  # fmt: skip
         comparison = comparer.compared(task)
         if comparison.relation is not Relation.EQUAL:

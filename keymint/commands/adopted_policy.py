@@ -81,9 +81,7 @@ def learned_policy(
     name = f"{FOLDER}/adopted.xml"
     effort = effort_of(run, STATES, SECONDS)
     file = str(workspace.profile / name)
-    learning = Learning(
-        build_type, options.policy_type, Policies(run, options).distro, file, effort.states, effort.deadline
-    )
+    learning = Learning(build_type, options.policy_type, Policies(run, options).distro, file, effort)
     learned = learned_from(run.plugins, files, found, learning)
     rules = {each.subject: each for each in learned.subjects}
     return AdoptedPolicy(FOLDER, {name: learned.document}, rules, learned=True, diagnostics=learned.diagnostics)

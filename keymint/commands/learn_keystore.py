@@ -43,10 +43,8 @@ def from_keystore(
     policies.shipped()  # an unknown distribution is wrong usage, whatever the keystore is
     build_type, files, found = found_in(run.plugins, run.setting.cwd / keystore, str(keystore), run.setting.now)
     effort = effort_of(run, STATES, _SECONDS)
-    learning = Learning(
-        build_type, policy_options.policy_type, policies.distro, str(output or "policy.xml"), effort.states,
-        effort.deadline,
-    )  # fmt: skip
+    name = str(output or "policy.xml")
+    learning = Learning(build_type, policy_options.policy_type, policies.distro, name, effort)
     learned = learned_from(run.plugins, files, found, learning)
     if output is not None and not force:
         refuse_replacing_policy(run, output, learned.document)

@@ -15,12 +15,14 @@ from keymint.adoption.learning import Learning, learned_from
 from keymint.adoption.reading import found_in
 from keymint.api import DocumentComparison, FoundKeystore, KeystoreFiles, Relation
 from keymint.errors import KeymintError
+from keymint.plan.proof_results import ProofEffort
 from keymint.plugins import Plugins
 from tests import sros2_keystore
 
 POLICY = """<policy version="0.2.0"><enclaves><enclave path="/a"><profiles><profile ns="/" node="a">
 <topics publish="ALLOW"><topic>x</topic></topics></profile></profiles></enclave></enclaves></policy>"""
-LEARNING = Learning("keymint_ros2_dds", "keymint_ros2_comarmor", "jazzy", "p.xml", 10_000, lambda: lambda: True)
+EFFORT = ProofEffort(10_000, lambda: lambda: True)
+LEARNING = Learning("keymint_ros2_dds", "keymint_ros2_comarmor", "jazzy", "p.xml", EFFORT)
 
 
 @pytest.fixture
