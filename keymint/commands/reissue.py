@@ -12,7 +12,7 @@ from keymint.commands.proof_gate import proof_stage, proven
 from keymint.commands.run import Run
 from keymint.names import name_of
 from keymint.plan.authorities import plan_authorities
-from keymint.plan.authority_files import is_bundled
+from keymint.plan.authority_files import bundled
 from keymint.plan.build import BuildStage, is_current, options_as_built
 from keymint.plan.distribution import plan_distribution
 from keymint.plan.enclaves import INSTALLED, with_sources
@@ -67,7 +67,7 @@ def reissued(
     session = session.after(minted)
     revoked = plan_lists(session, authorities, register=complete_register(session), refresh=refresh, end=list_end)
     session = session.after(revoked)
-    if revoked.writes() and any(map(is_bundled, session.profile.authorities)):
+    if revoked.writes() and any(map(bundled, session.profile.authorities)):
         names = tuple(dict.fromkeys((*names, *with_sources(session))))  # their authorities' file has the lists
     of_package = {name: options or options_as_built(session, name) for name in names}
     packages = [BuildStage(session, of_package[name], renew=name in rekey).package(name) for name in names]

@@ -13,7 +13,7 @@ from cryptography import x509
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
-from keymint.api import Authority, CertificateSpec, Phase
+from keymint.api import Authority, CertificateSpec, Phase, Rollover
 from keymint.errors import KeymintError
 from keymint.pki import certificates, distinguished_names, keys
 from keymint.plan import key_record
@@ -172,11 +172,11 @@ def issuers(session: Session) -> Iterator[tuple[str, str, x509.Certificate]]:
     While the key of an authority is replaced, these are two. A certificate that is missing or damaged is left out.
     """
     for authority in session.profile.authorities:
-        name, rollover = authority.name, authority.issuance.rollover
+        name = authority.name
         certificate = _readable(session.tree.try_read(session.workspace.authority_certificate(name)))
         if certificate is not None:
             yield name, name, certificate
-        if rollover is not None and is_bundled(authority):
+        if rollover := bundled(authority):
             yield other(authority), name, certificates.load(rollover.certificate)
 
 
@@ -191,18 +191,18 @@ def chain(inputs: Inputs, authority: Authority, certificate: bytes, above: bytes
         certificate: PEM of its certificate; empty if there is none.
         above: PEM of the chain of its issuer.
     """
-    rollover, name = authority.issuance.rollover, authority.name
-    if rollover is None or not is_bundled(authority) or not certificate:
+    rollover, name = bundled(authority), authority.name
+    if rollover is None or not certificate:
         return certificate + above
     paths = (inputs.workspace.revocation_list(each) for each in (name, other(authority)))
     lists = b"".join(inputs.tree.read(path) or b"" for path in paths)
     return certificate + above + rollover.certificate + lists
 
 
-def is_bundled(authority: Authority) -> bool:
-    """Tell whether enclaves trust two certificates of an authority, because its key is being replaced."""
+def bundled(authority: Authority) -> Rollover | None:
+    """Return the replacement of an authority's key while enclaves trust two certificates of it; else None."""
     rollover = authority.issuance.rollover
-    return rollover is not None and rollover.phase is not Phase.STAGE
+    return rollover if rollover is not None and rollover.phase is not Phase.STAGE else None
 
 
 def other(authority: Authority) -> str:

@@ -60,7 +60,7 @@ class InstallStage:
 
     def __init__(self, session: Session, authorities: Mapping[str, MintedAuthority], *, prune: bool) -> None:
         self._session = session
-        if any(map(authority_files.is_bundled, session.profile.authorities)):  # the chains have revocation lists
+        if any(map(authority_files.bundled, session.profile.authorities)):  # the chains have revocation lists
             chains = authority_files.trusted_chains(session)
             authorities = {name: replace(minted, chain=chains[name]) for name, minted in authorities.items()}
         self._authorities = authorities
@@ -182,7 +182,9 @@ def _plan_enclave(
             where = workspace.origin(folder / file)
             revocation.require_nothing_lost(existing.get(file), in_force, where)
     paths = {workspace.shown(folder / file) for file in artifacts} if unreadable else set()
-    if blocking := [each for each in unreadable if _is_blocking(each, paths)]:
+    in_place = [each for each in unreadable if each.where and each.where.file in paths]
+    # Something that is not a regular file is in the place of an enclave's file.
+    if blocking := [each for each in in_place if each.code in {"file-kind", "symlink-refused"}]:
         kept = Step(STAGE, name, Action.KEPT, detail="not updated")
         return PackagePlan(name, kept, diagnostics=tuple(blocking), lifetimes=own)
     files = {
@@ -196,7 +198,7 @@ def _plan_enclave(
     changes = (FolderChange(folder, ordered, obsolete, private=True),) if ordered or obsolete else ()
     action = (Action.UPDATED if existing else Action.CREATED) if changes else Action.UNCHANGED
     # Unreadable files that do not belong to the enclave are only reported; the others are replaced.
-    foreign = [each for each in unreadable if not each.where or each.where.file not in paths]
+    foreign = [each for each in unreadable if each not in in_place]
     # Without a record of the build nothing is known about edits or staleness.
     is_recorded = session.state.stamp(build.STAGE, name) is not None
     build_types = build_types_of(session, package)
@@ -269,12 +271,6 @@ def _awaiting(session: Session, package: Package) -> PackagePlan:
     kept = Step(STAGE, package.name, Action.KEPT, detail="waits for a request of its robot")
     diagnostics = (identity_keys.awaited(package),)
     return PackagePlan(package.name, kept, diagnostics=diagnostics, lifetimes=lifetimes.lifetimes(package))
-
-
-def _is_blocking(unreadable: Diagnostic, paths: set[str]) -> bool:
-    """Tell whether something that is not a regular file is in the place of an enclave's file."""
-    where = unreadable.where
-    return unreadable.code in {"file-kind", "symlink-refused"} and where is not None and where.file in paths
 
 
 def _outdated(inputs: Inputs, names: Sequence[str]) -> Sequence[Diagnostic]:

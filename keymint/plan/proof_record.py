@@ -61,9 +61,10 @@ def _dump_claims(claims: tuple[Claim, ...]) -> str:
 
 def load(stamp: Stamp, folder: str) -> tuple[tuple[Claim, ...], tuple[ValidityTerm, ...]] | None:
     """Return the recorded claims and terms, or None if the stamp has no legible ones."""
-    terms = _load_terms(stamp.outputs.get(_TERMS, ""), folder)
-    claims = _load_claims(stamp.outputs.get(_CLAIMS, ""))
-    return None if terms is None or claims is None else (claims, terms)
+    try:
+        return _load_claims(stamp.outputs.get(_CLAIMS, "")), _load_terms(stamp.outputs.get(_TERMS, ""), folder)
+    except (ValueError, TypeError):
+        return None
 
 
 def has_rules(stamp: Stamp, rules: Iterable[SubjectRules]) -> bool:
@@ -99,34 +100,28 @@ def _kind_digest(kind: Kind) -> str:
 
 
 @lru_cache(maxsize=64)
-def _load_claims(text: str) -> tuple[Claim, ...] | None:
-    try:
-        return tuple(
-            Claim(
-                str(model),
-                str(action),
-                tuple(DomainRange(int(first), int(last)) for first, last in domains),
-                str(universe),
-                Proof.PROVEN,
-                excepted=tuple(map(str, excepted)),
-            )
-            for model, action, domains, universe, excepted in json.loads(text)
+def _load_claims(text: str) -> tuple[Claim, ...]:
+    return tuple(
+        Claim(
+            str(model),
+            str(action),
+            tuple(DomainRange(int(first), int(last)) for first, last in domains),
+            str(universe),
+            Proof.PROVEN,
+            excepted=tuple(map(str, excepted)),
         )
-    except (ValueError, TypeError):
-        return None
+        for model, action, domains, universe, excepted in json.loads(text)
+    )
 
 
-def _load_terms(text: str, folder: str) -> tuple[ValidityTerm, ...] | None:
-    try:
-        return tuple(
-            ValidityTerm(
-                str(code),
-                str(what),
-                Origin(f"{folder}/{file}", int(line)),
-                tuple((_moment(first), _moment(last)) for first, last in periods),
-                tuple(map(str, models)),
-            )
-            for code, what, file, line, periods, models in json.loads(text)
+def _load_terms(text: str, folder: str) -> tuple[ValidityTerm, ...]:
+    return tuple(
+        ValidityTerm(
+            str(code),
+            str(what),
+            Origin(f"{folder}/{file}", int(line)),
+            tuple((_moment(first), _moment(last)) for first, last in periods),
+            tuple(map(str, models)),
         )
-    except (ValueError, TypeError):
-        return None
+        for code, what, file, line, periods, models in json.loads(text)
+    )

@@ -32,7 +32,7 @@ def lists(session: Session) -> Mapping[str, bytes]:
     While the key of an authority is replaced, there may be one more: ``NAME.next`` or ``NAME.former``.
     """
     names = [authority.name for authority in session.profile.authorities]
-    bundled = filter(authority_files.is_bundled, session.profile.authorities)
+    bundled = filter(authority_files.bundled, session.profile.authorities)
     names += map(authority_files.other, bundled)
     contents = {name: session.tree.read(session.workspace.revocation_list(name)) for name in names}
     return {name: content for name, content in contents.items() if content is not None}
@@ -59,7 +59,7 @@ def enclave_lists(session: Session) -> Mapping[str, bytes]:
 
     Where they trust two authorities, the file of these has the lists; see :func:`keymint.plan.authority_files.chain`.
     """
-    own = {each.name for each in session.profile.authorities if not authority_files.is_bundled(each)}
+    own = {each.name for each in session.profile.authorities if not authority_files.bundled(each)}
     return {name: content for name, content in lists(session).items() if name in own}
 
 

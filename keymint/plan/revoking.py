@@ -65,14 +65,10 @@ def plan_revocation(session: Session, names: Sequence[str], reason: str) -> Revo
     certificates = tuple(each for of_one in of_name.values() for each in of_one)
     without = [register.of(name)[-1] for name, of_one in of_name.items() if not of_one]
     after = register.with_revoked(certificates, reason, session.now)
-    packages: list[str] = []
-    issuances = {}
-    for name in names:
-        if name in with_sources:
-            own, lowest = session.issuance(name), after.generation(name)
-            if own.generation < lowest:
-                issuances[name] = replace(own, generation=lowest)
-            packages.append(name)
+    packages = tuple(name for name in names if name in with_sources)
+    lowest = {name: after.generation(name) for name in packages}
+    low = {name: own for name in packages if (own := session.issuance(name)).generation < lowest[name]}
+    issuances = {name: replace(own, generation=lowest[name]) for name, own in low.items()}
     plan = Plan((), session.state, first=register_change(session, after))
     plan = plan.then(plan_issuance(session, STAGE, issuances, f"{reason}, new generation"))
     orphans = [name for name in names if name not in with_sources]
@@ -81,9 +77,7 @@ def plan_revocation(session: Session, names: Sequence[str], reason: str) -> Revo
     steps += [Step(STAGE, name, Action.UPDATED, detail=reason) for name in orphans if name not in installed(session)]
     plan = plan.then(Plan(tuple(steps), plan.state.updated(INSTALLED, {}, orphans)))
     skipped = tuple(_nothing_to_revoke(last) for last in without if last.revoked is None or last.reason != reason)
-    return Revoking(
-        plan, certificates, tuple(packages), skipped, tuple(_limits(session, certificates, packages, reason))
-    )
+    return Revoking(plan, certificates, packages, skipped, tuple(_limits(session, certificates, packages, reason)))
 
 
 def _to_revoke(session: Session, register: Register, name: str, reason: str) -> tuple[IssuedCertificate, ...]:

@@ -25,9 +25,9 @@ def others(session: Session) -> Mapping[str, tuple[str, MintedAuthority]]:
         Each with the name of the authority in force.
     """
     return {
-        authority_files.other(each): (each.name, _other(session, each))
+        authority_files.other(each): (each.name, _other(session, each, rollover.certificate))
         for each in session.profile.authorities
-        if authority_files.is_bundled(each)
+        if (rollover := authority_files.bundled(each))
     }
 
 
@@ -41,9 +41,7 @@ def outdated(session: Session, stage: str) -> Iterator[Step]:
                 yield Step(stage, name, Action.REMOVED, (FolderChange(path.parent, removed=(path.name,)),))
 
 
-def _other(session: Session, authority: Authority) -> MintedAuthority:
-    rollover = authority.issuance.rollover
-    pem = rollover.certificate if rollover else b""
+def _other(session: Session, authority: Authority, pem: bytes) -> MintedAuthority:
     certificate = certificates.load(pem)
     try:
         stored, key = _key(session, authority, certificate)

@@ -37,12 +37,8 @@ def days_left(end: datetime, now: datetime) -> str:
 
 def terms_of(terms: Sequence[ValidityTerm], models: Collection[str]) -> tuple[ValidityTerm, ...]:
     """Return the terms that apply to some models; vendors may read one date differently."""
-    selected: list[ValidityTerm] = []
-    for term in terms:
-        applicable = tuple(model for model in term.models if model in models)
-        if applicable or not term.models:
-            selected.append(replace(term, models=applicable))
-    return tuple(selected)
+    applicable = [(term, tuple(model for model in term.models if model in models)) for term in terms]
+    return tuple(replace(term, models=own) for term, own in applicable if own or not term.models)
 
 
 def end(terms: Sequence[ValidityTerm], now: datetime) -> datetime | None:
