@@ -78,7 +78,7 @@ def counted(number: int, noun: str) -> str:
     return f"{number or 'no'} {noun}{ending}"
 
 
-def first_few(items: Sequence[str], most: int) -> str:
+def first_few(items: Sequence[str], most: int = 5) -> str:
     """Return the first items separated by commas, with ``…`` for the rest."""
     return ", ".join(items[:most]) + (", …" if len(items) > most else "")
 

@@ -21,8 +21,6 @@ from keymint.plan.enclaves import with_sources
 from keymint.plan.hardening import OpenStep, Weakness, open_steps, plan_authority, plan_names
 from keymint.session import Session
 
-_SHOWN = 5
-
 
 @verb(dry_run=True)
 @click.argument("step", type=click.Choice([str(each) for each in Weakness]), required=False)
@@ -43,7 +41,7 @@ def harden(run: Run, step: str | None, names: tuple[str, ...], applied: bool, fl
     steps = open_steps(session)
     chosen = [each for each in steps if step in {None, str(each.step)}]
     for each in chosen:
-        run.console.line(f"{each.step}: {first_few(each.concerns, _SHOWN)}: {each.cost}")
+        run.console.line(f"{each.step}: {first_few(each.concerns)}: {each.cost}")
     if not chosen:
         run.console.line(f"{step}: nothing to do" if step else "nothing to do: no step is open")
     result = {"steps": [asdict(each) for each in steps]}

@@ -177,5 +177,5 @@ def select_edges(
 
 
 def _refuse(message: str, name: str, known: Sequence[str]) -> NoReturn:
-    hint = did_you_mean(name, known, f"there are {first_few(known, 5)}" if known else "the graph is empty")
+    hint = did_you_mean(name, known, f"there are {first_few(known)}" if known else "the graph is empty")
     raise KeymintError(message, help=hint, code="subject-unknown", exit_code=ExitCode.USAGE)

@@ -25,8 +25,6 @@ from keymint.errors import ExitCode, KeymintError
 from keymint.session import Session
 
 STAGE = "create"
-_SHOWN = 5
-"""Files that a message lists."""
 
 
 class UnacceptedPackagesError(KeymintError):
@@ -165,10 +163,18 @@ def plan_acceptance(
         action = Action.UPDATED if changes or accepted[name] != before else Action.UNCHANGED
         detail = f"accepted {counted(len(files), 'file')} of the package {name}"
         steps.append(Step(STAGE, "", action, changes, detail))
-    if any(step.action is Action.UPDATED for step in steps):
-        lock = {name: File(content) for name, content in plugin.with_packages(accepted).items()}
-        last = next(at for at in reversed(range(len(steps))) if steps[at].action is Action.UPDATED)
-        written = changed(session.tree, session.workspace.profile, lock)
+    return _with_lock(session, plugin, steps, accepted)
+
+
+def _with_lock(
+    session: Session, plugin: AcceptedPackageFiles, steps: list[Step], accepted: Mapping[str, AcceptedPackage]
+) -> Plan:
+    """Return a plan of some steps, of which the last one that changes copies also writes what was accepted."""
+    root = session.workspace.profile
+    lock = {file: File(content) for file, content in plugin.with_packages(accepted).items()}
+    written = changed(session.tree, root, lock) if accepted else (FolderChange(root, removed=tuple(lock)),)
+    last = max((at for at, step in enumerate(steps) if step.action is Action.UPDATED), default=None)
+    if last is not None:
         steps[last] = replace(steps[last], changes=(*steps[last].changes, *written))
     return Plan(tuple(steps), session.state)
 
@@ -200,12 +206,7 @@ def plan_release(session: Session, policy: LoadedPolicy) -> Plan:
         if dropped := [path for path in each.files if path not in files]:
             detail = f"dropped {counted(len(dropped), 'file')} of the package {name}, no longer included"
             steps.append(Step(STAGE, "", Action.UPDATED, tuple(_removed(session, name, dropped)), detail))
-    if steps:
-        lock = {file: File(content) for file, content in plugin.with_packages(kept).items()}
-        root = session.workspace.profile
-        written = changed(session.tree, root, lock) if kept else (FolderChange(root, removed=tuple(lock)),)
-        steps[-1] = replace(steps[-1], changes=(*steps[-1].changes, *written))
-    return Plan(tuple(steps), session.state)
+    return _with_lock(session, plugin, steps, kept)
 
 
 def _removed(session: Session, name: str, paths: Iterable[str]) -> Iterator[FolderChange]:
@@ -249,7 +250,7 @@ def _diagnostics(shipped: Sequence[ShippedFile], found: Mapping[ShippedFile, str
     """Yield an error for each package; it has the digest, so that exactly what was seen can be accepted."""
     for name in dict.fromkeys(each.package for each in found):
         own = [each for each in found if each.package == name]
-        paths = first_few([each.path for each in own], _SHOWN)
+        paths = first_few([each.path for each in own])
         known = any(found[each] for each in own)
         message = (
             f"the package {quoted(name)} ships something else than what was accepted: {paths}"

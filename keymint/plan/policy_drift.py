@@ -19,8 +19,6 @@ CHANGED = "policy-changed"
 """Code of the warning that packages are not what the policy says now."""
 UNCREATED = "subjects-uncreated"
 """Code of the finding on subjects that have no source package."""
-_SHOWN = 5
-"""Names that a message lists."""
 
 
 def policy_changed(session: Session) -> tuple[Diagnostic, ...]:
@@ -38,7 +36,7 @@ def policy_changed(session: Session) -> tuple[Diagnostic, ...]:
         return (Diagnostic(CHANGED, Severity.WARNING, message, None, "fix it, then run 'keymint create --all'"),)
     if not names:
         return ()
-    shown = first_few([subject_of(name) for name in names], _SHOWN)
+    shown = first_few([subject_of(name) for name in names])
     message = f"{counted(len(names), 'source package')} out of date with the policy: {shown}"
     return (Diagnostic(CHANGED, Severity.WARNING, message, None, "run 'keymint create --all'"),)
 
@@ -69,7 +67,7 @@ def uncreated(inputs: Inputs, policy: LoadedPolicy, known: Sequence[str]) -> tup
     missing = [name for name in missing if not known or hidden_by(inputs.tree, src, name) is None]
     if not missing:
         return ()
-    shown = first_few([subject_of(name) for name in missing], _SHOWN)
+    shown = first_few([subject_of(name) for name in missing])
     subjects = "a subject that has" if len(missing) == 1 else f"{len(missing)} subjects that have"
     marker = hidden_by(inputs.tree, src, missing[0])
     return (
