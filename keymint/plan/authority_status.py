@@ -13,14 +13,11 @@ from keymint.api import Authority
 from keymint.pki import certificates, distinguished_names, extensions, keys
 from keymint.pki.revocation_lists import RevocationList
 from keymint.plan import authority_files
-from keymint.plan.authority_files import AuthorityFiles
 from keymint.plan.authority_uses import Use, uses
 from keymint.plan.renewal import authority_renewals, installed_terms
 from keymint.plan.revocation import list_of
 from keymint.plan.threshold import DEFAULT
 from keymint.session import Session
-
-HERE, ELSEWHERE, TOKEN = "here", "elsewhere", "token"
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +83,7 @@ def statuses(session: Session) -> Iterator[AuthorityStatus]:
         yield AuthorityStatus(
             authority=authority,
             certificate=status_of(files.certificate, due.get(authority.name)) if files.certificate else None,
-            key_place=_place(files),
+            key_place="token" if authority.certificate.key.uri else "here" if files.key is not None else "elsewhere",
             uses=used[authority.name],
             other=status_of(certificates.load(rollover.certificate)) if rollover else None,
             revocations=list_of(session, authority.name),
@@ -115,9 +112,3 @@ def status_of(certificate: x509.Certificate, due: datetime | None = None) -> Cer
         key_usage=extensions.usages(certificate),
         subject_key_identifier=identifier.digest.hex() if identifier else None,
     )
-
-
-def _place(files: AuthorityFiles) -> str:
-    if files.authority.certificate.key.uri:
-        return TOKEN
-    return HERE if files.key is not None else ELSEWHERE

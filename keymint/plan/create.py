@@ -85,16 +85,6 @@ def refuse_named(policy: LoadedPolicy, infrastructure: Mapping[str, tuple[Infras
             )
 
 
-def _no_place_for_root(session: Session) -> KeymintError:
-    layout = session.profile.layout
-    return KeymintError(
-        f"the layout {layout!r} has no place for the root enclave '/': enclaves lie at the top of the install space",
-        where=session.profile_marker(),
-        help="name the nodes as subjects, or use another layout",
-        code="root-enclave",
-    )
-
-
 class CreateStage:
     """The stage ``create``; what packages share is computed once.
 
@@ -134,7 +124,13 @@ class CreateStage:
         for name in (*subjects, *infrastructure):
             refuse_reserved(name, reserved)
         if ROOT in subjects and not all(layout.enclaves for layout in session.layouts):
-            raise _no_place_for_root(session)
+            raise KeymintError(
+                f"the layout {session.profile.layout!r} has no place for the root enclave '/': enclaves lie at the top "
+                "of the install space",
+                where=session.profile_marker(),
+                help="name the nodes as subjects, or use another layout",
+                code="root-enclave",
+            )
         return tuple(subjects)
 
     def plan(self, planned: Sequence[PackagePlan]) -> Plan:

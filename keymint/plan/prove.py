@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Defects, Diagnostic, Severity
 from keymint import __version__
 from keymint.api import (
     Claim,
@@ -274,15 +274,15 @@ class ProofStage:
             return EnclaveProof(subject, diagnostics=(not_installed(package.name, folder),))
         claims: list[Claim] = []
         validity: list[ValidityTerm] = []
-        diagnostics: list[Diagnostic] = []
+        defects = Defects()
         build_types = build_types_of(self._session, package)
         for name in build_types:
             prover = prover_of(self._session, name)
             if prover is None:
                 message, marker = f"the build type {name} proves nothing", self._session.package_marker(package.name)
-                diagnostics.append(Diagnostic(NO_PROVER, Severity.ERROR, message, marker))
+                defects.found.append(Diagnostic(NO_PROVER, Severity.ERROR, message, marker))
                 continue
-            try:
+            with defects:
                 task = ProofTask(
                     package,
                     rules,
@@ -298,13 +298,10 @@ class ProofStage:
                 )
                 own = self._claims(prover, task)
                 periods = prover.terms(files, folder, task.anchors, task.shared, task.shared_folder)
-            except KeymintError as error:
-                diagnostics += error.diagnostics
-                continue
-            claims += own
-            models = {claim.model for claim in own} or prover.assumptions().keys()
-            validity += terms.terms_of(periods, models)
-        of_subject = tuple(replace(each, subject=subject) for each in dict.fromkeys(diagnostics))
+                claims += own
+                models = {claim.model for claim in own} or prover.assumptions().keys()
+                validity += terms.terms_of(periods, models)
+        of_subject = tuple(replace(each, subject=subject) for each in dict.fromkeys(defects.found))
         return EnclaveProof(subject, tuple(claims), diagnostics=of_subject, terms=tuple(dict.fromkeys(validity)))
 
     def _claims(self, prover: Prover, task: ProofTask) -> Sequence[Claim]:

@@ -63,13 +63,12 @@ def plan_begin(session: Session, name: str, phase: Phase, given: GivenAuthority 
     pem, key = _given(session, authority, given, present) if given else _made(session, authority)
     if phase is Phase.DISTRIBUTE:
         _require_distinct(session, name, present, certificates.load(pem))
-    changes: tuple[FolderChange, ...] = ()
+    made: tuple[Step, ...] = ()
     if key and session.tree.read(key_path) != key:
-        changes = (secret_file(key_path, key),)
+        made = (Step(STAGE, name, Action.CREATED, (secret_file(key_path, key),), "next key"),)
     issuance = replace(authority.issuance, rollover=Rollover(phase, pem))
     decided = plan_authority_issuance(session, {name: issuance}, f"{name}: phase {phase}")
-    made = Step(STAGE, name, Action.CREATED, changes, "next key")
-    return replace(decided, steps=(*((made,) if changes else ()), *decided.steps))
+    return replace(decided, steps=(*made, *decided.steps))
 
 
 def plan_switch(session: Session, name: str) -> Plan:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Severity
 from keymint.api import Authority
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
@@ -32,14 +32,19 @@ def load(inputs: Inputs, files: AuthorityFiles, *, renew: bool) -> keys.PrivateK
     spec, name = files.authority.certificate, files.authority.name
     present = files.certificate
     if present is not None and not renew:
-        public = certificates.public_key(present)
-        _require_kind(files, public, files.certificate_file)
-        return inputs.tokens.private_key(spec.key, public, spec.origin)
-    if not renew:
-        authority_files.require_unused(files)
-    public = inputs.tokens.public_key(spec.key, spec.origin)
-    _require_kind(files, public, spec.origin)
-    if present is not None and certificates.public_key(present) == public:
+        public, where = certificates.public_key(present), files.certificate_file
+    else:
+        if not renew:
+            authority_files.require_unused(files)
+        public, where = inputs.tokens.public_key(spec.key, spec.origin), spec.origin
+    if not keys.fits(public, spec.key):
+        raise KeymintError(
+            f"the key of the authority {name!r} is not {keys.described(spec.key)}, which {spec.origin} asks for",
+            where=where,
+            help="write the type of the token's key into <asymmetric_type>",
+            code="key-kind",
+        )
+    if renew and present is not None and certificates.public_key(present) == public:
         raise KeymintError(
             f"the token still has the key of the present authority {name!r}",
             where=spec.origin,
@@ -75,15 +80,3 @@ def only_in_token(authority: Authority, help_: str) -> KeymintError:
         help=help_,
         code="authority-in-token",
     )
-
-
-def _require_kind(files: AuthorityFiles, public: keys.PublicKey, where: Origin) -> None:
-    spec = files.authority.certificate
-    if not keys.fits(public, spec.key):
-        raise KeymintError(
-            f"the key of the authority {files.authority.name!r} is not {keys.described(spec.key)}, which {spec.origin} "
-            "asks for",
-            where=where,
-            help="write the type of the token's key into <asymmetric_type>",
-            code="key-kind",
-        )
