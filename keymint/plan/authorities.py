@@ -22,7 +22,7 @@ from keymint.plan.enclaves import deployed_authorities
 from keymint.plan.private_keys import password
 from keymint.session import Inputs, Session
 
-__all__ = ["STAGE", "MintedAuthority", "plan_authorities"]
+__all__ = ["STAGE", "MintedAuthority", "chains_of", "plan_authorities"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +57,11 @@ class MintedAuthority:
         if isinstance(self._keyed, KeymintError):
             raise KeymintError.of(self._keyed.diagnostics)
         return self._keyed
+
+
+def chains_of(authorities: Mapping[str, MintedAuthority]) -> dict[str, bytes]:
+    """Return the chains of some authorities by name."""
+    return {name: minted.chain for name, minted in authorities.items()}
 
 
 def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, Mapping[str, MintedAuthority]]:

@@ -15,9 +15,6 @@ from keymint.plan.enclaves import INSTALLED, files_in
 from keymint.session import Session
 from keymint.shells import MARK, SHELLS, resolved, script
 
-NAMES = tuple(f"keystore.{shell}" for shell in SHELLS)
-"""The names of the scripts; colcon has ``setup``, ``local_setup`` and ``package``."""
-
 
 def scripts(session: Session, build_types: Iterable[str]) -> Mapping[str, bytes]:
     """Return the scripts by path relative to the install space; none if no process needs a variable.
@@ -34,7 +31,8 @@ def scripts(session: Session, build_types: Iterable[str]) -> Mapping[str, bytes]
             variables |= {each.name: each for each in build_type.keystore_variables(distro, layout)}
     if not variables:
         return {}
-    return {name: script(variables.values(), shell) for name, shell in zip(NAMES, SHELLS, strict=True)}
+    # Colcon has scripts named setup, local_setup and package.
+    return {f"keystore.{shell}": script(variables.values(), shell) for shell in SHELLS}
 
 
 def plan_scripts(session: Session, build_types: Iterable[str]) -> tuple[tuple[Step, ...], tuple[Diagnostic, ...]]:

@@ -16,7 +16,7 @@ from keymint.errors import KeymintError
 from keymint.names import ROOT, subject_of
 from keymint.pki import certificates
 from keymint.plan import authority_files, build, identity_keys, key_record, lifetimes, revocation
-from keymint.plan.authorities import MintedAuthority
+from keymint.plan.authorities import MintedAuthority, chains_of
 from keymint.plan.build_types import build_types_of, inputs_digest
 from keymint.plan.built_documents import OUTDATED, edits
 from keymint.plan.enclaves import (
@@ -142,7 +142,7 @@ def _plan_enclave(
     session: Session, name: str, authorities: Mapping[str, MintedAuthority], keyring: Keyring
 ) -> PackagePlan:
     workspace = session.workspace
-    inputs = inputs_of(session, name, {authority: minted.chain for authority, minted in authorities.items()})
+    inputs = inputs_of(session, name, chains_of(authorities))
     if inputs is None and build.is_built(session, name) and identity_keys.is_awaited(session.package(name)):
         return _awaiting(session, session.package(name))
     if inputs is None:

@@ -88,7 +88,7 @@ def plan_lists(
     steps: list[Step] = [*rollover_lists.outdated(session, STAGE)]
     others = rollover_lists.others(session)
     all_authorities = {**authorities, **{name: minted for name, (_, minted) in others.items()}}
-    having = {name for name in all_authorities if _has_list(session, all_authorities, register, name)}
+    having = {name for name, minted in all_authorities.items() if _has_list(session, register, name, minted)}
     # Where enclaves trust two authorities and one of them has a list, vendors demand one of each.
     pairs = ({in_force, name} for name, (in_force, _) in others.items())
     paired = {name for pair in pairs if pair & having for name in pair}
@@ -122,9 +122,9 @@ def plan_lists(
     return Plan(tuple(steps), session.state, first=register_change(session, register))
 
 
-def _has_list(session: Session, authorities: Mapping[str, MintedAuthority], register: Register, name: str) -> bool:
+def _has_list(session: Session, register: Register, name: str, minted: MintedAuthority) -> bool:
     """Tell whether an authority ever revoked a certificate, or has a revocation list."""
-    minted, content = authorities[name], session.tree.read(session.workspace.revocation_list(name))
+    content = session.tree.read(session.workspace.revocation_list(name))
     has = content is not None and not revocation_lists.problem(content, minted.certificate)
     return has or bool(register.revoked(issuer_of(minted.certificate)))
 

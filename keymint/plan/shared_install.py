@@ -15,7 +15,7 @@ from keymint.api import AuthorityRole, BuildOptions, BuildType, Package, SharedC
 from keymint.changes import Action, File, Step
 from keymint.errors import KeymintError
 from keymint.names import subject_of
-from keymint.plan.authorities import MintedAuthority
+from keymint.plan.authorities import MintedAuthority, chains_of
 from keymint.plan.built_documents import OUTDATED, edits
 from keymint.plan.enclaves import INSTALLED, differing, has_outputs
 from keymint.plan.shared_documents import (
@@ -71,8 +71,7 @@ def plan_shared_install(
             if orphans:
                 raise _outdated_removal(session, documents, orphans)
             diagnostics.append(_outdated(session, documents))
-        chains = {authority: minted.chain for authority, minted in authorities.items()}
-        if is_installed(session, name, names, chains):
+        if is_installed(session, name, names, chains_of(authorities)):
             continue
         step, stamp = _plan_documents(session, name, names, documents, authorities)
         steps += [step] if step.changes else []
@@ -202,9 +201,8 @@ def _plan_documents(
     left_over = set(stamp.outputs if stamp else ()) - set(artifacts)
     changes = (*removals(session, install, left_over), *written(install, differing(session, install, existing, files)))
     action = Action.UPDATED if existing else Action.CREATED
-    chains = {authority: minted.chain for authority, minted in authorities.items()}
     made = Stamp(
-        _inputs_digest(session, names, documents, chains),
+        _inputs_digest(session, names, documents, chains_of(authorities)),
         {path: file.digest for path, file in files.items()},
         tuple(path for path, file in files.items() if file.secret),
         build_types=(name,),

@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from keymint.plan.environment import NAMES
+from keymint.shells import SHELLS
 from tests.conftest import snapshot
+
+NAMES = tuple(f"keystore.{shell}" for shell in SHELLS)
 
 
 def scripts(ws: Path, space: str = "install") -> dict[str, str]:
