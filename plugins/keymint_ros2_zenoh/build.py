@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import partial
 
 from comarmor.errors import Defects, Diagnostic, Severity
 from keymint.api import BuildOptions, BuildResult, Package
@@ -40,13 +39,17 @@ def build(package: Package, options: BuildOptions) -> BuildResult:  # noqa: ARG0
     if is_router(package):
         defects.require_none()
         return BuildResult({}, tuple(found))
-    configuration = defects.attempt(partial(emission.session, package))
-    lowered = defects.attempt(partial(lower_package, package))
-    defects.attempt(partial(emission.common_name, package))
-    if defects.found or configuration is None or lowered is None:
+    documents: dict[str, bytes] = {}
+    with defects:
+        title = [line.format(subject=package.subject) for line in _SESSION_TITLE]
+        documents[SESSION] = write(emission.session(package), title)
+    with defects:
+        found += lower_package(package).diagnostics
+    with defects:
+        emission.common_name(package)
+    if defects.found:
         raise KeymintError.of(dict.fromkeys(defects.found))
-    title = [line.format(subject=package.subject) for line in _SESSION_TITLE]
-    return BuildResult({SESSION: write(configuration, title)}, (*found, *lowered.diagnostics))
+    return BuildResult(documents, tuple(found))
 
 
 def build_shared(packages: Sequence[Package], options: BuildOptions) -> BuildResult:
@@ -62,12 +65,12 @@ def build_shared(packages: Sequence[Package], options: BuildOptions) -> BuildRes
     routers = [package for package in packages if is_router(package)]
     enclaves = emission.enclaves_of(packages)
     if not routers and not defects.found:
-        defects.attempt(partial(emission.router_of, enclaves[0]))
+        with defects:
+            emission.router_of(enclaves[0])
     rules: list[tuple[Package, Sequence[KeyRule]]] = []
     for package in enclaves:
-        lowered = defects.attempt(partial(lower_package, package))
-        if lowered is not None:
-            rules.append((package, lowered.rules))
+        with defects:
+            rules.append((package, lower_package(package).rules))
     defects.require_none()
     notes = () if enclaves else (_admits_nobody(routers[0]),)
     plain = write(emission.router(routers[0], rules), _ROUTER_TITLE)
