@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from keymint_ros2_zenoh.documents.access_control import PROPERTIES, AccessControl, AclPolicy, AclRule, AclSubject
+from keymint_ros2_zenoh.documents.access_control import PROPERTIES, AccessControl, AclRule, AclSubject
 from keymint_ros2_zenoh.documents.configuration import Configuration
 
 _WIDTH = 120
@@ -22,15 +22,10 @@ def write(configuration: Configuration, title: Sequence[str]) -> bytes:
         configuration: what the file says.
         title: lines of the comment at its beginning.
     """
-    members = _tree(configuration.other, _settings(configuration))
-    lines = [*(f"// {line}".rstrip() for line in title), "{"]
-    blocks = [[f"  {_text(key)}: {part}" for part in [_value(value, 2)]] for key, value in members.items()]
-    blocks.append([*_access_control(configuration.access_control)])
-    for number, block in enumerate(blocks, 1):
-        if number < len(blocks):
-            block[-1] += ","
-        lines += block
-    return "\n".join([*lines, "}", ""]).encode()
+    tree = _tree(configuration.other, _settings(configuration))
+    members = [f"  {_text(key)}: {_value(value, 2)}" for key, value in tree.items()]
+    members.append(_access_control(configuration.access_control))
+    return "\n".join([*(f"// {line}".rstrip() for line in title), "{", ",\n".join(members), "}", ""]).encode()
 
 
 def _settings(configuration: Configuration) -> Iterator[tuple[str, Any]]:
@@ -51,45 +46,36 @@ def _tree(other: Mapping[str, Any], settings: Iterable[tuple[str, Any]]) -> dict
     return tree
 
 
-def _access_control(control: AccessControl) -> Iterator[str]:
-    yield '  "access_control": {'
-    yield f'    "enabled": {_text(control.enabled)},'
-    yield f'    "default_permission": {_text(control.default_permission)},'
-    yield from _list("rules", control.rules, _rule)
-    yield from _list("subjects", control.subjects, _subject)
-    yield from _list("policies", control.policies, _policy, end="")
-    yield "  }"
+def _access_control(control: AccessControl) -> str:
+    members = [
+        f'    "enabled": {_text(control.enabled)}',
+        f'    "default_permission": {_text(control.default_permission)}',
+        _list("rules", map(_rule, control.rules)),
+        _list("subjects", map(_subject, control.subjects)),
+        _list("policies", ({"subjects": each.subjects, "rules": each.rules} for each in control.policies)),
+    ]
+    return "\n".join(['  "access_control": {', ",\n".join(members), "  }"])
 
 
-def _list(name: str, items: Sequence[Any], member: Any, end: str = ",") -> Iterator[str]:
-    if not items:
-        yield f'    "{name}": []{end}'
-        return
-    yield f'    "{name}": ['
-    for number, item in enumerate(items, 1):
-        comma = "," if number < len(items) else ""
-        yield f"      {_value(dict(member(item)), 6)}{comma}"
-    yield f"    ]{end}"
+def _list(name: str, items: Iterable[Mapping[str, Any]]) -> str:
+    """Return a member with one item on each line, or more lines for an item that does not fit."""
+    lines = ",\n".join(f"      {_value(item, 6)}" for item in items)
+    return f'    "{name}": [\n{lines}\n    ]' if lines else f'    "{name}": []'
 
 
-def _rule(rule: AclRule) -> Iterator[tuple[str, Any]]:
-    yield "id", rule.id
-    yield "permission", rule.permission
-    yield "flows", rule.flows
-    yield "messages", rule.messages
-    yield "key_exprs", rule.key_exprs
+def _rule(rule: AclRule) -> Mapping[str, Any]:
+    return {
+        "id": rule.id,
+        "permission": rule.permission,
+        "flows": rule.flows,
+        "messages": rule.messages,
+        "key_exprs": rule.key_exprs,
+    }
 
 
-def _subject(subject: AclSubject) -> Iterator[tuple[str, Any]]:
-    yield "id", subject.id
-    for name, attribute in PROPERTIES.items():
-        if values := getattr(subject, attribute):
-            yield name, values
-
-
-def _policy(policy: AclPolicy) -> Iterator[tuple[str, Any]]:
-    yield "subjects", policy.subjects
-    yield "rules", policy.rules
+def _subject(subject: AclSubject) -> Mapping[str, Any]:
+    given = {name: getattr(subject, attribute) for name, attribute in PROPERTIES.items()}
+    return {"id": subject.id} | {name: values for name, values in given.items() if values}
 
 
 def _text(value: Any) -> str:
