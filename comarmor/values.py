@@ -73,27 +73,21 @@ def _first_init(cls: Any, fields: tuple[dataclasses.Field[Any], ...], *, frozen:
         nonlocal left
         left -= 1
         given = dict(zip(parameters, arguments, strict=False)) | named
-        is_sound = len(given) == len(arguments) + len(named) and given.keys() <= known
-        if left < 0 or not is_sound or not given.keys() >= required:  # which also says what is wrong
+        values = defaults | {name: new() for name, new in factories.items() if name not in given} | given
+        is_sound = len(given) == len(arguments) + len(named) and given.keys() <= known <= values.keys()
+        if left < 0 or not is_sound:  # the generated method says what is wrong
             cls.__init__ = _init(cls, fields, frozen=frozen)
             cls.__init__(self, *arguments, **named)
             return
-        for name, value in given.items():
+        for name, value in values.items():
             assign(self, name, value)
-        for name, default in defaults:
-            if name not in given:
-                assign(self, name, default)
-        for name, new in factories:
-            if name not in given:
-                assign(self, name, new())
         if has_post_init:
             self.__post_init__()
 
     absent = dataclasses.MISSING
     known = frozenset(parameters)
-    defaults = [(field.name, field.default) for field in fields if field.default is not absent]
-    factories = [(field.name, field.default_factory) for field in fields if field.default_factory is not absent]
-    required = known.difference(name for name, _ in (*defaults, *factories))
+    defaults = {field.name: field.default for field in fields if field.default is not absent}
+    factories = {field.name: field.default_factory for field in fields if field.default_factory is not absent}
     assign, has_post_init = object.__setattr__, hasattr(cls, "__post_init__")
     return __init__
 

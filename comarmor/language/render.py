@@ -16,8 +16,7 @@ def render(policy: Policy) -> str:
     The document decides every request as the policy does. Loading and rendering it again gives the same text.
     """
     root = etree.Element("profiles")
-    for outer in policy.profiles:
-        root.append(profile(outer))
+    root.extend(map(profile, policy.profiles))
     return document(root)
 
 
@@ -34,24 +33,23 @@ def document(root: etree._Element) -> str:
 
 def profile(source: Profile) -> etree._Element:
     """Return the element of a profile."""
-    element = etree.Element("profile", name=source.name)
+    element = _attached(etree.Element("profile", name=source.name), source)
+    element.extend(map(_rule, source.rules))
+    element.extend(map(profile, source.profiles))
+    return element
+
+
+def _attached(element: etree._Element, source: Profile | ProfileRule) -> etree._Element:
+    """Return the element of a profile or a rule, with its modifier and attachments."""
     if source.audit:
         element.set("modifier", "AUDIT")
     for attachment in source.attachments:
         etree.SubElement(element, "attachment").text = attachment.text
-    for rule in source.rules:
-        _rule(element, rule)
-    for inner in source.profiles:
-        element.append(profile(inner))
     return element
 
 
-def _rule(parent: etree._Element, rule: ProfileRule) -> None:
-    element = etree.SubElement(parent, rule.kind, qualifier=rule.effect.value)
-    if rule.audit:
-        element.set("modifier", "AUDIT")
-    for attachment in rule.attachments:
-        etree.SubElement(element, "attachment").text = attachment.text
+def _rule(rule: ProfileRule) -> etree._Element:
+    element = _attached(etree.Element(rule.kind, qualifier=rule.effect.value), rule)
     permissions = etree.SubElement(element, "permissions")
     for permission in PERMISSIONS[rule.kind]:
         if permission in rule.permissions:
@@ -60,3 +58,4 @@ def _rule(parent: etree._Element, rule: ProfileRule) -> None:
         partitions = etree.SubElement(element, "partitions")
         for partition in rule.partitions:
             etree.SubElement(partitions, "partition").text = partition
+    return element

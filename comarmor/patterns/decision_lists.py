@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import field
 from functools import lru_cache
 
-from comarmor.patterns.glob import Glob
+from comarmor.patterns.glob import EVERYTHING, Glob
 from comarmor.patterns.steps import spend
 from comarmor.patterns.tokens import ANY, Charset
 from comarmor.values import dataclass
@@ -29,6 +29,11 @@ class Block:
 
 DecisionList = tuple[Block, ...]
 """The first block that matches a word decides; a word that no block matches is denied."""
+
+
+def negated(decisions: DecisionList) -> DecisionList:
+    """Return the list that permits exactly what another one denies."""
+    return (*(Block(not block.allows, block.patterns) for block in decisions), Block(True, (EVERYTHING,)))
 
 
 @dataclass(frozen=True, slots=True)

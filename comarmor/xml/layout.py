@@ -102,7 +102,8 @@ def laid_out(document: Element, layout: Layout) -> str:
         layout: its layout.
     """
     printer = _Printer(layout)
-    printer.document(document)
+    for child in document.children:
+        printer.child(child, 0, is_first=not printer.lines)
     return "\n".join([*printer.lines, ""])
 
 
@@ -174,10 +175,6 @@ class _Printer:
     def __init__(self, layout: Layout) -> None:
         self.layout = layout
         self.lines: list[str] = []
-
-    def document(self, document: Element) -> None:
-        for child in document.children:
-            self.child(child, 0, is_first=not self.lines)
 
     def child(self, child: Element | Markup | str, indent: int, *, is_first: bool) -> None:
         """Write a node on a line of its own; a comment stays on the line of what precedes it.

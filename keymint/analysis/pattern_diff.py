@@ -12,14 +12,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from itertools import product
 
-from comarmor.patterns.decision_lists import Equal, Unknown
+from comarmor.patterns.decision_lists import Equal, Unknown, negated
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import disjoint
 from comarmor.rules import PARTS, PERMISSIONS, Effect
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_diff import PermissionChange, unknown_change
-from keymint.analysis.rule_lists import PermissionKey, allow_only, decision_list, find_permitted, negated
+from keymint.analysis.rule_lists import PermissionKey, allow_only, decision_list, find_permitted
 from keymint.analysis.subject_patterns import EVERY, example_subject, rules_of
 from keymint.analysis.subject_templates import exact_halves, fill_placeholders, fit_pattern, placeholders
 from keymint.analysis.symbolic_rules import SymbolicRule, SymbolicRules

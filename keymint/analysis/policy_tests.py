@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 from comarmor.errors import Diagnostic, Origin, Severity, Spot
-from comarmor.patterns.decision_lists import Equal, Witness
+from comarmor.patterns.decision_lists import Equal, Witness, negated
 from comarmor.patterns.glob import Glob, literal, parse, surround
 from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import disjoint
@@ -19,7 +19,6 @@ from keymint.analysis.rule_lists import (
     find_permitted,
     is_possible,
     matching_rule,
-    negated,
     object_patterns,
     part_lists,
     query_pattern,

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from comarmor.errors import Origin
-from comarmor.patterns.decision_lists import DecisionList, Equal, ProofResult, Unknown, Witness
+from comarmor.patterns.decision_lists import DecisionList, Equal, ProofResult, Unknown, Witness, negated
 from comarmor.patterns.glob import Glob, parse, surround
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import covers, disjoint
@@ -21,7 +21,6 @@ from keymint.analysis.rule_lists import (
     display_name,
     display_pattern,
     find_permitted,
-    negated,
     object_patterns,
     overlap,
     part_lists,

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 
 from comarmor.patterns.decision_lists import Block, DecisionList, Equal, ProofResult, SearchBudget, Universe
-from comarmor.patterns.glob import EVERYTHING, Glob, after, literal, normalise, parse, surround, units
+from comarmor.patterns.glob import Glob, after, literal, normalise, parse, surround, units
 from comarmor.patterns.matching import matches
 from comarmor.patterns.possible_names import matches_ros_name
 from comarmor.patterns.printing import exact
@@ -148,11 +148,6 @@ def allow_only(pattern: Glob) -> DecisionList:
 def restrict_allowed(pattern: Glob, decided: DecisionList) -> DecisionList:
     """Return a decision list restricted to one of its allowed patterns."""
     return (*(block for block in decided if not block.allows), Block(True, (pattern,)))
-
-
-def negated(decided: DecisionList) -> DecisionList:
-    """Return the list that allows exactly what another one denies."""
-    return (*(Block(not block.allows, block.patterns) for block in decided), Block(True, (EVERYTHING,)))
 
 
 def find_permitted(kind: str, *lists: DecisionList, budget: SearchBudget | None = None) -> ProofResult:

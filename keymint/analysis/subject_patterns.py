@@ -128,23 +128,18 @@ def pattern_examples(policy: LoadedPolicy, given_up: list[str] | None = None) ->
     taken = set(policy.subjects())
     depends = any(clause.expand("/a/", "a") != clause.expand("/b/", "b") for clause in written.clauses)
     for pattern in _with_overlaps(tuple(wild), given_up):
-        for subject in (example_subject(pattern), _deeper(pattern) if depends else None):
+        example = example_subject(pattern)
+        for subject in (example, _deeper(pattern, example) if depends and example else None):
             if subject is not None and subject not in taken:
                 taken.add(subject)
                 examples[subject] = pattern_text(pattern)
     return examples
 
 
-def _deeper(pattern: Glob) -> str | None:
+def _deeper(pattern: Glob, shallow: str) -> str | None:
     """Return a subject that a pattern matches, in a deeper namespace than its example, or None."""
-    shallow = example_subject(pattern)
-    if shallow is None or not any(isinstance(token, Star) for token in pattern):
-        return None
-    depth = shallow.count("/")
-    legal = (
-        name for filling in ("x/y", "/x/y", "x/y/", "/x/y/") if is_fully_qualified(name := _filled(pattern, filling))
-    )
-    return next((name for name in legal if name.count("/") > depth), None)
+    names = (_filled(pattern, filling) for filling in ("x/y", "/x/y", "x/y/", "/x/y/"))
+    return next((name for name in names if is_fully_qualified(name) and name.count("/") > shallow.count("/")), None)
 
 
 def _filled(pattern: Glob, filling: str) -> str:

@@ -67,9 +67,7 @@ class Explainer:
     ) -> list[tuple[Verdict, str]]:
         """Return the verdicts of the simulation where it decides the same, else the transport's own."""
         plain = [(verdict, "") for _, verdict in wrong]
-        if transport in self._explains_itself:
-            return plain
-        name = self.model_of(transport)
+        name = "" if transport in self._explains_itself else self.model_of(transport)
         if not name:
             return plain
         try:

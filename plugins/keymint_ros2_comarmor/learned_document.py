@@ -58,9 +58,7 @@ def fragment_size(rules: tuple[ProfileRule, ...]) -> int:
 
 def profile_size(rules: tuple[ProfileRule, ...]) -> int:
     """Return the size in bytes of a policy with one profile of these rules."""
-    root = etree.Element("profiles")
-    root.append(_profile("p", "p", rules))
-    return len(render.document(root).encode())
+    return len(profiles({"p": rules}))
 
 
 def profiles(subjects: Mapping[str, tuple[ProfileRule, ...]], note: str = "") -> bytes:

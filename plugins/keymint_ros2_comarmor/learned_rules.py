@@ -64,27 +64,24 @@ def fold(needs: Iterable[Need], effect: Effect = Effect.ALLOW) -> tuple[ProfileR
     for (kind, attachment, partitions), granted in permissions.items():
         ordered = tuple(permission for permission in PERMISSIONS[kind] if permission in granted)
         attachments.setdefault((kind, ordered, partitions), set()).add(attachment)
-    return tuple(_rule(effect, *key, sorted(texts)) for key, texts in sorted(attachments.items(), key=_order))
+    return tuple(
+        ProfileRule(
+            effect=effect,
+            kind=kind,
+            permissions=granted_in_order,
+            attachments=tuple(Attachment(text, NOWHERE) for text in sorted(texts)),
+            partitions=partitions,
+            audit=False,
+            where=NOWHERE,
+        )
+        for (kind, granted_in_order, partitions), texts in sorted(attachments.items(), key=_order)
+    )
 
 
 def _order(item: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], set[str]]) -> tuple[object, ...]:
     (kind, permissions, partitions), attachments = item
     known = PERMISSIONS[kind]
     return _KINDS.index(kind), partitions, [known.index(permission) for permission in permissions], sorted(attachments)
-
-
-def _rule(
-    effect: Effect, kind: str, permissions: tuple[str, ...], partitions: tuple[str, ...], attachments: list[str]
-) -> ProfileRule:
-    return ProfileRule(
-        effect=effect,
-        kind=kind,
-        permissions=permissions,
-        attachments=tuple(Attachment(text, NOWHERE) for text in attachments),
-        partitions=partitions,
-        audit=False,
-        where=NOWHERE,
-    )
 
 
 def literal(need: Need) -> Need:

@@ -22,6 +22,7 @@ from comarmor.patterns.decision_lists import (
     Universe,
     Unknown,
     Witness,
+    negated,
 )
 from comarmor.patterns.glob import EVERYTHING, Glob
 from comarmor.patterns.tokens import charset
@@ -114,11 +115,6 @@ def patterns(expression: str, semantics: Semantics, *, pairs: bool) -> tuple[Glo
     return tuple(octets.pair(EVERYTHING, topic) for topic in globs) if pairs else globs
 
 
-def refused(decisions: DecisionList) -> DecisionList:
-    """Return the complement of a list."""
-    return (*(Block(not block.allows, block.patterns) for block in decisions), Block(True, (EVERYTHING,)))
-
-
 def without_wildcards(universe: Universe) -> Universe:
     """Return the words of a universe without :data:`WILDCARDS`."""
     wildcards = charset((ord(char), ord(char)) for char in WILDCARDS)
@@ -162,11 +158,11 @@ def _questions(
     permissions alone must not permit more either, covered or not: peers evaluate them with their own governance.
     """
     endpoint, *topic = permitted.lists
-    outside = (refused(permitted.exempt),) if permitted.exempt else ()
+    outside = (negated(permitted.exempt),) if permitted.exempt else ()
     yield (topics.opened, *outside), policy, False
     yield (endpoint, *topic, *outside), policy, False
     if topic:
         yield (endpoint, topics.either, *outside), policy, False
     for own, open_ in ((endpoint, topics.opened), *((checked, topics.either) for checked in topic)):
-        yield (policy, refused(open_)), own, True
+        yield (policy, negated(open_)), own, True
     yield (policy,), topics.covered, True
