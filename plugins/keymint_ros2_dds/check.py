@@ -140,15 +140,12 @@ class _EnclaveCheck(CredentialCheck):
             if name in self._names and self._files.get(name, chain) != chain:
                 yield self._error("authority-differs", name, "is not the certificate of the workspace's authority")
         try:
-            problem = certificates.can_sign_documents(
-                certificates.load_bundle(self._signer)[0],
-                self._where(PERMISSIONS_CA if PERMISSIONS_CA in self._names else CA),
-            )
+            signer = certificates.load_bundle(self._signer)[0]
+            where = self._where(PERMISSIONS_CA if PERMISSIONS_CA in self._names else CA)
+            if problem := certificates.can_sign_documents(signer, where):
+                yield self._for_subject(problem)
         except KeymintError as error:
             yield from map(self._for_subject, error.diagnostics)
-        else:
-            if problem:
-                yield self._for_subject(problem)
 
     def _content(self, kind: str) -> bytes | None:
         try:

@@ -82,11 +82,13 @@ def _smallest_proven(package: Package, options: BuildOptions, compiled: Compiled
         claims = _claims(package, compiled, document)
         open_claims = _open(claims)
         if not open_claims or rules is compiled.plain:
-            diagnostics += compiled.diagnostics
-            diagnostics += _plain_unproven(package, compiled, open_claims)
-            diagnostics += vendor_notes(rules, package.grant)
             break
-        diagnostics.append(_form_unproven(package, open_claims[0]))
+        help_ = "the plain form is written; '--no-optimise' writes it without this warning"
+        what = "the smaller form of the permissions is"
+        diagnostics.append(_unproven(package, "rewriting-unproven", what, open_claims[0], help_))
+    diagnostics += compiled.diagnostics
+    diagnostics += _plain_unproven(package, compiled, open_claims)
+    diagnostics += vendor_notes(rules, package.grant)
     dds_xml.require_valid(document, PERMISSIONS, PERMISSIONS_XML)
     plain = document if rules == compiled.plain else permissions_document.render(package.grant, compiled.plain)
     return Emitted(document, rules, len(plain), compiled, claims, tuple(diagnostics))
@@ -139,15 +141,9 @@ def _open(claims: Iterable[Claim]) -> list[Claim]:
     return [claim for claim in claims if claim.proof is not Proof.PROVEN]
 
 
-def _form_unproven(package: Package, claim: Claim) -> Diagnostic:
-    return Diagnostic(
-        "rewriting-unproven",
-        Severity.WARNING,
-        f"the smaller form of the permissions is not proven to mean what the rules mean: {_reason(claim)}",
-        package.grant.origin,
-        "the plain form is written; '--no-optimise' writes it without this warning",
-        package.subject,
-    )
+def _unproven(package: Package, code: str, what: str, claim: Claim, help_: str) -> Diagnostic:
+    message = f"{what} not proven to mean what the rules mean: {_reason(claim)}"
+    return Diagnostic(code, Severity.WARNING, message, package.grant.origin, help_, package.subject)
 
 
 def _plain_unproven(package: Package, compiled: Compiled, open_claims: Sequence[Claim]) -> Iterator[Diagnostic]:
@@ -157,14 +153,14 @@ def _plain_unproven(package: Package, compiled: Compiled, open_claims: Sequence[
         KeymintError: it is refuted although all vendors should read it in the same way.
     """
     for claim in open_claims[:1]:
-        message = f"the permissions are not proven to mean what the rules mean: {_reason(claim)}"
+        help_ = "'keymint prove' may decide it with more time"
+        finding = _unproven(package, "compile-unproven", "the permissions are", claim, help_)
         if compiled.portable and claim.proof is Proof.COUNTEREXAMPLE:
             raise KeymintError(
-                message, where=package.grant.origin, code="compile-refuted",
+                finding.message, where=package.grant.origin, code="compile-refuted",
                 help="this is a defect of Keymint: simplify the rules, and report it",
             )  # fmt: skip
-        help_ = "'keymint prove' may decide it with more time"
-        yield Diagnostic("compile-unproven", Severity.WARNING, message, package.grant.origin, help_, package.subject)
+        yield finding
 
 
 def _reason(claim: Claim) -> str:

@@ -7,7 +7,7 @@ topic less than the sources do, weakens every claim. These claims are reported o
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 
 from comarmor.errors import Origin, Reason
@@ -163,7 +163,7 @@ def weaker(
     elements: dict[tuple[int, str], Weaker] = {}
     for rule, region in _regions(signed, semantics):
         for own, wanted_region in _regions(required, semantics):
-            lacking = list(_lacking(rule, own, access=access))
+            lacking = list(_weaker_topics(rule, own, access=access))
             if not lacking or all((rule.line, tag) in elements for tag, _, _ in lacking):
                 continue
             outcome = escapes((region, wanted_region), (), octets.universe(pairs=False), budget)
@@ -178,27 +178,27 @@ def weaker(
 
 
 def _weaker_domain(signed: DocumentDomainRule, required: DocumentDomainRule, *, access: bool) -> Iterator[Weaker]:
-    for tag, text, value in zip(DOMAIN_PROTECTIONS, signed.protections, required.protections, strict=True):
-        if _lacks(text, value):
-            yield Weaker(signed.line_of(tag), tag, text, value)
+    for tag, text, value in _lacking(DOMAIN_PROTECTIONS, signed.protections, required.protections):
+        yield Weaker(signed.line_of(tag), tag, text, value)
     if access and required.join_controlled and not signed.join_controlled:
         yield Weaker(signed.line_of(JOIN), JOIN, "false", "true")
     if access and signed.unauthenticated and not required.unauthenticated:
         yield Weaker(signed.line_of(UNAUTHENTICATED), UNAUTHENTICATED, "true", "false")
 
 
-def _lacking(rule: DocumentTopicRule, own: DocumentTopicRule, *, access: bool) -> Iterator[tuple[str, str, str]]:
+def _weaker_topics(rule: DocumentTopicRule, own: DocumentTopicRule, *, access: bool) -> Iterator[tuple[str, str, str]]:
     """Yield each element in which a topic rule is weaker than another, with both values."""
-    for tag, text, wanted in zip(TOPIC_PROTECTIONS, rule.protections, own.protections, strict=True):
-        if _lacks(text, wanted):
-            yield tag, text, wanted
+    yield from _lacking(TOPIC_PROTECTIONS, rule.protections, own.protections)
     for action, tag in ACCESS.items():
         if access and own.controls(action) and not rule.controls(action):
             yield tag, "false", "true"
 
 
-def _lacks(text: str, wanted: str) -> bool:
-    return not _QUALITIES.get(wanted, set()) <= _QUALITIES.get(text, set())
+def _lacking(tags: Sequence[str], texts: Sequence[str], wanted: Sequence[str]) -> Iterator[tuple[str, str, str]]:
+    """Yield each element whose value protects less than the wanted one, with both values."""
+    for tag, text, value in zip(tags, texts, wanted, strict=True):
+        if not _QUALITIES.get(value, set()) <= _QUALITIES.get(text, set()):
+            yield tag, text, value
 
 
 def _regions(rule: DocumentDomainRule, semantics: Semantics) -> Iterator[tuple[DocumentTopicRule, DecisionList]]:
