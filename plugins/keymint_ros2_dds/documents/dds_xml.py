@@ -74,6 +74,12 @@ def domains(parent: etree._Element, ranges: Iterable[DomainRange]) -> None:
             child(id_range, "max", str(item.last))
 
 
+def size_if_small(size: Callable[[str], int]) -> int:
+    """Return the bytes of a document of which each indentation's are known; see :func:`indented_if_small`."""
+    sizes = [len(_HEAD) + size(indentation) + 1 for indentation in INDENTATIONS]
+    return next((each for each in sizes if each <= INDENTED), sizes[-1])
+
+
 @lru_cache(maxsize=64)
 def date(moment: datetime) -> str:
     """Return a date in the form that all vendors read: UTC, to the second, without a zone (Fast DDS ignores zones)."""

@@ -151,8 +151,7 @@ def _renamed(package: Package, kind: Kind, arguments: Arguments, members: _Membe
     dds_xml.know_valid(document, PERMISSIONS)
     proof_cache.remember(comparison(package, document), (kind, arguments), made.claims)
     notes = tuple(vendor_notes(rules, grant)) if made.notes else ()
-    plain_size = len(plain.document(head, plain.renamed(names)))
-    return Emitted(document, rules, plain_size, None, made.claims, notes)
+    return Emitted(document, rules, plain.size(head, names), None, made.claims, notes)
 
 
 def _is_plain(grant: Grant) -> bool:

@@ -24,10 +24,14 @@ class Template:
     Attributes:
         rules: effect, partitions and topics of each rule.
         around: the text of a document around the lists of topics, for each indentation.
+        places: the number of the name in each place.
+        sizes: bytes of a document without its head and names, for each indentation.
     """
 
     rules: tuple[tuple[Effect, Partitions, tuple[tuple[TopicAction, _Texts], ...]], ...]
     around: Mapping[str, Around]
+    places: tuple[int, ...]
+    sizes: Mapping[str, int]
 
     @classmethod
     def of(cls, rules: Sequence[GrantRule[str]], domains: tuple[DomainRange, ...], names: Sequence[str]) -> Template:
@@ -51,7 +55,13 @@ class Template:
             for rule in rules
         )
         around = {each: permissions_document.around_topics(rules, domains, each) for each in dds_xml.INDENTATIONS}
-        return cls(split_rules, around)
+        places = tuple(number for *_, topics in split_rules for _, (own, _) in topics for number in own)
+        length = sum(len(names[number]) for number in places)
+        sizes = {
+            each: len(permissions_document.text("", rules, around[each], each).encode()) - length
+            for each in dds_xml.INDENTATIONS
+        }
+        return cls(split_rules, around, places, sizes)
 
     def renamed(self, names: Sequence[str]) -> tuple[GrantRule[str], ...]:
         """Return the rules for another subject, each list of topics sorted as the compiler does."""
@@ -72,6 +82,11 @@ class Template:
         return dds_xml.indented_if_small(
             lambda indent: permissions_document.text(head[indent], rules, self.around[indent], indent)
         )
+
+    def size(self, head: Mapping[str, str], names: Sequence[str]) -> int:
+        """Return the bytes of the document of another subject, from its head and names."""
+        length = sum(len(names[number]) for number in self.places)
+        return dds_xml.size_if_small(lambda indent: len(head[indent]) + self.sizes[indent] + length)
 
     def has_no_names(self) -> bool:
         """Tell whether every topic that is the same for all subjects is an expression with a wildcard."""
