@@ -4,15 +4,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 
 from comarmor.errors import Reason
 from comarmor.patterns import glob
+from comarmor.patterns.glob import Glob
 from comarmor.patterns.matching import matches
+from comarmor.patterns.tokens import Charset, charset
 from comarmor.rules import Effect, parts
 from comarmor.values import dataclass
 from keymint.api import PolicyDecision
 from keymint.graph import Edge, Object
 from keymint.ir import Rule, SubjectRules
+from keymint_ros2_zenoh.keyexpr.expansion import ALPHABET
 from keymint_ros2_zenoh.keyexpr.key_expr import VERBATIM
 from keymint_ros2_zenoh.lowering.names import ADVANCED, GRAPH, TOKEN_ENCLAVE, TYPE_AND_HASH
 from keymint_ros2_zenoh.lowering.slots import USERS, Place, Slot, graph_slots
@@ -21,6 +25,7 @@ from keymint_ros2_zenoh.messages import Flow, Message
 _KIND = {
     "ros_publish": "ros_topic", "ros_subscribe": "ros_topic", "ros_call": "ros_service", "ros_execute": "ros_service",
 }  # fmt: skip
+_ROS_NAMES = charset((ord(char), ord(char)) for char in ALPHABET)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,9 +90,16 @@ def _is_about(rule: Rule, edge: Edge) -> bool:
         for kind, part, suffix in parts(rule.kind, permission):
             if (kind, part) == (edge.object.kind, edge.permission) and edge.object.name.endswith(suffix):
                 name = edge.object.name[: len(edge.object.name) - len(suffix)]
-                if any(matches(glob.parse(expression), name) for expression in rule.expressions):
+                if any(matches(_pattern(expression), name) for expression in rule.expressions):
                     return True
     return False
+
+
+@lru_cache(maxsize=1 << 10)
+def _pattern(expression: str) -> Glob:
+    """Return an expression whose sets match characters of ROS names only (docs/adr/0025-proofs-zenoh.md)."""
+    tokens = glob.parse(expression)
+    return tuple(token.intersection(_ROS_NAMES) if isinstance(token, Charset) else token for token in tokens)
 
 
 def _of_graph(subject: str, domains: tuple[int, ...], key: str, message: Message, flow: Flow) -> PolicyDecision:

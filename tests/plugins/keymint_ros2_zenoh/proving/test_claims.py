@@ -100,6 +100,12 @@ def test_the_model_decides_on_each_name_as_the_policy(rules: SubjectRules) -> No
             assert (needed == {True}) is policy_allows(rules, permission, name), (permission, name)
 
 
+def test_a_set_stands_for_characters_of_ros_names_in_the_engine_and_in_the_policy() -> None:
+    """The router has the expressions of ``/a?b`` over these characters, while ``*`` stands for any text."""
+    rules = subject_rules(rule("ALLOW", "ros_topic", BOTH, "/a?b", "/ab", line=1))
+    assert refuted(control_of({NAME: subject_rules(rule("ALLOW", "ros_topic", BOTH, "/*a*b", line=1))}), rules)
+
+
 def without(control: AccessControl, drop: Callable[[AclRule], bool]) -> AccessControl:
     gone = {each.id for each in control.rules if drop(each)}
     assert gone
