@@ -26,8 +26,7 @@ from keymint.commands.run import Run
 from keymint.commands.user_files import read_input
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
-from keymint.output.json import members
-from keymint.output.report import Report
+from keymint.output.report import Report, members
 
 _FINGERPRINT = lazy_regex("[0-9a-f]{64}")
 

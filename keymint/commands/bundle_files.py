@@ -13,7 +13,7 @@ from keymint.commands.options import PATH, usage_error
 from keymint.commands.run import Run
 from keymint.commands.user_files import is_folder, show_written, write_outputs
 from keymint.names import subject_of
-from keymint.output.json import members
+from keymint.output.report import members
 from keymint.plan.bundles import MadeBundle
 
 bundle_output_option = click.option(

@@ -16,8 +16,7 @@ from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import subject_of
-from keymint.output.json import members
-from keymint.output.report import Report
+from keymint.output.report import Report, members
 from keymint.plan.register import complete_register, register_change
 from keymint.plan.revocation import lists, loaded_lists
 from keymint.session import Session

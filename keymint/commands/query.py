@@ -26,8 +26,8 @@ from keymint.commands.options import PolicyOptions, policy_options, usage_error
 from keymint.commands.policies import Policies
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
-from keymint.output.json import line_json, members
-from keymint.output.report import Report, findings_if
+from keymint.output.json import line_json
+from keymint.output.report import Report, findings_if, members
 
 _MOST = 20
 _Answer = tuple[str, dict[str, Any]]

@@ -17,8 +17,7 @@ from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.names import listed, package_name, subject_of
-from keymint.output.json import members
-from keymint.output.report import Report
+from keymint.output.report import Report, members
 from keymint.plan.enclaves import INSTALLED
 from keymint.plan.revoking import Revoking, plan_revocation
 from keymint.register.register import REASONS, SUPERSEDED, IssuedCertificate

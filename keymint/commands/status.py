@@ -15,9 +15,8 @@ from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.output.expiry_metrics import gauges
-from keymint.output.json import members
 from keymint.output.openmetrics import openmetrics
-from keymint.output.report import Report
+from keymint.output.report import Report, members
 from keymint.plan.create import packages_to_create
 from keymint.plan.policy import lazy_policy
 from keymint.plan.terms import days_left

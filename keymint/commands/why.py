@@ -16,7 +16,7 @@ from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.graph import LABELLED
 from keymint.names import name_of
-from keymint.output.json import decision_json, edge_json, members, place_json, verdict_json
+from keymint.output.json import decision_json, edge_json, place_json, verdict_json
 from keymint.output.mismatches import (
     document_reason,
     enumerated,
@@ -26,7 +26,7 @@ from keymint.output.mismatches import (
     rule_text,
     verb_of,
 )
-from keymint.output.report import Report, findings_if
+from keymint.output.report import Report, findings_if, members
 from keymint.plan.policy import load_policy
 from keymint.plan.trust_anchors import differences
 from keymint.session import Session

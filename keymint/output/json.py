@@ -18,12 +18,6 @@ Typed = Callable[[str], str]
 """Returns a path as the user would type it."""
 
 
-def members(value: object, *names: str) -> dict[str, Any]:
-    """Return attributes of an object as members with the same names; an empty text is null."""
-    found = ((name, getattr(value, name)) for name in names)
-    return {name: None if each == "" else each for name, each in found}
-
-
 # -- places, edges and decisions -------------------------------------------------------------------------------------
 
 

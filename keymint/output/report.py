@@ -73,6 +73,12 @@ def findings_if(found: object) -> ExitCode:
     return ExitCode.FINDINGS if found else ExitCode.DONE
 
 
+def members(value: object, *names: str) -> dict[str, Any]:
+    """Return attributes of an object as members with the same names; an empty text is null."""
+    found = ((name, getattr(value, name)) for name in names)
+    return {name: None if each == "" else each for name, each in found}
+
+
 def report_json(report: Report) -> dict[str, Any]:
     """Return the JSON document of a verb."""
     workspace = report.workspace
