@@ -296,7 +296,7 @@ class _PolicyReader:
         key = folder, posixpath.dirname(relative), href
         if key in self.included:  # many profiles include the same few files
             return self.included[key]
-        chain = (Origin(where.file, where.line, (), where.column), *where.chain)
+        chain = (where.alone(), *where.chain)
         shipped = includes.package_path(href, where)
         if shipped is not None:
             inner, target = self.package(shipped.package, where), shipped.path
@@ -350,10 +350,7 @@ class _PolicyReader:
 
     def read(self, folder: SandboxedFolder, real: Path, where: Origin) -> bytes:
         """Return the bytes of a file, and record their digest."""
-        try:
-            content = read_in(folder, real, self.limits.file_bytes + 1)
-        except (OSError, ValueError) as error:
-            raise ComArmorError(unreadable(error, "the file"), where=where, code="unreadable") from None
+        content = read_in(folder, real, self.limits.file_bytes + 1, where)
         self.total += len(content)
         if self.total > self.limits.total_bytes:
             raise ComArmorError(

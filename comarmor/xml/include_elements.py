@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What Keymint's own formats accept as an ``xi:include`` element (XInclude 1.0, W3C 2006): an XML file as a whole."""
+"""What formats accept as an ``xi:include`` element (XInclude 1.0, W3C 2006): it includes an XML file."""
 
 from __future__ import annotations
 
@@ -10,18 +10,24 @@ from comarmor.text import did_you_mean, quoted
 from comarmor.xml.reader import line
 
 
-def href_of(element: etree._Element, where: Origin) -> str:
-    """Return the ``href`` of an ``xi:include`` element that includes an XML file as a whole.
+def href_of(element: etree._Element, where: Origin, known: tuple[str, ...] = ("href", "parse")) -> str:
+    """Return the ``href`` of an ``xi:include`` element that includes an XML file.
+
+    Args:
+        element: the element.
+        where: its place.
+        known: the attributes of the format; without ``xpointer`` the file is included as a whole.
 
     Raises:
         ComArmorError: it has another attribute, includes text, or has a fallback.
     """
-    for attribute in element.attrib:
-        if attribute not in ("href", "parse"):
+    for attribute in map(str, element.attrib):
+        if attribute not in known:
+            expected = f"{', '.join(known[:-1])} and {known[-1]}"
             raise ComArmorError(
-                f"xi:include has the attribute {quoted(str(attribute))}, expected only href and parse",
+                f"xi:include has the attribute {quoted(attribute)}, expected only {expected}",
                 where=where,
-                help=did_you_mean(str(attribute), ("href", "parse")),
+                help=did_you_mean(attribute, known),
                 code="schema",
             )
     if element.get("parse", "xml") != "xml":

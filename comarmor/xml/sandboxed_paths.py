@@ -69,9 +69,16 @@ def resolve(folder: SandboxedFolder, relative: str, where: Origin) -> Path:
     return real
 
 
-def read_in(folder: SandboxedFolder, real: Path, size: int) -> bytes:
-    """Return at most ``size`` bytes of a file that :func:`resolve` returned for a folder; see :func:`read_bounded`."""
-    return read_bounded(real.parent if folder.trusts_links else folder.real, real, size)
+def read_in(folder: SandboxedFolder, real: Path, size: int, where: Origin) -> bytes:
+    """Return at most ``size`` bytes of a file that :func:`resolve` returned for a folder; see :func:`read_bounded`.
+
+    Raises:
+        ComArmorError: it cannot be read.
+    """
+    try:
+        return read_bounded(real.parent if folder.trusts_links else folder.real, real, size)
+    except (OSError, ValueError) as error:
+        raise ComArmorError(unreadable(error, "the file"), where=where, code="unreadable") from None
 
 
 def exists(folder: SandboxedFolder, relative: str, where: Origin) -> bool:

@@ -30,3 +30,11 @@ def test_what_is_refused(attributes: str, inner: str, code: str) -> None:
     with pytest.raises(ComArmorError) as caught:
         href_of(etree.fromstring(f"<xi:include {XI} {attributes}>{inner}</xi:include>"), WHERE)
     assert [each.code for each in caught.value.diagnostics] == [code]
+
+
+def test_a_format_may_have_more_attributes() -> None:
+    known = ("href", "parse", "xpointer")
+    assert href_of(etree.fromstring(f'<xi:include {XI} href="a.xml" xpointer="x"/>'), WHERE, known) == "a.xml"
+    with pytest.raises(ComArmorError, match="expected only href, parse and xpointer") as caught:
+        href_of(etree.fromstring(f'<xi:include {XI} href="a.xml" xponter="x"/>'), WHERE, known)
+    assert caught.value.diagnostics[0].help == "did you mean 'xpointer'?"

@@ -149,6 +149,14 @@ def test_refused_attributes(write, attributes: str, code: str) -> None:
     assert caught.value.diagnostics[0].code == code
 
 
+@pytest.mark.parametrize("inner", ["<xi:fallback/>", "text"])
+def test_an_include_with_content_is_refused(write, inner: str) -> None:
+    text = policy(enclave("/a", include("logging.xml").replace("/>", f">{inner}</xi:include>")))
+    with pytest.raises(ComArmorError, match="must be empty") as caught:
+        parse(write(text, {"logging.xml": LOGGING}))
+    assert caught.value.diagnostics[0].code == "include-fallback"
+
+
 def test_a_loop_over_two_files(write) -> None:
     files = {
         "a.xml": f"<profile {XI}>{include('b.xml')}</profile>",
