@@ -256,10 +256,7 @@ class _PolicyReader:
         self.seen[folder.place(relative)] = self.files[real]
         if folder.package:
             self.shipped[key] = ShippedFile(folder.package, relative, content, where)
-        try:
-            root = parse(content, folder.name(relative), limits=self.limits)
-        except ComArmorError as error:
-            raise _with_chain(error, chain) from None
+        root = parse(content, folder.name(relative), limits=self.limits, chain=chain)
         self.open.append(real)
         document = self.done[key] = self.complete(root, folder, relative, chain)
         self.open.pop()
@@ -375,11 +372,4 @@ def _is_uniform(root: etree._Element) -> bool:
     parts = root if root.tag == "profiles" else (root,)
     return all(part.tag in PERMISSIONS or part.tag == INCLUDE for part in parts) and not any(
         "@{" in (element.text or "") for element in root.iter()
-    )
-
-
-def _with_chain(error: ComArmorError, chain: tuple[Origin, ...]) -> ComArmorError:
-    """Add the places that include a file to an error of it."""
-    return ComArmorError.of(
-        replace(each, where=each.where and replace(each.where, chain=chain)) for each in error.diagnostics
     )

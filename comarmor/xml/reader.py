@@ -64,7 +64,7 @@ class _Element(etree.ElementBase):
         return place
 
 
-def parse(content: bytes, name: str, *, limits: Limits = LIMITS) -> etree._Element:
+def parse(content: bytes, name: str, *, limits: Limits = LIMITS, chain: tuple[Origin, ...] = ()) -> etree._Element:
     """Return the root element of an XML document.
 
     Comments and processing instructions are removed, so that the text of an element is in one piece. Schema locations
@@ -75,15 +75,17 @@ def parse(content: bytes, name: str, *, limits: Limits = LIMITS) -> etree._Eleme
         content: the document.
         name: path of the file as the user would type it, for messages.
         limits: limits of files and includes.
+        chain: the places that include the document, innermost first.
 
     Raises:
         ComArmorError: not well-formed, too large, or with a DOCTYPE; with ``file:line``.
     """
+    file = Origin(name, 0, chain)
     if len(content) > limits.file_bytes:
         raise ComArmorError(
-            f"the file has more than the {limits.file_bytes:,} bytes allowed", where=Origin(name), code="xml-limit"
+            f"the file has more than the {limits.file_bytes:,} bytes allowed", where=file, code="xml-limit"
         )
-    places = _Scanner(name, limits).scan(content)
+    places = _Scanner(file, limits).scan(content)
     parser = etree.XMLParser(
         resolve_entities=False, load_dtd=False, no_network=True, remove_comments=True, remove_pis=True
     )
@@ -92,13 +94,13 @@ def parse(content: bytes, name: str, *, limits: Limits = LIMITS) -> etree._Eleme
         root = etree.fromstring(content, parser)
     except etree.XMLSyntaxError as error:
         raise ComArmorError(
-            f"not well-formed XML: {error.msg}", where=Origin(name, error.lineno or 0), code="xml-syntax"
+            f"not well-formed XML: {error.msg}", where=Origin(name, error.lineno or 0, chain), code="xml-syntax"
         ) from None
     elements = list(root.iter())
     docinfo: Any = root.getroottree().docinfo
     if docinfo.doctype or len(elements) != len(places):
         # The two parsers read different documents: the file is crafted so that tools read it differently.
-        raise ComArmorError("the file is not plain XML", where=Origin(name), code="xml-syntax")
+        raise ComArmorError("the file is not plain XML", where=file, code="xml-syntax")
     for element, place in zip(elements, places, strict=True):
         element.__dict__["at"] = place
     root.__dict__["elements"] = elements  # keep the Python objects alive, because they store the places
@@ -127,12 +129,12 @@ class _Scanner:
     """Checks the limits of a document, and records the places of its elements, without building a tree.
 
     Args:
-        name: path of the file as the user would type it.
+        file: the file as a place.
         limits: limits of files and includes.
     """
 
-    def __init__(self, name: str, limits: Limits) -> None:
-        self.name = name
+    def __init__(self, file: Origin, limits: Limits) -> None:
+        self.file = file
         self.limits = limits
         self.places: list[tuple[int, int]] = []
         self.open: list[tuple[str, int]] = []
@@ -152,18 +154,22 @@ class _Scanner:
         except expat.ExpatError as error:
             raise ComArmorError(
                 f"not well-formed XML: {self.explain(error)}",
-                where=Origin(self.name, error.lineno),
+                where=self.at(error.lineno),
                 help=self.fix(error, content),
                 code="xml-syntax",
             ) from None
         except (LookupError, UnicodeError, ValueError) as error:
             raise ComArmorError(
                 f"the encoding of the file is not usable: {quoted(str(error))}",
-                where=Origin(self.name, 1),
+                where=self.at(1),
                 help="save it as UTF-8",
                 code="xml-encoding",
             ) from None
         return self.places
+
+    def at(self, number: int) -> Origin:
+        """Return the place of a line."""
+        return Origin(self.file.file, number, self.file.chain)
 
     def explain(self, error: expat.ExpatError) -> str:
         """Return a description of a syntax error, with the expected end tag if tags do not match."""
@@ -185,7 +191,7 @@ class _Scanner:
 
     def refuse(self, message: str, code: str, help_: str = "") -> NoReturn:
         """Stop at the current line."""
-        raise ComArmorError(message, where=Origin(self.name, self.parser.CurrentLineNumber), help=help_, code=code)
+        raise ComArmorError(message, where=self.at(self.parser.CurrentLineNumber), help=help_, code=code)
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
         """Record the place of an element (expat's handler of start tags)."""

@@ -193,7 +193,7 @@ class PolicyFiles:
         if self._bytes > self.limits.total_bytes:
             raise _limit(f"the policy has more than the {self.limits.total_bytes:,} bytes allowed", where)
         self.seen[self.folder.place(relative)] = hashlib.sha256(content).digest()
-        root = parse(content, name, limits=self.limits)
+        root = parse(content, name, limits=self.limits, chain=chain)
         schema.validate(root, locate("keymint_ros2_sros2", "schemas") / "policy.xsd", name, chain)
         file = self._files[relative] = PolicyFile(name, relative, root, comments_of(content, root))
         return file

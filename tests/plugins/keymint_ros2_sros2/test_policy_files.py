@@ -112,6 +112,14 @@ def test_the_place_of_a_rule_has_the_chain_of_includes(robot: Path) -> None:
     assert [each.line for each in rosout.where.chain] == [2, 1]
 
 
+def test_a_file_that_is_not_xml_is_reported_with_the_chain_of_includes(write) -> None:
+    with pytest.raises(ComArmorError) as caught:
+        parse(write(policy(enclave("/a", include("logging.xml"))), {"logging.xml": "<profile>"}))
+    (found,) = caught.value.diagnostics
+    assert found.where
+    assert [Path(each.file).name for each in (found.where, *found.where.chain)] == ["logging.xml", "policy.xml"]
+
+
 @pytest.mark.parametrize(
     ("href", "code"),
     [
