@@ -127,6 +127,21 @@ class Diagnostic:
     help: str = ""
     subject: str = ""
 
+    @classmethod
+    def error(cls, code: str, message: str, where: Origin | None = None, help: str = "", subject: str = "") -> Self:  # noqa: A002
+        """Return an error; arguments as the attributes."""
+        return cls(code, Severity.ERROR, message, where, help, subject)
+
+    @classmethod
+    def warning(cls, code: str, message: str, where: Origin | None = None, help: str = "", subject: str = "") -> Self:  # noqa: A002
+        """Return a warning; arguments as the attributes."""
+        return cls(code, Severity.WARNING, message, where, help, subject)
+
+    @classmethod
+    def note(cls, code: str, message: str, where: Origin | None = None, help: str = "", subject: str = "") -> Self:  # noqa: A002
+        """Return a note; arguments as the attributes."""
+        return cls(code, Severity.NOTE, message, where, help, subject)
+
     def __str__(self) -> str:
         """Return the diagnostic on one line: ``place: message (help)``."""
         place = f"{self.where}: " if self.where else ""
@@ -164,7 +179,7 @@ class ComArmorError(Exception):
         code: str = "error",
         exit_code: ExitCode = ExitCode.FAILURE,
     ) -> None:
-        self.diagnostics: tuple[Diagnostic, ...] = (Diagnostic(code, Severity.ERROR, message, where, help),)
+        self.diagnostics: tuple[Diagnostic, ...] = (Diagnostic.error(code, message, where, help),)
         self.exit_code = exit_code
         super().__init__(str(self.diagnostics[0]))
 

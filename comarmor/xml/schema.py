@@ -11,7 +11,7 @@ from typing import Any
 
 from lxml import etree
 
-from comarmor.errors import ComArmorError, Diagnostic, Origin, Severity
+from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean, quoted
 from comarmor.xml.reader import XINCLUDE, line, parse
@@ -63,7 +63,7 @@ def validate(root: etree._Element, schema: Path, file: str, chain: tuple[Origin,
         element = _element(root, entry.path)
         where = Origin(file, entry.line if element is None else line(element), chain)
         message, hint = _explain(entry.message, vocabulary, element)
-        diagnostics[Diagnostic("schema", Severity.ERROR, message, where, hint)] = None
+        diagnostics[Diagnostic.error("schema", message, where, hint)] = None
         if len(diagnostics) == _MOST:
             break
     raise ComArmorError.of(diagnostics)

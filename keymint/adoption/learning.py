@@ -133,7 +133,7 @@ def _unproven(
             reason = comparison.reason or _example(example)
             message = f"{rules.subject}: the learned rules are not proven to mean what {each.file} means: {reason}"
             help_ = "simplify the document, or report a defect of Keymint if it is a simple one"
-            yield Diagnostic("learn-unproven", Severity.ERROR, message, None, help_, rules.subject)
+            yield Diagnostic.error("learn-unproven", message, None, help_, rules.subject)
 
 
 def _example(example: Counterexample | None) -> str:

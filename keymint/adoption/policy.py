@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint.api import (
     ComparisonTask,
@@ -87,7 +87,7 @@ class Compared:
         if found.relation is Relation.UNKNOWN:
             message = f"cannot be compared with the policy: {found.reason}"
         help_ = "change the policy; or leave it out, so that a policy is made from what is signed"
-        return Diagnostic("adopt-policy", Severity.ERROR, message, Origin(self.file), help_, self.subject)
+        return Diagnostic.error("adopt-policy", message, Origin(self.file), help_, self.subject)
 
 
 def compared(

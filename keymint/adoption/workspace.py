@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint.adoption.policy import AdoptedPolicy
 from keymint.api import (
@@ -252,7 +252,7 @@ def _require_kept(session: Session, adoption: Adoption, built: Plan) -> None:
             message = f"cannot be kept as it is signed: {why or 'its rules cannot be written in the same way'}"
             place = f"{adoption.files.folder}/{enclave.facts['place']}/{document}"
             help_ = "sign it again with the tool that made it, without what is in the way"
-            errors.append(Diagnostic("adopt-not-kept", Severity.ERROR, message, Origin(place), help_, enclave.subject))
+            errors.append(Diagnostic.error("adopt-not-kept", message, Origin(place), help_, enclave.subject))
     if errors:
         raise KeymintError.of(errors)
 
@@ -265,10 +265,10 @@ def _require_unchanged(session: Session, adoption: Adoption, installed: Plan) ->
     """
     copies = {str(target): path for target, path in _copies(session, adoption).items()}
     errors = [
-        Diagnostic(
-            "adopt-not-kept", Severity.ERROR, "would be changed by 'keymint install', so it is not taken over",
+        Diagnostic.error(
+            "adopt-not-kept", "would be changed by 'keymint install', so it is not taken over",
             Origin(f"{adoption.files.folder}/{copies[path]}"),
-            "make it what the other enclaves have, or leave the file out if nothing reads it",
+            "make it what the other enclaves have, or leave the file out if nothing reads it"
         )
         for path in _changed(installed)
         if path in copies

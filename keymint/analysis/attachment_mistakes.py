@@ -17,7 +17,7 @@ from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.patterns.tokens import STAR, Star
 from comarmor.rules import Effect
 from comarmor.text import first_few
-from keymint.analysis.findings import undecided, warning
+from keymint.analysis.findings import undecided
 from keymint.analysis.subject_patterns import fixed_expressions, profile_chain
 from keymint.api import PolicyStructure, WrittenProfile, WrittenRule
 
@@ -49,7 +49,7 @@ def _named_twice(profiles: Iterable[WrittenProfile]) -> Iterator[Diagnostic]:
     for each in profiles:
         other = first.setdefault((each.around, each.name), each)
         if other is not each:
-            yield warning(
+            yield Diagnostic.warning(
                 "profile-name-twice",
                 f"two profiles are named {each.name!r}, the other one at {other.where.alone()}; both apply",
                 each.where,
@@ -67,7 +67,7 @@ def _copied(profiles: Iterable[WrittenProfile]) -> Iterator[Diagnostic]:
             continue
         other = first.setdefault((each.around, each.where.file, texts), each)
         if other is not each and other.name != each.name:  # same names are reported by _named_twice
-            yield warning(
+            yield Diagnostic.warning(
                 "profile-copied",
                 f"the profiles {other.name!r} ({other.where.alone()}) and {each.name!r} are both attached to "
                 f"{first_few(sorted(texts), 3)}, which gets the rights of both",
@@ -109,7 +109,7 @@ def _wide(profiles: Sequence[WrittenProfile], clauses: Iterable[WrittenRule]) ->
         if gaining:
             subject, own, (permission, expression) = gaining[0]
             more = f" and {len(gaining) - 1:,} more" if len(gaining) > 1 else ""
-            yield warning(
+            yield Diagnostic.warning(
                 "profile-wide",
                 f"profile {each.name!r} applies to {subject}{more} by {text!r}, and gives rights that its own profile "
                 f"{own.name!r} ({own.where.alone()}) does not have, e.g. {permission} on {expression!r}",

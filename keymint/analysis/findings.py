@@ -5,18 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.text import first_few
-
-
-def warning(code: str, message: str, where: Origin, help_: str, subject: str = "") -> Diagnostic:
-    """Return a finding."""
-    return Diagnostic(code, Severity.WARNING, message, where, help_, subject)
 
 
 def undecided(message: str, where: Origin | None, help_: str) -> Diagnostic:
     """Return a note that a check ended at its limit of steps."""
-    return Diagnostic("lint-unknown", Severity.NOTE, message, where, help_)
+    return Diagnostic.note("lint-unknown", message, where, help_)
 
 
 def quoted_list(expressions: Sequence[str]) -> str:

@@ -18,7 +18,7 @@ from comarmor.text import did_you_mean
 from keymint.analysis.attachment_mistakes import CODES as SLIPS
 from keymint.analysis.attachment_mistakes import attachment_mistakes
 from keymint.analysis.expression_origins import ExpressionOrigins
-from keymint.analysis.findings import quoted_list, undecided, warning
+from keymint.analysis.findings import quoted_list, undecided
 from keymint.analysis.name_similarity import similar_names, similar_subjects
 from keymint.analysis.redundant_rules import (
     MOST_PAIRS,
@@ -97,19 +97,19 @@ def _names(subjects: Mapping[str, tuple[Rule, ...]], attachments: ExpressionOrig
         if not possible:
             help_ = "remove it" if rule.kind == "topic" else advice(expression)
             message = f"no legal object name matches {expression!r} in this {rule.effect} {rule.kind} rule"
-            yield warning("object-never", message, attachments.of(rule, subject)[expression].where, help_)
+            yield Diagnostic.warning("object-never", message, attachments.of(rule, subject)[expression].where, help_)
 
 
 def _profiles(written: PolicyStructure) -> Iterator[Diagnostic]:
     """Yield profiles that never apply, attachments that no subject matches, and unused tunables."""
     for name, where in written.unused:
-        yield warning("tunable-unused", f"the tunable @{{{name}}} is never used", where, "remove it")
+        yield Diagnostic.warning("tunable-unused", f"the tunable @{{{name}}} is never used", where, "remove it")
     for profile in written.profiles:
         applies = False
         for expression, where in profile.attachments:
             if not can_exist(parse(expression)):
                 message = f"no subject name matches the attachment {expression!r} of profile {profile.name!r}"
-                yield warning("subject-never", message, where, "subject names look like /robot1/talker")
+                yield Diagnostic.warning("subject-never", message, where, "subject names look like /robot1/talker")
                 continue
             try:
                 reachable = any(can_exist(one) for one in profile_subjects((*profile.around, (expression,))))
@@ -121,14 +121,18 @@ def _profiles(written: PolicyStructure) -> Iterator[Diagnostic]:
                     f"profile {profile.name!r} never applies to {expression!r}: "
                     f"the profiles around it apply only to {quoted_list(profile.around[-1])}"
                 )
-                yield warning("profile-never", message, where, _attachment_advice(expression, profile.around[-1]))
+                yield Diagnostic.warning(
+                    "profile-never", message, where, _attachment_advice(expression, profile.around[-1])
+                )
         if not applies and profile.around and len(profile.attachments) == 1:
             ((expression, where),) = profile.attachments
             message = (
                 f"profile {profile.name!r} never applies: no subject matches both its attachment "
                 f"{expression!r} and the profiles around it ({quoted_list(profile.around[-1])})"
             )
-            yield warning("profile-never", message, where, _attachment_advice(expression, profile.around[-1]))
+            yield Diagnostic.warning(
+                "profile-never", message, where, _attachment_advice(expression, profile.around[-1])
+            )
 
 
 def _attachment_advice(attachment: str, around: Sequence[str]) -> str:

@@ -15,7 +15,7 @@ from comarmor.patterns.steps import StepLimitError, spend, step_limit
 from comarmor.regex import lazy_regex
 from comarmor.rules import KIND_OF, Effect
 from keymint.analysis.expression_origins import ExpressionOrigins
-from keymint.analysis.findings import undecided, warning
+from keymint.analysis.findings import undecided
 from keymint.api import PolicyStructure
 from keymint.ir import Rule
 
@@ -63,7 +63,7 @@ def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: Express
                 reported.add(frozenset((name, near)))
                 peer, peer_rule = exact[other][near]
                 peer_place = attachments.of(peer_rule, peer)[near].where
-                yield warning(
+                yield Diagnostic.warning(
                     "name-similar",
                     f"{subject} may {_plain(permission)} the {KIND_OF[permission]} {name!r} "
                     f"and nobody may {_plain(other)} it, "
@@ -88,7 +88,7 @@ def similar_subjects(written: PolicyStructure) -> Iterator[Diagnostic]:
     for name, places in named.items():
         near = _nearest(often, name, 1, given_up) if len(places) == 1 else None
         if near:
-            yield warning(
+            yield Diagnostic.warning(
                 "name-similar",
                 f"one profile applies to the subject {name!r}, and {len(named[near])} apply to {near!r}",
                 next(iter(places.values())),

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from comarmor.errors import Diagnostic, Origin, Severity, Spot
+from comarmor.errors import Diagnostic, Origin, Spot
 from comarmor.patterns.decision_lists import Equal, Witness, negated
 from comarmor.patterns.glob import Glob, literal, parse, surround
 from comarmor.patterns.matching import matches
@@ -149,6 +149,6 @@ def diagnostics(results: Sequence[ExpectationResult]) -> Iterator[Diagnostic]:
             rule = f"the rule is at {each.rule.alone()}" if each.rule else ""
             expected = "allowed" if each.expectation.allowed else "denied"
             message = f"{test}: expected to be {expected}, but {each.failure}"
-            yield Diagnostic("expectation-failed", Severity.ERROR, message, where, rule)
+            yield Diagnostic.error("expectation-failed", message, where, rule)
         if each.doubt:
-            yield Diagnostic("expectation-subject", Severity.WARNING, f"{test}: {each.doubt}", where)
+            yield Diagnostic.warning("expectation-subject", f"{test}: {each.doubt}", where)

@@ -23,7 +23,7 @@ from comarmor.rules import Effect
 from comarmor.values import dataclass
 from keymint.analysis.deny_overlap import may_deny_something
 from keymint.analysis.expression_origins import ExpressionOrigin, ExpressionOrigins
-from keymint.analysis.findings import quoted_list, undecided, warning
+from keymint.analysis.findings import quoted_list, undecided
 from keymint.analysis.rule_lists import (
     PermissionKey,
     allow_only,
@@ -237,7 +237,9 @@ class RedundantRules:
             ),
         }[code]
         subject = f"{'' if of_rule else f'{quoted_list(texts)} in '}this {rule.effect} {rule.kind} rule"
-        return warning(code, f"{subject} ({permissions}) {problem}", rule.origin if of_rule else attached, help_)
+        return Diagnostic.warning(
+            code, f"{subject} ({permissions}) {problem}", rule.origin if of_rule else attached, help_
+        )
 
     def _example_place(self, expressions: Iterable[_RuleExpression], effect: Effect) -> str:
         """Return the place of an overlapping expression of an effect, as text for a message."""

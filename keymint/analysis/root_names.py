@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from comarmor.errors import Diagnostic
-from keymint.analysis.findings import quoted_list, warning
+from keymint.analysis.findings import quoted_list
 from keymint.analysis.subject_patterns import rules_of
 from keymint.api import LoadedPolicy, PolicyStructure
 
@@ -22,7 +22,7 @@ def root_names(policy: LoadedPolicy, written: PolicyStructure) -> Iterator[Diagn
     depends = {each.rule.origin.spot for each in written.clauses if each.expand("/a/", "a") != each.expand("/b/", "b")}
     for rule in rules_of(policy, ROOT_ENCLAVE):
         if rule.origin.spot in depends:
-            yield warning(
+            yield Diagnostic.warning(
                 "root-name",
                 f"the root enclave '/' has no name, so this {rule.effect} {rule.kind} rule is about "
                 f"{quoted_list(rule.expressions)}, and about none of the nodes that use the enclave",

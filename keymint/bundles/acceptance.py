@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import field
 from datetime import datetime
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint.bundles.bundle import CERTIFICATE, KEY, Bundle, number_of, revocation_lists
 from keymint.bundles.in_force import require_in_force
@@ -295,9 +295,8 @@ def _left(present: Present, accounted: Collection[str]) -> Iterator[Diagnostic]:
     """Yield a warning for each file of the enclave that is part of no bundle, and that a transport may read."""
     for name in sorted(present.files.keys() - accounted):
         if not name.startswith("."):
-            yield Diagnostic(
+            yield Diagnostic.warning(
                 "bundle-left",
-                Severity.WARNING,
                 "was there before and is not part of the bundle",
                 Origin(f"{present.folder}/{name}"),
                 "remove it unless you know what reads it",

@@ -10,7 +10,7 @@ from datetime import timedelta
 
 from cryptography import x509
 
-from comarmor.errors import Defects, Diagnostic, Severity
+from comarmor.errors import Defects, Diagnostic
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import authority_files, token_keys
@@ -31,9 +31,8 @@ def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
         if key is not None:
             fingerprints[authority.name] = keys.fingerprint(key)
         if files.content is None:
-            yield Diagnostic(
+            yield Diagnostic.error(
                 "authority-missing",
-                Severity.ERROR,
                 f"the authority {authority.name!r} has no certificate",
                 files.certificate_file,
                 "'keymint install' restores it"
@@ -81,7 +80,7 @@ def _key(inputs: Inputs, files: AuthorityFiles) -> Generator[Diagnostic, None, k
     elif files.content is not None:
         message = f"the private key of {files.authority.name!r} is not here"
         where, help_ = files.certificate_file, "restore it to sign anything"
-        yield Diagnostic("authority-key-missing", Severity.NOTE, message, where, help_)
+        yield Diagnostic.note("authority-key-missing", message, where, help_)
     return None
 
 
@@ -113,9 +112,8 @@ def _certificate(
     yield from defects.found
     content, issuer = files.content or b"", issuers.get(spec.issuer)
     if not defects.found and not authority_files.satisfies(content, spec, public, issuer):
-        yield Diagnostic(
+        yield Diagnostic.error(
             "authority-drift",
-            Severity.ERROR,
             f"the certificate of {files.authority.name!r} is not the one that the profile specifies",
             files.certificate_file,
             "run 'keymint install', which reissues it for the same key, and redeploy all enclaves",
@@ -129,7 +127,7 @@ def _validity(
     help_ = f"'keymint authority renew {name}' issues it again for the same key, as long as before"
     if end < inputs.now:
         message = f"the certificate of {name!r} expired on {end:%Y-%m-%d %H:%M} UTC"
-        yield Diagnostic("authority-expired", Severity.ERROR, message, where, help_)
+        yield Diagnostic.error("authority-expired", message, where, help_)
     elif end < inputs.now + within:
         message = f"the certificate of {name!r} expires on {end:%Y-%m-%d %H:%M} UTC"
-        yield Diagnostic("authority-expires", Severity.WARNING, message, where, help_)
+        yield Diagnostic.warning("authority-expires", message, where, help_)

@@ -115,7 +115,7 @@ def _absent(session: Session, name: str) -> Diagnostic:
         return not_installed(name, session.workspace.shown(session.enclave_folder(name)))
     message = f"the certificate of {subject_of(name)} was revoked ({reason}), and its enclave removed"
     help_ = f"'keymint renew --rekey {name}' makes a new key and certificate"
-    return Diagnostic("identity-revoked", Severity.NOTE, message, None, help_, subject_of(name))
+    return Diagnostic.note("identity-revoked", message, None, help_, subject_of(name))
 
 
 def _inspections(session: Session, package: Package, files: Mapping[str, bytes], within: timedelta) -> Inspections:
@@ -172,7 +172,7 @@ def _unexpected(session: Session, loaded: LoadedEnclave) -> Iterator[Diagnostic]
     for file in sorted(loaded.files.keys() - known):
         where = session.workspace.origin(session.enclave(loaded.package.name) / file)
         message = f"does not belong to the layout {session.profile.layout!r}"
-        yield Diagnostic("file-unexpected", Severity.WARNING, message, where, "remove it", loaded.package.subject)
+        yield Diagnostic.warning("file-unexpected", message, where, "remove it", loaded.package.subject)
 
 
 def _identity_key(
@@ -192,14 +192,14 @@ def _identity_key(
         if pem is None and not package.issuance.public_key and not package.identity.key.uri:
             message = f"the private key of {subject} is not here"
             where, help_ = session.workspace.origin(path), f"'keymint build {package.name}' restores it"
-            return "", (Diagnostic("key-missing", Severity.NOTE, message, where, help_, subject),)
+            return "", (Diagnostic.note("key-missing", message, where, help_, subject),)
         key = identity_keys.public_key(session, package)
         fingerprint = keys.fingerprint(key)
         keyring.require_own(package, key)
         if pem is not None and package.issuance.public_key:
             message = f"is a private key of {subject}, whose certificate is for a key elsewhere: nothing uses this one"
             where, help_ = session.workspace.origin(path), "remove it, once no installed enclave uses it"
-            return fingerprint, (Diagnostic("key-unused", Severity.WARNING, message, where, help_, subject),)
+            return fingerprint, (Diagnostic.warning("key-unused", message, where, help_, subject),)
     except KeymintError as error:
         return fingerprint, tuple(key_defects(error, subject))
     return fingerprint, ()
@@ -231,10 +231,10 @@ def _on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterato
             yield from linked_twice(session, path, subject)
     if stamp is None:
         message, help_ = f"there is no record of what was installed as {subject}", "'keymint install' makes one"
-        yield Diagnostic("record-missing", Severity.NOTE, message, None, help_, subject)
+        yield Diagnostic.note("record-missing", message, None, help_, subject)
         return
     for file, value in stamp.outputs.items():
         if file in files and digest(files[file]) != value:
             where, help_ = session.workspace.origin(f"{folder}/{file}"), f"'keymint install {name}' restores it"
             message = "was changed after it was installed"
-            yield Diagnostic("file-changed", Severity.ERROR, message, where, help_, subject)
+            yield Diagnostic.error("file-changed", message, where, help_, subject)

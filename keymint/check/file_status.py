@@ -67,16 +67,15 @@ def modes(inputs: Inputs, path: Path | str, mode: int, subject: str) -> Iterator
 def link(inputs: Inputs, path: Path | str, subject: str) -> Diagnostic:
     """Return the finding on a symbolic link."""
     message, where = "is a symbolic link, which breaks when the enclave is copied", inputs.workspace.origin(path)
-    return Diagnostic("file-link", Severity.ERROR, message, where, "remove it and run 'keymint install'", subject)
+    return Diagnostic.error("file-link", message, where, "remove it and run 'keymint install'", subject)
 
 
 def linked_twice(inputs: Inputs, path: Path | str, subject: str) -> Iterator[Diagnostic]:
     """Yield a finding for a private key that has a second name (a hard link) somewhere."""
     status = inputs.tree.status(path)
     if status is not None and stat.S_ISREG(status.st_mode) and status.st_nlink > 1:
-        yield Diagnostic(
+        yield Diagnostic.error(
             "key-linked",
-            Severity.ERROR,
             f"is a private key with {status.st_nlink} names: another one leads to it from elsewhere",
             inputs.workspace.origin(path),
             f"find the others with 'find / -xdev -inum {status.st_ino}', and remove them",
@@ -101,7 +100,7 @@ def _kinds(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:
         if kind not in (stat.S_IFREG, stat.S_IFDIR, stat.S_IFLNK):
             is_a = {stat.S_IFIFO: "a named pipe", stat.S_IFSOCK: "a socket"}.get(kind, "a device")
             message, where = f"is {is_a}, where files and folders are expected", inputs.workspace.origin(path)
-            yield Diagnostic("file-kind", Severity.ERROR, message, where, "remove it")
+            yield Diagnostic.error("file-kind", message, where, "remove it")
 
 
 def _each_folder(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:
@@ -110,9 +109,8 @@ def _each_folder(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:
         mode = status.st_mode
         if stat.S_ISDIR(mode) and mode & (_GROUP | _OTHERS):
             shown = inputs.workspace.shown(path)
-            yield Diagnostic(
+            yield Diagnostic.error(
                 "place-writable",
-                Severity.ERROR,
                 f"has mode {stat.S_IMODE(mode):04o}: others can replace what lies in it",
                 Origin(shown),
                 f"chmod go-w {shown}",
@@ -125,9 +123,8 @@ def _open_to_others(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnosti
     if writable:
         first = inputs.workspace.shown(writable[0])
         more = f", and {len(writable) - 1} more below it or beside it" if len(writable) > 1 else ""
-        yield Diagnostic(
+        yield Diagnostic.warning(
             "place-writable",
-            Severity.WARNING,
             f"others can write this{more}, and with it decide what the robots may do",
             Origin(first),
             f"chmod -R go-w {inputs.workspace.shown(entries[0][0])}" if more else f"chmod go-w {first}",
@@ -141,9 +138,8 @@ def _owned_by_others(inputs: Inputs, entries: list[_Entry], owners: frozenset[in
     for path, owner in keys or foreign[:1]:
         shown = inputs.workspace.shown(path)
         more = "" if keys or len(foreign) == 1 else f", like {len(foreign) - 1} more below it or beside it"
-        yield Diagnostic(
+        yield Diagnostic.error(
             "file-owner",
-            Severity.ERROR,
             f"belongs to {_user(owner)}, who can change it{more}",
             Origin(shown),
             f"chown {_user(min(owners - {0}, default=0))} {shown}",

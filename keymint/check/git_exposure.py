@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from keymint.errors import KeymintError
 from keymint.git import GIT_MISSING, run_git
 from keymint.pki import key_files
@@ -50,7 +50,7 @@ def _of_space(inputs: Inputs, space: Path) -> Iterator[Diagnostic]:
         defect = error.diagnostics[0]
         if defect.code != GIT_MISSING:
             message = f"whether git tracks private keys is unknown: {defect.message}"
-            yield Diagnostic("git-unknown", Severity.NOTE, message, inputs.workspace.origin(space))
+            yield Diagnostic.note("git-unknown", message, inputs.workspace.origin(space))
         return
     guard = inputs.workspace.shown(space / gitignore.NAME)
     stop = f"write the line '*' into {guard}"
@@ -67,7 +67,7 @@ def _finding(
     if exposed:
         more = f", like {len(exposed) - 1} more" if len(exposed) > 1 else ""
         message = f"is a private key {what}{more}"
-        yield Diagnostic(code, Severity.ERROR, message, inputs.workspace.origin(exposed[0]), help_)
+        yield Diagnostic.error(code, message, inputs.workspace.origin(exposed[0]), help_)
 
 
 def _in_repository(folder: Path) -> bool:

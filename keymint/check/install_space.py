@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from keymint.api import Artifact
 from keymint.check.file_status import modes
 from keymint.names import ROOT, subject_of
@@ -44,9 +44,8 @@ def outside_enclaves(session: Session, known: Collection[str]) -> Iterator[Diagn
         if relative in own_scripts:
             yield from _script(session, path, own_scripts[relative])
         elif relative not in expected:
-            yield Diagnostic(
+            yield Diagnostic.warning(
                 "file-unexpected",
-                Severity.WARNING,
                 "is in the install space, but belongs to no enclave",
                 workspace.origin(path),
                 "remove it",
@@ -54,21 +53,19 @@ def outside_enclaves(session: Session, known: Collection[str]) -> Iterator[Diagn
         else:
             yield from modes(session, path, 0o644, "")
             if session.tree.has_file(path) and session.tree.try_read(path) != expected[relative]:
-                yield Diagnostic(
+                yield Diagnostic.error(
                     "file-changed",
-                    Severity.ERROR,
                     "differs from the enclaves' content",
                     workspace.origin(path),
                     "'keymint install' restores it",
                 )
     for folder in empty:
         message = "is an empty folder in the install space that Keymint did not create"
-        yield Diagnostic("folder-unexpected", Severity.WARNING, message, workspace.origin(folder), "remove it")
+        yield Diagnostic.warning("folder-unexpected", message, workspace.origin(folder), "remove it")
     for relative in expected:
         if session.tree.status(workspace.install / relative) is None:
-            yield Diagnostic(
+            yield Diagnostic.error(
                 "file-missing",
-                Severity.ERROR,
                 "is missing",
                 workspace.origin(workspace.install / relative),
                 "'keymint install' restores it",
@@ -81,9 +78,8 @@ def _script(session: Session, path: str, expected: bytes) -> Iterator[Diagnostic
     content = session.tree.try_read(path) if session.tree.has_file(path) else None
     if content is not None and content != expected:
         is_ours = environment.is_ours(content)
-        yield Diagnostic(
+        yield Diagnostic.error(
             "file-changed",
-            Severity.ERROR,
             "differs from what Keymint writes, and shells that source it may use another keystore",
             session.workspace.origin(path),
             "'keymint install' restores it" if is_ours else "rename it or remove it, and run 'keymint install'",

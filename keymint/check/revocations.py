@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.text import counted
 from keymint.api import Package
 from keymint.errors import KeymintError
@@ -35,7 +35,7 @@ def lists_in_force(session: Session) -> Iterator[Diagnostic]:
         if lacking := revoked - found:
             what = "is missing" if content is None else "is not the latest revocation list"
             message = f"{what}: {counted(len(lacking), 'revoked certificate')} would be accepted"
-            yield Diagnostic("revocation-list-outdated", Severity.ERROR, message, where, _INSTALL)
+            yield Diagnostic.error("revocation-list-outdated", message, where, _INSTALL)
 
 
 def _serials(content: bytes, where: Origin) -> frozenset[int]:
@@ -60,4 +60,4 @@ def of_enclave(session: Session, package: Package, files: Mapping[str, bytes]) -
             what = "is not the revocation list in force" if file in files else "the revocation list is missing"
             message = f"{what}: revoked certificates are accepted"
             where = Origin(f"{folder}/{file}")
-            yield Diagnostic("revocation-list-outdated", Severity.ERROR, message, where, help_, package.subject)
+            yield Diagnostic.error("revocation-list-outdated", message, where, help_, package.subject)

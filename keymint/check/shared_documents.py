@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from datetime import timedelta
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from keymint.api import BuildOptions, SharedInspection
 from keymint.changes import file_mode
 from keymint.check.file_status import modes
@@ -78,13 +78,13 @@ def _on_disk(session: Session, name: str, inspection: SharedInspection) -> Itera
     stamp = session.state.stamp(INSTALLED, record_key(name))
     for path in sorted({*inspection.documents, *(stamp.outputs if stamp else ())} - files.keys()):
         where, help_ = session.workspace.origin(install / path), "'keymint build' and 'keymint install' write it"
-        yield Diagnostic("file-missing", Severity.ERROR, "is missing", where, help_)
+        yield Diagnostic.error("file-missing", "is missing", where, help_)
     for path, content in files.items():
         yield from modes(session, install / path, file_mode(secret=stamp is not None and path in stamp.secret), "")
         if stamp is not None and stamp.outputs.get(path, digest(content)) != digest(content):
             where = session.workspace.origin(install / path)
             message, help_ = "was changed after it was installed", "'keymint install' restores it"
-            yield Diagnostic("file-changed", Severity.ERROR, message, where, help_)
+            yield Diagnostic.error("file-changed", message, where, help_)
     if stamp is None and files:
         message = f"there is no record of the installed shared documents of {name}"
-        yield Diagnostic("record-missing", Severity.NOTE, message, None, "'keymint install' makes one")
+        yield Diagnostic.note("record-missing", message, None, "'keymint install' makes one")

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import click
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.api import LoadedPolicy
@@ -113,7 +113,7 @@ def unaccepted(run: Run, error: UnacceptedPackagesError) -> Report:
         differences = diff_policies(error.before(), error.after)
     except KeymintError as reason:
         why = f"what that changes cannot be shown, since the accepted files do not fit the policy: {reason}"
-        diagnostics = (*diagnostics, Diagnostic("package-diff", Severity.WARNING, why, None, "read the files"))
+        diagnostics = (*diagnostics, Diagnostic.warning("package-diff", why, None, "read the files"))
     else:
         run.console.lines((*as_text(differences, run.place), summary(differences)))
         result["subjects"] = differences_json(differences, run.typed)

@@ -158,4 +158,4 @@ def _left(found: FoundKeystore, keystore: str, workspace: Workspace) -> Iterator
         for path in authority.key_files:
             message = f"is the private key of the authority {authority.name!r}, which {own} has now"
             help_ = f"remove it once robots get their files from {workspace.shown(workspace.install)}; keep a backup"
-            yield Diagnostic("adopt-key-left", Severity.WARNING, message, Origin(f"{keystore}/{path}"), help_)
+            yield Diagnostic.warning("adopt-key-left", message, Origin(f"{keystore}/{path}"), help_)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from keymint.changes import Plan
 from keymint.commands.reissue import reissued
 from keymint.commands.run import Run
@@ -99,5 +99,5 @@ def _told(plan: Plan, session: Session, name: str) -> Plan:
     else:
         message = f"the certificate of the authority {name!r} is reissued: robots that have it and others work together"
         help_ = "copy the keystore to each robot before the old certificate ends; nodes read it when they start"
-    told = Diagnostic(REISSUED, Severity.WARNING, message, where, help_)
+    told = Diagnostic.warning(REISSUED, message, where, help_)
     return replace(plan, diagnostics=(*others, told))

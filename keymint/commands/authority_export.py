@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from keymint.commands.options import FILE, authority_argument, usage_error
 from keymint.commands.run import Run
 from keymint.commands.user_files import deliver, write_outputs
@@ -51,7 +51,7 @@ def command(run: Run, name: str, output: Path | None, chain: bool, key_file: Pat
         written += _export_key(run, files, key_file)
         message = f"is the private key of the authority {name!r}: whoever has it can make any robot do anything"
         help_ = "move it to where it belongs, and delete it here"
-        findings.append(Diagnostic("key-exported", Severity.WARNING, message, Origin(str(key_file)), help_))
+        findings.append(Diagnostic.warning("key-exported", message, Origin(str(key_file)), help_))
     own = deliver(run, output, content)
     result = {"certificate": content.decode("ascii"), **own, "written": [*written, *own["written"]]}
     return run.report(result, findings, workspace=session.workspace)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from keymint.api import Phase
 from keymint.changes import Plan
 from keymint.commands.authority_change import given_authority
@@ -130,4 +130,4 @@ def _told(session: Session, name: str, before: Phase | None, reached: Phase | No
     else:
         text = f"{name!r} is replaced: nobody trusts the former authority any more"
         help_ = f"copy {install_space}/ to all robots and restart them, in any order"
-    return Diagnostic("rollover-phase", Severity.WARNING, text, None, help_)
+    return Diagnostic.warning("rollover-phase", text, None, help_)

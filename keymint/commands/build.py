@@ -9,7 +9,7 @@ from functools import partial
 
 import click
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.analysis.attachment_mistakes import attachment_mistakes
 from keymint.analysis.subject_patterns import structure
@@ -68,9 +68,8 @@ def build(
 
 def no_packages(session: Session) -> Diagnostic:
     """Return the warning that the source space has no packages."""
-    return Diagnostic(
+    return Diagnostic.warning(
         "packages-none",
-        Severity.WARNING,
         f"no packages in {session.workspace.shown(session.workspace.src)}",
         None,
         "run 'keymint create --all'",

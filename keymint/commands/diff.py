@@ -10,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from comarmor.errors import Diagnostic, Severity, library_name
+from comarmor.errors import Diagnostic, library_name
 from keymint.analysis.policy_diff import diff_policies as compare
 from keymint.analysis.policy_diff import has_gains
 from keymint.analysis.query_budget import STATES, QueryBudget
@@ -26,9 +26,8 @@ from keymint.output.json import differences_json
 from keymint.output.markdown import markdown
 from keymint.output.report import Report, findings_if
 
-_UNKNOWN = Diagnostic(
+_UNKNOWN = Diagnostic.warning(
     "diff-unknown",
-    Severity.WARNING,
     "the policies were not compared in full",
     help="raise --budget, compare parts of the policies by themselves, or ask 'keymint query can' for one subject",
 )

@@ -17,7 +17,7 @@ from typing import Any
 
 import click
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from keymint import graph_json
 from keymint.api import DiscoveredGraph, GraphSource
 from keymint.commands.graph_sources import graph_source
@@ -160,9 +160,8 @@ def _observe(
     with ended_by_signals() as ended:
         observed = source.observe(chosen, lambda: not ended and run.setting.monotonic() < start + seconds, names)
     if ended:
-        early = Diagnostic(
+        early = Diagnostic.warning(
             "discovery-interrupted",
-            Severity.WARNING,
             f"interrupted after {run.setting.monotonic() - start:.0f} of {seconds:g} s: the graph is incomplete",
             help="--append GRAPH observes again and adds to the graph",
         )

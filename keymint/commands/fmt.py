@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from comarmor.errors import Defects, Diagnostic, Origin, Severity
+from comarmor.errors import Defects, Diagnostic, Origin
 from comarmor.text import counted
 from comarmor.values import dataclass
 from comarmor.xml.reader import looks_like_xml
@@ -102,9 +102,8 @@ def _show(run: Run, files: Sequence[_Formatted], changed: Sequence[_Formatted], 
 
 
 def _finding(file: _Formatted) -> Diagnostic:
-    return Diagnostic(
+    return Diagnostic.warning(
         "format",
-        Severity.WARNING,
         "the file is not in canonical form",
         Origin(file.name, first_difference(file.before, file.after)),
         "keymint fmt -" if file.path == _STANDARD else f"keymint fmt {file.name}",
@@ -135,7 +134,7 @@ def _formatted(run: Run, paths: Iterable[Path]) -> tuple[list[_Formatted], list[
                 raise _unknown(run, path, name)
             else:
                 note = "is no policy, nor a part or a test of one: left as it is"
-                skipped.append(Diagnostic("format-skipped", Severity.NOTE, note, Origin(name)))
+                skipped.append(Diagnostic.note("format-skipped", note, Origin(name)))
     defects.require_none()
     if not files:
         if foreign := foreign_policy(run.plugins, [run.setting.cwd / path for path in paths]):

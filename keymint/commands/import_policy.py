@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.text import counted, first_few
 from comarmor.xml.reader import looks_like_xml, parse
 from keymint.api import ForeignDocuments, ImportedSubject, ImportRequest, PolicyImporter
@@ -151,4 +151,4 @@ def _beside(run: Run, policy: Path, file: Path) -> Iterator[Diagnostic]:
         help_ = (
             f"'keymint diff {policy} {file.parent}' shows what they add; remove them, or name another folder with -o"
         )
-        yield Diagnostic("import-beside", Severity.WARNING, message, Origin(str(file)), help_)
+        yield Diagnostic.warning("import-beside", message, Origin(str(file)), help_)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.api import Claim, Comparison, Counterexample, Proof, standard_claims
 
@@ -40,7 +40,7 @@ def unproven(proofs: Iterable[SubjectProof], tool: str) -> list[Diagnostic]:
         if claim is not None:
             message = f"{proof.subject}: not proven to permit what {tool}'s document permits: {_reason(claim, tool)}"
             help_ = "this is a defect of Keymint: report it" if claim.counterexample else "simplify the policy"
-            found.append(Diagnostic("import-unproven", Severity.ERROR, message, None, help_, proof.subject))
+            found.append(Diagnostic.error("import-unproven", message, None, help_, proof.subject))
     return found
 
 
@@ -53,7 +53,7 @@ def diagnostics_of(proofs: Iterable[SubjectProof], tool: str) -> Iterator[Diagno
             if claim.counterexample is not None:
                 message = f"{proof.subject}: what is enforced changes: {_difference(claim.counterexample, tool)}"
                 where = claim.counterexample.policy.where
-                yield Diagnostic("import-changes", Severity.WARNING, message, where, "", proof.subject)
+                yield Diagnostic.warning("import-changes", message, where, "", proof.subject)
         if proof.is_same:
             yield from _vendors(proof, standard[0].model, tool)
 
@@ -67,7 +67,7 @@ def _vendors(proof: SubjectProof, standard: str, tool: str) -> Iterator[Diagnost
             message = f"{proof.subject}: {claim.model} reads {tool}'s document differently from the standard"
             difference = f"{message}: {_difference(claim.counterexample, tool)}"
             where = claim.counterexample.policy.where
-            yield Diagnostic("import-vendor", Severity.NOTE, difference, where, "", proof.subject)
+            yield Diagnostic.note("import-vendor", difference, where, "", proof.subject)
 
 
 def _difference(example: Counterexample, tool: str) -> str:

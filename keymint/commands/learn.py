@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.xml.reader import looks_like_xml
 from keymint import graph_json
 from keymint.api import LearnedPolicy, LoadedPolicy, PolicyLearner
@@ -119,7 +119,7 @@ def _about_domains(domains: Sequence[int], output: Path | None) -> Iterator[Diag
     else:
         message = f"the graph has domains {', '.join(map(str, domains))}; the policy allows every edge in each"
         help_ = "to keep the domains separate, run discover and learn for each, with one workspace each"
-    yield Diagnostic("learn-domain", Severity.WARNING, message, Origin(str(output)) if output else None, help_)
+    yield Diagnostic.warning("learn-domain", message, Origin(str(output)) if output else None, help_)
 
 
 def _refuse_overwriting(run: Run, output: Path, existing: LoadedPolicy) -> None:

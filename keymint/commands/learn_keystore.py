@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.text import counted
 from keymint.api import GrantedRules
 from keymint.commands.options import PolicyOptions
@@ -94,7 +94,7 @@ def _about_domains(granted: Sequence[GrantedRules], output: Path | None) -> Iter
         (domains,) = groups
         message = f"the documents are for {_in_words(domains)}; policies contain no domain"
         help_ = f"keymint provision {output or 'POLICY'} --domain {domains[0]}"
-    yield Diagnostic("learn-domain", Severity.WARNING, message, Origin(str(output)) if output else None, help_)
+    yield Diagnostic.warning("learn-domain", message, Origin(str(output)) if output else None, help_)
 
 
 def _in_words(domains: Sequence[int]) -> str:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from comarmor.text import quoted
 from comarmor.xml.package_folders import SEARCH_PATH, InstalledPackages, ShippingPackage
 from comarmor.xml.sandboxed_paths import path_text
@@ -71,4 +71,4 @@ def _relative(prefix: str) -> Diagnostic:
     help_ = (
         "write an absolute path; policies that include what a package ships there, or in a later prefix, are refused"
     )
-    return Diagnostic("package-prefix", Severity.WARNING, message, None, help_)
+    return Diagnostic.warning("package-prefix", message, None, help_)

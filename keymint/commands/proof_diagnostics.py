@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from keymint.api import Claim, Counterexample, Proof
 from keymint.commands.run import Run
 from keymint.graph import Edge
@@ -58,7 +58,7 @@ def _exceptions(enclave: EnclaveProof) -> Iterator[Diagnostic]:
     for exception in dict.fromkeys(exception for claim in enclave.claims for exception in claim.excepted):
         message = f"{subject}: not part of the proof: {exception}"
         help_ = "change the policy or the sources, or accept it without --strict"
-        yield Diagnostic("proof-exception", Severity.ERROR, message, None, help_, enclave.subject)
+        yield Diagnostic.error("proof-exception", message, None, help_, enclave.subject)
 
 
 def diagnostics_of(results: ProofResults, *, strict: bool = False) -> list[Diagnostic]:
@@ -92,7 +92,7 @@ def _of_enclave(enclave: EnclaveProof, *, strict: bool) -> Iterator[Diagnostic]:
             message = f"{enclave.subject or 'all subjects'}, {actions}: not proven for {models}: {claims[0].reason}"
             spent = "raise --seconds or --states, or simplify the rules"
             help_ = spent if claims[0].spent else ""
-            yield Diagnostic("not-proven", Severity.ERROR, message, None, help_, enclave.subject)
+            yield Diagnostic.error("not-proven", message, None, help_, enclave.subject)
         else:
             yield _refutation(enclave.subject, counterexample, models)
 
@@ -104,7 +104,7 @@ def _refutation(subject: str, counterexample: Counterexample, models: str) -> Di
     by_document = f"{document.where}: {document.reason}" if document.where else document.reason
     if counterexample.difference:
         message = f"{who}: {counterexample.difference}; {by_document} [{models}]"
-        return Diagnostic("counterexample", Severity.ERROR, message, where, counterexample.help, subject)
+        return Diagnostic.error("counterexample", message, where, counterexample.help, subject)
     may = "permits" if document.allowed else "does not permit"
     allows = "allows" if policy.allowed else "does not allow"
     name = f"{endpoint.name!r}" + "".join(f" in the partition {p!r}" for p in endpoint.partitions)
@@ -116,7 +116,7 @@ def _refutation(subject: str, counterexample: Counterexample, models: str) -> Di
     )
     deviation = f"; docs/vendors.md, {document.deviation}" if document.deviation else ""
     help_ = f"a shortest counterexample{deviation}{f'; {counterexample.help}' if counterexample.help else ''}"
-    return Diagnostic("counterexample", Severity.ERROR, message, where, help_, subject)
+    return Diagnostic.error("counterexample", message, where, help_, subject)
 
 
 def _entity(meaning: Edge) -> str:

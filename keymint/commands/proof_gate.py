@@ -102,9 +102,8 @@ def _refused_edits(session: Session, plan: Plan, subjects: Collection[str]) -> l
         if grant.edited:
             found.append((grant.origin, subject, f"keymint create -f {name}"))
     edits = {
-        where: Diagnostic(
+        where: Diagnostic.error(
             HAND_EDITED,
-            Severity.ERROR,
             f"a manual edit changes what {subject or 'the subjects'} may do",
             where,
             f"change the policy instead; '{command}' discards the edit",

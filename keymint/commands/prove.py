@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.text import counted
 from keymint.api import Claim, Counterexample, Proof
 from keymint.changes import Action, Step
@@ -162,7 +162,7 @@ def _assumptions(results: ProofResults) -> Iterator[Diagnostic]:
         for line in assumed:
             lines.setdefault(line, []).append(model)
     for line, models in lines.items():
-        yield Diagnostic("assumption", Severity.NOTE, f"assumption ({', '.join(models)}): {line}")
+        yield Diagnostic.note("assumption", f"assumption ({', '.join(models)}): {line}")
 
 
 def legible(name: str) -> str:

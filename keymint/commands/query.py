@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.glob import literal, parse
 from comarmor.ros_names import RAW_PREFIXES
@@ -86,7 +86,7 @@ def query(
     verdict, more = answer()
     warnings = list(_doubts(policy, question, partition, verdict))
     if verdict == "unknown":
-        warnings.append(Diagnostic("query-unknown", Severity.WARNING, "the answer is unknown"))
+        warnings.append(Diagnostic.warning("query-unknown", "the answer is unknown"))
     failed = verdict == "unknown" or (question.head == "isolated" and verdict == "no")
     result = {"question": question.head, "answer": verdict, **more}
     return run.report(result, warnings, findings_if(failed))
@@ -96,16 +96,16 @@ def _doubts(policy: LoadedPolicy, question: PolicyQuery, partition: str, verdict
     """Yield warnings about likely mistakes in a question."""
     for subject in question.subjects if question.head != "what" else ():
         if problem := unknown_subject(policy, parse(subject)):
-            yield Diagnostic("query-subject", Severity.WARNING, problem)
+            yield Diagnostic.warning("query-subject", problem)
     name, kind = question.object, question.kind
     if not name:
         return
     if isinstance(find_permitted(kind, allow_only(query_pattern(kind, name, partition))), Equal):
         help_ = "segments are letters, digits and '_', do not begin with a digit, and none is empty"
-        yield Diagnostic("query-object", Severity.WARNING, f"no {kind} can have a name like {name!r}", help=help_)
+        yield Diagnostic.warning("query-object", f"no {kind} can have a name like {name!r}", help=help_)
     elif kind == RAW and verdict == "no" and not name.startswith(RAW_PREFIXES):
         help_ = f"a ROS name begins with '/': did you mean {'/' + name!r}?"
-        yield Diagnostic("query-object", Severity.WARNING, f"{name!r} is read as a raw topic", help=help_)
+        yield Diagnostic.warning("query-object", f"{name!r} is read as a raw topic", help=help_)
 
 
 def _read(words: Sequence[str], folder: Path) -> tuple[Path | None, PolicyQuery]:

@@ -228,7 +228,7 @@ def _authority_due(due: AuthorityDue) -> Diagnostic:
         message += f", and what it signs for {counted(len(due.packages), 'enclave')} ends with it"
     if due.issuers:
         message += f"; so does its issuer {due.issuers[0]!r}"
-    return Diagnostic("authority-due", Severity.WARNING, message, None, f"run 'keymint authority renew {first}'")
+    return Diagnostic.warning("authority-due", message, None, f"run 'keymint authority renew {first}'")
 
 
 def _exit_code(run: Run, renewal: _Renewal, plan: Plan) -> ExitCode:

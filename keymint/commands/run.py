@@ -383,5 +383,5 @@ class Run:
                     store.write(workspace.state, {RECORD: File(state.dump())})
         except KeymintError as error:
             message = f"the results are not cached: {error.diagnostics[0].message}"
-            return (Diagnostic("not-recorded", Severity.NOTE, message, error.diagnostics[0].where),)
+            return (Diagnostic.note("not-recorded", message, error.diagnostics[0].where),)
         return ()

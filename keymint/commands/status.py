@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import click
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
@@ -98,7 +98,7 @@ def _as_typed(run: Run, row: _Row) -> _Row:
     """Return a row with the paths of its problem as the user would type them."""
     if not row.problem:
         return row
-    return replace(row, problem=run.as_typed(Diagnostic("problem", Severity.ERROR, row.problem)).message)
+    return replace(row, problem=run.as_typed(Diagnostic.error("problem", row.problem)).message)
 
 
 def _when(end: datetime | None, now: datetime) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from comarmor.errors import Defects, Diagnostic, Origin, Severity, Spot
+from comarmor.errors import Defects, Diagnostic, Origin, Spot
 from keymint.analysis.policy_tests import ExpectationChecker, ExpectationResult, diagnostics
 from keymint.api import Expectation, PolicyTypeWithTests
 from keymint.commands.options import FILE, PATH, Number, PolicyOptions, policy_options
@@ -87,7 +87,7 @@ def test(
     warnings = [*diagnostics(results), *_idle(idle)]
     if percent < min_coverage:
         message = f"rule coverage is {percent:.0f} %, below {min_coverage:g} %"
-        warnings.append(Diagnostic("coverage-low", Severity.ERROR, message, help="'keymint test -v' lists the others"))
+        warnings.append(Diagnostic.error("coverage-low", message, help="'keymint test -v' lists the others"))
     if junit is not None:
         write_outputs(
             run, junit, junit_document("keymint test", [_suite(file, checked) for file, checked in by_file.items()])
@@ -131,9 +131,8 @@ def _own(rules: Mapping[Spot, Rule], folders: Sequence[Path], library: Path) -> 
 
 def _idle(rules: Sequence[Rule]) -> list[Diagnostic]:
     return [
-        Diagnostic(
+        Diagnostic.note(
             "rule-untested",
-            Severity.NOTE,
             f"no expectation covers this {rule.effect} {rule.kind} rule ({', '.join(rule.permissions)})",
             rule.origin.alone(),
         )

@@ -148,7 +148,7 @@ def _unasked(
             if not chosen:
                 message = f"what {name} built is not verified: none of its transports supports the tier {tier} here"
                 help_ = "'keymint transports' shows how to install one"
-                yield Diagnostic("transport-none", Severity.WARNING, message, None, help_)
+                yield Diagnostic.warning("transport-none", message, None, help_)
             continue
         edges = [edge for edge in system.edges if not scope.names.has(edge.object)] if system else ()
         if edges:
@@ -157,7 +157,7 @@ def _unasked(
             reason = f"{name} has no name for the {first.kind} {first.name!r}"
             more = len({edge.object for edge in edges}) - 1
             reason += f", and for {counted(more, 'more object')}" if more else ""
-            yield Diagnostic("edges-unasked", Severity.NOTE, f"{message}: {reason}")
+            yield Diagnostic.note("edges-unasked", f"{message}: {reason}")
 
 
 def _show(run: Run, outcomes: Sequence[Comparison], subjects: int, edges: int) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from keymint.api import AppliedProfile, DomainRange, Tier, Verdict
 from keymint.commands.options import transport_option
 from keymint.commands.run import Run
@@ -91,9 +91,8 @@ def _mismatches(explanation: Explanation, granted: Sequence[DomainRange]) -> lis
     for name, label in explanation.wrong.items():
         together.setdefault((document_reason(label), label.document.line), []).append(name)
     return [
-        Diagnostic(
+        Diagnostic.error(
             str(label.error),
-            Severity.ERROR,
             mismatch_text(names, label, at_rule=True),
             label.policy.where or label.document,
             _remedy(label, granted),

@@ -100,9 +100,8 @@ def diagnostics(comparisons: Sequence[Comparison]) -> Iterator[Diagnostic]:
         first, *others = mismatches
         some = [f"{each.edge.permission} {each.edge.object.name}" for each in others[:_EXAMPLES]]
         also = f"; also {len(others)} more: {', '.join(some)}{' …' if len(others) > len(some) else ''}"
-        yield Diagnostic(
+        yield Diagnostic.error(
             str(first.error),
-            Severity.ERROR,
             mismatch_text(transports, first, at_rule=True) + (also if others else ""),
             first.policy.where or first.document,
             remedy(first),
@@ -110,9 +109,8 @@ def diagnostics(comparisons: Sequence[Comparison]) -> Iterator[Diagnostic]:
         )
     for comparison in comparisons:
         if comparison.omitted:
-            yield Diagnostic(
+            yield Diagnostic.warning(
                 "findings-omitted",
-                Severity.WARNING,
                 f"{counted(comparison.omitted, 'more mismatch')} on {comparison.transport} not listed",
                 None,
                 "raise --limit, or verify fewer packages at a time",

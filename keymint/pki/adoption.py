@@ -9,7 +9,7 @@ from dataclasses import replace
 from cryptography import x509
 from cryptography.x509.oid import ExtensionOID
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from keymint.api import CertificateSpec, Validity
 from keymint.errors import KeymintError
 from keymint.pki import certificates, extensions, forms, keys
@@ -87,13 +87,13 @@ def lacking(certificate: x509.Certificate, name: str, where: Origin) -> Iterator
     renew = f"'keymint authority renew {name}' adds it, where its key is; <extensions> in authorities.xml come first"
     if not extensions.may(certificate, "cRLSign"):
         message = f"the certificate of {name!r} cannot sign revocation lists: its keyUsage lacks cRLSign"
-        yield Diagnostic("authority-cannot-revoke", Severity.WARNING, message, where, renew)
+        yield Diagnostic.warning("authority-cannot-revoke", message, where, renew)
     if extensions.value(certificate, x509.SubjectKeyIdentifier) is None:
         message = (
             f"the certificate of {name!r} has no subjectKeyIdentifier, so it cannot be told from another authority of "
             "its name, and its key not be replaced step by step"
         )
-        yield Diagnostic("authority-without-identifier", Severity.WARNING, message, where, renew)
+        yield Diagnostic.warning("authority-without-identifier", message, where, renew)
 
 
 def issued_like(

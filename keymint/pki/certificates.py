@@ -13,7 +13,7 @@ from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.regex import lazy_regex
 from comarmor.text import quoted
 from comarmor.values import dataclass
@@ -312,9 +312,8 @@ def can_sign_documents(certificate: x509.Certificate, where: Origin | None = Non
         problem, help_ = "extendedKeyUsage lacks emailProtection", "leave extendedKeyUsage out"
     else:
         return None
-    return Diagnostic(
+    return Diagnostic.error(
         "authority-cannot-sign",
-        Severity.ERROR,
         f"the certificate of {to_text(certificate.subject)!r} cannot sign documents: its {problem}",
         where,
         help_,

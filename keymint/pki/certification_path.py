@@ -13,7 +13,7 @@ from functools import lru_cache
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from keymint.errors import KeymintError
 from keymint.pki import certificates, distinguished_names, extensions
 
@@ -55,7 +55,7 @@ def verify_chain(
     for depth, link in enumerate(path):
         problems += [] if at is None else _time(link, at)
         problems += [*_critical(link), *(_authority(link, path[1:depth]) if depth else ())]
-    return [Diagnostic(code, Severity.ERROR, message, where, help_) for code, message, help_ in problems]
+    return [Diagnostic.error(code, message, where, help_) for code, message, help_ in problems]
 
 
 _Problem = tuple[str, str, str]

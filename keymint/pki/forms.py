@@ -11,7 +11,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes
 from cryptography.x509.oid import ExtendedKeyUsageOID, ExtensionOID
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.text import quoted
 from comarmor.values import dataclass
 from keymint.api import CertificateSpec, Validity
@@ -129,9 +129,8 @@ def _clamp(spec: CertificateSpec, issuer: x509.Certificate | None) -> tuple[Vali
         )
     if clamped == requested:
         return clamped, ()
-    warning = Diagnostic(
+    warning = Diagnostic.warning(
         "validity-clamped",
-        Severity.WARNING,
         f"the validity of the certificate, {_period(requested)}, is cut to its issuer's: {_period(clamped)}",
         spec.validity.origin or spec.origin,
         "keep it within the issuer's validity, or renew the issuer",

@@ -10,7 +10,7 @@ from functools import lru_cache
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from keymint.api import TrustAnchor, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import certificates, certification_path, distinguished_names, keys, public_keys
@@ -40,7 +40,7 @@ class IdentityCheck:
 
     def _error(self, code: str, name: str, message: str, help_: str = "") -> Diagnostic:
         """Return an error about a file; by default ``keymint install`` fixes it."""
-        return Diagnostic(code, Severity.ERROR, message, self._where(name), help_ or self._restore, self._subject)
+        return Diagnostic.error(code, message, self._where(name), help_ or self._restore, self._subject)
 
     def _anchored(self, name: str, anchor: TrustAnchor) -> Iterator[Diagnostic]:
         """Check that a file has an authority of the workspace."""
@@ -101,7 +101,7 @@ def anchor_defects(anchors: Iterable[TrustAnchor]) -> Iterator[Diagnostic]:
         if not anchor.chain:
             message = f"the certificate of the authority {anchor.name!r} is missing, so nothing can be compared with it"
             help_ = "restore it from a backup of the workspace; the copy in the enclave proves nothing"
-            yield Diagnostic("authority-missing", Severity.ERROR, message, Origin(anchor.file), help_)
+            yield Diagnostic.error("authority-missing", message, Origin(anchor.file), help_)
             continue
         try:
             certificates.load_bundle(anchor.chain, Origin(anchor.file))

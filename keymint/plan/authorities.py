@@ -9,7 +9,7 @@ from dataclasses import field, replace
 
 from cryptography import x509
 
-from comarmor.errors import Defects, Diagnostic, Severity
+from comarmor.errors import Defects, Diagnostic
 from comarmor.values import dataclass
 from keymint.api import SigningAuthority
 from keymint.changes import Action, File, FolderChange, Plan, Step, changed, secret_file
@@ -198,7 +198,7 @@ def _new_certificate(
     if not files.known():
         return issued.pem, issued.diagnostics
     message = f"{files.authority.name!r} is a new authority: {authority_files.COST}"
-    new = Diagnostic("authority-new", Severity.WARNING, message, files.certificate_file)
+    new = Diagnostic.warning("authority-new", message, files.certificate_file)
     return issued.pem, (*issued.diagnostics, new)
 
 
@@ -222,9 +222,8 @@ def _certificate(
     issued = certificates.issue_authority(spec, key, above.issuer if above else None)
     if not files.in_use():
         return issued.pem, issued.diagnostics
-    again = Diagnostic(
+    again = Diagnostic.warning(
         "authority-reissued",
-        Severity.WARNING,
         f"the certificate of the authority {files.authority.name!r} is reissued for the same key",
         files.certificate_file,
         "deploy all enclaves together: if it signs rights, some vendors let subjects that hold different certificates "

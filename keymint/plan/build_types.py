@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, MutableMapping
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from keymint.api import Artifact, AuthorityRole, BuildType, Package, Prover, RevocationReader, SharedDocuments
 from keymint.errors import KeymintError
 from keymint.session import Session, once
@@ -111,7 +111,7 @@ def two_writers(
         if other != build_type and (different is None or file in different):
             message = f"the build types {other} and {build_type} both write {file}, each its own"
             where, help_ = session.package_marker(package.name), "keep one of them"
-            errors.append(Diagnostic("file-conflict", Severity.ERROR, message, where, help_, package.subject))
+            errors.append(Diagnostic.error("file-conflict", message, where, help_, package.subject))
     return errors
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from keymint.changes import Action, Step
 from keymint.errors import KeymintError
 from keymint.names import subject_of
@@ -84,7 +84,7 @@ def edits(
     for file, content in documents.items():
         if not inputs.state.wrote(BUILD, key, file, content):
             where, subject = inputs.workspace.origin(folder / file), subject_of(name) if name else ""
-            yield Diagnostic(HAND_EDITED, Severity.WARNING, message, where, help_, subject)
+            yield Diagnostic.warning(HAND_EDITED, message, where, help_, subject)
 
 
 def _rebuild(name: str) -> str:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from comarmor.text import did_you_mean
 from keymint.api import (
     DigestedPolicy,
@@ -226,9 +226,7 @@ class CreateStage:
             message = "the package is that of a subject, but a transport needs one of this name"
             help_ = f"remove src/{name}, or give the package of the transport another name in the profile"
             where = session.package_marker(name)
-            return PackagePlan(
-                name, errors=(Diagnostic("infrastructure-taken", Severity.ERROR, message, where, help_),)
-            )
+            return PackagePlan(name, errors=(Diagnostic.error("infrastructure-taken", message, where, help_),))
         files = session.package_files(name)
         written = self._ordered(self._package_type.create_infrastructure(session.profile, name, build_type, files))
         outputs = {**session.file_digests(name), **{file: new.digest for file, new in written.items()}}
@@ -247,20 +245,14 @@ def _outputs(digests: Mapping[str, str]) -> dict[str, str]:
 
 def _nothing_applies(name: str, policy: LoadedPolicy, *, known: bool) -> Diagnostic:
     if known:
-        return Diagnostic(
+        return Diagnostic.warning(
             "subject-unnamed",
-            Severity.WARNING,
             f"no profile of the policy applies to {subject_of(name)} any more: it is left without permissions",
             None,
             f"remove src/{name}, or name it in the policy",
             subject_of(name),
         )
     hint = did_you_mean(subject_of(name), policy.subjects(), "attach a profile to it")
-    return Diagnostic(
-        "subject-unknown",
-        Severity.ERROR,
-        f"no profile of the policy applies to {subject_of(name)}",
-        None,
-        hint,
-        subject_of(name),
+    return Diagnostic.error(
+        "subject-unknown", f"no profile of the policy applies to {subject_of(name)}", None, hint, subject_of(name)
     )

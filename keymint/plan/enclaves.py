@@ -10,7 +10,7 @@ from pathlib import Path
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from keymint.changes import File, file_mode
 from keymint.errors import KeymintError
 from keymint.names import ROOT, subject_of
@@ -71,7 +71,7 @@ def unaccounted(session: Session) -> Iterator[Diagnostic]:
                 f"hides the source package of the installed enclave {subject_of(name)}, which is not checked or updated"
             )
             help_ = "remove this file, or the enclave"
-        yield Diagnostic(code, Severity.WARNING, message, where, help_, subject_of(name))
+        yield Diagnostic.warning(code, message, where, help_, subject_of(name))
 
 
 def _unknown(session: Session) -> Iterator[tuple[str, Path | None]]:
@@ -163,7 +163,7 @@ def enclave_digests(session: Session, name: str) -> dict[str, str] | None:
 def not_installed(name: str, folder: str) -> Diagnostic:
     """Return the finding on a package without an enclave; the folder is the missing one as messages show it."""
     message, help_ = f"the enclave {subject_of(name)} is not installed", f"run 'keymint install {name}'"
-    return Diagnostic("enclave-missing", Severity.ERROR, message, Origin(folder), help_, subject_of(name))
+    return Diagnostic.error("enclave-missing", message, Origin(folder), help_, subject_of(name))
 
 
 @once

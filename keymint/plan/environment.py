@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from keymint.api import EnvironmentVariable, ProcessEnvironment
 from keymint.changes import Action, File, Step, changed
 from keymint.errors import KeymintError
@@ -90,9 +90,8 @@ def enclave_environment(session: Session, name: str) -> Mapping[str, str]:
 
 
 def _kept(session: Session, name: str, message: str) -> Diagnostic:
-    return Diagnostic(
+    return Diagnostic.warning(
         "script-foreign",
-        Severity.WARNING,
         f"{message}: no script is written there, by which shells find the keystore",
         session.workspace.origin(session.workspace.install / name),
         "rename it or remove it, and run 'keymint install'",

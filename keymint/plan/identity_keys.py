@@ -77,9 +77,8 @@ def is_awaited(package: Package) -> bool:
 
 def awaited(package: Package) -> Diagnostic:
     """Return the finding on a package whose public key is not known here."""
-    return Diagnostic(
+    return Diagnostic.warning(
         "key-unknown",
-        Severity.WARNING,
         f"the key of {package.subject} lies in a token, and its public key is not known here: no certificate is issued",
         package.identity.origin,
         "run 'keymint request --pkcs11 …' on the machine that has the token, then 'keymint sign' here",

@@ -114,9 +114,8 @@ def _still_good(session: Session, removed: Sequence[str]) -> Iterator[Diagnostic
     if ends:
         name, end = max(ends.items(), key=lambda item: item[1])
         others = f" [{len(ends)} enclaves]" if len(ends) > 1 else ""
-        yield Diagnostic(
+        yield Diagnostic.warning(
             "certificate-in-force",
-            Severity.WARNING,
             f"the certificate of the removed enclave {subject_of(name)} stays good until {shown(end)}{others}",
             None,
             f"'keymint revoke {name} --reason retired' ends it",
@@ -253,9 +252,8 @@ def _outliving(
         except KeymintError:  # what cannot be read gives no rights
             continue
         if found is not None:
-            yield Diagnostic(
+            yield Diagnostic.warning(
                 RIGHTS_OUTLIVE,
-                Severity.WARNING,
                 f"the signed rights that are replaced allow more, e.g. to {found.example}, and their holder may "
                 f"present them until {shown(found.until)}",
                 session.workspace.origin(session.enclave_folder(package.name)),
@@ -280,9 +278,8 @@ def _outdated(inputs: Inputs, names: Sequence[str]) -> Sequence[Diagnostic]:
     name = names[0]
     one = len(names) == 1
     return (
-        Diagnostic(
+        Diagnostic.warning(
             OUTDATED,
-            Severity.WARNING,
             "is stale; signing the existing build" + ("" if one else f" [{len(names)} packages]"),
             inputs.workspace.origin(inputs.workspace.build / name),
             f"'keymint build {name}' rebuilds it" if one else "'keymint build' rebuilds all stale packages",

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from keymint.api import Issuance
 from keymint.changes import Action, File, Plan, Step, changed
 from keymint.errors import KeymintError
@@ -69,13 +69,12 @@ def _defects(session: Session, name: str, new: Issuance) -> list[Diagnostic]:
     subject, where = subject_of(name), place_of(session, name)
     if new.generation < before.generation:
         message = f"has generation {before.generation}, and would fall to {new.generation}"
-        return [Diagnostic("generation-falls", Severity.ERROR, message, where, "never lower a generation", subject)]
+        return [Diagnostic.error("generation-falls", message, where, "never lower a generation", subject)]
     identity = session.package(name).identity
     if identity.serial is not None and (new.generation, new.renewed) != (before.generation, before.renewed):
         return [
-            Diagnostic(
+            Diagnostic.error(
                 "serial-fixed",
-                Severity.ERROR,
                 f"the sources give the serial number {identity.serial}, so the certificate cannot be issued again",
                 identity.origin,
                 "leave <serial_number> out or empty, so that each certificate gets a number of its own",

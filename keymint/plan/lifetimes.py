@@ -14,7 +14,7 @@ from dataclasses import replace
 from datetime import datetime
 from functools import lru_cache
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint.api import Authority, Package, Validity
 from keymint.names import subject_of
@@ -91,7 +91,7 @@ def _of(each: Lifetime, authorities: Mapping[str, Authority], now: datetime, wha
     what = what or each.what
 
     def warning(code: str, message: str, help_: str) -> Diagnostic:
-        return Diagnostic(f"{each.what}-{code}", Severity.WARNING, message, each.where, help_)
+        return Diagnostic.warning(f"{each.what}-{code}", message, each.where, help_)
 
     if now > each.last:
         message = f"the {what} expired on {shown(each.last)}: nothing is permitted now"

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from comarmor.text import counted, did_you_mean, first_few, quoted
 from comarmor.xml.package_folders import InstalledPackages, PackageFolders, ShippedFile
 from keymint.api import (
@@ -263,7 +263,7 @@ def _diagnostics(shipped: Sequence[ShippedFile], found: Mapping[ShippedFile, str
             f"repeat the command with --accept-package {name}={value}"
         )
         code = "package-changed" if known else "package-unaccepted"
-        yield Diagnostic(code, Severity.ERROR, message, own[0].where, help_)
+        yield Diagnostic.error(code, message, own[0].where, help_)
 
 
 def _of(packages: Mapping[str, AcceptedPackage], name: str) -> AcceptedPackage:

@@ -33,12 +33,12 @@ def policy_changed(session: Session) -> tuple[Diagnostic, ...]:
         names = _changed_packages(session)
     except KeymintError as error:
         message = f"the policy changed since the packages were created, and cannot be read: {error.diagnostics[0]}"
-        return (Diagnostic(CHANGED, Severity.WARNING, message, None, "fix it, then run 'keymint create --all'"),)
+        return (Diagnostic.warning(CHANGED, message, None, "fix it, then run 'keymint create --all'"),)
     if not names:
         return ()
     shown = first_few([subject_of(name) for name in names])
     message = f"{counted(len(names), 'source package')} out of date with the policy: {shown}"
-    return (Diagnostic(CHANGED, Severity.WARNING, message, None, "run 'keymint create --all'"),)
+    return (Diagnostic.warning(CHANGED, message, None, "run 'keymint create --all'"),)
 
 
 def _changed_packages(session: Session) -> list[str]:

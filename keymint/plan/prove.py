@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from comarmor.errors import Defects, Diagnostic, Severity
+from comarmor.errors import Defects, Diagnostic
 from keymint import __version__
 from keymint.api import (
     Claim,
@@ -280,7 +280,7 @@ class ProofStage:
             prover = prover_of(self._session, name)
             if prover is None:
                 message, marker = f"the build type {name} proves nothing", self._session.package_marker(package.name)
-                defects.found.append(Diagnostic(NO_PROVER, Severity.ERROR, message, marker))
+                defects.found.append(Diagnostic.error(NO_PROVER, message, marker))
                 continue
             with defects:
                 task = ProofTask(

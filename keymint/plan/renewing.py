@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 
-from comarmor.errors import Defects, Diagnostic, Severity
+from comarmor.errors import Defects, Diagnostic
 from comarmor.values import dataclass
 from keymint.api import BuildOptions
 from keymint.changes import FolderChange, Plan
@@ -62,8 +62,8 @@ def chosen(session: Session, names: Iterable[str], *, rekey: bool) -> Chosen:
 
 
 def _request(session: Session, name: str) -> Diagnostic:
-    return Diagnostic(
-        "request-needed", Severity.WARNING,
+    return Diagnostic.warning(
+        "request-needed",
         f"the private key of {subject_of(name)} is not here, so a new one must be made where it is",
         place_of(session, name), "run 'keymint request' there, then 'keymint sign' here", subject_of(name),
     )  # fmt: skip

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.text import counted, did_you_mean
 from comarmor.values import dataclass
 from keymint.api import RevocationReader
@@ -106,9 +106,8 @@ def _nothing_to_revoke(last: IssuedCertificate) -> Diagnostic:
     else:
         message = f"expired on {last.not_after:%Y-%m-%d}"
     subject = subject_of(last.name)
-    return Diagnostic(
+    return Diagnostic.warning(
         "nothing-to-revoke",
-        Severity.WARNING,
         f"the last certificate of {subject} {message}",
         None,
         "'keymint issued' lists the certificates",
@@ -127,9 +126,8 @@ def _limits(
         end = max((each.not_after for each in certificates), default=None)
         until = f" until {end:%Y-%m-%d}" if end else ""
         found.append(
-            Diagnostic(
+            Diagnostic.warning(
                 "revocation-unread",
-                Severity.WARNING,
                 f"nodes of {profile.distro} with the layout {profile.layout!r} read no revocation list: whoever has "
                 f"the revoked key is accepted{until}",
                 session.profile_marker(),
@@ -141,9 +139,8 @@ def _limits(
         fit = "still fit the new certificate" if reason == SUPERSEDED else "would fit a later certificate as well"
         package = session.package(same[0])
         found.append(
-            Diagnostic(
+            Diagnostic.warning(
                 "generation-none",
-                Severity.WARNING,
                 f"the subject name has no generation: permissions that were signed before {fit}"
                 + (f" [{counted(len(same), 'package')}]" if len(same) > 1 else ""),
                 package.grant.defaults_origin or Origin(session.package_marker(same[0]).file),

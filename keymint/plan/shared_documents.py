@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import cast
 
-from comarmor.errors import Defects, Diagnostic, Severity
+from comarmor.errors import Defects, Diagnostic
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, BuildResult, BuildType, Package, SharedDocuments
@@ -114,7 +114,7 @@ def _blocking(session: Session, build_types: Iterable[str], name: str) -> Iterat
             f"the sources of {subject_of(name)} have defects, so the shared documents of {of_types} cannot be built"
         )
         where, help_ = session.package_marker(name), "fix it: they hold the rights of all packages"
-        blocked = Diagnostic("shared-blocked", Severity.ERROR, message, where, help_)
+        blocked = Diagnostic.error("shared-blocked", message, where, help_)
         raise KeymintError.of((blocked, *error.diagnostics)) from None
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import cast
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from keymint.api import AuthorityRole, BuildOptions, BuildType, Package, SharedCredentials, SharedDocuments
 from keymint.changes import Action, File, Step
 from keymint.errors import KeymintError
@@ -225,7 +225,7 @@ def _first(session: Session, documents: Iterable[str]) -> Origin | None:
 
 def _outdated(session: Session, documents: Iterable[str]) -> Diagnostic:
     where, message = _first(session, documents), "is stale; signing the existing build"
-    return Diagnostic(OUTDATED, Severity.WARNING, message, where, "'keymint build' rebuilds it")
+    return Diagnostic.warning(OUTDATED, message, where, "'keymint build' rebuilds it")
 
 
 def _outdated_removal(session: Session, documents: Iterable[str], orphans: Sequence[str]) -> KeymintError:

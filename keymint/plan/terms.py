@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from keymint.api import ValidityTerm
 
 _HELP = "'keymint renew' issues it again with later dates"
@@ -63,7 +63,7 @@ def findings(terms: Sequence[ValidityTerm], now: datetime, subject: str) -> Iter
             code, message = "never-valid", "is never valid"
         text = f"{term.what} {message}{reading}; now is {shown(now)}, and nothing is permitted"
         help_ = LATER if later is not None else how_to_renew(term.code)
-        yield Diagnostic(f"{term.code}-{code}", Severity.ERROR, text, term.where, help_, subject)
+        yield Diagnostic.error(f"{term.code}-{code}", text, term.where, help_, subject)
 
 
 def merged(diagnostics: Iterable[Diagnostic]) -> Iterator[Diagnostic]:

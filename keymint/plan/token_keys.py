@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from keymint.api import Authority
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
@@ -58,9 +58,8 @@ def load(inputs: Inputs, files: AuthorityFiles, *, renew: bool) -> keys.PrivateK
 def left_over(files: AuthorityFiles) -> Iterator[Diagnostic]:
     """Yield a warning if the private key lies in a file as well as in its token."""
     if files.key is not None:
-        yield Diagnostic(
+        yield Diagnostic.warning(
             "authority-key-copy",
-            Severity.WARNING,
             f"is a private key of the authority {files.authority.name!r}, whose key is to lie in a token only",
             files.key_file,
             "move it to a safe place that is no computer's disk, or destroy it",

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import comarmor
-from comarmor.errors import ComArmorError, Diagnostic, Severity
+from comarmor.errors import ComArmorError, Diagnostic
 from comarmor.language.attachments import MOST_CHARACTERS
 from comarmor.language.parse import parse
 from comarmor.language.source import read_document
@@ -63,4 +63,4 @@ def _length(rule: Rule) -> int:
 
 def _too_long(subject: SubjectRules, rule: Rule) -> Diagnostic:
     message = f"has a name of more than {MOST_CHARACTERS:,} characters, which no policy can hold"
-    return Diagnostic("expression", Severity.ERROR, message, rule.origin, "shorten it", subject.subject)
+    return Diagnostic.error("expression", message, rule.origin, "shorten it", subject.subject)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 import comarmor
-from comarmor.errors import Diagnostic, Origin, Severity, Spot
+from comarmor.errors import Diagnostic, Origin, Spot
 from comarmor.patterns.expression import matches
 from comarmor.rules import parts
 from comarmor.text import quoted
@@ -23,9 +23,8 @@ def conflict(edge: Edge, decision: comarmor.Decision) -> Diagnostic | None:
     denied = next((part for part in decision.parts or (decision,) if not part.allowed and part.rule), None)
     if denied is None or denied.where is None:
         return None
-    return Diagnostic(
+    return Diagnostic.warning(
         "learn-denied",
-        Severity.WARNING,
         f"this rule denies {edge.subject} the {edge.permission} on {quoted(edge.object.name)} that the graph has",
         denied.where.alone(),
         "narrow the rule, or leave it: a DENY wins over every ALLOW",
@@ -50,7 +49,7 @@ def unused(policy: comarmor.Policy, graph: Graph) -> Iterator[Diagnostic]:
     for subject in policy.subjects():
         if subject not in graph.subjects:
             message = f"the policy names {subject}, which the graph does not have"
-            yield Diagnostic("learn-unused-subject", Severity.NOTE, message, subject=subject)
+            yield Diagnostic.note("learn-unused-subject", message, subject=subject)
 
 
 def _elementary(edge: Edge) -> Iterator[_Need]:
@@ -99,4 +98,4 @@ def _unused_units(place: Spot, usage: dict[_Unit, bool]) -> Iterator[Diagnostic]
 def _note(code: str, place: Spot, message: str) -> Diagnostic:
     file, line, column = place
     where = Origin(file, line, (), column)
-    return Diagnostic(code, Severity.NOTE, message, where, "remove it unless it is for a rare case")
+    return Diagnostic.note(code, message, where, "remove it unless it is for a rare case")

@@ -82,8 +82,8 @@ def build_shared(packages: Sequence[Package], options: BuildOptions) -> BuildRes
 
 
 def _admits_nobody(router: Package) -> Diagnostic:
-    return Diagnostic(
-        "zenoh-enclaves", Severity.WARNING,
+    return Diagnostic.warning(
+        "zenoh-enclaves",
         f"no package of a subject has the build type {BUILD_TYPE}, so the router gives nobody rights",
         settings_of(router).router.origin,
         f"write <build_type>{BUILD_TYPE}</build_type> in <export> of their keymint_package.xml", router.subject,
@@ -101,23 +101,23 @@ def _differences(packages: Sequence[Package]) -> Iterator[Diagnostic]:
     for package in packages:
         own = settings_of(package).router
         if own != router:
-            yield Diagnostic(
-                "zenoh-routers", Severity.ERROR,
+            yield Diagnostic.error(
+                "zenoh-routers",
                 f"{package.subject} has the router {own.name} at {own.endpoint}, but {first.subject} has {router.name} "
                 f"at {router.endpoint}: one router decides for all enclaves of a workspace",
                 own.origin, f"give both the same router, as at {router.origin}", package.subject,
             )  # fmt: skip
         if package.identity.issuer != first.identity.issuer:
-            yield Diagnostic(
-                "zenoh-issuers", Severity.ERROR,
+            yield Diagnostic.error(
+                "zenoh-issuers",
                 f"{package.identity.issuer!r} issues the certificate of {package.subject}, {first.identity.issuer!r} "
                 f"that of {first.subject}: a router and a session with different issuers refuse each other",
                 package.identity.origin, f"give both the same issuer_name, as at {first.identity.origin}",
                 package.subject,
             )  # fmt: skip
         if package.grant.issuer != first.grant.issuer:
-            yield Diagnostic(
-                "zenoh-signers", Severity.ERROR,
+            yield Diagnostic.error(
+                "zenoh-signers",
                 f"the rights of {package.subject} are signed by {package.grant.issuer!r}, those of {first.subject} by "
                 f"{first.grant.issuer!r}, but they stand in one file",
                 package.grant.origin, f"give both the same issuer_name, as at {first.grant.origin}", package.subject,

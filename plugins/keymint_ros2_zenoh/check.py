@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.text import quoted
 from keymint.api import Inspection, SharedInspection
 from keymint.errors import KeymintError
@@ -47,11 +47,11 @@ def _enclave(inspection: Inspection) -> Iterator[Diagnostic]:
     for name in names:
         if name not in inspection.files and not (name == KEY and package.issuance.public_key):
             where = Origin(f"{inspection.folder}/{name}")
-            yield Diagnostic("file-missing", Severity.ERROR, "is missing", where, restore, package.subject)
+            yield Diagnostic.error("file-missing", "is missing", where, restore, package.subject)
     if is_router(package) and SESSION in inspection.files:
         where = Origin(f"{inspection.folder}/{SESSION}")
         message = "is the configuration of a session, but this enclave is the router's"
-        yield Diagnostic("file-unexpected", Severity.WARNING, message, where, "remove it", package.subject)
+        yield Diagnostic.warning("file-unexpected", message, where, "remove it", package.subject)
     yield from check_credentials(inspection)
     found, built = inspection.files.get(SESSION), inspection.documents.get(SESSION)
     if found is None or built is None or is_router(package):
@@ -65,7 +65,7 @@ def _enclave(inspection: Inspection) -> Iterator[Diagnostic]:
 def _drift(found: bytes, built: bytes, file: str, help_: str) -> Iterator[Diagnostic]:
     if found != built:
         message = "the sources build another document: they changed, or the built one was edited by hand"
-        yield Diagnostic("drift", Severity.WARNING, message, Origin(file), help_)
+        yield Diagnostic.warning("drift", message, Origin(file), help_)
 
 
 def _session(found: bytes, built: bytes, file: str) -> Iterator[Diagnostic]:
@@ -85,7 +85,7 @@ def _session(found: bytes, built: bytes, file: str) -> Iterator[Diagnostic]:
             "others can stand for the router"
         )
         where = configuration.place("access_control/subjects", file)
-        yield Diagnostic("zenoh-router-pin", Severity.ERROR, message, where)
+        yield Diagnostic.error("zenoh-router-pin", message, where)
 
 
 def _router(inspection: SharedInspection) -> Iterator[Diagnostic]:
@@ -113,19 +113,19 @@ def _subjects(inspection: SharedInspection, configuration: Configuration, file: 
     for name, entry in named.items():
         if name not in enclaves.values():
             message = f"the common name {quoted(name)} has rights, but no package of the workspace has it"
-            yield Diagnostic("zenoh-subject-unknown", Severity.ERROR, message, entry.where)
+            yield Diagnostic.error("zenoh-subject-unknown", message, entry.where)
     where = configuration.place("access_control/subjects", file)
     for subject, name in enclaves.items():
         if name not in named:
             message = f"the common name {quoted(name)} is missing: {subject} has no rights"
-            yield Diagnostic("zenoh-subject-missing", Severity.ERROR, message, where, _INSTALL, subject)
+            yield Diagnostic.error("zenoh-subject-missing", message, where, _INSTALL, subject)
             continue
         shown = _installed_name(inspection.enclaves.get(subject, {}))
         if shown not in {None, name}:
             message = f"the certificate of {subject} has the common name {quoted(shown or '')}, not {quoted(name)}"
             place = Origin(f"{inspection.folder}/enclaves{subject}/{CERTIFICATE}")
             help_ = f"'keymint install {name_of(subject)}' writes it again"
-            yield Diagnostic("zenoh-common-name", Severity.ERROR, message, place, help_, subject)
+            yield Diagnostic.error("zenoh-common-name", message, place, help_, subject)
 
 
 def _installed_name(files: Mapping[str, bytes]) -> str | None:
@@ -141,7 +141,7 @@ def _signature(inspection: SharedInspection, content: bytes) -> Iterator[Diagnos
     where = Origin(f"{inspection.folder}/{SIGNATURE}")
     signature = inspection.files.get(SIGNATURE)
     if signature is None:
-        yield Diagnostic("file-missing", Severity.ERROR, "is missing", where, "'keymint install' writes it again")
+        yield Diagnostic.error("file-missing", "is missing", where, "'keymint install' writes it again")
         return
     try:
         authority = certificates.load_first(inspection.chains[ACCESS], where, with_lists=True)
@@ -151,9 +151,9 @@ def _signature(inspection: SharedInspection, content: bytes) -> Iterator[Diagnos
     if problem := certificates.can_sign_documents(authority, where):
         yield problem
     if defect := signatures.problem(content, signature, authority):
-        yield Diagnostic("zenoh-signature", Severity.ERROR, defect, where, _INSTALL)
+        yield Diagnostic.error("zenoh-signature", defect, where, _INSTALL)
     begin, end = certificates.period(authority)
     if not begin <= inspection.now <= end:
         message = f"the certificate of its signer is not valid at {inspection.now:%Y-%m-%d}"
         help_ = "extend the validity of the authority in the profile, then install"
-        yield Diagnostic("smime-authority-expired", Severity.ERROR, message, where, help_)
+        yield Diagnostic.error("smime-authority-expired", message, where, help_)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from comarmor.errors import Defects, Diagnostic, Severity
+from comarmor.errors import Defects, Diagnostic
 from comarmor.rules import Effect
 from keymint.api import Package
 from keymint.errors import KeymintError
@@ -166,7 +166,7 @@ def require_distinct_names(packages: Iterable[Package]) -> None:
                     f"{name!r}, by which alone routers know a subject"
                 )
                 where, help_ = package.identity.origin, "give one of them a subject_name with another CN"
-                error = Diagnostic("zenoh-common-name", Severity.ERROR, message, where, help_, package.subject)
+                error = Diagnostic.error("zenoh-common-name", message, where, help_, package.subject)
                 raise KeymintError.of([error])
     defects.require_none()
 

@@ -66,7 +66,7 @@ def _access_control(found: Configuration, file: str) -> Iterator[Diagnostic]:
         problem = _problem(subject, counts)
         if problem:
             code, message = problem
-            yield Diagnostic(code, Severity.ERROR, message, subject.where)
+            yield Diagnostic.error(code, message, subject.where)
 
 
 def _problem(subject: AclSubject, counts: Counter[str]) -> tuple[str, str] | None:

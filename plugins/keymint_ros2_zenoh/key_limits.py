@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from ipaddress import ip_address
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from keymint.api import CertificateSpec, Extension, Package
 from keymint_ros2_zenoh.settings import is_address, is_router, settings_of
 
@@ -25,12 +25,12 @@ _Defect = tuple[str, str, Origin, str]
 def check_identity(package: Package) -> Iterator[Diagnostic]:
     """Yield what a router or session would refuse of a package's key and certificate, and of their authorities."""
     for code, message, where, help_ in _refused(package):
-        yield Diagnostic(code, Severity.ERROR, message, where, help_, package.subject)
+        yield Diagnostic.error(code, message, where, help_, package.subject)
     for extension, usages in _listed(package, "extendedKeyUsage"):
         if _SERVER in usages and _CLIENT in usages:
             problem, where = _TOO_MUCH[is_router(package)], extension.origin
             help_ = "leave out the extension"
-            yield Diagnostic("zenoh-key-usage", Severity.WARNING, problem, where, help_, package.subject)
+            yield Diagnostic.warning("zenoh-key-usage", problem, where, help_, package.subject)
 
 
 def _refused(package: Package) -> Iterator[_Defect]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from ipaddress import ip_address
 from typing import TYPE_CHECKING
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.regex import lazy_regex
 from comarmor.text import quoted
 from comarmor.xml.reader import line
@@ -130,12 +130,12 @@ def _defects(values: _Values) -> Iterator[Diagnostic]:
     if host and (not (_is_reachable(host) if is_address(host) else _DNS_NAME.fullmatch(host))):
         message = f"the host {quoted(host)} is neither a DNS name nor the IP address of one machine"
         help_ = "write the name or address by which sessions reach the router, e.g. robot1.local"
-        yield Diagnostic("zenoh-host", Severity.ERROR, message, where, help_)
+        yield Diagnostic.error("zenoh-host", message, where, help_)
     path, where = values["keystore"]
     if not path.startswith("/") or ".." in path.split("/") or "//" in path or not path.isprintable():
         message = f"the keystore {quoted(path)} is not an absolute path"
         help_ = "write the path of the install space on the robot, e.g. /etc/keymint/install"
-        yield Diagnostic("zenoh-keystore", Severity.ERROR, message, where, help_)
+        yield Diagnostic.error("zenoh-keystore", message, where, help_)
 
 
 def _is_reachable(address: str) -> bool:
@@ -147,7 +147,7 @@ def _is_reachable(address: str) -> bool:
 def _missing(path: str, where: Origin) -> Diagnostic:
     tag = path.rpartition("/")[2]
     message = f"there is no <{tag}> of the router, neither in the package's document nor in these defaults"
-    return Diagnostic("zenoh-incomplete", Severity.ERROR, message, where, f"add a <{tag}>")
+    return Diagnostic.error("zenoh-incomplete", message, where, f"add a <{tag}>")
 
 
 def _missing_file(file: str, where: Origin) -> KeymintError:

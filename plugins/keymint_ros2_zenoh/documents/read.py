@@ -14,7 +14,7 @@ from typing import Any
 import fastjsonschema
 
 from comarmor.data import locate
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean, quoted
 from keymint.errors import KeymintError
 from keymint_ros2_zenoh.documents import json5
@@ -201,7 +201,7 @@ class _Reading:
 
     @staticmethod
     def _defect(message: str, where: Origin | None, help_: str) -> Diagnostic:
-        return Diagnostic("zenoh-configuration", Severity.ERROR, message, where, help_)
+        return Diagnostic.error("zenoh-configuration", message, where, help_)
 
 
 def _items(members: Mapping[str, Node], key: str) -> Sequence[Node]:

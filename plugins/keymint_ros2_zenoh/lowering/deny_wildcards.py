@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from comarmor.patterns.relations import disjoint
 from comarmor.rules import Effect
 from keymint_ros2_zenoh.keyexpr.expansion import key_exprs
@@ -61,9 +61,8 @@ def _warning(denial: NameRule, key: KeyExpr, allowing: NameRule, subject: str) -
         f"permits key expressions such as '<domain>/{key}/…', which cover a denied name; a hostile process can send "
         "them, and they arrive where a receiver may receive them"
     )
-    return Diagnostic(
+    return Diagnostic.warning(
         "zenoh-deny-wildcard",
-        Severity.WARNING,
         message,
         denial.rule.origin,
         "allow the names that the subject needs instead of a wildcard",

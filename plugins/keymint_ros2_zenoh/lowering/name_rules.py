@@ -161,9 +161,8 @@ def _defects(rule: Rule) -> Iterator[_Problem]:
 def _dropped(rule: Rule, subject: str) -> Diagnostic:
     # Without the files that include the rule: they differ from subject to subject, and all have one note together.
     where = rule.origin.alone()
-    return Diagnostic(
+    return Diagnostic.note(
         _DROPPED,
-        Severity.NOTE,
         f"the rule on {DDS_INFRASTRUCTURE}, which only DDS has, is left out: on Zenoh every enclave may announce its "
         "own nodes and read the graph",
         where,

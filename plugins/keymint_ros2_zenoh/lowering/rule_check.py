@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from keymint.api import Package
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
@@ -49,9 +49,8 @@ def _dated(package: Package) -> Iterator[Diagnostic]:
     if rights is None:
         return
     if rights.not_before > identity.not_before or rights.not_after < identity.not_after:
-        yield Diagnostic(
+        yield Diagnostic.error(
             "zenoh-validity",
-            Severity.ERROR,
             "the permissions are valid for a shorter time than the certificate, but rights on Zenoh have no dates: "
             "they end with the certificate",
             package.grant.origin,

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from keymint.api import TrustAnchor, TrustAnchors, ValidityTerm
 from keymint.pki import certificates
 from keymint.pki.identity_check import IdentityCheck, anchor_defects, certificate_terms
@@ -92,4 +92,4 @@ class _EnclaveTrust(IdentityCheck):
 
 
 def _error(code: str, file: str, message: str, help_: str = _INSTALL) -> Diagnostic:
-    return Diagnostic(code, Severity.ERROR, message, Origin(file), help_)
+    return Diagnostic.error(code, message, Origin(file), help_)
