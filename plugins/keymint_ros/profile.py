@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import os
+import posixpath
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -62,12 +62,12 @@ class _ProfileManifest:
     build_types: tuple[str, ...]
     layout: str
     distro: str
-    distro_line: int
     accepts: frozenset[str]
     revoke_superseded: bool
 
 
-def _path(element: etree._Element | None, parent: etree._Element, usual: str) -> _PathElement:
+def _path(parent: etree._Element, tag: str, usual: str) -> _PathElement:
+    element = parent.find(tag)
     return _PathElement(usual, line(parent)) if element is None else _PathElement(text(element) or "", line(element))
 
 
@@ -77,21 +77,15 @@ def _manifest(root: etree._Element) -> _ProfileManifest:
     return _ProfileManifest(
         name=text(root.find("name")) or "",
         authorities=tuple(
-            (
-                _path(item.find("authority_path"), item, "authorities.xml"),
-                _path(item.find("defaults_path"), item, _AUTHORITY_DEFAULTS),
-            )
+            (_path(item, "authority_path", "authorities.xml"), _path(item, "defaults_path", _AUTHORITY_DEFAULTS))
             for item in root.iterfind("authorities/authority")
         ),
-        policies=tuple(
-            _path(item.find("policy_path"), item, "policies.xml") for item in root.iterfind("policies/policy")
-        ),
+        policies=tuple(_path(item, "policy_path", "policies.xml") for item in root.iterfind("policies/policy")),
         policy_type=exports.get("policy_type") or bootstrap.POLICY_TYPE,
         package_type=exports.get("package_type") or NAME,
         build_types=manifest.build_types(root.findall("export/build_type")) or (BUILD_TYPE,),
         layout=exports.get("layout") or "sros2",
-        distro=exports.get("distro") or distros.DEFAULT,
-        distro_line=line(root if distro is None else distro),
+        distro=distros.check(exports.get("distro") or distros.DEFAULT, place(root if distro is None else distro)),
         accepts=frozenset(str(part.tag) for part in root.iterfind("accept/*")),
         revoke_superseded=root.find("revoke_superseded") is not None,
     )
@@ -115,12 +109,10 @@ def _exports(root: etree._Element) -> Mapping[str, str]:
 
 
 def _authorities(root: etree._Element) -> tuple[tuple[str, CertificateElement], ...]:
-    authorities: dict[str, CertificateElement] = {}
-    for element in root.iterfind("authorities/authority"):
-        name = element.get("name", "").strip()
-        _check_unique(name, authorities, place(element))
-        authorities[name] = certificate.read(element, placeholders.AUTHORITY)
-    return tuple(authorities.items())
+    return tuple(
+        (element.get("name", "").strip(), certificate.read(element, placeholders.AUTHORITY))
+        for element in root.iterfind("authorities/authority")
+    )
 
 
 def _check_unique(name: str, known: Mapping[str, object], where: Origin) -> None:
@@ -169,13 +161,8 @@ _read_policies = Reader("keymint_ros", "policies", _policies)
 
 def base_of(profile: WorkspaceProfile) -> str:
     """Return the path of the profile space as the user would type it, ending in a slash; or empty."""
-    return _folder_of(profile.library)
-
-
-@lru_cache(maxsize=64)
-def _folder_of(library: Path | None) -> str:
-    folder = "." if library is None else str(library.parent)
-    return "" if folder == "." else f"{folder.rstrip('/')}/"
+    folder = posixpath.dirname(profile.library or "")
+    return folder and f"{folder.rstrip('/')}/"
 
 
 def recognises(files: Mapping[str, bytes]) -> bool:
@@ -187,13 +174,12 @@ def load(root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
     """Load a profile: see :meth:`keymint.api.ProfileType.load`."""
     name = str(root / MANIFEST)
     own = _read_manifest(file_in(files, MANIFEST, Origin(str(root)), "profile"), name)
-    distros.check(own.distro, Origin(name, own.distro_line))
     authorities: dict[str, Authority] = {}
     issuers: dict[str, Origin] = {}
     for path, defaults_path in own.authorities:
-        for authority, origin in _load_authorities(root, files, path, defaults_path):
-            _check_unique(authority.name, authorities, authority.certificate.origin)
-            authorities[authority.name], issuers[authority.name] = authority, origin
+        for authority, where, issuer_named_at in _load_authorities(root, files, path, defaults_path):
+            _check_unique(authority.name, authorities, where)
+            authorities[authority.name], issuers[authority.name] = authority, issuer_named_at
     for each, issuance in authority_issuance.read(files, str(root), authorities).items():
         spec = authority_issuance.applied(authorities[each].certificate, issuance)
         authorities[each] = Authority(each, spec, issuance)
@@ -224,18 +210,16 @@ def _document(root: Path, files: Mapping[str, bytes], path: _PathElement) -> tup
 
 def _load_authorities(
     root: Path, files: Mapping[str, bytes], path: _PathElement, defaults_path: _PathElement
-) -> list[tuple[Authority, Origin]]:
-    """Return the authorities of one document, each with the place that names its issuer."""
+) -> Iterator[tuple[Authority, Origin, Origin]]:
+    """Yield the authorities of one document, each with its place and the one that names its issuer."""
     content, file = _document(root, files, path)
     defaults_content, defaults_file = _document(root, files, defaults_path)
     defaults = replace(_read_authority_defaults(defaults_content, defaults_file), file=defaults_file)
-    authorities = []
     for name, element in _read_authorities(content, file):
         own = replace(element, file=file)
         spec = certificate.complete(own, defaults, {"name": name})
         issuer = "" if spec.issuer == name else spec.issuer
-        authorities.append((Authority(name, replace(spec, issuer=issuer)), certificate.issuer(own, defaults)[1]))
-    return authorities
+        yield Authority(name, replace(spec, issuer=issuer)), own.origin, certificate.issuer(own, defaults)[1]
 
 
 def _check_hierarchy(authorities: Mapping[str, Authority], issuers: Mapping[str, Origin]) -> None:
@@ -299,22 +283,25 @@ def settings(profile: WorkspaceProfile) -> Mapping[str, str]:
     found: dict[str, str] = {}
     for file, read in ((_IDENTITY_DEFAULTS, _read_identity_settings), (_GRANT_DEFAULTS, _read_grant_settings)):
         if content := profile.files.get(file):
-            found |= {name: value for name, value in read(content, file).items() if value}
+            found |= read(content, file)
     return {"distro": profile.distro, "layout": profile.layout, **found}
 
 
-def _grant_settings(root: etree._Element) -> Mapping[str, str]:
-    given = domains(root.find("domains"))
-    ranges = (str(each.first) if each.first == each.last else f"{each.first}-{each.last}" for each in given)
-    return {"domain": ", ".join(ranges), **_identity_settings(root)}
-
-
-def _identity_settings(root: etree._Element) -> Mapping[str, str]:
+def _settings(root: etree._Element) -> Mapping[str, str]:
+    """Return what the defaults of grants or identities set; the latter have no domains."""
+    ranges = (
+        f"{each.first}-{each.last}" if each.first < each.last else f"{each.first}"
+        for each in domains(root.find("domains"))
+    )
     subject_name = text(root.find("subject_name")) or ""
-    lengths = {"valid-for": validity.length(root)}
     formats = {name: format_ for format_, name in bootstrap.SUBJECT_NAMES.items()}
-    return {"subject-format": formats.get(subject_name, subject_name), **lengths}
+    found = {
+        "domain": ", ".join(ranges),
+        "subject-format": formats.get(subject_name, subject_name),
+        "valid-for": validity.length(root),
+    }
+    return {name: value for name, value in found.items() if value}
 
 
-_read_grant_settings = Reader("keymint_ros", "defaults_permissions", _grant_settings)
-_read_identity_settings = Reader("keymint_ros", "defaults_identities", _identity_settings)
+_read_grant_settings = Reader("keymint_ros", "defaults_permissions", _settings)
+_read_identity_settings = Reader("keymint_ros", "defaults_identities", _settings)
