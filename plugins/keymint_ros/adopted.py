@@ -4,33 +4,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from xml.sax.saxutils import escape  # nosec - writes
 
 from keymint.api import AdoptedSources, DomainRange, KeySpec, Validity, WorkspaceProfile
 from keymint_ros import bootstrap, permissions_writer
-from keymint_ros.manifest import MARKER
 from keymint_ros.profile import base_of
+from keymint_ros.templates import filled
 from keymint_ros.validity import written
 
 PREFIX = "adopted."
 """Prefix of the files of a package that are documents which another tool signed: ``adopted.permissions.xml``."""
-_SPECIAL = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;"})
-_IDENTITY = """\
-<?xml version="1.0" encoding="UTF-8"?>
-<!-- The certificate and the key of this package, as they were found in the keystore that was taken over. Values that
-     are left out come from package.defaults/. -->
-<package>
-  <identities>
-    <identity>
-      <cert>
-{cert}
-      </cert>
-      <key>
-{key}
-      </key>
-    </identity>
-  </identities>
-</package>
-"""
 
 
 def kept(files: Mapping[str, bytes]) -> Mapping[str, bytes]:
@@ -43,19 +26,16 @@ def adopted_sources(profile: WorkspaceProfile, sources: AdoptedSources) -> Mappi
     overrides = [_validity(sources.grant_validity)]
     cert = [_validity(sources.validity)]
     if sources.subject_name:
-        element = f"<subject_name>{sources.subject_name.translate(_SPECIAL)}</subject_name>"
+        element = f"<subject_name>{escape(sources.subject_name)}</subject_name>"
         overrides.insert(0, element)
         cert.insert(0, element)
     if sources.domains:
         overrides.insert(0, _domains(sources.domains))
-    identity = _IDENTITY.format(cert="\n".join(f"        {each}" for each in cert), key=_key(sources.key))
-    documents = [name for each in profile.build_types for name in bootstrap.DOCUMENTS.get(each, ())]
     return {
-        **{name: bootstrap.package_document(name) for name in documents},
-        "identities.xml": identity.encode(),
+        **bootstrap.package(profile.build_types),
+        "identities.xml": filled("package/identities.adopted.xml", cert=tuple(cert), key=_key(sources.key)),
         "permissions.xml": permissions_writer.render(sources.rules, base_of(profile), overrides=overrides),
         **{f"{PREFIX}{name}": content for name, content in sources.documents.items()},
-        MARKER: bootstrap.package_manifest(profile.build_types),
     }
 
 
@@ -74,14 +54,14 @@ def _domains(ranges: Sequence[DomainRange]) -> str:
     return f"<domains>{''.join(ids)}</domains>"
 
 
-def _key(key: KeySpec) -> str:
+def _key(key: KeySpec) -> tuple[str, ...]:
     kind = (
         f"<ec><curve>{key.curve}</curve></ec>"
         if key.algorithm == "ec"
         else f"<rsa><key_size>{key.size}</key_size></rsa>"
     )
     return (
-        f"        <asymmetric_type>{kind}</asymmetric_type>\n"
-        "        <encryption_algorithm>NoEncryption</encryption_algorithm>\n"
-        "        <password_env></password_env>"
+        f"<asymmetric_type>{kind}</asymmetric_type>",
+        "<encryption_algorithm>NoEncryption</encryption_algorithm>",
+        "<password_env></password_env>",
     )

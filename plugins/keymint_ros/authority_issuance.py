@@ -15,18 +15,14 @@ from comarmor.errors import Origin
 from comarmor.text import did_you_mean
 from keymint.api import AuthorityIssuance, CertificateSpec, Phase, Rollover
 from keymint.errors import KeymintError
-from keymint.source_documents import Reader, place, require_new, text
-from keymint_ros import validity
+from keymint.source_documents import Reader, place, require_new
+from keymint_ros import certificate, validity
+from keymint_ros.templates import filled
 
 if TYPE_CHECKING:
     from lxml import etree
 
 FILE = "authority_issuance.xml"
-_HEAD = """\
-<?xml version="1.0" encoding="UTF-8"?>
-<!-- Written by 'keymint authority': what was decided about the certificates of the authorities. Keep it under version
-     control. -->
-"""
 
 
 def _issuance(root: etree._Element) -> Mapping[str, tuple[AuthorityIssuance, int]]:
@@ -39,25 +35,13 @@ def _issuance(root: etree._Element) -> Mapping[str, tuple[AuthorityIssuance, int
         renewed, rollover = element.find("renewed"), element.find("rollover")
         issuance = AuthorityIssuance(
             renewed=None if renewed is None else validity.date(renewed),
-            adopted=_certificate(element.find("adopted")),
+            adopted=certificate.pem(element.find("adopted")),
             rollover=None
             if rollover is None
-            else Rollover(Phase(rollover.get("phase", "").strip()), _certificate(rollover)),
+            else Rollover(Phase(rollover.get("phase", "").strip()), certificate.pem(rollover)),
         )
         found[name] = issuance, place(element).line
     return MappingProxyType(found)
-
-
-def _certificate(element: etree._Element | None) -> bytes:
-    """Return the certificate of an element in the one form of PEM that Keymint writes; empty if there is no element."""
-    if element is None:
-        return b""
-    from keymint.pki import certificates  # noqa: PLC0415 - few profiles have one, and it takes time to import
-
-    pem = (text(element) or "").encode()
-    loaded = certificates.load(pem, place(element))
-    certificates.public_key(loaded, place(element))
-    return certificates.to_pem(loaded)
 
 
 _read = Reader("keymint_ros", "authority_issuance", _issuance)
@@ -103,8 +87,8 @@ def applied(spec: CertificateSpec, issuance: AuthorityIssuance) -> CertificateSp
 
 def with_authority_issuance(issuance: Mapping[str, AuthorityIssuance]) -> Mapping[str, bytes]:
     """Return the document: see :meth:`keymint.api.AuthorityIssuanceFiles.with_authority_issuance`."""
-    lines = [line for name, each in issuance.items() if each != AuthorityIssuance() for line in _lines(name, each)]
-    return {FILE: "\n".join((f'{_HEAD}<authority_issuance format="2">', *lines, "</authority_issuance>", "")).encode()}
+    lines = (line for name, each in issuance.items() if each != AuthorityIssuance() for line in _lines(name, each))
+    return {FILE: filled("decisions/authority_issuance.xml", lines=tuple(lines))}
 
 
 def _lines(name: str, issuance: AuthorityIssuance) -> Iterator[str]:

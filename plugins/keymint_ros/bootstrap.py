@@ -13,7 +13,7 @@ from comarmor.text import did_you_mean
 from keymint.api import Bootstrap, Role
 from keymint.errors import ExitCode, KeymintError
 from keymint_ros import distros, validity
-from keymint_ros.manifest import BUILD_TYPE
+from keymint_ros.manifest import BUILD_TYPE, MARKER
 from keymint_ros.templates import escaped, filled
 
 _LAYOUTS = dict.fromkeys(("sros2", "flat"))
@@ -37,7 +37,7 @@ _PROFILE = (
 _DDS, _ZENOH = "keymint_ros2_dds", "keymint_ros2_zenoh"
 _DEFAULTS = {_DDS: ("package.defaults/governance.xml",), _ZENOH: ("package.defaults/zenoh.xml",)}
 """By build type: the defaults of the parts that it reads."""
-DOCUMENTS = {_DDS: ("governance.xml",)}
+_DOCUMENTS = {_DDS: ("governance.xml",)}
 """By build type: documents of a new package that show how to override these defaults."""
 
 _BUILT_BY = "<!-- What builds new packages: a build type for each transport. Each package names its own. -->"
@@ -78,7 +78,7 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
         "reader": "DDS vendor" if dds else "transport",
         "transport_names": "DDS topics" if dds else "names of the transport",
         "why_unique": ", since DDS vendors confuse some names" if dds else "",
-        "authorities": tuple(line for each in dict.fromkeys((issuer, signer)) for line in _authority(each)),
+        "authorities": tuple(line for each in dict.fromkeys((issuer, signer)) for line in authority(each)),
         "issuer": issuer,
         "signer": signer,
         "subject_name": subject_name,
@@ -120,9 +120,17 @@ def policies(path: str) -> bytes:
     return filled("profile/policies.xml", name=PurePosixPath(path).stem or "policy", path=path)
 
 
+def package(build_types: tuple[str, ...], role: Role = Role.SUBJECT) -> dict[str, bytes]:
+    """Return the files of a new package with these build types, except its permissions."""
+    documents = [name for each in build_types for name in _DOCUMENTS.get(each, ())]
+    return {
+        MARKER: _package_manifest(build_types, role),
+        **{name: package_document(name) for name in (*documents, "identities.xml")},
+    }
+
+
 @lru_cache
-def package_manifest(build_types: tuple[str, ...], role: Role = Role.SUBJECT) -> bytes:
-    """Return the ``keymint_package.xml`` of a new package with these build types."""
+def _package_manifest(build_types: tuple[str, ...], role: Role) -> bytes:
     of_subject = "dds" if _DDS in build_types else "subject"
     template = of_subject if role is Role.SUBJECT else "infrastructure"
     return filled(f"package/keymint_package.{template}.xml", build_types=_elements(build_types))
@@ -138,7 +146,8 @@ def _elements(build_types: Sequence[str]) -> tuple[str, ...]:
     return tuple(f"<build_type>{escaped(each)}</build_type>" for each in build_types)
 
 
-def _authority(name: str) -> tuple[str, ...]:
+def authority(name: str) -> tuple[str, ...]:
+    """Return the lines of a new authority, which is self-signed."""
     cert = ("  <cert>", "    <issuer_name></issuer_name>", "  </cert>")
     return (f'<authority name="{escaped(name)}">', *cert, "</authority>")
 

@@ -129,6 +129,21 @@ def issuer(own: CertificateElement, defaults: CertificateElement) -> tuple[str, 
     return "", own.origin
 
 
+def pem(element: etree._Element | None) -> bytes:
+    """Return the certificate of an element in the one form of PEM that Keymint writes; empty if there is no element.
+
+    Raises:
+        KeymintError: not one certificate, or one whose key is neither EC nor RSA.
+    """
+    if element is None:
+        return b""
+    from keymint.pki import certificates  # noqa: PLC0415 - few documents have one, and it takes time to import
+
+    loaded = certificates.load((text(element) or "").encode(), place(element))
+    certificates.public_key(loaded, place(element))
+    return certificates.to_pem(loaded)
+
+
 def _serial(element: etree._Element) -> int:
     """Return a serial number (RFC 5280, 4.1.2.2: positive, at most 20 octets).
 

@@ -27,10 +27,7 @@ def create(
     """Return the files to write for a package: see :meth:`keymint.api.PackageType.create`."""
     name = name_of(rules.subject)
     path = _permissions_path(existing, name)
-    files: dict[str, bytes] = {}
-    if MARKER not in existing:
-        files = _new(bootstrap.package_manifest(profile.build_types), profile.build_types, existing)
-    return {**files, **_permissions(profile, rules, path, existing, force=force)}
+    return {**_new(profile.build_types, existing), **_permissions(profile, rules, path, existing, force=force)}
 
 
 def former_rules(rules: SubjectRules, files: Mapping[str, bytes]) -> Sequence[Diagnostic]:
@@ -57,16 +54,14 @@ def create_infrastructure(
 ) -> Mapping[str, bytes]:
     """Return the files to write: see :meth:`keymint.api.PackageType.create_infrastructure`."""
     del profile, name
+    return _new((build_type,), existing, Role.INFRASTRUCTURE)
+
+
+def _new(build_types: tuple[str, ...], existing: Mapping[str, bytes], role: Role = Role.SUBJECT) -> Mapping[str, bytes]:
+    """Return the files of a new package, except those that exist; none if it is a package already."""
     if MARKER in existing:
         return {}
-    return _new(bootstrap.package_manifest((build_type,), Role.INFRASTRUCTURE), (build_type,), existing)
-
-
-def _new(manifest_: bytes, build_types: Sequence[str], existing: Mapping[str, bytes]) -> dict[str, bytes]:
-    """Return the files of a new package, except those that exist."""
-    documents = [name for each in build_types for name in bootstrap.DOCUMENTS.get(each, ())]
-    new = {MARKER: manifest_, **{name: bootstrap.package_document(name) for name in (*documents, "identities.xml")}}
-    return {file: content for file, content in new.items() if file not in existing}
+    return {file: content for file, content in bootstrap.package(build_types, role).items() if file not in existing}
 
 
 def _permissions(

@@ -14,8 +14,7 @@ from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
 from keymint.api import WorkspaceProfile
 from keymint.errors import KeymintError
-from keymint_ros import manifest
-from keymint_ros.bootstrap import SUBJECT_NAMES
+from keymint_ros import bootstrap, manifest
 from keymint_ros.manifest import SIGNER
 from keymint_ros.profile import base_of
 
@@ -23,13 +22,6 @@ _NAME = lazy_regex(r"<subject_name>[^<]*</subject_name>")
 _VALIDITY = lazy_regex(r"^([ \t]*)<validity>", re.MULTILINE)
 _AUTHORITIES = "authorities.xml"
 _SIGNED = ("package.defaults/permissions.xml", "package.defaults/governance.xml")
-_AUTHORITY = """\
-    <authority name="{name}">
-      <cert>
-        <issuer_name></issuer_name>
-      </cert>
-    </authority>
-"""
 _COMMENT = lazy_regex(r"<!--.*?-->", re.DOTALL)
 _Edit = Callable[[str], "tuple[int, int, str] | None"]
 """Returns where a text without comments is replaced, from and to, and by what; None if it has no such place."""
@@ -38,7 +30,7 @@ _Edit = Callable[[str], "tuple[int, int, str] | None"]
 def with_unique_name(profile: WorkspaceProfile, name: str, files: Mapping[str, bytes]) -> Mapping[str, bytes]:
     """Return the files that change: see :meth:`keymint.api.HardenedPackageType.with_unique_name`."""
     del profile
-    element = f"<subject_name>{SUBJECT_NAMES['unique']}</subject_name>"
+    element = f"<subject_name>{bootstrap.SUBJECT_NAMES['unique']}</subject_name>"
 
     def edit(text: str) -> tuple[int, int, str] | None:
         if present := _NAME.search(text):
@@ -55,26 +47,23 @@ def with_unique_name(profile: WorkspaceProfile, name: str, files: Mapping[str, b
 
 def with_own_signer(profile: WorkspaceProfile, former: str) -> Mapping[str, bytes]:
     """Return the files that change: see :meth:`keymint.api.HardenedProfileType.with_own_signer`."""
-    base, name = base_of(profile), SIGNER
+    base = base_of(profile)
     element = re.compile(rf"<issuer_name>\s*{re.escape(former)}\s*</issuer_name>")
-    wanted = f"<issuer_name>{name}</issuer_name>"
+    wanted = f"<issuer_name>{SIGNER}</issuer_name>"
+
+    def add(text: str) -> tuple[int, int, str] | None:
+        at = text.rfind("  </authorities>")
+        return None if at < 0 else (at, at, "".join(f"    {line}\n" for line in bootstrap.authority(SIGNER)))
 
     def edit(text: str) -> tuple[int, int, str] | None:
         present = element.search(text)
         return present and (*present.span(), wanted)
 
-    changed = _edited(
-        profile.files, _AUTHORITIES, base + _AUTHORITIES, lambda text: _with_authority(text, name),
-        f'add <authority name="{name}"> to it',
-    )  # fmt: skip
+    help_ = f'add <authority name="{SIGNER}"> to it'
+    changed = _edited(profile.files, _AUTHORITIES, base + _AUTHORITIES, add, help_)
     for path in _SIGNED:
         changed |= _edited(profile.files, path, base + path, edit, f"write {wanted}")
     return changed
-
-
-def _with_authority(text: str, name: str) -> tuple[int, int, str] | None:
-    at = text.rfind("  </authorities>")
-    return None if at < 0 else (at, at, _AUTHORITY.format(name=name))
 
 
 def _edited(files: Mapping[str, bytes], path: str, shown: str, edit: _Edit, help_: str) -> dict[str, bytes]:

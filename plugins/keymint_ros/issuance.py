@@ -14,17 +14,12 @@ from comarmor.errors import Origin
 from keymint.api import Issuance
 from keymint.errors import KeymintError
 from keymint.source_documents import Reader, place, text
-from keymint_ros import validity
+from keymint_ros import certificate, validity
 from keymint_ros.manifest import ISSUANCE
+from keymint_ros.templates import filled
 
 if TYPE_CHECKING:
     from lxml import etree
-
-_HEAD = """\
-<?xml version="1.0" encoding="UTF-8"?>
-<!-- Written by keymint: what the authority decided about the certificate and the grant of this package.
-     Keep it under version control, and never write a lower generation: what was revoked would be in force again. -->
-"""
 
 
 def _issuance(root: etree._Element) -> Issuance:
@@ -33,7 +28,7 @@ def _issuance(root: etree._Element) -> Issuance:
         generation=int(text(root.find("generation")) or "0"),
         renewed=None if renewed is None else validity.date(renewed),
         public_key=_public_key(root.find("public_key")),
-        certificate=_certificate(root.find("certificate")),
+        certificate=certificate.pem(root.find("certificate")),
     )
 
 
@@ -41,14 +36,6 @@ def _public_key(element: etree._Element | None) -> bytes:
     if element is None:
         return b""
     return _canonical((text(element) or "").encode() + b"\n", place(element))
-
-
-def _certificate(element: etree._Element | None) -> bytes:
-    if element is None:
-        return b""
-    from keymint.pki import certificates  # noqa: PLC0415 - most packages have none, and it takes time to import
-
-    return certificates.to_pem(certificates.load((text(element) or "").encode() + b"\n", place(element)))
 
 
 def _canonical(pem: bytes, where: Origin | None = None) -> bytes:
@@ -81,7 +68,7 @@ def with_issuance(issued: Issuance) -> Mapping[str, bytes]:
         lines.append(f"  <public_key>\n{_canonical(issued.public_key).decode().strip()}\n  </public_key>")
     if issued.certificate:
         lines.append(f"  <certificate>\n{issued.certificate.decode().strip()}\n  </certificate>")
-    return {ISSUANCE: "\n".join((f'{_HEAD}<issuance format="2">', *lines, "</issuance>", "")).encode()}
+    return {ISSUANCE: filled("decisions/issuance.xml", lines=tuple(lines))}
 
 
 _MOST = 10**9

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from keymint.api import AcceptedPackage
 from keymint.source_documents import Reader, require_new
+from keymint_ros.templates import filled
 
 if TYPE_CHECKING:
     from lxml import etree
@@ -19,12 +20,6 @@ if TYPE_CHECKING:
 FILE = "packages.lock.xml"
 COPIES = "packages.lock.d"
 """Folder of the copies of what was accepted, one folder for each package."""
-_HEAD = """\
-<?xml version="1.0" encoding="UTF-8"?>
-<!-- Written by Keymint for its option accept-package: the files that ROS packages ship, as the owner of this workspace
-     accepted them. Keep it and packages.lock.d/ under version control. The copies there show what changed; they grant
-     nothing. -->
-"""
 
 
 def _packages(root: etree._Element) -> Mapping[str, AcceptedPackage]:
@@ -65,8 +60,8 @@ def read(files: Mapping[str, bytes], folder: str) -> Mapping[str, AcceptedPackag
 
 def with_packages(packages: Mapping[str, AcceptedPackage]) -> Mapping[str, bytes]:
     """Return the document: see :meth:`keymint.api.AcceptedPackageFiles.with_packages`."""
-    lines = [line for name, each in sorted(packages.items()) for line in _lines(name, each)]
-    return {FILE: "\n".join((f'{_HEAD}<packages_lock format="2">', *lines, "</packages_lock>", "")).encode()}
+    lines = (line for name, each in sorted(packages.items()) for line in _lines(name, each))
+    return {FILE: filled("decisions/packages.lock.xml", lines=tuple(lines))}
 
 
 def _lines(name: str, package: AcceptedPackage) -> Iterator[str]:
