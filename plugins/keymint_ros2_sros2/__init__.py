@@ -43,7 +43,7 @@ class Sros2PolicyType:
         try:
             real = path.resolve(strict=True)
             root = parse(read_bounded(real.parent, real, _MOST + 1), path.name)
-        except (OSError, ValueError, ComArmorError):
+        except (OSError, RuntimeError, ValueError, ComArmorError):
             return False
         return root.tag == "policy" and (root.get("version") is not None or root.find("enclaves") is not None)
 

@@ -89,3 +89,6 @@ def test_recognised_by_its_root(robot: Path, write) -> None:
     assert not policy_type.recognises(write("<profiles/>"))
     assert not policy_type.recognises(write("no XML"))
     assert policy_type.recognises(write('<policy version="9"/>'))
+    loop = robot.with_name("loop.xml")
+    loop.symlink_to(loop)
+    assert not policy_type.recognises(loop)
