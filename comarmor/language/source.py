@@ -196,7 +196,7 @@ class _PolicyReader:
         files: digests of the files.
         seen: fingerprints of the paths that were looked at.
         shipped: files of packages by package and path.
-        done: complete documents by package and path: the resolved one, or of a package's file that in its folder.
+        done: complete documents: those of packages by package and path, others by resolved path and folder of the name.
         included: documents by folder, the folder in it, and ``href`` of an include there.
         open: resolved paths of the files that are being read, outermost first.
         total: bytes read.
@@ -249,7 +249,10 @@ class _PolicyReader:
                 help="remove one of the includes of the loop",
                 code="include-loop",
             )
-        key = folder.package, relative if folder.package else str(real)
+        if folder.package:
+            key = folder.package, relative
+        else:  # what it includes is relative to the folder of its name, also if that is a link
+            key = str(real), str((folder.real / relative).parent.resolve())
         if key in self.done:
             return self.done[key]
         content = self.read(folder, real, where)

@@ -190,6 +190,28 @@ def test_doublings(write, width, depth) -> None:
     assert quickly_refused(root).code == "xml-limit"
 
 
+@pytest.mark.parametrize("order", ["ab", "ba"])
+def test_includes_are_relative_to_the_name_by_which_a_file_is_included(write, order: str) -> None:
+    """And not to another name that links give the same file, whichever is included first."""
+    files = {f"{name}/y.xml": RULE.replace("/x", f"/from_{name}") for name in "ab"}
+    included = "".join(f'<xi:include href="{name}/x.xml"/>' for name in order)
+    profile = f'<profile name="p" {XI}><attachment>/s</attachment>{included}</profile>'
+    root = write({"p.xml": profile, "b/x.xml": including("y.xml"), **files})
+    (root / "a/x.xml").symlink_to("../b/x.xml")
+    (found,) = comarmor.load(root).profiles
+    assert [rule.attachments[0].text for rule in found.rules] == [f"/from_{name}" for name in order]
+
+
+@pytest.mark.parametrize("leaf", [RULE, PROFILE])
+def test_names_that_links_multiply_are_refused_quickly(write, leaf: str) -> None:
+    links = [f"d{i}" for i in range(10)]
+    files = {f"s/{i}.xml": including(*(f"{link}/{i + 1}.xml" for link in links)) for i in range(14)}
+    root = write({"p.xml": including("s/0.xml"), **files, "s/14.xml": leaf})
+    for link in links:
+        (root / "s" / link).symlink_to(".")
+    assert quickly_refused(root).code == "xml-limit"
+
+
 def test_file_that_is_included_often_is_read_once(write) -> None:
     root = write({"p.xml": including(*["s/a.xml"] * 300), "s/a.xml": PROFILE})
     policy = comarmor.load(root)
