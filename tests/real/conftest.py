@@ -19,6 +19,7 @@ from keymint.api import Availability
 
 from .handmade import Authorities
 from .provisioning import provision
+from .zenoh_system import ZenohTestSystem
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -87,7 +88,7 @@ def zenoh_library() -> str:
 @pytest.fixture
 def zenoh_system(zenoh_library: str) -> Iterator[ZenohSystem]:
     """Return a system without processes; its processes end with the test."""
-    with ZenohSystem(os.environ) as opened:
+    with ZenohTestSystem(os.environ) as opened:
         yield opened
 
 

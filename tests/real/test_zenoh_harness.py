@@ -14,6 +14,7 @@ from keymint_ros2_zenoh.vendors.zenoh_processes import ProcessFailedError, Zenoh
 from keymint import command_process
 
 from .conftest import missing
+from .zenoh_system import ZenohTestSystem
 
 pytestmark = pytest.mark.zenoh
 
@@ -22,7 +23,7 @@ def test_no_process_or_file_outlives_its_system(zenoh_library: str) -> None:
     started = []
 
     def failing() -> None:
-        with ZenohSystem(os.environ) as system:
+        with ZenohTestSystem(os.environ) as system:
             started.append(system.file("secret.json5", b"{}"))
             process = system.start()
             process.ask("accept", file=str(started[0]))

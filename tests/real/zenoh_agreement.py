@@ -19,6 +19,7 @@ from keymint_ros2_zenoh.vendors.loopback_ports import free_port
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError, ZenohProcess, ZenohSystem
 
 from .zenoh_configurations import FENCE, NAMES, ROUTER, Identities, random_access_control, random_key_expr
+from .zenoh_system import ZenohTestSystem
 
 _ATTEMPTS = 3
 
@@ -35,7 +36,7 @@ def disagreements(configurations: int, keys: int, seed: int) -> Iterator[tuple[b
         AssertionError: the router did not decide on something that a session sent.
     """
     randomly = random.Random(seed)
-    with tempfile.TemporaryDirectory() as folder, ZenohSystem(os.environ) as system:
+    with tempfile.TemporaryDirectory() as folder, ZenohTestSystem(os.environ) as system:
         identities = Identities.new(Path(folder))
         identities.issue("router", ROUTER, server=True)
         for number, name in enumerate(NAMES):

@@ -16,6 +16,8 @@ from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohProcess, ZenohSystem
 
 from tests.plugins.keymint_ros2_zenoh.install_spaces import InstallSpace, merged
 
+from .zenoh_system import ZenohTestSystem
+
 FENCE = "0/fence/type/hash"
 """A topic on which the sender of a test may always send, to know that what came before it did not get through."""
 _SECONDS = 10.0
@@ -116,7 +118,7 @@ class RealNetwork:
 def real_network(space: InstallSpace) -> Iterator[RealNetwork]:
     """Write an install space and yield a network without routers; its processes end with the context."""
     space.write()
-    with ZenohSystem(os.environ) as system:
+    with ZenohTestSystem(os.environ) as system:
         yield RealNetwork(space, system, system.start(), system.start())
 
 

@@ -17,13 +17,12 @@ from functools import partial
 from typing import Any
 
 import zenoh
-import zenoh.ext
 import zenoh.handlers
 
 _QUERY_SECONDS = 10.0
 
 
-class _Mailbox:
+class Mailbox:
     """Samples in the order of their arrival."""
 
     def __init__(self) -> None:
@@ -31,6 +30,7 @@ class _Mailbox:
         self._arrival = threading.Condition()
 
     def put(self, key: str, text: str) -> None:
+        """Put a key and a text."""
         with self._arrival:
             self._samples.append((key, text))
             self._arrival.notify_all()
@@ -51,7 +51,7 @@ class _Mailbox:
             return list(self._samples)
 
 
-def _in_order(called: Callable[[Any], None]) -> Any:
+def in_order(called: Callable[[Any], None]) -> Any:
     """Return a handler that the library's own thread calls.
 
     A bare function gets a thread for each declaration. Then a mailbox may still be empty when a later sample is already
@@ -60,12 +60,12 @@ def _in_order(called: Callable[[Any], None]) -> Any:
     return zenoh.handlers.Callback(called, indirect=False)
 
 
-class _Commands:
+class Commands:
     """The commands by name; each gets the other members of its JSON object."""
 
     def __init__(self) -> None:
         self._sessions: dict[str, Any] = {}
-        self._mailboxes: dict[str, _Mailbox] = {}
+        self._mailboxes: dict[str, Mailbox] = {}
         self._declared: dict[str, list[Any]] = {}
         self._publishers: dict[tuple[str, str], Any] = {}
         self._queriers: dict[tuple[str, str], Any] = {}
@@ -77,10 +77,6 @@ class _Commands:
             config.insert_json5(path, value)
         self._sessions[session] = zenoh.open(config)
         self._declared[session] = []
-
-    def accept(self, file: str) -> None:
-        """Read a configuration as the library does, without opening a session."""
-        zenoh.Config.from_file(file)
 
     def close(self, session: str) -> None:
         """Close a session."""
@@ -106,47 +102,11 @@ class _Commands:
                 self._publishers[session, key] = self._sessions[session].declare_publisher(key)
             self._publishers[session, key].put(text)
 
-    def publish_late(self, session: str, key: str, text: str) -> None:
-        """Publish a sample that late subscribers get too, as a ROS node does on a ``transient_local`` topic."""
-        publisher = zenoh.ext.declare_advanced_publisher(
-            self._sessions[session], key, cache=zenoh.ext.CacheConfig(max_samples=1), publisher_detection=True
-        )
-        self._declared[session].append(publisher)
-        publisher.put(text)
-
-    def subscribe_late(self, session: str, name: str, key: str) -> None:
-        """Declare a subscriber that also gets samples that were published before it, in a mailbox."""
-        box = self._mailboxes[name] = _Mailbox()
-        self._declared[session].append(
-            zenoh.ext.declare_advanced_subscriber(
-                self._sessions[session],
-                key,
-                box.arrived,
-                history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
-            )
-        )
-
-    def delete(self, session: str, keys: list[str]) -> None:
-        """Send a deletion for each key."""
-        for key in keys:
-            self._sessions[session].delete(key)
-
     def subscribe(self, session: str, keys: dict[str, str]) -> None:
         """Declare subscribers on keys, by the names of their mailboxes."""
         for name, key in keys.items():
-            box = self._mailboxes[name] = _Mailbox()
-            self._declared[session].append(self._sessions[session].declare_subscriber(key, _in_order(box.arrived)))
-
-    def watch(self, session: str, keys: dict[str, str]) -> None:
-        """Declare subscribers on liveliness tokens, by the names of their mailboxes; a text is ``+`` or ``-``."""
-        for name, key in keys.items():
-            box = self._mailboxes[name] = _Mailbox()
-
-            def changed(sample: Any, box: _Mailbox = box) -> None:
-                box.put(str(sample.key_expr), "+" if sample.kind == zenoh.SampleKind.PUT else "-")
-
-            liveliness = self._sessions[session].liveliness()
-            self._declared[session].append(liveliness.declare_subscriber(key, _in_order(changed), history=True))
+            box = self._mailboxes[name] = Mailbox()
+            self._declared[session].append(self._sessions[session].declare_subscriber(key, in_order(box.arrived)))
 
     def answered(self, name: str, last: str, seconds: float) -> list[tuple[str, str]]:
         """Return what is in a mailbox; wait for something on the key ``last``, up to a time."""
@@ -170,15 +130,9 @@ class _Commands:
 
     def query(self, session: str, name: str, keys: list[str]) -> None:
         """Send a query for each key; its answers come into a mailbox as the key and the text."""
-        box = self._mailboxes[name] = _Mailbox()
+        box = self._mailboxes[name] = Mailbox()
         for key in keys:
-            self._sessions[session].get(key, _in_order(partial(box.replied, key)), timeout=_QUERY_SECONDS)
-
-    def send_queries(self, session: str, keys: list[str]) -> None:
-        """Send queries for keys and for liveliness tokens, and do not wait for answers."""
-        for key in keys:
-            self._sessions[session].get(key, lambda _: None, timeout=1.0)
-            self._sessions[session].liveliness().get(key, lambda _: None, timeout=1.0)
+            self._sessions[session].get(key, in_order(partial(box.replied, key)), timeout=_QUERY_SECONDS)
 
     def queriers(self, session: str, keys: list[str], seconds: float) -> dict[str, list[str]]:
         """Query each key by a querier that is declared once, as a ROS client does; return the answers after a time.
@@ -193,39 +147,22 @@ class _Commands:
             found[key] = [reply.ok.payload.to_string() for reply in replies if reply.ok is not None]
         return found
 
-    def tokens(self, session: str, keys: list[str]) -> None:
-        """Declare liveliness tokens."""
-        self._declared[session] += [self._sessions[session].liveliness().declare_token(key) for key in keys]
-
-    def alive(self, session: str, key: str, seconds: float) -> list[str]:
-        """Return the keys of the liveliness tokens that a key expression finds."""
-        replies = self._sessions[session].liveliness().get(key, timeout=seconds)
-        return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
-
-    def peers(self, session: str) -> dict[str, list[str]]:
-        """Return the identifiers of the routers and peers that a session is connected to."""
-        info = self._sessions[session].info
-        return {
-            "routers": [str(each) for each in info.routers_zid()],
-            "peers": [str(each) for each in info.peers_zid()],
-        }
-
     def zid(self, session: str) -> str:
         """Return the identifier of a session."""
         return str(self._sessions[session].info.zid())
 
 
-def main(log: str) -> None:
+def main(log: str, commands: Commands) -> None:
     """Answer commands until standard input ends.
 
     Args:
         log: file for the log of the library, which ``RUST_LOG`` controls.
+        commands: the commands that are known.
     """
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     target = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
     os.dup2(target, 1)
     zenoh.init_log_from_env_or("error")
-    commands = _Commands()
     for line in sys.stdin:
         command = json.loads(line)
         try:
@@ -239,4 +176,4 @@ def main(log: str) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(sys.argv[1], Commands())

@@ -16,7 +16,6 @@ from keymint.command_process import GRACE_SECONDS, CommandProcess
 from keymint_ros2_zenoh.vendors import access_log
 from keymint_ros2_zenoh.vendors.access_log import LoggedDecision
 
-_PROGRAM = Path(__file__).with_name("session_program.py")
 _INHERITED = ("PATH", "LD_LIBRARY_PATH", "PYTHONPATH")
 
 
@@ -33,7 +32,12 @@ class ZenohSystem(ExitStack):
 
     Args:
         variables: environment variables; the processes inherit those that find programs and libraries.
+
+    Attributes:
+        PROGRAM: the program of the processes.
     """
+
+    PROGRAM = Path(__file__).with_name("session_program.py")
 
     def __init__(self, variables: Mapping[str, str]) -> None:
         super().__init__()
@@ -52,7 +56,8 @@ class ZenohSystem(ExitStack):
             log: what the library logs, as in ``RUST_LOG``; :data:`access_log.FILTER` for decisions.
         """
         self._started += 1
-        process = ZenohProcess(self._folder / f"log{self._started}", {**self._variables, "RUST_LOG": log})
+        file = self._folder / f"log{self._started}"
+        process = ZenohProcess(self.PROGRAM, file, {**self._variables, "RUST_LOG": log})
         self.callback(process.reap)
         return process
 
@@ -67,10 +72,10 @@ class ZenohSystem(ExitStack):
 class ZenohProcess(CommandProcess):
     """A process with any number of sessions."""
 
-    def __init__(self, log: Path, environment: Mapping[str, str]) -> None:
+    def __init__(self, program: Path, log: Path, environment: Mapping[str, str]) -> None:
         self._log = log
         self._log_offset = 0
-        words = [sys.executable, "-P", str(_PROGRAM), str(log)]
+        words = [sys.executable, "-P", str(program), str(log)]
         super().__init__(words, environment, "the process", ProcessFailedError)
 
     def ask(self, command: str, *, wait: float = 0.0, **members: object) -> Any:
