@@ -6,9 +6,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from keymint_ros2_dds.vendors.participants import MatchedError, RefusedError
+from keymint_ros2_dds.vendors.participants import RefusedError
 
 from .provisioning import enclave
+from .rejections import MatchedError, await_rejection
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -48,7 +49,7 @@ def hears(system: System, listener: Path, talker: Path) -> bool:
     try:
         reader = system.open(listener).edge("subscribe", "rt/x")
         system.open(talker).edge("publish", "rt/x").write("hello")
-        if reader.await_rejection(WAIT):
+        if await_rejection(reader, WAIT):
             return False
     except RefusedError:
         return False

@@ -11,6 +11,7 @@ import pytest
 from keymint_ros2_dds.vendors.participants import DeniedError, ProbeEndpoint, RefusedError, System
 
 from .provisioning import enclave
+from .rejections import await_rejection
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -183,6 +184,6 @@ def rejected(*edges: ProbeEndpoint) -> bool:
     """Wait until one end reports that it rejects the other; no end may match meanwhile."""
     deadline = time.monotonic() + 30
     while time.monotonic() < deadline:
-        if any(edge.await_rejection(seconds=0.05) for edge in edges):
+        if any(await_rejection(edge, 0.05) for edge in edges):
             return True
     return False

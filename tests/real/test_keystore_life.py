@@ -21,6 +21,7 @@ from keymint.api import Enclave, Environment
 from .handmade import Authorities, Authority
 from .lifetimes import DAY, Identity, enclave, identity, revocation_list
 from .presenters import presenting
+from .rejections import await_rejection
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -132,7 +133,7 @@ def test_a_revoked_peer_is_refused_by_whoever_has_the_list_and_the_others_go_on(
     trusting = system.open(enclave(place.authorities, tmp_path / "third", third)).edge("subscribe", "rt/x")
     revoked = system.open(enclave(place.authorities, tmp_path / "peer", place.peer)).edge("publish", "rt/x")
     revoked.write("from the revoked one")
-    assert informed.await_rejection(WAIT)
+    assert await_rejection(informed, WAIT)
     assert trusting.read(WAIT) == "from the revoked one"
     good = system.open(enclave(place.authorities, tmp_path / "good", third)).edge("publish", "rt/x")
     good.write("from another")
@@ -156,7 +157,7 @@ def test_a_running_participant_reads_no_new_list_and_a_restarted_one_does(
     with System(vendor) as system:
         reader = system.open(listener).edge("subscribe", "rt/x")
         system.open(talker).edge("publish", "rt/x").write("too late")
-        assert reader.await_rejection(WAIT)
+        assert await_rejection(reader, WAIT)
 
 
 def matched(system: System, folder: Path, reader: ProbeEndpoint) -> ProbeEndpoint:
@@ -261,7 +262,7 @@ def test_two_authorities_need_a_list_each_and_inside_the_file_of_authorities(
             )
             writer.write("hello")
             if together:
-                assert reader.await_rejection(WAIT)
+                assert await_rejection(reader, WAIT)
             else:
                 assert reader.read(WAIT) == "hello"
 
@@ -291,7 +292,7 @@ def test_old_permissions_do_not_fit_a_certificate_of_another_generation(
             writer = system.open(new, conforming=False).edge("publish", "rt/x")
             writer.write("hello")
             if refused:
-                assert reader.await_rejection(WAIT)
+                assert await_rejection(reader, WAIT)
             else:
                 assert reader.read(WAIT) == "hello"
     (new / "permissions.p7s").write_bytes(old.read_bytes())

@@ -17,6 +17,7 @@ from tests.softhsm import PIN, opened
 
 from .presenters import presenting
 from .provisioning import enclave, keymint, provision
+from .rejections import await_rejection
 from .stages import POLICY, WAIT, Stages, hears
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ def test_a_revoked_peer_is_refused_and_the_others_go_on(stages: Stages, system: 
     informed = system.open(stages("stolen", "/listener")).edge("subscribe", "rt/x")
     trusting = system.open(stages("first", "/listener")).edge("subscribe", "rt/x")
     system.open(stages("first", "/stolen")).edge("publish", "rt/x").write("from the thief")
-    assert informed.await_rejection(WAIT)
+    assert await_rejection(informed, WAIT)
     assert trusting.read(WAIT) == "from the thief"
     system.open(stages("stolen", "/talker")).edge("publish", "rt/x").write("from the talker")
     assert (informed.read(WAIT), trusting.read(WAIT)) == ("from the talker", "from the talker")
@@ -68,7 +69,7 @@ def test_old_permissions_with_the_old_certificate_are_refused_by_whoever_has_the
     informed = system.open(stages("narrow", "/listener")).edge("subscribe", "rt/wide")
     trusting = system.open(stages("stolen", "/listener")).edge("subscribe", "rt/wide")
     system.open(stages("first", "/talker")).edge("publish", "rt/wide").write("as long as I may")
-    assert informed.await_rejection(WAIT)
+    assert await_rejection(informed, WAIT)
     assert trusting.read(WAIT) == "as long as I may"
 
 
@@ -82,7 +83,7 @@ def test_old_permissions_with_the_new_certificate_are_refused_by_everybody(
         listener = system.open(stages("first", "/listener")).edge("subscribe", "rt/x")
         system.open(stages("narrow", "/talker"), conforming=False).edge("publish", "rt/x").write("hello")
         if document == "first":
-            assert listener.await_rejection(WAIT)
+            assert await_rejection(listener, WAIT)
         else:
             assert listener.read(WAIT) == "hello"
 
@@ -133,7 +134,7 @@ def test_what_a_token_signs(stages: Stages, in_token: Stages, system: System) ->
     )
     reader = system.open(listener).edge("subscribe", "rt/x")
     system.open(stages("narrow", "/talker")).edge("publish", "rt/x").write("superseded")
-    assert reader.await_rejection(WAIT)
+    assert await_rejection(reader, WAIT)
     system.open(in_token("token", "/talker")).edge("publish", "rt/x").write("hello")
     assert reader.read(WAIT) == "hello"
 
@@ -178,7 +179,7 @@ def test_in_each_phase_the_revoked_ones_stay_refused(bundles: Stages, fastdds: V
     with System(fastdds) as system:
         reader = system.open(bundles(phase, "/listener")).edge("subscribe", "rt/x")
         system.open(bundles("first", "/stolen")).edge("publish", "rt/x").write("from the thief")
-        assert reader.await_rejection(WAIT)
+        assert await_rejection(reader, WAIT)
         system.open(bundles(phase, "/talker")).edge("publish", "rt/x").write("from the talker")
         assert reader.read(WAIT) == "from the talker"
 

@@ -45,10 +45,6 @@ class DeniedError(Exception):
     """The vendor denies the writer or reader."""
 
 
-class MatchedError(Exception):
-    """A peer matches although none should."""
-
-
 class ProbeError(Exception):
     """The probe hangs, has died, or does not know the command: not a decision of the vendor."""
 
@@ -202,18 +198,6 @@ class ProbeEndpoint:
     def __init__(self, process: _ProbeProcess, name: str) -> None:
         self._process = process
         self._name = name
-
-    def await_rejection(self, seconds: float) -> str | None:
-        """Wait until the vendor rejects a peer; return why, or None if nothing happens in time.
-
-        Raises:
-            MatchedError: a peer matches.
-        """
-        milliseconds = str(round(seconds * 1000))
-        answer, reason = self._process.ask("AWAIT", self._name, milliseconds, seconds=seconds)
-        if answer == "MATCHED":
-            raise MatchedError
-        return reason or None
 
     def write(self, text: str) -> None:
         """Publish a sample."""
