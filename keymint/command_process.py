@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A process of a vendor's software that answers commands, line by line."""
+"""Software of a vendor: that it is missing, and a process of it that answers commands, line by line."""
 
 from __future__ import annotations
 
@@ -15,6 +15,25 @@ GRACE_SECONDS = 30.0
 """How long an answer may take beyond the time of its command before the process counts as hung."""
 
 
+class MissingVendorError(Exception):
+    """The software of a vendor is not installed, or is too old.
+
+    Args:
+        vendor: the vendor's name, for people.
+        reason: what is missing.
+        help_: how to install it.
+    """
+
+    def __init__(self, vendor: str, reason: str, help_: str) -> None:
+        self.reason = reason
+        self.help = help_
+        super().__init__(f"{vendor}: {reason}; {help_}")
+
+
+class ProcessFailedError(Exception):
+    """The process hangs, has died, or does not know a command: not a decision of the vendor."""
+
+
 class CommandProcess:
     """A process that answers each line that it reads with a line; :meth:`reap` always ends it.
 
@@ -22,14 +41,10 @@ class CommandProcess:
         words: the program and its arguments; no word is from outside.
         environment: its variables.
         noun: what it is, in messages.
-        failure: the error that it hangs or has died.
     """
 
-    def __init__(
-        self, words: Sequence[str], environment: Mapping[str, str], noun: str, failure: type[Exception]
-    ) -> None:
+    def __init__(self, words: Sequence[str], environment: Mapping[str, str], noun: str) -> None:
         self._noun = noun
-        self._failure = failure
         self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
         self._process = subprocess.Popen(  # noqa: S603 - no shell
             words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors, env=dict(environment)
@@ -51,7 +66,7 @@ class CommandProcess:
             left = deadline - time.monotonic()
             if left <= 0 or not select.select([self._output], [], [], left)[0]:
                 self.reap()
-                raise self._failure(f"{self._noun} did not answer the command {command!r} in time")
+                raise ProcessFailedError(f"{self._noun} did not answer the command {command!r} in time")
             chunk = os.read(self._output.fileno(), 1 << 20)
             if not chunk:
                 raise self._died(command)
@@ -63,7 +78,7 @@ class CommandProcess:
         code = self._process.wait(timeout=GRACE_SECONDS)
         self._errors.seek(0)
         said = self._errors.read().decode(errors="replace").strip()
-        return self._failure(f"{self._noun} died at {command!r} with exit code {code}: {said}")
+        return ProcessFailedError(f"{self._noun} died at {command!r} with exit code {code}: {said}")
 
     def reap(self) -> None:
         """Kill the process and close its streams; may be called again."""

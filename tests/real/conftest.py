@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, NoReturn
 import pytest
 from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, System, Vendor
-from keymint_ros2_zenoh.vendors.zenoh_library import MissingZenohError, installed_version
+from keymint_ros2_zenoh.vendors.zenoh_library import installed_version
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohSystem
 
 from keymint.api import Availability
+from keymint.command_process import MissingVendorError
 
 from .handmade import Authorities
 from .provisioning import provision
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def missing(error: probe_builds.MissingVendorError | MissingZenohError) -> NoReturn:
+def missing(error: MissingVendorError) -> NoReturn:
     """Skip the test, or fail it if vendors are required."""
     if os.environ.get("KEYMINT_REQUIRE_VENDORS") == "1":
         pytest.fail(f"KEYMINT_REQUIRE_VENDORS=1, but {error}", pytrace=False)
@@ -35,7 +36,7 @@ def missing(error: probe_builds.MissingVendorError | MissingZenohError) -> NoRet
 
 def missing_transport(usable: Availability) -> NoReturn:
     """Skip or fail in the same way if a transport is unusable."""
-    missing(probe_builds.MissingVendorError("transport", usable.reason, (usable.help,)))
+    missing(MissingVendorError("transport", usable.reason, usable.help))
 
 
 @pytest.fixture(scope="session")
@@ -54,7 +55,7 @@ def cyclone_plugins() -> None:
     """Require the security plugins of Cyclone DDS."""
     try:
         probe_builds.require_cyclone_plugins()
-    except probe_builds.MissingVendorError as error:
+    except MissingVendorError as error:
         missing(error)
 
 
@@ -63,7 +64,7 @@ def cyclonedds(cyclone_plugins: None, probe_cache: Path) -> Vendor:
     """Return Cyclone DDS."""
     try:
         return CycloneDDS(probe_builds.CYCLONEDDS.build(probe_cache))
-    except probe_builds.MissingVendorError as error:
+    except MissingVendorError as error:
         missing(error)
 
 
@@ -72,7 +73,7 @@ def fastdds(probe_cache: Path) -> Vendor:
     """Return Fast DDS."""
     try:
         return FastDDS(probe_builds.FASTDDS.build(probe_cache))
-    except probe_builds.MissingVendorError as error:
+    except MissingVendorError as error:
         missing(error)
 
 
@@ -81,7 +82,7 @@ def zenoh_library() -> str:
     """Require Zenoh; return its version."""
     try:
         return installed_version()
-    except MissingZenohError as error:
+    except MissingVendorError as error:
         missing(error)
 
 

@@ -27,11 +27,12 @@ from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
 from keymint_ros2_dds.reading import signed_governance
 from keymint_ros2_dds.transports.enclave_files import subject_name
 from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
-from keymint_ros2_dds.vendors.participants import ProbeError, RefusedError, System, Vendor
+from keymint_ros2_dds.vendors.participants import RefusedError, System, Vendor
 
 from comarmor.errors import Origin
 from comarmor.rules import Effect
 from keymint.api import Claim, ComparisonTask, DomainRange, Proof
+from keymint.command_process import ProcessFailedError
 from keymint.ir import Rule, SubjectRules
 
 from .handmade import Authorities
@@ -382,7 +383,7 @@ class Bench:
                     counts["fastdds allows"] += allowed
                     if allowed != expected:
                         yield f"fastdds: {action} {topic} {partitions}: {allowed}, brute force {expected}"
-        except ProbeError as error:
+        except ProcessFailedError as error:
             yield f"fastdds: {error}"
 
 

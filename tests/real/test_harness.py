@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 from keymint_ros2_dds.vendors import probe_builds
-from keymint_ros2_dds.vendors.participants import FastDDS, ProbeError, System
+from keymint_ros2_dds.vendors.participants import FastDDS, System
 
 from keymint import command_process
+from keymint.command_process import MissingVendorError, ProcessFailedError
 
 from .conftest import missing
 
@@ -21,16 +22,16 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture
-def absent(tmp_path: Path) -> probe_builds.MissingVendorError:
+def absent(tmp_path: Path) -> MissingVendorError:
     """Raised if a vendor's headers are not installed."""
     probe = dataclasses.replace(probe_builds.CYCLONEDDS, compilers=("cc", "gcc", "c++", "g++"), header="dds/absent.h")
-    with pytest.raises(probe_builds.MissingVendorError) as raised:
+    with pytest.raises(MissingVendorError) as raised:
         probe.build(tmp_path)
     return raised.value
 
 
 def test_a_missing_vendor_skips_the_test_with_a_line_that_explains_how_to_install_it(
-    absent: probe_builds.MissingVendorError, monkeypatch: pytest.MonkeyPatch
+    absent: MissingVendorError, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("KEYMINT_REQUIRE_VENDORS", raising=False)
     with pytest.raises(pytest.skip.Exception, match=r"^Cyclone DDS: no .*; apt-get install .*cyclonedds-dev"):
@@ -38,7 +39,7 @@ def test_a_missing_vendor_skips_the_test_with_a_line_that_explains_how_to_instal
 
 
 def test_a_missing_vendor_fails_the_test_if_vendors_are_required(
-    absent: probe_builds.MissingVendorError, monkeypatch: pytest.MonkeyPatch
+    absent: MissingVendorError, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("KEYMINT_REQUIRE_VENDORS", "1")
     with pytest.raises(pytest.fail.Exception, match="KEYMINT_REQUIRE_VENDORS=1, but Cyclone DDS: no "):
@@ -47,7 +48,7 @@ def test_a_missing_vendor_fails_the_test_if_vendors_are_required(
 
 def test_a_missing_compiler_is_a_missing_vendor(tmp_path: Path) -> None:
     probe = dataclasses.replace(probe_builds.FASTDDS, compilers=("absent-compiler",))
-    with pytest.raises(probe_builds.MissingVendorError, match="Fast DDS: no compiler absent-compiler"):
+    with pytest.raises(MissingVendorError, match="Fast DDS: no compiler absent-compiler"):
         probe.build(tmp_path)
 
 
@@ -80,7 +81,7 @@ def test_a_probe_that_hangs_is_an_error(impostor: FastDDS, tmp_path: Path, monke
     monkeypatch.setattr(command_process, "GRACE_SECONDS", 0.1)
     with System(impostor) as system:
         participant = system.open(tmp_path)
-        with pytest.raises(ProbeError, match="did not answer"):
+        with pytest.raises(ProcessFailedError, match="did not answer"):
             participant.edge("publish", "rt/x")
 
 

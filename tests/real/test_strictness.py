@@ -15,8 +15,9 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.serialization import pkcs7
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, DocumentEvaluator, Variation
-from keymint_ros2_dds.vendors.participants import CycloneDDS, ProbeError, RefusedError, System, Vendor
+from keymint_ros2_dds.vendors.participants import CycloneDDS, RefusedError, System, Vendor
 
+from keymint.command_process import ProcessFailedError
 from keymint.errors import KeymintError
 
 from .handmade import Authorities, criteria, governance_document, permissions_document, rule
@@ -110,7 +111,7 @@ def answers(system: System, folder: Path) -> list[bool]:
     try:
         participant = system.open(folder)
         return [participant.allows(*question) for question in QUESTIONS]
-    except (RefusedError, ProbeError):
+    except (RefusedError, ProcessFailedError):
         return [False] * len(QUESTIONS)
 
 

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from itertools import groupby
 
 from keymint.api import Enclave, Verdict
+from keymint.command_process import ProcessFailedError
 from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint_ros2_dds.decision import Variation
@@ -16,7 +17,6 @@ from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import enclave_files
 from keymint_ros2_dds.transports.enclave_model import EnclaveModels
 from keymint_ros2_dds.vendors.participants import (
-    ProbeError,
     ProbeParticipant,
     RefusedError,
     System,
@@ -42,7 +42,7 @@ def participants(vendor: Vendor, subject: str) -> Iterator[System]:
     try:
         with System(vendor) as system:
             yield system
-    except ProbeError as error:
+    except ProcessFailedError as error:
         raise KeymintError(f"{subject}: {error}", code="transport-failed") from None
 
 

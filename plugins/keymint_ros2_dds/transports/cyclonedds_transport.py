@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from keymint.api import Availability, Enclave, Tier, Verdict
+from keymint.command_process import MissingVendorError
 from keymint.errors import KeymintError
 from keymint.graph import Edge
 from keymint_ros2_dds.decision import CYCLONEDDS_0_10
@@ -35,7 +36,7 @@ class CycloneDDSTransport(RealTransport):
         """Without compiler and headers only the tier *decision* is usable."""
         try:
             probe_builds.require_cyclone_plugins()
-        except probe_builds.MissingVendorError as error:
+        except MissingVendorError as error:
             return Availability(usable=False, reason=error.reason, help=error.help)
         availability = super()._installed()
         if not availability.usable:

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import ClassVar
 
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
+from keymint.command_process import MissingVendorError
 from keymint.errors import KeymintError
 from keymint.graph import Column, Edge
 from keymint_ros2_dds.decision import FASTDDS_2_9, Variation
@@ -53,7 +54,7 @@ class RealTransport:
         """Look for the libraries, compilers and headers that the tiers need."""
         try:
             self.PROBE.require(self._environment.variables)
-        except probe_builds.MissingVendorError as error:
+        except MissingVendorError as error:
             return Availability(usable=False, reason=error.reason, help=error.help)
         version = self.PROBE.version(*self.VERSION, self._environment.variables)
         return Availability(usable=True, version=version, tiers=tuple(Tier))
@@ -107,7 +108,7 @@ class RealTransport:
                     environment,
                     self.NONCONFORMING.build(cache, environment) if nonconforming else None,
                 )
-            except (probe_builds.MissingVendorError, OSError) as error:
+            except (MissingVendorError, OSError) as error:
                 raise KeymintError(str(error), code="transport-unusable") from None
         return self._vendors[nonconforming]
 

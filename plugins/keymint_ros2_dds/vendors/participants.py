@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Self
 
 from comarmor.values import dataclass
-from keymint.command_process import GRACE_SECONDS, CommandProcess
+from keymint.command_process import GRACE_SECONDS, CommandProcess, ProcessFailedError
 from keymint_ros2_dds.enclave_layout import CRL
 from keymint_ros2_dds.vendors import cyclone_access_control
 from keymint_ros2_dds.vendors.ports import FIRST_PARTICIPANT, free_ports
@@ -43,10 +43,6 @@ class RefusedError(Exception):
 
 class DeniedError(Exception):
     """The vendor denies the writer or reader."""
-
-
-class ProbeError(Exception):
-    """The probe hangs, has died, or does not know the command: not a decision of the vendor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +199,7 @@ class ProbeEndpoint:
         """Publish a sample."""
         answer, reason = self._process.ask("WRITE", self._name, text)
         if answer != "WRITTEN":
-            raise ProbeError(reason)
+            raise ProcessFailedError(reason)
 
     def read(self, seconds: float = 20.0) -> str | None:
         """Return the next sample, or None when none comes in time."""
@@ -215,7 +211,7 @@ class _ProbeProcess(CommandProcess):
     """A probe's process."""
 
     def __init__(self, program: Path, environment: Mapping[str, str]) -> None:
-        super().__init__([str(program)], environment, "the probe", ProbeError)
+        super().__init__([str(program)], environment, "the probe")
 
     def ask(self, *words: str, seconds: float = 0.0) -> tuple[str, str]:
         """Send a command; return the first word of its answer, and the rest."""
@@ -230,7 +226,7 @@ class _ProbeProcess(CommandProcess):
             for line in lines:
                 answer, _, rest = self._line(line, seconds).decode(errors="replace").partition(" ")
                 if answer == "ERROR":
-                    raise ProbeError(f"{line!r} was answered with {rest!r}")
+                    raise ProcessFailedError(f"{line!r} was answered with {rest!r}")
                 yield answer, rest
 
     def close(self) -> None:
@@ -238,12 +234,12 @@ class _ProbeProcess(CommandProcess):
         answer, _ = self.ask("CLOSE")
         code = self._process.wait(timeout=GRACE_SECONDS)
         if answer != "CLOSED" or code:
-            raise ProbeError(f"the probe ended with {answer} and exit code {code}")
+            raise ProcessFailedError(f"the probe ended with {answer} and exit code {code}")
         self.reap()
 
 
 def _line_of(words: Sequence[str]) -> str:
     line = "\t".join(words)
     if "\n" in line or line.count("\t") != len(words) - 1:
-        raise ProbeError(f"words with a tab or a newline cannot be sent: {words}")
+        raise ProcessFailedError(f"words with a tab or a newline cannot be sent: {words}")
     return line

@@ -17,6 +17,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from comarmor.values import dataclass
+from keymint.command_process import MissingVendorError
 from keymint_ros2_dds.vendors import cyclone_access_control, program_cache
 
 _SOURCES = Path(__file__).parent
@@ -28,19 +29,8 @@ def inherited(environment: Mapping[str, str]) -> Mapping[str, str]:
     return {name: environment[name] for name in ("PATH", "LD_LIBRARY_PATH") if name in environment}
 
 
-class MissingVendorError(Exception):
-    """A vendor is not installed; with what is missing, and how to install it.
-
-    Args:
-        vendor: the vendor's name, for people.
-        reason: what is missing.
-        packages: Debian packages that bring it.
-    """
-
-    def __init__(self, vendor: str, reason: str, packages: tuple[str, ...]) -> None:
-        self.reason = reason
-        self.help = f"apt-get install {' '.join(packages)}"
-        super().__init__(f"{vendor}: {reason}; {self.help}")
+def _missing(vendor: str, reason: str, packages: Sequence[str]) -> MissingVendorError:
+    return MissingVendorError(vendor, reason, f"apt-get install {' '.join(packages)}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,10 +62,10 @@ class Probe:
         compiler = self._compiler(environment)
         if compiler is None:
             reason = f"no compiler {' or '.join(self.compilers)}"
-            raise MissingVendorError(self.vendor, reason, (self.compilers[0], *self.packages))
+            raise _missing(self.vendor, reason, (self.compilers[0], *self.packages))
         preprocessing = self._preprocess(compiler, self.header, environment)
         if preprocessing.returncode:
-            raise MissingVendorError(self.vendor, f"no header {self.header}", self.packages)
+            raise _missing(self.vendor, f"no header {self.header}", self.packages)
         return compiler, preprocessing.stdout
 
     def build(self, cache: Path, environment: Mapping[str, str] = _NO_VARIABLES) -> Path:
@@ -100,7 +90,7 @@ class Probe:
                 if compilation.returncode:
                     errors = compilation.stderr.decode(errors="replace").strip().splitlines()
                     reason = f"{self.source} cannot be built: {errors[-1] if errors else 'no message'}"
-                    raise MissingVendorError(self.vendor, reason, self.packages)
+                    raise _missing(self.vendor, reason, self.packages)
                 output.chmod(0o700)
                 output.replace(program)
         return program
@@ -168,4 +158,4 @@ def require_cyclone_plugins() -> None:
     try:
         cyclone_access_control.library()
     except OSError as error:
-        raise MissingVendorError("Cyclone DDS", str(error), CYCLONE_PACKAGES[:1]) from None
+        raise _missing("Cyclone DDS", str(error), CYCLONE_PACKAGES[:1]) from None

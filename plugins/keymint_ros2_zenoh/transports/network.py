@@ -7,12 +7,13 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from itertools import count
 
+from keymint.command_process import ProcessFailedError
 from keymint.errors import KeymintError
 from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel
 from keymint_ros2_zenoh.transports.installed import InstalledConfiguration
 from keymint_ros2_zenoh.vendors import access_log, loopback
 from keymint_ros2_zenoh.vendors.loopback_ports import free_port
-from keymint_ros2_zenoh.vendors.zenoh_processes import ProcessFailedError, ZenohError, ZenohSystem
+from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError, ZenohSystem
 
 ROUTER = "router"
 _ATTEMPTS = 5

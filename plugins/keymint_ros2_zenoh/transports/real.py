@@ -8,12 +8,13 @@ from functools import cached_property
 from itertools import groupby
 
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
+from keymint.command_process import MissingVendorError
 from keymint.graph import Edge
 from keymint_ros2_zenoh.transports.enclave_model import InstalledModels
 from keymint_ros2_zenoh.transports.exchange import exchange
 from keymint_ros2_zenoh.transports.logged_decisions import logged_decisions
 from keymint_ros2_zenoh.transports.network import Network, running
-from keymint_ros2_zenoh.vendors.zenoh_library import MissingZenohError, installed_version
+from keymint_ros2_zenoh.vendors.zenoh_library import installed_version
 
 _Labeller = Callable[[Network, InstalledModels, Iterable[Edge]], Iterator[tuple[Edge, Verdict]]]
 
@@ -36,7 +37,7 @@ class RealZenoh:
     def _usable(self) -> Availability:
         try:
             return Availability(usable=True, version=installed_version(), tiers=tuple(Tier))
-        except MissingZenohError as error:
+        except MissingVendorError as error:
             return Availability(usable=False, reason=error.reason, help=error.help)
 
     def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:

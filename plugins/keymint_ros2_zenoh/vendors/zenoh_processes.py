@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Self
 
-from keymint.command_process import GRACE_SECONDS, CommandProcess
+from keymint.command_process import GRACE_SECONDS, CommandProcess, ProcessFailedError
 from keymint_ros2_zenoh.vendors import access_log
 from keymint_ros2_zenoh.vendors.access_log import LoggedDecision
 
@@ -21,10 +21,6 @@ _INHERITED = ("PATH", "LD_LIBRARY_PATH", "PYTHONPATH")
 
 class ZenohError(Exception):
     """The library refuses a command: a configuration, a session, a declaration."""
-
-
-class ProcessFailedError(Exception):
-    """The process hangs or has died: not a decision of Zenoh."""
 
 
 class ZenohSystem(ExitStack):
@@ -76,7 +72,7 @@ class ZenohProcess(CommandProcess):
         self._log = log
         self._log_offset = 0
         words = [sys.executable, "-P", str(program), str(log)]
-        super().__init__(words, environment, "the process", ProcessFailedError)
+        super().__init__(words, environment, "the process")
 
     def ask(self, command: str, *, wait: float = 0.0, **members: object) -> Any:
         """Send a command and return its result.

@@ -14,6 +14,7 @@ from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.cyclone_access_control import ac_fnmatch
 
 from comarmor.patterns.tokens import Dialect
+from keymint.command_process import MissingVendorError
 from tests.effort import tries
 
 from .cyclone_reference import cyclone_regex
@@ -56,7 +57,7 @@ def test_cyclone_dds_is_its_reference(pattern: str, name: str) -> None:
 def test_cyclone_dds_has_a_matcher_of_its_own() -> None:
     try:
         probe_builds.require_cyclone_plugins()
-    except probe_builds.MissingVendorError as error:
+    except MissingVendorError as error:
         pytest.skip(str(error))
 
     @thorough

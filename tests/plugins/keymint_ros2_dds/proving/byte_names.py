@@ -22,6 +22,7 @@ from keymint_ros2_dds.proving import ASSUMPTIONS, prove_content
 from keymint_ros2_dds.vendors import cyclone_access_control, probe_builds
 
 from keymint.api import Claim, ComparisonTask, Proof
+from keymint.command_process import MissingVendorError
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from tests.plugins.keymint_ros2_dds.packages import DOMAIN, rule
@@ -234,7 +235,7 @@ def has_cyclone() -> bool:
     """Tell whether the plugin of Cyclone DDS is here."""
     try:
         probe_builds.require_cyclone_plugins()
-    except probe_builds.MissingVendorError:
+    except MissingVendorError:
         return False
     return True
 
