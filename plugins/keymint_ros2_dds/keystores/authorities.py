@@ -8,8 +8,8 @@ from typing import Any
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Severity
-from keymint.api import FoundAuthority, KeystoreFiles
+from comarmor.errors import Diagnostic
+from keymint.api import FoundAuthority
 from keymint.errors import KeymintError
 from keymint.pki import adoption, certificates, extensions, key_files, keys
 from keymint.pki.distinguished_names import to_text
@@ -26,13 +26,12 @@ BOTH = "ca"
 
 
 def authorities(
-    keystore: KeystoreFiles, contents: Contents, enclaves: Iterable[EnclavePlace]
+    contents: Contents, enclaves: Iterable[EnclavePlace]
 ) -> tuple[tuple[FoundAuthority, ...], list[Diagnostic]]:
     """Return the authorities that the enclaves trust, and the findings on them.
 
     Args:
-        keystore: the keystore.
-        contents: what its files contain.
+        contents: what the files of the keystore contain.
         enclaves: where the files of its enclaves are.
     """
     findings: list[Diagnostic] = []
@@ -42,35 +41,30 @@ def authorities(
             path = enclave.files.get(name) or enclave.files.get(CA, "")
             if not path:
                 continue
-            content = keystore.files[path].content
+            content = contents.read(path)
             first = trusted.setdefault(role, (path, content))
             if first[1] != content:
                 message = f"is another authority than that of other enclaves, {contents.place(first[0])}"
                 help_ = "a workspace has one authority for each role: adopt these enclaves as a keystore of their own"
-                where = contents.place(path)
-                findings.append(Diagnostic("adopt-authorities", Severity.ERROR, message, where, help_, enclave.subject))
+                findings.append(contents.error("adopt-authorities", path, message, help_, enclave.subject))
     together = len(trusted) == len(_FILES) and len({content for _, content in trusted.values()}) == 1
     found = []
-    for role, (path, content) in trusted.items():
+    for role, (path, _) in trusted.items():
         if together and role != IDENTITY:
             continue
         roles = tuple(_FILES) if together else (role,)
-        authority, own = _authority(keystore, contents, path, content, roles)
+        authority, own = _authority(contents, path, roles)
         found += [authority] if authority else []
         findings += own
     if len({each.facts["fingerprint"] for each in found}) < len(found):
         message = "both authorities have one and the same key"
         help_ = "make a certificate for one of them alone the file of both"
-        findings.append(
-            Diagnostic("adopt-authority-key", Severity.ERROR, message, contents.place(found[0].file), help_)
-        )
+        findings.append(contents.error("adopt-authority-key", found[0].file, message, help_))
     return tuple(found), findings
 
 
-def _authority(
-    keystore: KeystoreFiles, contents: Contents, path: str, content: bytes, roles: Sequence[str]
-) -> tuple[FoundAuthority | None, list[Diagnostic]]:
-    where = contents.place(path)
+def _authority(contents: Contents, path: str, roles: Sequence[str]) -> tuple[FoundAuthority | None, list[Diagnostic]]:
+    content, where = contents.read(path), contents.place(path)
     findings: list[Diagnostic] = []
     try:
         certificate = adoption.require_authority(content, where)
@@ -79,20 +73,18 @@ def _authority(
     if content != certificates.to_pem(certificate):
         message = "has text around its certificate, or encodes it in another way; enclaves would get another file"
         help_ = f"rewrite it, here and on the robots: openssl x509 -in {where} -out {where}"
-        findings.append(Diagnostic("adopt-encoding", Severity.ERROR, message, where, help_))
+        findings.append(contents.error("adopt-encoding", path, message, help_))
     if not certificates.is_issued_by(certificate, certificate):
         message = f"was issued by {to_text(certificate.issuer)!r}, and not by itself"
         help_ = "Keymint takes over self-signed authorities only; Cyclone DDS refuses others as well"
-        findings.append(Diagnostic("adopt-intermediate", Severity.ERROR, message, where, help_))
+        findings.append(contents.error("adopt-intermediate", path, message, help_))
     end = certificate.not_valid_after_utc
-    if end < keystore.now:
+    if end < contents.keystore.now:
         message = f"expired on {end:%Y-%m-%d}: no participant starts"
-        findings.append(
-            Diagnostic("adopt-authority-expired", Severity.WARNING, message, where, "'keymint authority renew'")
-        )
+        findings.append(contents.warning("adopt-authority-expired", path, message, "'keymint authority renew'"))
     name = BOTH if len(roles) > 1 else _NAMES[roles[0]]
     key_paths = contents.keys_of(certificate)
-    findings += _about_key(keystore, contents, key_paths, name, path)
+    findings += _about_key(contents, key_paths, name, path)
     findings += _lacking(certificate, roles, path, contents)
     public = certificates.public_key(certificate)
     kind = keys.kind_of(public)
@@ -107,15 +99,13 @@ def _authority(
         "path_length": getattr(extensions.value(certificate, x509.BasicConstraints), "path_length", None),
         "key_file": str(contents.place(key_paths[0])) if key_paths else None,
     }
-    key = key_files.pem_of(keystore.files[key_paths[0]].content, public) if key_paths else b""
+    key = key_files.pem_of(contents.read(key_paths[0]), public) if key_paths else b""
     return FoundAuthority(name, tuple(roles), content, path, key, tuple(key_paths), facts), findings
 
 
-def _about_key(
-    keystore: KeystoreFiles, contents: Contents, key_paths: Sequence[str], name: str, path: str
-) -> Iterator[Diagnostic]:
+def _about_key(contents: Contents, key_paths: Sequence[str], name: str, path: str) -> Iterator[Diagnostic]:
     for each in key_paths:
-        yield from exposure(keystore, each, contents.place(each), "")
+        yield from exposure(contents, each, "")
     if key_paths:
         return
     message = f"has no private key here: the authority {name!r} is taken over without it, and signs nothing here"
@@ -123,20 +113,19 @@ def _about_key(
     if contents.sealed:
         names = ", ".join(str(contents.place(each)) for each in contents.sealed)
         help_ = f"if it is one of {names}, which are encrypted or containers: decrypt it (openssl pkey), then {help_}"
-    yield Diagnostic("adopt-authority-elsewhere", Severity.NOTE, message, contents.place(path), help_)
+    yield contents.note("adopt-authority-elsewhere", path, message, help_)
 
 
 def _lacking(
     certificate: x509.Certificate, roles: Sequence[str], path: str, contents: Contents
 ) -> Iterator[Diagnostic]:
     """Yield a note for what the certificate lacks, or has too much of; each is the matter of a later step."""
-    where = contents.place(path)
     if len(roles) > 1:
         message = (
             "issues identities and signs permissions: on old vendors, any identity can sign permissions for itself"
         )
         help_ = "CVE-2023-24010; 'keymint harden authority' makes a second one afterwards"
-        yield Diagnostic("adopt-one-authority", Severity.NOTE, message, where, help_)
+        yield contents.note("adopt-one-authority", path, message, help_)
     lacks = [
         name
         for name, kind in (("keyUsage", x509.KeyUsage), ("subjectKeyIdentifier", x509.SubjectKeyIdentifier))
@@ -144,6 +133,4 @@ def _lacking(
     ]
     if lacks:
         message = f"lacks {' and '.join(lacks)} (RFC 5280, 4.2.1)"
-        yield Diagnostic(
-            "adopt-extensions", Severity.NOTE, message, where, "'keymint harden identifiers' adds them afterwards"
-        )
+        yield contents.note("adopt-extensions", path, message, "'keymint harden identifiers' adds them afterwards")

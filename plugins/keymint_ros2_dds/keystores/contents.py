@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from cryptography import x509
 
-from comarmor.errors import Origin
+from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.values import dataclass
 from keymint.api import KeystoreFiles
 from keymint.errors import KeymintError
@@ -25,7 +25,7 @@ class Contents:
     """The files of a keystore by what they contain; links are left out, since they repeat another file.
 
     Attributes:
-        folder: the keystore as the user would type it.
+        keystore: the keystore.
         certificates: the first certificate of each file that begins with one.
         keys: paths of the files with a private key that can be read, by the fingerprint of the key; PEM first.
         sealed: paths of the files with a private key that cannot be read (:attr:`PrivateKeys.sealed`).
@@ -34,7 +34,7 @@ class Contents:
         revocation_lists: paths of revocation lists.
     """
 
-    folder: str
+    keystore: KeystoreFiles
     certificates: Mapping[str, x509.Certificate]
     keys: Mapping[str, Sequence[str]]
     sealed: tuple[str, ...]
@@ -42,9 +42,26 @@ class Contents:
     governances: tuple[str, ...]
     revocation_lists: tuple[str, ...]
 
+    def read(self, path: str) -> bytes:
+        """Return what a file contains, also through a link."""
+        return self.keystore.files[path].content
+
     def place(self, path: str) -> Origin:
         """Return a path of the keystore as the user would type it."""
-        return Origin(f"{self.folder}/{path}" if path else self.folder)
+        folder = self.keystore.folder
+        return Origin(f"{folder}/{path}" if path else folder)
+
+    def error(self, code: str, path: str, message: str, help_: str, subject: str = "") -> Diagnostic:
+        """Return why a file or folder cannot be taken over as it is."""
+        return Diagnostic(code, Severity.ERROR, message, self.place(path), help_, subject)
+
+    def warning(self, code: str, path: str, message: str, help_: str, subject: str = "") -> Diagnostic:
+        """Return what is wrong with a file that is taken over."""
+        return Diagnostic(code, Severity.WARNING, message, self.place(path), help_, subject)
+
+    def note(self, code: str, path: str, message: str, help_: str) -> Diagnostic:
+        """Return what a later step can improve."""
+        return Diagnostic(code, Severity.NOTE, message, self.place(path), help_)
 
     def keys_of(self, certificate: x509.Certificate) -> Sequence[str]:
         """Return the paths of all files with the private key of a certificate; those in PEM come first."""
@@ -79,7 +96,7 @@ def contents(keystore: KeystoreFiles) -> Contents:
         elif (certificate := first_certificate(file.content)) is not None:
             found[path] = certificate
     by_form = {name: sorted(paths, key=lambda path: not _is_pem(keystore, path)) for name, paths in private.items()}
-    return Contents(keystore.folder, found, by_form, tuple(sealed), permissions, tuple(governances), tuple(revocations))
+    return Contents(keystore, found, by_form, tuple(sealed), permissions, tuple(governances), tuple(revocations))
 
 
 def _is_pem(keystore: KeystoreFiles, path: str) -> bool:

@@ -10,7 +10,7 @@ from typing import Any
 from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.api import DomainRange, FoundEnclave, FoundGrant, KeystoreFiles, Validity
+from keymint.api import DomainRange, FoundEnclave, FoundGrant, Validity
 from keymint.errors import KeymintError
 from keymint.names import name_of, package_name
 from keymint.pki import certificates, certification_path, keys, smime
@@ -41,9 +41,9 @@ _EVERYTHING = frozenset(("*", "rt/*", "rq/*", "rr/*", "**"))
 _DATED = frozenset(("certificate-expired", "certificate-not-yet-valid"))
 
 
-def examined(keystore: KeystoreFiles, contents: Contents, place: EnclavePlace) -> tuple[FoundEnclave, list[Diagnostic]]:
+def examined(contents: Contents, place: EnclavePlace) -> tuple[FoundEnclave, list[Diagnostic]]:
     """Return an enclave and the findings on it; an error is a reason why it cannot be taken over as it is."""
-    enclave = _Enclave(keystore, contents, place)
+    enclave = _Enclave(contents, place)
     findings = list(enclave.findings())
     return enclave.found(), [replace(each, subject=place.subject) for each in findings]
 
@@ -51,8 +51,7 @@ def examined(keystore: KeystoreFiles, contents: Contents, place: EnclavePlace) -
 class _Enclave:
     """One enclave under examination; the findings fill its facts."""
 
-    def __init__(self, keystore: KeystoreFiles, contents: Contents, place: EnclavePlace) -> None:
-        self._keystore = keystore
+    def __init__(self, contents: Contents, place: EnclavePlace) -> None:
         self._contents = contents
         self._enclave = place
         self._certificate: x509.Certificate | None = None
@@ -95,19 +94,23 @@ class _Enclave:
 
     def _content(self, name: str) -> bytes:
         path = self._path(name)
-        return self._keystore.files[path].content if path else b""
+        return self._contents.read(path) if path else b""
+
+    def _at(self, name: str) -> str:
+        """Return the path of a file, also of one that is missing."""
+        return self._path(name) or f"{self._enclave.place}/{name}"
 
     def _where(self, name: str) -> Origin:
-        return self._contents.place(self._path(name) or f"{self._enclave.place}/{name}")
+        return self._contents.place(self._at(name))
 
     def _error(self, code: str, name: str, message: str, help_: str) -> Diagnostic:
-        return Diagnostic(code, Severity.ERROR, message, self._where(name), help_)
+        return self._contents.error(code, self._at(name), message, help_)
 
     def _warning(self, code: str, name: str, message: str, help_: str) -> Diagnostic:
-        return Diagnostic(code, Severity.WARNING, message, self._where(name), help_)
+        return self._contents.warning(code, self._at(name), message, help_)
 
     def _inventory(self) -> Iterator[Diagnostic]:
-        files = self._keystore.files
+        files = self._contents.keystore.files
         own = [files[path] for path in self._enclave.files.values()]
         self._facts["links"] = sum(bool(file.link) for file in own)
         self._facts["modes"] = {
@@ -124,8 +127,8 @@ class _Enclave:
         try:
             package_name(self._enclave.subject or "/x")
         except KeymintError as error:
-            where, message = self._contents.place(self._enclave.place), error.diagnostics[0].message
-            yield Diagnostic("adopt-path", Severity.ERROR, message, where, "give the enclave another path")
+            message = error.diagnostics[0].message
+            yield self._contents.error("adopt-path", self._enclave.place, message, "give the enclave another path")
         if self._path(KEY_URI):
             message = "says that the key lies in a token, which is not taken over"
             help_ = "write <pkcs11> into identities.xml afterwards; docs/keystore-life.md"
@@ -151,7 +154,7 @@ class _Enclave:
         self._facts["subject_name"] = to_text(certificate.subject)
         self._facts["certificate"] = dates_of(certificate)
         if issuer := self._trusted(IDENTITY_CA):
-            problems = certification_path.verify_chain(pem, issuer, self._keystore.now, where)
+            problems = certification_path.verify_chain(pem, issuer, self._contents.keystore.now, where)
             self._facts["chain"] = all(each.code in _DATED for each in problems)
             for each in problems:
                 dated = each.code in _DATED
@@ -190,8 +193,7 @@ class _Enclave:
         self._facts["key"] = "unknown" if pem else "elsewhere"
         if not pem:
             message = "is not here: the enclave is taken over without it, and gets no other one"
-            where = self._where(KEY)
-            yield Diagnostic("adopt-key-elsewhere", Severity.NOTE, message, where, "nothing, if the robot has it")
+            yield self._contents.note("adopt-key-elsewhere", self._at(KEY), message, "nothing, if the robot has it")
             return
         try:
             public = keys.public_of(pem, None, self._where(KEY))
@@ -203,7 +205,7 @@ class _Enclave:
         if self._facts["key"] == "differs":
             help_ = "restore the key or the certificate; participants do not start with these"
             yield self._error("adopt-key-mismatch", KEY, "is not the key of the certificate beside it", help_)
-        yield from exposure(self._keystore, self._path(KEY), self._where(KEY), self._enclave.subject)
+        yield from exposure(self._contents, self._path(KEY), self._enclave.subject)
 
     # -- documents -----------------------------------------------------------------------------------------------
 
@@ -258,7 +260,7 @@ class _Enclave:
         if period is None:
             message = f"its dates are {grant.not_before!r} and {grant.not_after!r}, expected xs:dateTime"
             yield self._error("adopt-grant-dates", PERMISSIONS_P7S, message, "sign a document with valid dates")
-        elif not period.not_before <= self._keystore.now <= period.not_after:
+        elif not period.not_before <= self._contents.keystore.now <= period.not_after:
             message = f"is in force from {_shown(period.not_before)} to {_shown(period.not_after)}, not now"
             help_ = "'keymint renew' signs it again with later dates"
             yield self._warning("adopt-grant-expired", PERMISSIONS_P7S, message, help_)
@@ -324,21 +326,20 @@ def dates_of(certificate: x509.Certificate) -> dict[str, str]:
     return {"not_before": begin, "not_after": end}
 
 
-def exposure(keystore: KeystoreFiles, path: str, where: Origin, subject: str) -> Iterator[Diagnostic]:
+def exposure(contents: Contents, path: str, subject: str) -> Iterator[Diagnostic]:
     """Yield a finding on a private key that others can read: it may have been copied.
 
     Args:
-        keystore: the keystore.
+        contents: what the files of the keystore contain.
         path: path of the key.
-        where: the same, for messages.
         subject: whose key it is; empty for that of an authority.
     """
-    mode = keystore.files[path].mode
+    mode = contents.keystore.files[path].mode
     if mode & 0o077:
         message = f"is a private key with mode {mode:04o}: others could read it, so it counts as exposed"
         end = f"'keymint renew --rekey {name_of(subject)}'" if subject else "'keymint authority replace'"
         help_ = f"chmod 600, here and on the robot; {end} ends it if someone may have copied it"
-        yield Diagnostic("adopt-key-exposed", Severity.WARNING, message, where, help_)
+        yield contents.warning("adopt-key-exposed", path, message, help_)
 
 
 def _grant_facts(grant: DocumentGrant) -> dict[str, Any]:

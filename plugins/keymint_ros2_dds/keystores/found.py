@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from keymint.api import FoundAuthority, FoundEnclave, FoundKeystore, KeystoreFiles
 from keymint.pki import keys
 from keymint_ros2_dds.authority_roles import IDENTITY
@@ -29,32 +29,32 @@ def found(keystore: KeystoreFiles) -> FoundKeystore:
         KeymintError: it has no enclave.
     """
     content = contents(keystore)
-    where = places(keystore, content)
-    trusted, diagnostics = authorities(keystore, content, where.enclaves)
+    where = places(content)
+    trusted, diagnostics = authorities(content, where.enclaves)
     issuer = next((each for each in trusted if IDENTITY in each.roles), None)
-    lists = revocations.found_lists(keystore, content, where.enclaves, issuer)
+    lists = revocations.found_lists(content, where.enclaves, issuer)
     listed = {CRL: lists.newest} if lists.newest and not where.layout else {}
     enclaves: list[FoundEnclave] = []
     for place in where.enclaves:
-        enclave, own = examined(keystore, content, replace(place, files={**place.files, **listed}))
+        enclave, own = examined(content, replace(place, files={**place.files, **listed}))
         enclaves.append(enclave)
         diagnostics += own
     defaults, of_governance = _defaults(content, enclaves, trusted)
     diagnostics += of_governance
     diagnostics += _doubled(content, enclaves)
-    diagnostics += revocations.examined(keystore, content, lists, enclaves, by_name=where.layout == "sros2")
-    secrets = {keystore.files[path].content for each in trusted for path in each.key_files}
-    diagnostics += _in_the_way(keystore, content, where, secrets)
+    diagnostics += revocations.examined(content, lists, enclaves, by_name=where.layout == "sros2")
+    secrets = {content.read(path) for each in trusted for path in each.key_files}
+    diagnostics += _in_the_way(content, where, secrets)
     return FoundKeystore(
         form=FORMS[where.layout],
         layout=where.layout,
         subject_format="sros2" if all(each.subject_name == f"CN={each.subject}" for each in enclaves) else "",
         authorities=trusted,
         enclaves=tuple(enclaves),
-        kept=tuple(path for path in where.kept if keystore.files[path].content not in secrets),  # nor links to them
+        kept=tuple(path for path in where.kept if content.read(path) not in secrets),  # nor links to them
         defaults=defaults,
         diagnostics=tuple(diagnostics),
-        revocation_lists={issuer.name: keystore.files[lists.newest].content} if issuer and lists.newest else {},
+        revocation_lists={issuer.name: content.read(lists.newest)} if issuer and lists.newest else {},
     )
 
 
@@ -68,47 +68,44 @@ def _defaults(
         return {}, []
     findings = []
     first, document = governed[0], governed[0].documents[GOVERNANCE_XML]
-    place = content.place(first.files[GOVERNANCE_P7S])
+    path = first.files[GOVERNANCE_P7S]
     for other in governed:
         if not governance.is_same(document, other.documents[GOVERNANCE_XML]):
-            message = f"protects other topics or domains than the governance of {first.subject}, {place}"
+            message = f"protects other topics or domains than the governance of {first.subject}, {content.place(path)}"
             help_ = "all participants of a domain need the same: adopt these enclaves as a keystore of their own"
-            where = content.place(other.files[GOVERNANCE_P7S])
-            findings.append(Diagnostic("adopt-governance", Severity.ERROR, message, where, help_, other.subject))
+            own = other.files[GOVERNANCE_P7S]
+            findings.append(content.error("adopt-governance", own, message, help_, other.subject))
     made = governance.source(document, signer)
     if made is None:
         message = "has several domain rules, and a profile's defaults have one"
         help_ = "sign a governance with one domain rule, which may have several domains"
-        findings.append(Diagnostic("adopt-governance", Severity.ERROR, message, place, help_))
+        findings.append(content.error("adopt-governance", path, message, help_))
         return {}, findings
     return {GOVERNANCE: made}, findings
 
 
-def _in_the_way(
-    keystore: KeystoreFiles, content: Contents, where: Places, secrets: Collection[bytes]
-) -> Iterator[Diagnostic]:
+def _in_the_way(content: Contents, where: Places, secrets: Collection[bytes]) -> Iterator[Diagnostic]:
     """Yield an error for each file that robots need and must not have, and for each that nobody can tell.
 
     Args:
-        keystore: the keystore.
-        content: what its files contain.
+        content: what the files of the keystore contain.
         where: where they are.
         secrets: the files with an authority's private key.
     """
     own = {enclave.files[KEY] for enclave in where.enclaves if KEY in enclave.files}
     needed = {path: each for each in where.enclaves for name, path in each.files.items() if name in _READ}
     for path, enclave in needed.items():
-        if keystore.files[path].content in secrets:
+        if content.read(path) in secrets:
             message = "has the private key of an authority, and participants read this file"
             help_ = "give the enclave a key of its own, and leave the authority's to private/"
-            yield Diagnostic("adopt-key-shared", Severity.ERROR, message, content.place(path), help_, enclave.subject)
-    sealed = {keystore.files[path].content for path in content.sealed}
+            yield content.error("adopt-key-shared", path, message, help_, enclave.subject)
+    sealed = set(map(content.read, content.sealed))
     for path in where.kept:
-        if path in own or keystore.files[path].content not in sealed:
+        if path in own or content.read(path) not in sealed:
             continue
         message = "has a private key that cannot be read, perhaps an authority's, where robots' files are taken from"
         help_ = "move it out of that folder, e.g. to private/, if no robot needs it; else decrypt it (openssl pkey)"
-        yield Diagnostic("adopt-key-sealed", Severity.ERROR, message, content.place(path), help_)
+        yield content.error("adopt-key-sealed", path, message, help_)
 
 
 def _doubled(content: Contents, enclaves: Sequence[FoundEnclave]) -> Iterator[Diagnostic]:
@@ -120,6 +117,5 @@ def _doubled(content: Contents, enclaves: Sequence[FoundEnclave]) -> Iterator[Di
             other = seen.setdefault(name, each) if name else each
             if other is not each:
                 message = f"has {what}, like {other.subject} ({other.facts['place']})"
-                where = content.place(str(each.facts["place"]))
                 help_ = "each enclave needs a name and a key of its own: remove one, or make a new key for it"
-                yield Diagnostic("adopt-doubled", Severity.ERROR, message, where, help_, each.subject)
+                yield content.error("adopt-doubled", str(each.facts["place"]), message, help_, each.subject)

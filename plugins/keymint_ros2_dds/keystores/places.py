@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from cryptography import x509
 
 from comarmor.values import dataclass
-from keymint.api import KeystoreFile, KeystoreFiles
+from keymint.api import KeystoreFile
 from keymint.errors import KeymintError
 from keymint.names import package_name
 from keymint.pki import certificates, extensions, key_files, smime
@@ -71,20 +71,20 @@ class Places:
     kept: tuple[str, ...]
 
 
-def places(keystore: KeystoreFiles, contents: Contents) -> Places:
+def places(contents: Contents) -> Places:
     """Return where the files of a keystore are.
 
     Raises:
         KeymintError: there is no enclave.
     """
-    files = keystore.files
+    files = contents.keystore.files
     if found := tuple(_named(files, _ENCLAVES, lambda _: True)):
         kept = tuple(path for path in files if path.startswith((_ENCLAVES, _PUBLIC)))
         return Places("sros2", found, kept)
     if found := tuple(_named(files, "", lambda path: not path.startswith((_ENCLAVES, _PUBLIC, _PRIVATE)))):
         folders = tuple(f"{each.place}/" for each in found)
         return Places("flat", found, tuple(path for path in files if path in _TOP or path.startswith(folders)))
-    if found := tuple(sorted(_by_content(keystore, contents), key=lambda each: each.subject)):
+    if found := tuple(sorted(_by_content(contents), key=lambda each: each.subject)):
         return Places("", found, ())
     raise KeymintError(
         "has no enclave: neither a folder with cert.pem, nor a certificate and signed permissions for its subject",
@@ -106,7 +106,7 @@ def _named(files: Mapping[str, KeystoreFile], top: str, is_searched: Callable[[s
             yield EnclavePlace(f"/{folder}", f"{top}{folder}".rstrip("/"), own)
 
 
-def _by_content(keystore: KeystoreFiles, contents: Contents) -> Iterator[EnclavePlace]:
+def _by_content(contents: Contents) -> Iterator[EnclavePlace]:
     """Yield an enclave for each certificate of an identity for which there are signed permissions."""
     authorities = {path: each for path, each in contents.certificates.items() if is_authority(each)}
     for path, certificate in contents.certificates.items():
@@ -116,10 +116,10 @@ def _by_content(keystore: KeystoreFiles, contents: Contents) -> Iterator[Enclave
         if not documents:
             continue
         issuer = next((file for file, each in authorities.items() if _issued(certificate, each)), "")
-        signer = next((file for file, each in authorities.items() if _signed(keystore, documents[0], each)), "")
+        signer = next((file for file, each in authorities.items() if _signed(contents.read(documents[0]), each)), "")
         own = {
             CERTIFICATE: path,
-            KEY: next((file for file in contents.keys_of(certificate) if _is_read(keystore, file, certificate)), ""),
+            KEY: next((file for file in contents.keys_of(certificate) if _is_read(contents, file, certificate)), ""),
             IDENTITY_CA: issuer,
             PERMISSIONS_CA: signer,
             PERMISSIONS_P7S: documents[0] if len(documents) == 1 else "",
@@ -128,9 +128,9 @@ def _by_content(keystore: KeystoreFiles, contents: Contents) -> Iterator[Enclave
         yield EnclavePlace(_subject(certificate), path, {name: file for name, file in own.items() if file})
 
 
-def _is_read(keystore: KeystoreFiles, path: str, certificate: x509.Certificate) -> bool:
+def _is_read(contents: Contents, path: str, certificate: x509.Certificate) -> bool:
     """Tell whether participants read the key of a certificate from a file with it: in PEM, as the first one."""
-    content = keystore.files[path].content
+    content = contents.read(path)
     return key_files.pem_of(content, certificates.public_key(certificate)) == content
 
 
@@ -143,9 +143,9 @@ def _issued(certificate: x509.Certificate, authority: x509.Certificate) -> bool:
     return extensions.may(authority, "keyCertSign") and certificates.is_issued_by(certificate, authority)
 
 
-def _signed(keystore: KeystoreFiles, path: str, authority: x509.Certificate) -> bool:
+def _signed(content: bytes, authority: x509.Certificate) -> bool:
     try:
-        smime.verify(keystore.files[path].content, certificates.to_pem(authority))
+        smime.verify(content, certificates.to_pem(authority))
     except KeymintError:
         return False
     return True

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from comarmor.text import counted
 from comarmor.values import dataclass
-from keymint.api import FoundAuthority, FoundEnclave, KeystoreFiles
+from keymint.api import FoundAuthority, FoundEnclave
 from keymint.errors import KeymintError
 from keymint.pki import certificates, revocation_lists
 from keymint.pki.revocation_lists import RevocationList
@@ -34,14 +34,11 @@ class FoundLists:
     findings: tuple[Diagnostic, ...]
 
 
-def found_lists(
-    keystore: KeystoreFiles, contents: Contents, places: Iterable[EnclavePlace], issuer: FoundAuthority | None
-) -> FoundLists:
+def found_lists(contents: Contents, places: Iterable[EnclavePlace], issuer: FoundAuthority | None) -> FoundLists:
     """Return the revocation lists of a keystore.
 
     Args:
-        keystore: the keystore.
-        contents: what its files contain.
+        contents: what the files of the keystore contain.
         places: where the files of its enclaves are.
         issuer: the authority of identities; None if it was not found.
     """
@@ -52,33 +49,33 @@ def found_lists(
     lists: dict[str, RevocationList] = {}
     findings = []
     for path in sorted({*contents.revocation_lists, *used}):
-        content, place = keystore.files[path].content, contents.place(path)
+        content, place = contents.read(path), contents.place(path)
         if revocation_lists.problem(content, authority):
-            message, severity = f"is no revocation list of the authority {issuer.name!r}", Severity.WARNING
-            help_ = "nothing, if it concerns no identity of this keystore; it is not taken over"
+            message = f"is no revocation list of the authority {issuer.name!r}"
             if path in used:
-                message, severity = f"{message}: no node with it starts", Severity.ERROR
                 help_ = "replace it with the authority's, or remove it, here and on the robot"
-            findings.append(Diagnostic(_CODE, severity, message, place, help_))
+                findings.append(contents.error(_CODE, path, f"{message}: no node with it starts", help_))
+            else:
+                help_ = "nothing, if it concerns no identity of this keystore; it is not taken over"
+                findings.append(contents.warning(_CODE, path, message, help_))
             continue
         try:
             lists[path] = revocation_lists.load(content, place)
         except KeymintError:
             message = "has more than one revocation list, or text around it; enclaves would get another file"
             help_ = f"rewrite it, here and on the robots: openssl crl -in {place} -out {place}"
-            findings.append(Diagnostic(_CODE, Severity.ERROR, message, place, help_))
+            findings.append(contents.error(_CODE, path, message, help_))
     newest = max(lists, key=lambda each: (lists[each].number, lists[each].this_update), default="")
     return FoundLists(lists, newest, tuple(findings))
 
 
 def examined(
-    keystore: KeystoreFiles, contents: Contents, found: FoundLists, enclaves: Sequence[FoundEnclave], *, by_name: bool
+    contents: Contents, found: FoundLists, enclaves: Sequence[FoundEnclave], *, by_name: bool
 ) -> Iterator[Diagnostic]:
     """Yield the findings on the newest list: a revocation that got lost would be taken back, so that is an error.
 
     Args:
-        keystore: the keystore.
-        contents: what its files contain.
+        contents: what the files of the keystore contain.
         found: its lists.
         enclaves: the enclaves, examined.
         by_name: enclaves have the list under a fixed name.
@@ -90,14 +87,14 @@ def examined(
     newest = found.lists[path]
     yield from _lost(contents, path, found.lists)
     yield from _revoked(contents, path, newest, enclaves)
-    if keystore.now >= newest.next_update:
+    if contents.keystore.now >= newest.next_update:
         message = f"ended on {newest.next_update:%Y-%m-%d}: no node with it starts"
         help_ = "issue it again with the tool that made it, here and on the robots"
-        yield Diagnostic(_CODE, Severity.ERROR, message, contents.place(path), help_)
+        yield contents.error(_CODE, path, message, help_)
     if by_name:
-        yield from _elsewhere(keystore, contents, path, enclaves, len(newest.revocations))
+        yield from _elsewhere(contents, path, enclaves, len(newest.revocations))
     message = f"revokes {counted(len(newest.revocations), 'certificate')}, which stay revoked"
-    yield Diagnostic(_CODE, Severity.NOTE, message, contents.place(path), "nothing")
+    yield contents.note(_CODE, path, message, "nothing")
 
 
 def _lost(contents: Contents, newest: str, lists: Mapping[str, RevocationList]) -> Iterator[Diagnostic]:
@@ -106,7 +103,7 @@ def _lost(contents: Contents, newest: str, lists: Mapping[str, RevocationList]) 
         if lost := [each.serial for each in other.revocations if each.serial not in known]:
             message = f"does not revoke all that {contents.place(path)} revokes, e.g. the serial number {lost[0]:x}"
             help_ = "issue a list with all of it; or remove the older one, if these certificates may be accepted again"
-            yield Diagnostic(_CODE, Severity.ERROR, message, contents.place(newest), help_)
+            yield contents.error(_CODE, newest, message, help_)
 
 
 def _revoked(
@@ -126,21 +123,18 @@ def _revoked(
             help_ = (
                 "take it out of the keystore; a new one for this name: 'keymint create', build and install afterwards"
             )
-            where = contents.place(str(enclave.facts["place"]))
-            yield Diagnostic("adopt-revoked", Severity.ERROR, message, where, help_, enclave.subject)
+            yield contents.error("adopt-revoked", str(enclave.facts["place"]), message, help_, enclave.subject)
 
 
-def _elsewhere(
-    keystore: KeystoreFiles, contents: Contents, newest: str, enclaves: Iterable[FoundEnclave], count: int
-) -> Iterator[Diagnostic]:
+def _elsewhere(contents: Contents, newest: str, enclaves: Iterable[FoundEnclave], count: int) -> Iterator[Diagnostic]:
     """Yield an error for each enclave that has another list, or none: the next installation would change it."""
     for enclave in enclaves:
         path = enclave.files.get(CRL)
-        if path is None or keystore.files[path].content != keystore.files[newest].content:
-            place = contents.place(path or f"{enclave.facts['place']}/{CRL}")
+        if path is None or contents.read(path) != contents.read(newest):
             message = (
                 f"{'is missing' if path is None else 'is another list'}, and {contents.place(newest)}, the newest one, "
                 f"revokes {counted(count, 'certificate')}"
             )
             help_ = "copy the newest one there, here and on the robot; or leave all lists out, if nothing is revoked"
-            yield Diagnostic(_CODE, Severity.ERROR, message, place, help_, enclave.subject)
+            own = path or f"{enclave.facts['place']}/{CRL}"
+            yield contents.error(_CODE, own, message, help_, enclave.subject)
