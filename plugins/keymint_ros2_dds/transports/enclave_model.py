@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
+from itertools import repeat
 
 from comarmor.errors import Origin
 from keymint.api import Enclave, Environment, Verdict
@@ -102,18 +103,21 @@ class EnclaveModel:
         rules = _topic_rules(endpoints, access.rule, variation)
         return bytes(admits(each, *found) for each, found in zip(endpoints.requests, rules, strict=True))
 
-    def verdict(self, variation: Variation, needed: Sequence[Edge], answers: Iterable[tuple[bool, str]]) -> Verdict:
-        """Combine a vendor's answers about the endpoints of an edge: all must be allowed.
+    def verdict(
+        self, variation: Variation, needed: Sequence[Edge], answers: Iterable[tuple[bool, str]] | None = None
+    ) -> Verdict:
+        """Combine answers about the endpoints of an edge: all must be allowed.
 
         Args:
             variation: the model of the vendor: it finds the rule that decided, and explains deviations.
             needed: the endpoints.
-            answers: whether each is allowed, and why; consumed up to the first denial.
+            answers: whether the vendor allows each, and why, consumed up to the first denial; None: as the model does.
         """
         verdict, deviation = Verdict(False, "this maps to no DDS endpoint", self.place()), ""
-        for endpoint, (allowed, reason) in zip(needed, answers, strict=False):
-            deviation = deviation or self.deviation(variation, endpoint, allowed=allowed)
+        for endpoint, answer in zip(needed, repeat(None) if answers is None else answers, strict=False):
             modelled = self.decide(variation, endpoint)
+            allowed, reason = answer or (modelled.allowed, _reason(modelled))
+            deviation = deviation or self.deviation(variation, endpoint, allowed=allowed)
             line = modelled.line if modelled.allowed == allowed else 0
             shown = reason or ("it is allowed" if allowed else "it is denied")
             verdict = Verdict(allowed, shown, self.place(line), deviation)
@@ -139,6 +143,11 @@ class EnclaveModel:
             return ""
         deviations = decision.explain(lambda other: self.decide(other, endpoint).allowed, variation)
         return "; ".join(map(str, deviations))
+
+
+def _reason(modelled: EndpointDecision) -> str:
+    """Return the reason of a decision, with its place if that is not in the permissions."""
+    return f"{modelled.where}: {modelled.reason}" if modelled.where and not modelled.line else modelled.reason
 
 
 @lru_cache(maxsize=8)
