@@ -7,6 +7,7 @@ A signed document stays good until it expires: its holder may present the earlie
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 
 from comarmor.patterns.decision_lists import DecisionList, SearchBudget, Unknown, Witness
 from comarmor.patterns.proofs import escapes
@@ -50,21 +51,20 @@ def _lost(earlier: Sequence[DocumentGrant], later: Sequence[DocumentGrant]) -> I
     grants = (*earlier, *later)
     pairs = permission_lists.have_partitions(grants)
     universe = octets.universe(pairs=pairs)
-    for domains in cuts(each for grant in grants for rule in grant.rules for each in rule.domains):
-        for action in ACTIONS:
-            where = f"in domain {domains.first}"
-            try:
-                denying = [one for each in _lists(later, domains.first, action, pairs=pairs) for one in each]
-                for permitting in _lists(earlier, domains.first, action, pairs=pairs):
-                    for each in denying or [NOTHING]:
-                        found = escapes(permitting, each, universe, SearchBudget(_STATES))
-                        if isinstance(found, Witness):
-                            word = octets.in_text(found.word.rpartition(octets.SEPARATOR)[2])
-                            yield f"{action} {word!r} {where}"
-                        elif isinstance(found, Unknown):
-                            yield f"{action} something {where} (unknown: {found.reason})"
-            except PatternError as error:
-                yield f"{action} something {where} (unknown: {error})"
+    ranges = cuts(each for grant in grants for rule in grant.rules for each in rule.domains)
+    for domains, action in product(ranges, ACTIONS):
+        where = f"in domain {domains.first}"
+        try:
+            denying = [one for each in _lists(later, domains.first, action, pairs=pairs) for one in each] or [NOTHING]
+            for permitting, each in product(_lists(earlier, domains.first, action, pairs=pairs), denying):
+                found = escapes(permitting, each, universe, SearchBudget(_STATES))
+                if isinstance(found, Witness):
+                    word = octets.in_text(found.word.rpartition(octets.SEPARATOR)[2])
+                    yield f"{action} {word!r} {where}"
+                elif isinstance(found, Unknown):
+                    yield f"{action} something {where} (unknown: {found.reason})"
+        except PatternError as error:
+            yield f"{action} something {where} (unknown: {error})"
 
 
 def _lists(grants: Sequence[DocumentGrant], domain: int, action: str, *, pairs: bool) -> list[tuple[DecisionList, ...]]:
