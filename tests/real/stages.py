@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from keymint_ros2_dds.vendors.participants import RefusedError
 
+from .probe_commands import MatchedError, await_rejection
 from .provisioning import enclave
-from .rejections import MatchedError, await_rejection
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -24,6 +24,7 @@ from tests.plugins.keymint_ros2_dds.proving.byte_names import (
 )
 
 from .handmade import Authorities, criteria, permissions_document, rule
+from .probe_commands import close
 from .test_strictness import WIDE, signed
 
 if TYPE_CHECKING:
@@ -100,7 +101,7 @@ def test_the_claims_are_right_about_fast_dds(fastdds: Vendor, authorities: Autho
                 return asked.allows("publish", text)
 
             hold(case, lambda each: by_libc(each, NOESCAPE, "C"), "fastdds-2.9", answers, names)
-            participant.close()
+            close(participant)
 
 
 def _is_text(name: bytes) -> bool:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import pytest
 from keymint_ros2_dds.vendors.participants import DeniedError, ProbeEndpoint, RefusedError, System
 
+from .probe_commands import await_rejection
 from .provisioning import enclave
-from .rejections import await_rejection
 
 if TYPE_CHECKING:
     from collections.abc import Callable

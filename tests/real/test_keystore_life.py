@@ -21,7 +21,7 @@ from keymint.api import Enclave, Environment
 from .handmade import Authorities, Authority
 from .lifetimes import DAY, Identity, enclave, identity, revocation_list
 from .presenters import presenting
-from .rejections import await_rejection
+from .probe_commands import await_rejection
 
 if TYPE_CHECKING:
     from collections.abc import Callable

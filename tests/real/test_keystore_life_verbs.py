@@ -16,8 +16,8 @@ from keymint_ros2_dds.vendors.participants import RefusedError, System, Vendor
 from tests.softhsm import PIN, opened
 
 from .presenters import presenting
+from .probe_commands import await_rejection
 from .provisioning import enclave, keymint, provision
-from .rejections import await_rejection
 from .stages import POLICY, WAIT, Stages, hears
 
 if TYPE_CHECKING:

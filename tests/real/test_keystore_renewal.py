@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from .probe_commands import close
 from .provisioning import keymint
 from .stages import POLICY, WAIT, Stages, hears
 
@@ -41,7 +42,7 @@ def test_a_renewed_enclave_restarts_alone(renewed: Stages, system: System) -> No
     before = system.open(renewed("old", "/talker"))
     before.edge("publish", "rt/x").write("before")
     assert listener.read(WAIT) == "before"
-    before.close()
+    close(before)
     system.open(renewed("new", "/talker")).edge("publish", "rt/x").write("renewed")
     assert listener.read(WAIT) == "renewed"
 

@@ -10,6 +10,7 @@ from cryptography.x509.oid import NameOID
 from keymint_ros2_dds.vendors.participants import DeniedError, RefusedError, System, Vendor
 
 from .handmade import Authorities, criteria, rule
+from .probe_commands import close
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -97,4 +98,4 @@ def test_a_deny_rule_does_not_affect_allowed_topics(authorities: Authorities, sy
     with pytest.raises(DeniedError):
         participant.edge("publish", "rt/y")
     participant.edge("publish", "rt/x")
-    participant.close()
+    close(participant)

@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Self
 
 from comarmor.values import dataclass
-from keymint.command_process import GRACE_SECONDS, CommandProcess, ProcessFailedError
+from keymint.command_process import CommandProcess, ProcessFailedError
 from keymint_ros2_dds.enclave_layout import CRL
 from keymint_ros2_dds.vendors import cyclone_access_control
 from keymint_ros2_dds.vendors.ports import FIRST_PARTICIPANT, free_ports
@@ -183,10 +183,6 @@ class ProbeParticipant:
         commands = [("TRY", *words) for words in endpoints]
         return [answer == "ALLOWED" for answer, _ in self._process.ask_all(commands)]
 
-    def close(self) -> None:
-        """Delete the participant and end its process."""
-        self._process.close()
-
 
 class ProbeEndpoint:
     """A writer or reader of a participant."""
@@ -228,14 +224,6 @@ class _ProbeProcess(CommandProcess):
                 if answer == "ERROR":
                     raise ProcessFailedError(f"{line!r} was answered with {rest!r}")
                 yield answer, rest
-
-    def close(self) -> None:
-        """Ask the process to end, and wait for it."""
-        answer, _ = self.ask("CLOSE")
-        code = self._process.wait(timeout=GRACE_SECONDS)
-        if answer != "CLOSED" or code:
-            raise ProcessFailedError(f"the probe ended with {answer} and exit code {code}")
-        self.reap()
 
 
 def _line_of(words: Sequence[str]) -> str:

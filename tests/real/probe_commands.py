@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wait until a participant of a real vendor rejects its peer."""
+"""Commands of the probes of real vendors that only tests send."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from keymint.command_process import GRACE_SECONDS
+
 if TYPE_CHECKING:
-    from keymint_ros2_dds.vendors.participants import ProbeEndpoint
+    from keymint_ros2_dds.vendors.participants import ProbeEndpoint, ProbeParticipant
 
 
 class MatchedError(Exception):
@@ -24,3 +26,11 @@ def await_rejection(endpoint: ProbeEndpoint, seconds: float) -> str | None:
     if answer == "MATCHED":
         raise MatchedError
     return reason or None
+
+
+def close(participant: ProbeParticipant) -> None:
+    """Delete a participant, and wait until its process has ended."""
+    process = participant._process
+    answer, _ = process.ask("CLOSE")
+    assert (answer, process._process.wait(timeout=GRACE_SECONDS)) == ("CLOSED", 0)
+    process.reap()
