@@ -35,21 +35,20 @@ def authorities(
         enclaves: where the files of its enclaves are.
     """
     findings: list[Diagnostic] = []
-    trusted: dict[str, tuple[str, bytes]] = {}
+    trusted: dict[str, str] = {}
     for role, name in _FILES.items():
         for enclave in enclaves:
             path = enclave.files.get(name) or enclave.files.get(CA, "")
             if not path:
                 continue
-            content = contents.read(path)
-            first = trusted.setdefault(role, (path, content))
-            if first[1] != content:
-                message = f"is another authority than that of other enclaves, {contents.place(first[0])}"
+            first = trusted.setdefault(role, path)
+            if contents.read(first) != contents.read(path):
+                message = f"is another authority than that of other enclaves, {contents.place(first)}"
                 help_ = "a workspace has one authority for each role: adopt these enclaves as a keystore of their own"
                 findings.append(contents.error("adopt-authorities", path, message, help_, enclave.subject))
-    together = len(trusted) == len(_FILES) and len({content for _, content in trusted.values()}) == 1
+    together = len(trusted) == len(_FILES) and len(set(map(contents.read, trusted.values()))) == 1
     found = []
-    for role, (path, _) in trusted.items():
+    for role, path in trusted.items():
         if together and role != IDENTITY:
             continue
         roles = tuple(_FILES) if together else (role,)

@@ -82,8 +82,8 @@ class _Enclave:
         yield from self._inventory()
         yield from self._identity()
         yield from self._key()
-        permissions = yield from self._signed(PERMISSIONS, PERMISSIONS_P7S)
-        governance = yield from self._signed(GOVERNANCE, GOVERNANCE_P7S)
+        permissions = yield from self._signed(PERMISSIONS)
+        governance = yield from self._signed(GOVERNANCE)
         yield from self._permissions(permissions)
         yield from self._governance(governance)
 
@@ -110,14 +110,9 @@ class _Enclave:
         return self._contents.warning(code, self._at(name), message, help_)
 
     def _inventory(self) -> Iterator[Diagnostic]:
-        files = self._contents.keystore.files
-        own = [files[path] for path in self._enclave.files.values()]
-        self._facts["links"] = sum(bool(file.link) for file in own)
-        self._facts["modes"] = {
-            name: f"{files[path].mode:04o}"
-            for name, path in sorted(self._enclave.files.items())
-            if not files[path].link
-        }
+        own = {name: self._contents.keystore.files[path] for name, path in sorted(self._enclave.files.items())}
+        self._facts["links"] = sum(bool(file.link) for file in own.values())
+        self._facts["modes"] = {name: f"{file.mode:04o}" for name, file in own.items() if not file.link}
         self._facts["missing"] = []
         for name in (CERTIFICATE, IDENTITY_CA, PERMISSIONS_CA, PERMISSIONS_P7S, GOVERNANCE_P7S):
             if not self._path(name) and not (name in {IDENTITY_CA, PERMISSIONS_CA} and self._path(CA)):
@@ -209,9 +204,10 @@ class _Enclave:
 
     # -- documents -----------------------------------------------------------------------------------------------
 
-    def _signed(self, kind: str, name: str) -> Generator[Diagnostic, None, bytes | None]:
+    def _signed(self, kind: str) -> Generator[Diagnostic, None, bytes | None]:
         """Check a signed document; the generator returns its content if the signature verifies, else None."""
         self._facts.setdefault("signatures", {})[kind] = False
+        name = f"{kind}.p7s"
         signed, authority = self._content(name), self._trusted(PERMISSIONS_CA)
         if not signed or not authority:
             return None

@@ -36,7 +36,6 @@ from keymint_ros2_dds.proving.permission_lists import have_partitions
 from keymint_ros2_dds.reading import signed_permissions
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, DocumentRule, PermissionsDocument
 
-_CODE = "learn-unsayable"
 STEPS = 4_000_000
 """Steps that finding out which denials matter may take (:mod:`comarmor.patterns.steps`)."""
 
@@ -87,8 +86,7 @@ def rules_of(
             rules = tuple(_rules(_unordered(document, steps, named=named), distro, named=named))
     except StepLimitError as error:
         message = f"its rules overlap in too many ways: not decided in {error.steps:,} steps"
-        where = document.place(grant.line)
-        raise KeymintError(message, where=where, help="put denials before what is allowed", code=_CODE) from None
+        raise _unsayable(message, document.place(grant.line), "put denials before what is allowed") from None
     return rules, domains, findings
 
 
@@ -110,10 +108,10 @@ def _grant(
     own = STANDARD.grants(document, name)
     eras = tuple(grant_periods(document, name, STANDARD))
     if len(eras) > 1:
-        raise KeymintError(
-            f"{quoted(name)} has another grant from {eras[1].begin:%Y-%m-%d} on, and rules of a policy have no time",
-            where=document.place(eras[1].grant.line), help="sign a document with one grant", code=_CODE,
-        )  # fmt: skip
+        message = (
+            f"{quoted(name)} has another grant from {eras[1].begin:%Y-%m-%d} on, and rules of a policy have no time"
+        )
+        raise _unsayable(message, document.place(eras[1].grant.line), "sign a document with one grant")
     grant = eras[0].grant if eras else None
     findings = [
         Diagnostic(
@@ -147,11 +145,11 @@ def _applying(
     if len(groups) > 1:
         first, second = list(groups)[:2]
         rule = next(rule for rule, a, b in zip(grant.rules, first, second, strict=True) if a is not b)
-        raise KeymintError(
+        message = (
             f"permits something else in {in_words(groups[first])} than in {in_words(groups[second])}, because of this "
-            "rule; rules of a policy hold in all its domains",
-            where=document.place(rule.line), help="learn from one document for each domain", code=_CODE,
-        )  # fmt: skip
+            "rule; rules of a policy hold in all its domains"
+        )
+        raise _unsayable(message, document.place(rule.line), "learn from one document for each domain")
     for applies, ranges in groups.items():
         return tuple(merged(ranges)), tuple(rule for rule, each in zip(grant.rules, applies, strict=True) if each)
     return (), ()
@@ -187,9 +185,7 @@ def _steps(document: PermissionsDocument, grant: DocumentGrant, rules: Sequence[
         for criteria in rule.criteria:
             where = document.place(criteria.line)
             if criteria.tags is not None:
-                raise KeymintError(
-                    "is about data tags, which no policy has", where=where, help="remove them", code=_CODE
-                )
+                raise _unsayable("is about data tags, which no policy has", where, "remove them")
             try:
                 partitions = tuple(glob.parse(each) for each in criteria.partitions or ())
                 topics = [glob.parse(each) for each in criteria.topics]
@@ -235,11 +231,16 @@ def _unordered(document: PermissionsDocument, steps: Sequence[_Step], *, named: 
 
 def _denied_after(document: PermissionsDocument, step: _Step, allowing: _Step) -> KeymintError:
     line = document.place(allowing.line).line
-    return KeymintError(
+    message = (
         f"denies to {step.action} {quoted(canonical(step.topic))}, but line {line} before it allows "
-        f"{quoted(canonical(allowing.topic))}; in a policy every DENY overrides every ALLOW",
-        where=document.place(step.line), help="write out the names that are allowed", code=_CODE,
-    )  # fmt: skip
+        f"{quoted(canonical(allowing.topic))}; in a policy every DENY overrides every ALLOW"
+    )
+    return _unsayable(message, document.place(step.line), "write out the names that are allowed")
+
+
+def _unsayable(message: str, where: Origin, help_: str) -> KeymintError:
+    """Return the error that no policy can say what a document grants."""
+    return KeymintError(message, where=where, help=help_, code="learn-unsayable")
 
 
 def _overlap(allowing: _Step, denying: _Step) -> bool:
