@@ -137,10 +137,10 @@ def observe(domain: int, go_on: Callable[[], bool], names: Mapping[str, str]) ->
         KeymintError: Cyclone DDS is not installed, or cannot join the domain.
     """
     try:
-        dds = library()
+        library()
     except OSError as error:
         raise KeymintError(str(error), help=INSTALL, code="discovery-unusable") from None
-    with _Observer(dds, domain) as observer:
+    with _Observer(domain) as observer:
         pause = Event()
         while go_on():
             pause.wait(_PAUSE)
@@ -163,14 +163,13 @@ class _Observer:
     listeners run in threads of Cyclone DDS; each adds to its own dictionary.
     """
 
-    def __init__(self, dds: Any, domain: int) -> None:
-        self._dds = dds
+    def __init__(self, domain: int) -> None:
         self._domain = domain
         self._participants: dict[str, DiscoveredParticipant] = {}
         self._endpoints: dict[DiscoveredEndpoint, None] = {}
         self._readers: list[tuple[int, Callable[[int], None]]] = []
         self._callbacks: list[Any] = []
-        self._own = _checked(dds, dds.dds_create_participant(domain, None, None), f"join domain {domain}")
+        self._own = _checked(library().dds_create_participant(domain, None, None), f"join domain {domain}")
 
     def __enter__(self) -> Self:
         try:
@@ -181,34 +180,32 @@ class _Observer:
             ):
                 self._readers.append((self._listen(topic, take), take))
         except BaseException:
-            self._dds.dds_delete(self._own)
+            library().dds_delete(self._own)
             raise
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._dds.dds_delete(self._own)
+        library().dds_delete(self._own)
 
     def _listen(self, topic: int, take: Callable[[int], None]) -> int:
         callback = _Callback(lambda reader, _: take(reader))
         self._callbacks.append(callback)  # must live as long as the reader does
-        listener = self._dds.dds_create_listener(None)
+        listener = library().dds_create_listener(None)
         try:
-            self._dds.dds_lset_data_available(listener, callback)
-            return _checked(
-                self._dds, self._dds.dds_create_reader(self._own, topic, None, listener), "read a built-in topic"
-            )
+            library().dds_lset_data_available(listener, callback)
+            return _checked(library().dds_create_reader(self._own, topic, None, listener), "read a built-in topic")
         finally:
-            self._dds.dds_delete_listener(listener)
+            library().dds_delete_listener(listener)
 
     def _take_participants(self, reader: int) -> None:
-        for sample in _taken(self._dds, reader, _Participant):
+        for sample in _taken(reader, _Participant):
             guid = str(sample.key)
-            name, user_data = _entity_name(self._dds, sample.qos), _user_data(self._dds, sample.qos)
+            name, user_data = _entity_name(sample.qos), _user_data(sample.qos)
             self._participants[guid] = DiscoveredParticipant(guid, self._domain, name, user_data)
 
     def _take_endpoints(self, permission: str, reader: int) -> None:
-        for sample in _taken(self._dds, reader, _Endpoint):
-            partitions = tuple(_partitions(self._dds, sample.qos))
+        for sample in _taken(reader, _Endpoint):
+            partitions = tuple(_partitions(sample.qos))
             endpoint = DiscoveredEndpoint(
                 str(sample.participant), permission, _text(sample.topic), _text(sample.type), partitions
             )
@@ -219,7 +216,7 @@ class _Observer:
         for reader, take in self._readers:
             take(reader)
         own = _Guid()
-        _checked(self._dds, self._dds.dds_get_guid(self._own, byref(own)), "tell its own GUID")
+        _checked(library().dds_get_guid(self._own, byref(own)), "tell its own GUID")
         participants, endpoints = self._participants.copy(), list(self._endpoints.copy())
         for endpoint in endpoints:
             participants.setdefault(endpoint.participant, DiscoveredParticipant(endpoint.participant, self._domain))
@@ -229,9 +226,9 @@ class _Observer:
         )
 
 
-def _checked(dds: Any, code: int, what: str) -> int:
+def _checked(code: int, what: str) -> int:
     if code < 0:
-        reason = _text(dds.dds_strretcode(code)) or str(code)
+        reason = _text(library().dds_strretcode(code)) or str(code)
         raise KeymintError(
             f"Cyclone DDS cannot {what}: {reason}",
             help="look at CYCLONEDDS_URI and the network interfaces",
@@ -240,12 +237,12 @@ def _checked(dds: Any, code: int, what: str) -> int:
     return code
 
 
-def _taken(dds: Any, reader: int, kind: type[Any]) -> Iterator[Any]:
+def _taken(reader: int, kind: type[Any]) -> Iterator[Any]:
     """Yield the samples of a reader, including disposed ones; each is valid until the next."""
     infos = (_Info * _SAMPLES)()
     while True:
         samples = (c_void_p * _SAMPLES)()
-        count = dds.dds_take(reader, samples, infos, _SAMPLES, _SAMPLES)
+        count = library().dds_take(reader, samples, infos, _SAMPLES, _SAMPLES)
         if count <= 0:
             return
         try:
@@ -254,39 +251,39 @@ def _taken(dds: Any, reader: int, kind: type[Any]) -> Iterator[Any]:
                 if infos[index].valid_data and address:
                     yield kind.from_address(address)
         finally:
-            dds.dds_return_loan(reader, samples, count)
+            library().dds_return_loan(reader, samples, count)
 
 
 def _text(raw: bytes | None) -> str:
     return (raw or b"").decode("utf-8", errors="replace")
 
 
-def _entity_name(dds: Any, qos: int | None) -> str:
+def _entity_name(qos: int | None) -> str:
     name = c_void_p()
-    if not qos or not dds.dds_qget_entity_name(qos, byref(name)) or not name.value:
+    if not qos or not library().dds_qget_entity_name(qos, byref(name)) or not name.value:
         return ""
-    return _text(_freed(dds, name.value))
+    return _text(_freed(name.value))
 
 
-def _user_data(dds: Any, qos: int | None) -> bytes:
+def _user_data(qos: int | None) -> bytes:
     data, size = c_void_p(), c_size_t()
-    if not qos or not dds.dds_qget_userdata(qos, byref(data), byref(size)) or not data.value:
+    if not qos or not library().dds_qget_userdata(qos, byref(data), byref(size)) or not data.value:
         return b""
-    return _freed(dds, data.value, size.value)
+    return _freed(data.value, size.value)
 
 
-def _partitions(dds: Any, qos: int | None) -> list[str]:
+def _partitions(qos: int | None) -> list[str]:
     count, names = c_uint32(), POINTER(c_void_p)()
-    if not qos or not dds.dds_qget_partition(qos, byref(count), byref(names)) or not count.value:
+    if not qos or not library().dds_qget_partition(qos, byref(count), byref(names)) or not count.value:
         return []
     addresses = [names[index] for index in range(count.value)]
-    dds.dds_free(names)
-    return [_text(_freed(dds, address)) if address else "" for address in addresses]
+    library().dds_free(names)
+    return [_text(_freed(address)) if address else "" for address in addresses]
 
 
-def _freed(dds: Any, address: int, size: int = -1) -> bytes:
+def _freed(address: int, size: int = -1) -> bytes:
     """Return the bytes at an address, up to a zero if there is no size, and free them."""
     try:
         return ctypes.string_at(address, size)
     finally:
-        dds.dds_free(address)
+        library().dds_free(address)
