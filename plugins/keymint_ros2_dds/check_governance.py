@@ -46,6 +46,10 @@ def findings(inspection: Inspection) -> Iterator[Diagnostic]:
 def _weaker_protection(inspection: Inspection, governing: EnclaveGovernance) -> Iterator[Diagnostic]:
     subject, document = inspection.package.subject, governing.document
     help_ = f"'keymint install {inspection.package.name}' signs what the sources build"
+
+    def finding(code: str, message: str, line: int) -> Diagnostic:
+        return Diagnostic(code, Severity.ERROR, message, document.place(line), help_, subject)
+
     for domains in cuts(governing.domains()):
         rule = document.rule(domains.first)
         if rule is None:
@@ -54,17 +58,13 @@ def _weaker_protection(inspection: Inspection, governing: EnclaveGovernance) -> 
         try:
             results = list(weaker(rule, expected, STANDARD, SearchBudget(governance_warnings.STATES), access=True))
         except PatternError as error:
-            where = document.place(rule.line)
-            yield Diagnostic("governance-unread", Severity.ERROR, str(error), where, help_, subject)
+            yield finding("governance-unread", str(error), rule.line)
             continue
         for result in results:
             if isinstance(result, Weaker):
                 scope = f" for {result.topic!r}" if result.topic else ""
                 message = f"{result.tag} is {result.text}{scope}, but the sources require {result.required}"
-                where = document.place(result.line)
-                yield Diagnostic("governance-weaker", Severity.ERROR, message, where, help_, subject)
+                yield finding("governance-weaker", message, result.line)
             else:
                 message = f"whether it protects as much as the sources is unknown: {result.reason}"
-                yield Diagnostic(
-                    "governance-unknown", Severity.ERROR, message, document.place(rule.line), help_, subject
-                )
+                yield finding("governance-unknown", message, rule.line)

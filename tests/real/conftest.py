@@ -63,7 +63,7 @@ def cyclone_plugins() -> None:
 def cyclonedds(cyclone_plugins: None, probe_cache: Path) -> Vendor:
     """Return Cyclone DDS."""
     try:
-        return CycloneDDS(probe_builds.CYCLONEDDS.build(probe_cache))
+        return CycloneDDS(probe_builds.CYCLONEDDS.build(probe_cache, {}))
     except MissingVendorError as error:
         missing(error)
 
@@ -72,7 +72,7 @@ def cyclonedds(cyclone_plugins: None, probe_cache: Path) -> Vendor:
 def fastdds(probe_cache: Path) -> Vendor:
     """Return Fast DDS."""
     try:
-        return FastDDS(probe_builds.FASTDDS.build(probe_cache))
+        return FastDDS(probe_builds.FASTDDS.build(probe_cache, {}))
     except MissingVendorError as error:
         missing(error)
 

@@ -33,4 +33,4 @@ def presenting(vendor: Vendor, cache: Path, permissions: Path) -> Vendor:
     """
     probe = _CYCLONEDDS if isinstance(vendor, CycloneDDS) else _FASTDDS
     environment = {**vendor.environment, "KEYMINT_PRESENTED": str(permissions)}
-    return replace(vendor, environment=environment, nonconforming=probe.build(cache))
+    return replace(vendor, environment=environment, nonconforming=probe.build(cache, {}))

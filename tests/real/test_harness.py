@@ -26,7 +26,7 @@ def absent(tmp_path: Path) -> MissingVendorError:
     """Raised if a vendor's headers are not installed."""
     probe = dataclasses.replace(probe_builds.CYCLONEDDS, compilers=("cc", "gcc", "c++", "g++"), header="dds/absent.h")
     with pytest.raises(MissingVendorError) as raised:
-        probe.build(tmp_path)
+        probe.build(tmp_path, {})
     return raised.value
 
 
@@ -49,7 +49,7 @@ def test_a_missing_vendor_fails_the_test_if_vendors_are_required(
 def test_a_missing_compiler_is_a_missing_vendor(tmp_path: Path) -> None:
     probe = dataclasses.replace(probe_builds.FASTDDS, compilers=("absent-compiler",))
     with pytest.raises(MissingVendorError, match="Fast DDS: no compiler absent-compiler"):
-        probe.build(tmp_path)
+        probe.build(tmp_path, {})
 
 
 @pytest.fixture

@@ -14,14 +14,12 @@ import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 
 from comarmor.values import dataclass
 from keymint.command_process import MissingVendorError
 from keymint_ros2_dds.vendors import cyclone_access_control, program_cache
 
 _SOURCES = Path(__file__).parent
-_NO_VARIABLES: Mapping[str, str] = MappingProxyType({})
 
 
 def inherited(environment: Mapping[str, str]) -> Mapping[str, str]:
@@ -53,7 +51,7 @@ class Probe:
     arguments: tuple[str, ...]
     packages: tuple[str, ...]
 
-    def require(self, environment: Mapping[str, str] = _NO_VARIABLES) -> tuple[str, bytes]:
+    def require(self, environment: Mapping[str, str]) -> tuple[str, bytes]:
         """Return the compiler, and the preprocessed header.
 
         Raises:
@@ -68,7 +66,7 @@ class Probe:
             raise _missing(self.vendor, f"no header {self.header}", self.packages)
         return compiler, preprocessing.stdout
 
-    def build(self, cache: Path, environment: Mapping[str, str] = _NO_VARIABLES) -> Path:
+    def build(self, cache: Path, environment: Mapping[str, str]) -> Path:
         """Return the program; build it if it is not in the cache.
 
         Args:
@@ -95,7 +93,7 @@ class Probe:
                 output.replace(program)
         return program
 
-    def version(self, header: str, macro: str, environment: Mapping[str, str] = _NO_VARIABLES) -> str:
+    def version(self, header: str, macro: str, environment: Mapping[str, str]) -> str:
         """Return the value of the macro of the vendor's version, or an empty text."""
         compiler = self._compiler(environment)
         if compiler is None:
