@@ -60,9 +60,7 @@ class Vendor(ABC):
     nonconforming: Path | None = None
 
     @abstractmethod
-    def start(
-        self, first_port: int, index: int, *, conforming: bool = True
-    ) -> tuple[Mapping[str, str], tuple[str, ...]]:
+    def start(self, first_port: int, index: int, *, conforming: bool) -> tuple[Mapping[str, str], tuple[str, ...]]:
         """Return the environment variables of the process, and the vendor's further words of ``OPEN``.
 
         Args:
@@ -75,9 +73,7 @@ class Vendor(ABC):
 class CycloneDDS(Vendor):
     """Participants of Cyclone DDS; the transport is configured as for any application, by ``CYCLONEDDS_URI``."""
 
-    def start(
-        self, first_port: int, index: int, *, conforming: bool = True
-    ) -> tuple[Mapping[str, str], tuple[str, ...]]:
+    def start(self, first_port: int, index: int, *, conforming: bool) -> tuple[Mapping[str, str], tuple[str, ...]]:
         """Return the configuration (unicast, loopback and ports of this system only) and the plugins' folder."""
         configuration = (
             "<CycloneDDS><Domain Id='any'><General><Interfaces>"
@@ -100,9 +96,7 @@ class FastDDS(Vendor):
     The process's time zone is UTC, because Fast DDS reads the dates of permissions as local time.
     """
 
-    def start(
-        self, first_port: int, index: int, *, conforming: bool = True
-    ) -> tuple[Mapping[str, str], tuple[str, ...]]:
+    def start(self, first_port: int, index: int, *, conforming: bool) -> tuple[Mapping[str, str], tuple[str, ...]]:
         """Return the time zone, and the first port of participants followed by the participant's number."""
         environment = {**self.environment, "TZ": "UTC"}
         if not conforming:
