@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import lru_cache
 
 from comarmor.errors import Origin
@@ -26,15 +26,9 @@ from keymint_ros2_dds.proving.proof_cache import prove_content
 from keymint_ros2_dds.transports.enclave_files import subject_name
 
 
-def prove(task: ProofTask, *, models: Sequence[str] | None = None) -> tuple[Claim, ...]:
-    """Return the claims about an enclave, by model, action and domains; see :func:`question`.
-
-    Args:
-        task: the enclave, and the policy that it must implement.
-        models: names of the models; None: those that the task asks for.
-    """
-    if models is None and task.standard_only:
-        models = (OMG.name,)
+def prove(task: ProofTask) -> tuple[Claim, ...]:
+    """Return the claims about an enclave, by model, action and domains; see :func:`question`."""
+    models = (OMG.name,) if task.standard_only else None
     asked = question(task)
     return prove_content(asked.task, models=models, governance=asked.governance)
 

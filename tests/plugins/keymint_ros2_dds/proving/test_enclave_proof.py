@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type, decision, proving
 from keymint_ros2_dds.lowering.lower import lower
+from keymint_ros2_dds.proving import enclave_proof
 from keymint_ros2_dds.transports.enclave_files import subject_name
 
 from comarmor.errors import Origin
@@ -280,8 +281,14 @@ def test_a_spent_budget_is_unknown():
 
 @pytest.mark.parametrize("models", [None, (), ("fastdds-2.9",), ("cyclonedds-0.10", "omg")])
 def test_only_the_models_that_are_asked_for(models):
-    found = proving.prove(obligation(PLAIN, ENCLAVE), models=models)
+    asked = enclave_proof.question(obligation(PLAIN, ENCLAVE))
+    found = proving.prove_content(asked.task, models=models, governance=asked.governance)
     assert list(dict.fromkeys(claim.model for claim in found)) == list(MODELS if models is None else models)
+
+
+def test_only_the_standard_is_claimed_if_deviations_are_accepted():
+    found = proving.prove(obligation(PLAIN, ENCLAVE, standard_only=True))
+    assert {claim.model for claim in found} == {"omg"}
 
 
 @pytest.mark.parametrize(("old", "new"), [("", ""), ("rt/camera/*", "rt/camera/?*")])
