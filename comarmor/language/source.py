@@ -252,7 +252,8 @@ class _PolicyReader:
         if folder.package:
             key = folder.package, relative
         else:  # what it includes is relative to the folder of its name, also if that is a link
-            key = str(real), str((folder.real / relative).parent.resolve())
+            named = folder.real / relative
+            key = str(real), str(real.parent if named == real else named.parent.resolve())
         if key in self.done:
             return self.done[key]
         content = self.read(folder, real, where)
