@@ -180,24 +180,23 @@ class _PackageLoader:
         file, content = self.own(part)
         defaults_file, defaults_content = self.defaults(part)
         defaults, alone = _default_identity(defaults_content, defaults_file)
-        own, where = defaults, defaults.origin
+        own = certificate.CertificateElement(defaults.line, defaults_file)
         if content is not None:
             name, element = _read_identity(content, file)
-            where = Origin(file, element.line)
+            own = replace(element, file=file)
             if not manifest.is_name_of(name, self.name):
                 raise KeymintError(
                     f"the identity is named {name!r}, but the package {self.name!r}",
-                    where=where,
+                    where=own.origin,
                     help="give it the name of the package, or none",
                     code="name-mismatch",
                 )
-            own = defaults if element.is_empty else replace(element, file=file)
-        if own is defaults and alone is not None:
+        if own.is_empty and alone is not None:
             spec = replace(alone, subject_name=placeholders.expand(alone.subject_name, self.values))
         else:
             spec = certificate.complete(own, defaults, self.values)
-        named_at = certificate.issuer(own, defaults)[1] if own.issuer or defaults.issuer else where
-        if part.issuer and (own is defaults or own.issuer is None):
+        named_at = certificate.issuer(own, defaults)[1]
+        if part.issuer and own.issuer is None:
             spec, named_at = replace(spec, issuer=part.issuer), self.place(part)
         known_authority(spec.issuer, self.authorities, named_at, "issues the certificate")
         return spec
