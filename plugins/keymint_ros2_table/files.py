@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from comarmor.errors import ComArmorError, Origin
-from comarmor.values import dataclass
 from comarmor.xml.sandboxed_paths import path_text, read_bounded, unreadable
 from keymint_ros2_table import csv_rows, sqlite_rows
 from keymint_ros2_table.rows import Row
@@ -23,21 +22,8 @@ _INACTIVE = b"\0" * 8
 """What a journal begins with that was kept after its transaction ended."""
 
 
-@dataclass(frozen=True, slots=True)
-class Table:
-    """A table.
-
-    Attributes:
-        rows: its rows, or the errors of rows.
-        seen: fingerprints of the files.
-    """
-
-    rows: Iterable[Row | ComArmorError]
-    seen: Mapping[Path, bytes]
-
-
-def read(path: Path) -> Table:
-    """Read a table.
+def read(path: Path) -> tuple[Iterator[Row | ComArmorError], Mapping[Path, bytes]]:
+    """Return the rows of a table, with errors in place of defect ones, and the fingerprints of all its files.
 
     Args:
         path: its file.
@@ -65,14 +51,14 @@ def read(path: Path) -> Table:
             f"the table has more than the {most:,} bytes allowed", where=Origin(file), code="table-limit"
         )
     if not is_database:
-        return Table(csv_rows.rows_of(content, file), seen)
+        return csv_rows.rows_of(content, file), seen
     for suffix in (_LOG, _JOURNAL):
         beside = real.with_name(f"{real.name}{suffix}")
         seen[beside] = _require_none(beside, file)
     after = real.stat()
     if (before.st_mtime_ns, before.st_size, before.st_ino) != (after.st_mtime_ns, after.st_size, after.st_ino):
         raise _in_use(file, "was written to while it was read")
-    return Table(sqlite_rows.rows_of(content, file), seen)
+    return sqlite_rows.rows_of(content, file), seen
 
 
 def recognises(path: Path) -> bool:

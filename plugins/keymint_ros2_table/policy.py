@@ -83,9 +83,9 @@ class _PolicyMaker:
     def add(self, path: Path) -> None:
         """Add the rules of a table."""
         try:
-            table = read(path)
-            self.seen |= table.seen
-            for row in table.rows:
+            rows, seen = read(path)
+            self.seen |= seen
+            for row in rows:
                 self._collect(row)
         except ComArmorError as error:
             self.diagnostics += error.diagnostics

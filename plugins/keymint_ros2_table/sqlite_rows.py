@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from comarmor.errors import ComArmorError, Origin
 from comarmor.language.attachments import strip
 from comarmor.text import did_you_mean, quoted
-from keymint_ros2_table.rows import COLUMNS, MOST_ROWS, Row, column_order, placed
+from keymint_ros2_table.rows import COLUMNS, MOST_ROWS, REQUIRED, Row, column_order, placed
 
 NAME = "rule"
 MAGIC = b"SQLite format 3\0"
@@ -127,7 +127,7 @@ def _missing(database: sqlite3.Connection, where: Origin) -> ComArmorError:
 
 
 def _row(values: Sequence[object], file: str, number: int) -> Row | ComArmorError:
-    audit, source = values[5], values[6]
+    *required, audit, source = values
     try:
         where = placed(file, number, strip(source) if isinstance(source, str) else "")
         if not isinstance(source, str | None):
@@ -135,7 +135,7 @@ def _row(values: Sequence[object], file: str, number: int) -> Row | ComArmorErro
         if not isinstance(audit, str | int | None):
             raise _type_error("audit", audit, where)
         texts = []
-        for name, value in zip(COLUMNS, values[:5], strict=False):
+        for name, value in zip(REQUIRED, required, strict=True):
             if not isinstance(value, str):
                 raise _type_error(name, value, where)
             texts.append(strip(value))
