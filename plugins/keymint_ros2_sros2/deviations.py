@@ -66,18 +66,15 @@ def _doubled(policy: SourcePolicy) -> Iterator[Deviation]:
 
 
 def _of_path(enclave: Enclave) -> Iterator[Deviation]:
-    if is_subject(enclave.path) and _is_short(enclave.path):
+    path = enclave.path
+    if is_subject(path) and len(path) <= _LONGEST_PATH and max(map(len, path.split("/"))) <= _LONGEST_SEGMENT:
         return
-    message = f"{quoted(enclave.path)}: not a path of an enclave"
+    message = f"{quoted(path)}: not a path of an enclave"
     help_ = (
         "expected '/' and segments of letters, digits and '_' that do not begin with a digit, without wildcards;"
         f" at most {_LONGEST_PATH:,} characters, and {_LONGEST_SEGMENT} between two '/'"
     )
     yield _deviation("sros2-path", message, enclave, enclave, help_, acceptable=False)
-
-
-def _is_short(path: str) -> bool:
-    return len(path) <= _LONGEST_PATH and max(map(len, path.split("/"))) <= _LONGEST_SEGMENT
 
 
 def _of_groups(enclave: Enclave) -> Iterator[Deviation]:

@@ -15,9 +15,10 @@ from comarmor.regex import lazy_regex
 from comarmor.rules import PARTS, Effect, Rule
 from comarmor.values import dataclass
 from keymint_ros2_sros2.rules import GRAPH_TOPIC
+from keymint_ros2_sros2.syntax import KINDS, PERMISSIONS
 
-_TAGS = {"ros_topic": "topics", "ros_service": "services", "ros_action": "actions"}
-_RAW = {"publish": "ros_publish", "subscribe": "ros_subscribe"}
+_TAGS = {kind: tag for tag, kind in KINDS.items()}
+_RAW = PERMISSIONS["topics"]
 _PREFIX = "rt"
 """What stands before the names of ROS topics in the names of DDS topics."""
 _SERVICES = ("rq/", "rr/")

@@ -13,7 +13,7 @@ from keymint.api import ImportedPolicy, ImportedSubject, ImportRequest
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint_ros2_sros2 import comarmor_document, permissions
-from keymint_ros2_sros2.deviations import Deviation, deviations
+from keymint_ros2_sros2.deviations import deviations
 from keymint_ros2_sros2.names import as_read
 from keymint_ros2_sros2.parse import parse
 from keymint_ros2_sros2.syntax import Enclave, SourcePolicy
@@ -44,7 +44,9 @@ def translated(request: ImportRequest) -> ImportedPolicy:
         )
         for path, group in enclaves.items()
     )
-    return ImportedPolicy(document, subjects, (*_accepted(found), *_notes(policy)))
+    help_ = "the new policy has it as it reads (--accept)"
+    accepted = (replace(each.diagnostic, severity=Severity.WARNING, help=help_) for each in found)
+    return ImportedPolicy(document, subjects, (*accepted, *_notes(policy)))
 
 
 def _by_path(policy: SourcePolicy) -> Mapping[str, list[Enclave]]:
@@ -52,12 +54,6 @@ def _by_path(policy: SourcePolicy) -> Mapping[str, list[Enclave]]:
     for enclave in policy.enclaves:
         found.setdefault(enclave.path, []).append(enclave)
     return found
-
-
-def _accepted(found: tuple[Deviation, ...]) -> Iterator[Diagnostic]:
-    """Yield a warning for each deviation that is accepted."""
-    for each in found:
-        yield replace(each.diagnostic, severity=Severity.WARNING, help="the new policy has it as it reads (--accept)")
 
 
 def _notes(policy: SourcePolicy) -> Iterator[Diagnostic]:
