@@ -23,17 +23,13 @@ def kept(files: Mapping[str, bytes]) -> Mapping[str, bytes]:
 
 def adopted_sources(profile: WorkspaceProfile, sources: AdoptedSources) -> Mapping[str, bytes]:
     """Return the files of a package: see :meth:`keymint.api.AdoptingPackageType.adopted_sources`."""
-    overrides = [_validity(sources.grant_validity)]
-    cert = [_validity(sources.validity)]
-    if sources.subject_name:
-        element = f"<subject_name>{escape(sources.subject_name)}</subject_name>"
-        overrides.insert(0, element)
-        cert.insert(0, element)
-    if sources.domains:
-        overrides.insert(0, _domains(sources.domains))
+    domains = [_domains(sources.domains)] if sources.domains else []
+    name = [f"<subject_name>{escape(sources.subject_name)}</subject_name>"] if sources.subject_name else []
+    cert = (*name, _validity(sources.validity))
+    overrides = (*domains, *name, _validity(sources.grant_validity))
     return {
         **bootstrap.package(profile.build_types),
-        "identities.xml": filled("package/identities.adopted.xml", cert=tuple(cert), key=_key(sources.key)),
+        "identities.xml": filled("package/identities.adopted.xml", cert=cert, key=_key(sources.key)),
         "permissions.xml": permissions_writer.render(sources.rules, base_of(profile), overrides=overrides),
         **{f"{PREFIX}{name}": content for name, content in sources.documents.items()},
     }

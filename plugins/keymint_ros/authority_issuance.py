@@ -94,7 +94,7 @@ def with_authority_issuance(issuance: Mapping[str, AuthorityIssuance]) -> Mappin
 def _lines(name: str, issuance: AuthorityIssuance) -> Iterator[str]:
     yield f'  <authority name="{name}">'
     if issuance.renewed is not None:
-        yield f"    <renewed>{issuance.renewed:%Y-%m-%dT%H:%M:%SZ}</renewed>"
+        yield f"    <renewed>{validity.written(issuance.renewed)}Z</renewed>"
     if issuance.adopted:
         yield f"    <adopted>\n{issuance.adopted.decode('ascii').strip()}\n    </adopted>"
     if rollover := issuance.rollover:

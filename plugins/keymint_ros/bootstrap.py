@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from datetime import timedelta
 from functools import lru_cache
 from pathlib import PurePosixPath
@@ -16,7 +16,7 @@ from keymint_ros import distros, validity
 from keymint_ros.manifest import BUILD_TYPE, MARKER
 from keymint_ros.templates import escaped, filled
 
-_LAYOUTS = dict.fromkeys(("sros2", "flat"))
+_LAYOUTS = ("sros2", "flat")
 _TWO_AUTHORITIES, _ONE_AUTHORITY = ("identity_ca", "permissions_ca"), ("ca", "ca")
 """Issuer of identities and signer of permissions; Ardent and Bouncy have one ``ca.cert.pem`` for both."""
 SUBJECT_NAMES = {"unique": "OU={unique},CN={common_name}", "sros2": "CN={subject}"}
@@ -158,7 +158,7 @@ def _grant(subject_name: str) -> tuple[str, ...]:
     return why, f"<subject_name>{escaped(subject_name)}</subject_name>", "<validity>"
 
 
-def _check_choice(option: str, value: str, known: Mapping[str, object]) -> None:
+def _check_choice(option: str, value: str, known: Collection[str]) -> None:
     if value not in known:
         raise KeymintError(
             f"unknown {option} {value!r}",

@@ -113,7 +113,6 @@ def _keeps_edit(grant: Grant, now: str, file: str) -> bool:
     )
 
 
-_IDENTITIES = "identities.xml"
 _EMPTY = b"    <identity/>\n"
 _read_identity_length = Reader("keymint_ros", "identities", validity.length)
 _read_grant_length = Reader("keymint_ros", "permissions", validity.length)
@@ -129,11 +128,11 @@ def with_validity(
     path = manifest.path_of("identities", name, files)
     changed: dict[str, bytes] = {}
     if path not in files or _read_identity_length(files[path], f"{name}/{path}") != duration:
-        before = files.get(path, bootstrap.package_document(_IDENTITIES))
-        if before != bootstrap.package_document(_IDENTITIES):
+        new = bootstrap.package_document("identities.xml")
+        if files.get(path, new) != new:
             raise _has_own(name, path, duration)
         identity = f"    <identity>\n      <cert>{element}</cert>\n    </identity>\n".encode()
-        changed[path] = before.replace(_EMPTY, identity)
+        changed[path] = new.replace(_EMPTY, identity)
     if bootstrap.has_grant_validity(manifest.read(files[MARKER], f"{name}/{MARKER}").build_types):
         path = manifest.path_of("permissions", name, files)
         if _read_grant_length(files[path], f"{name}/{path}") != duration:

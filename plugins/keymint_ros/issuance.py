@@ -7,7 +7,6 @@ Keymint writes this file, and nobody else: its owner's decisions stand in the ot
 from __future__ import annotations
 
 from collections.abc import Mapping
-from datetime import UTC
 from typing import TYPE_CHECKING
 
 from comarmor.errors import Origin
@@ -23,19 +22,13 @@ if TYPE_CHECKING:
 
 
 def _issuance(root: etree._Element) -> Issuance:
-    renewed = root.find("renewed")
+    renewed, public_key = root.find("renewed"), root.find("public_key")
     return Issuance(
         generation=int(text(root.find("generation")) or "0"),
         renewed=None if renewed is None else validity.date(renewed),
-        public_key=_public_key(root.find("public_key")),
+        public_key=b"" if public_key is None else _canonical((text(public_key) or "").encode(), place(public_key)),
         certificate=certificate.pem(root.find("certificate")),
     )
-
-
-def _public_key(element: etree._Element | None) -> bytes:
-    if element is None:
-        return b""
-    return _canonical((text(element) or "").encode() + b"\n", place(element))
 
 
 def _canonical(pem: bytes, where: Origin | None = None) -> bytes:
@@ -63,7 +56,7 @@ def with_issuance(issued: Issuance) -> Mapping[str, bytes]:
         raise KeymintError(f"{issued.generation} is not a generation from 0 to {_MOST - 1}", code="generation-range")
     lines = [f"  <generation>{issued.generation}</generation>"]
     if issued.renewed is not None:
-        lines.append(f"  <renewed>{issued.renewed.astimezone(UTC):%Y-%m-%dT%H:%M:%SZ}</renewed>")
+        lines.append(f"  <renewed>{validity.written(issued.renewed)}Z</renewed>")
     if issued.public_key:
         lines.append(f"  <public_key>\n{_canonical(issued.public_key).decode().strip()}\n  </public_key>")
     if issued.certificate:
