@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 from cryptography.x509.oid import NameOID
-from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl, ac_fnmatch
+from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
+
+from tests.plugins.keymint_ros2_dds.decision.cyclone_matcher import ac_fnmatch
 
 from .handmade import Authorities, criteria, governance_document, rule
 
@@ -204,4 +206,4 @@ def test_without_a_second_rdn_an_identity_selects_the_grant_of_a_longer_path(
     ],
 )
 def test_matcher(expression: str, yes: Sequence[str], no: Sequence[str]) -> None:
-    assert [name for name in [*yes, *no] if ac_fnmatch(expression, name)] == list(yes)
+    assert [name for name in [*yes, *no] if ac_fnmatch(expression.encode(), name.encode())] == list(yes)

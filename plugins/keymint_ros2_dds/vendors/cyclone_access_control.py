@@ -2,10 +2,9 @@
 """Call the access-control plugin of Cyclone DDS 0.10 directly: no participant, no network, no handshake.
 
 The shared object is the one that participants load. It exports ``init_access_control``, which fills a table of
-functions (``dds_security_access_control`` in ``dds/security/dds_security_api_access_control.h``), and
-``ac_fnmatch``, its matcher of expressions. Of its domain a plugin only uses the queue of timed
-events, and that only after it is enabled, so a zeroed structure is enough. It only requires that an authentication
-plugin is present, and reads the subject from the certificate itself.
+functions (``dds_security_access_control`` in ``dds/security/dds_security_api_access_control.h``). Of its domain a
+plugin only uses the queue of timed events, and that only after it is enabled, so a zeroed structure is enough. It only
+requires that an authentication plugin is present, and reads the subject from the certificate itself.
 
 A plugin instance keeps one set of local rights while it exists, hence one instance for each :class:`AccessControl`.
 """
@@ -122,8 +121,6 @@ def library() -> Library:
     plugin.init_access_control.restype = c_int
     plugin.finalize_access_control.argtypes = [POINTER(_Plugin)]
     plugin.finalize_access_control.restype = c_int
-    plugin.ac_fnmatch.argtypes = [c_char_p, c_char_p]
-    plugin.ac_fnmatch.restype = ctypes.c_bool
     return Library(core, plugin, ctypes.create_string_buffer(_ROOM_FOR_DOMAIN))
 
 
@@ -135,11 +132,6 @@ def _load_first(names: Iterable[str]) -> ctypes.CDLL:
         except OSError as error:
             failure = error
     raise failure
-
-
-def ac_fnmatch(expression: str, name: str) -> bool:
-    """Tell whether an expression matches the name of a topic or partition, as Cyclone DDS does."""
-    return bool(library().plugin.ac_fnmatch(expression.encode(), name.encode()))
 
 
 class AccessControl:
