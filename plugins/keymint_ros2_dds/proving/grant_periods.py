@@ -27,10 +27,6 @@ class GrantPeriod:
 def grant_periods(document: PermissionsDocument, subject_name: str, semantics: Semantics) -> Iterator[GrantPeriod]:
     """Yield a period for each grant of the identity that is ever in force."""
     grants = semantics.grants(document, subject_name)
-    if len(grants) == 1:
-        if (only := semantics.period(grants[0])) is not None:
-            yield GrantPeriod(grants[0], *only)
-        return
     periods = [(grant, period) for grant in grants if (period := semantics.period(grant)) is not None]
     cuts = sorted({begin for _, (begin, _) in periods} | {following(end) for _, (_, end) in periods})
     known = set()
