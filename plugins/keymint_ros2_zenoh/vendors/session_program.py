@@ -117,7 +117,7 @@ class Commands:
         self._mailboxes[names[0]].wait(lambda _, text: text == last, seconds)
         return {name: self._mailboxes[name].wait(lambda _, __: True, 0) for name in names}
 
-    def answer(self, session: str, keys: list[str], text: str, *, complete: bool = True) -> None:
+    def answer(self, session: str, keys: list[str], text: str) -> None:
         """Declare queryables that answer each query with a text, on the key of the query if it is literal."""
         for key in keys:
 
@@ -125,7 +125,7 @@ class Commands:
                 asked = str(query.key_expr)
                 query.reply(own if "*" in asked else asked, text)
 
-            queryable = self._sessions[session].declare_queryable(key, reply, complete=complete)
+            queryable = self._sessions[session].declare_queryable(key, reply, complete=True)
             self._declared[session].append(queryable)
 
     def query(self, session: str, name: str, keys: list[str]) -> None:
