@@ -165,22 +165,23 @@ class _Enclave:
         self._facts["named_like_path"] = names == [self._enclave.subject] or (
             by_content and bool(self._enclave.subject)
         )
+        subject_name = self._facts["subject_name"]
         if any(len(name) > MAX_COMMON_NAME for name in names):
             message = f"has a common name of {max(map(len, names))} characters; X.509 allows {MAX_COMMON_NAME}"
             help_ = "give the enclave a shorter path with the tool that made it; Keymint cannot issue this name again"
             yield self._error("adopt-name-length", CERTIFICATE, message, help_)
-        elif to_text(certificate.subject) == "CN=/":
+        elif subject_name == "CN=/":
             message = (
                 "is the root enclave with the name 'CN=/' alone, which on Cyclone DDS can use all other permissions"
             )
             help_ = "it stays as it is; a second RDN in its name mends it afterwards: 'keymint harden names'"
             yield self._warning("adopt-root", CERTIFICATE, message, help_)
         elif not self._enclave.subject:
-            message = f"is for {to_text(certificate.subject)!r}, whose common name is no name of a subject"
+            message = f"is for {subject_name!r}, whose common name is no name of a subject"
             help_ = "put its files into a folder enclaves/<path>/ with the names that ROS 2 reads"
             yield self._error("adopt-name", CERTIFICATE, message, help_)
         elif not self._facts["named_like_path"]:
-            message = f"is for {to_text(certificate.subject)!r}, but the path of its enclave is {self._enclave.subject}"
+            message = f"is for {subject_name!r}, but the path of its enclave is {self._enclave.subject}"
             yield self._warning("adopt-name", CERTIFICATE, message, "nothing: the name stays as it is")
 
     def _key(self) -> Iterator[Diagnostic]:
