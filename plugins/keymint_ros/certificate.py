@@ -102,7 +102,7 @@ def complete(own: CertificateElement, defaults: CertificateElement, values: Mapp
         KeymintError: neither of them has a subject name or a validity.
     """
     subject_name = own.subject_name or defaults.subject_name
-    period = validity.effective(own.validity, own.file, defaults.validity, defaults.file)
+    period = validity.placed(own.validity, own.file) or validity.placed(defaults.validity, defaults.file)
     if subject_name is None or period is None:
         raise incomplete("certificate", "subject_name" if subject_name is None else "validity", defaults.origin)
     with_extensions = defaults if own.extensions is None else own

@@ -106,7 +106,7 @@ def _default_identity(content: bytes, file: str) -> tuple[certificate.Certificat
 def _default_grant(content: bytes, file: str) -> _GrantDefaults:
     """Return the defaults of grants, whose validity has its place in this file."""
     defaults = _read_grant_defaults(content, file)
-    return replace(defaults, validity=validity.effective(None, "", defaults.validity, file))
+    return replace(defaults, validity=validity.placed(defaults.validity, file))
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,12 +208,13 @@ class _PackageLoader:
             return self._grant_of(SubjectRules(subject, ()))
         file, found = self.own(part, create=f"'keymint create {self.name}' creates it from the policy")
         content = found or b""
-        if self.built and permissions_writer.has_rules_only(content, subject):
-            read = partial(self._rules, content, file)
-            return self._grant_of(DeferredRules(subject, read), Origin(file, permissions_writer.GRANT_LINE))
-        rendered = permissions_writer.rendered(content, self.base)
-        if rendered is not None:
-            return self._grant_of(rendered, Origin(file, permissions_writer.GRANT_LINE))
+        rules = (
+            DeferredRules(subject, partial(self._rules, content, file))
+            if self.built and permissions_writer.has_rules_only(content, subject)
+            else permissions_writer.rendered(content, self.base)
+        )
+        if rules is not None:
+            return self._grant_of(rules, Origin(file, permissions_writer.GRANT_LINE))
         grant = permissions.read(content, file, subject)
         base = self._grant_of(permissions.to_ir(grant, subject, file, self.base), Origin(file, grant.line))
         return replace(
@@ -222,7 +223,7 @@ class _PackageLoader:
             subject_name=placeholders.expand(grant.subject_name, self.values)
             if grant.subject_name
             else base.subject_name,
-            validity=validity.effective(grant.validity, file, None, "") or base.validity,
+            validity=validity.placed(grant.validity, file) or base.validity,
             domains=grant.domains or base.domains,
             domains_origin=None if grant.domains else base.domains_origin,
             edited=grant.edited,

@@ -45,17 +45,14 @@ def read(element: etree._Element | None) -> Validity | None:
     return Validity(not_before, not_after, place(end))
 
 
-def effective(own: Validity | None, file: str, defaults: Validity | None, defaults_file: str) -> Validity | None:
-    """Return the period of a document, or else the period of its defaults, with the file that gives it.
+def placed(period: Validity | None, file: str) -> Validity | None:
+    """Return a period, if there is one, with its place in a file.
 
     Args:
-        own: period of the document, or None.
-        file: path of the document as the user would type it.
-        defaults: period of the defaults, or None.
-        defaults_file: path of the defaults as the user would type it.
+        period: the period; its place has a line only.
+        file: path of the document that gives it, as the user would type it.
     """
-    period, source = (own, file) if own is not None else (defaults, defaults_file)
-    return period and replace(period, origin=Origin(source, period.origin.line if period.origin else 0))
+    return period and replace(period, origin=Origin(file, period.origin.line if period.origin else 0))
 
 
 def renewed(period: Validity, start: datetime | None) -> Validity:
