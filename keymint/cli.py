@@ -208,12 +208,12 @@ def _fail(arguments: Sequence[str], code: str, message: str, exit_code: ExitCode
     if not as_json or getattr(sys.stdout, "began", False):
         sys.stderr.write(f"{in_words}\n")
         return int(exit_code)
-    from comarmor.errors import Diagnostic, Severity  # noqa: PLC0415
+    from comarmor.errors import Diagnostic  # noqa: PLC0415
     from keymint.output.console import Console, Streams  # noqa: PLC0415 - not needed for --help
     from keymint.output.report import Report  # noqa: PLC0415
 
     verb = next((argument for argument in arguments if argument in VERBS), "keymint")
-    diagnostics = (Diagnostic(code, Severity.ERROR, message),)
+    diagnostics = (Diagnostic.error(code, message),)
     Console(Streams(sys.stdout, sys.stderr), as_json=True).show(
         Report(verb, None, (), diagnostics, exit_code=exit_code)
     )

@@ -14,7 +14,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterator, Sequence
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.rules import KIND_OF
 from comarmor.text import counted, did_you_mean
 from keymint import graph_json
@@ -70,9 +70,8 @@ def unknown_subjects(hints: Sequence[Hint], known: Sequence[str], name: str) -> 
         name: the file of the hints, for messages.
     """
     for subject in sorted({each.edge.subject for each in hints} - set(known)):
-        yield Diagnostic(
+        yield Diagnostic.warning(
             "hints-subject",
-            Severity.WARNING,
             f"the hints name {subject}, which is not a subject of this workspace",
             Origin(name),
             did_you_mean(subject, known),

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.rules import KIND_OF, Effect
 from comarmor.text import quoted
 from comarmor.values import dataclass
@@ -73,10 +73,10 @@ def differences(content: bytes, file: str, rules: SubjectRules) -> tuple[Diagnos
         found.append((0, f"did not say {_some(only_now)}, which the policy says"))
     found += [(place, f"had <{tag}> of its own, which the new one has not") for tag, place in others.items()]
     return tuple(
-        Diagnostic(
-            "permissions-of-2018", Severity.WARNING, f"the permissions of 2018 {text}", Origin(file, place),
+        Diagnostic.warning(
+            "permissions-of-2018", f"the permissions of 2018 {text}", Origin(file, place),
             f"they are kept as {file.rpartition('/')[2]}.2018; change the policy, or the new file, if they are right",
-            rules.subject,
+            rules.subject
         )
         for place, text in found
     )  # fmt: skip

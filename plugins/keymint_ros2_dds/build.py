@@ -60,19 +60,19 @@ def _check(package: Package) -> Iterator[Diagnostic]:
     if granted.subject_name != identity.subject_name and _canonical(granted.subject_name, granted.origin) != _canonical(
         identity.subject_name, identity.origin
     ):
-        yield Diagnostic(
-            "subject-mismatch", Severity.ERROR,
+        yield Diagnostic.error(
+            "subject-mismatch",
             f"the permissions are for {granted.subject_name!r}, but the identity is {package.identity.subject_name!r}",
             granted.origin, "give both the same subject_name", package.subject,
         )  # fmt: skip
     if validity.not_after <= validity.not_before:
-        yield Diagnostic(
-            "validity-empty", Severity.ERROR, "the permissions end before they begin",
+        yield Diagnostic.error(
+            "validity-empty", "the permissions end before they begin",
             granted.origin, "set not_after to a date after not_before", package.subject,
         )  # fmt: skip
     for item in uncovered(granted.domains, (each for rule in governance.domain_rules for each in rule.domains)):
-        yield Diagnostic(
-            "domain-uncovered", Severity.ERROR,
+        yield Diagnostic.error(
+            "domain-uncovered",
             f"the permissions are for {in_words([item])}, which the governance does not cover",
             granted.domains_origin or granted.origin,
             "add the domain to a domain rule of the governance, or remove it from these domains", package.subject,

@@ -89,7 +89,7 @@ class _EnclaveCheck(CredentialCheck):
             yield self._error("document-differs", PERMISSIONS_XML, "is not the document that permissions.p7s signs")
 
     def _warning(self, code: str, name: str, message: str, help_: str) -> Diagnostic:
-        return Diagnostic(code, Severity.WARNING, message, self._where(name), help_, self._subject)
+        return Diagnostic.warning(code, message, self._where(name), help_, self._subject)
 
     def _inventory(self) -> Iterator[Diagnostic]:
         key = self._inspection.package.identity.key

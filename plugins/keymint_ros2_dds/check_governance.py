@@ -48,7 +48,7 @@ def _weaker_protection(inspection: Inspection, governing: EnclaveGovernance) -> 
     help_ = f"'keymint install {inspection.package.name}' signs what the sources build"
 
     def finding(code: str, message: str, line: int) -> Diagnostic:
-        return Diagnostic(code, Severity.ERROR, message, document.place(line), help_, subject)
+        return Diagnostic.error(code, message, document.place(line), help_, subject)
 
     for domains in cuts(governing.domains()):
         rule = document.rule(domains.first)

@@ -40,8 +40,8 @@ def _shared_grants(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
     for number, (inspection, name, tokens) in enumerate(subjects):
         for other in sorted(set.intersection(*(holders[token] for token in tokens)) - {number}):
             granted = subjects[other][0].package.subject
-            yield Diagnostic(
-                "names-confused", Severity.WARNING,
+            yield Diagnostic.warning(
+                "names-confused",
                 f"on Cyclone DDS the identity {name!r} can use the permissions of {granted}",
                 Origin(f"{inspection.folder}/{CERTIFICATE}"),
                 "give each subject_name an RDN that no other has, e.g. OU={unique}", inspection.package.subject,
@@ -79,8 +79,8 @@ def _different_authorities(inspections: Sequence[Inspection]) -> Iterator[Diagno
     for inspection in inspections[1:]:
         first = inspections[0]
         if inspection.chains[roles.PERMISSIONS] != first.chains[roles.PERMISSIONS]:
-            yield Diagnostic(
-                "authorities-differ", Severity.WARNING,
+            yield Diagnostic.warning(
+                "authorities-differ",
                 f"its permissions are signed by {inspection.package.grant.issuer!r}, those of "
                 f"{first.package.subject} by {first.package.grant.issuer!r}: on Fast DDS they cannot communicate",
                 Origin(inspection.folder), "sign all permissions by one authority", inspection.package.subject,

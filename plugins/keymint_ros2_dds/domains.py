@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from keymint.api import DomainRange
 
 MAX_DOMAIN = 230
@@ -41,11 +41,11 @@ def in_words(ranges: Iterable[DomainRange]) -> str:
 def check_domains(ranges: Sequence[DomainRange], where: Origin, subject: str) -> Iterator[Diagnostic]:
     """Yield the defects of a list of domains: empty, an empty range, or an id that has no ports."""
     if not ranges:
-        yield Diagnostic("domains", Severity.ERROR, "no domain is given", where, "name at least one", subject)
+        yield Diagnostic.error("domains", "no domain is given", where, "name at least one", subject)
     for item in ranges:
         if item.first > item.last or item.first < 0:
             message = f"the range of domains {item.first} to {item.last} is empty"
-            yield Diagnostic("domains", Severity.ERROR, message, where, "put the lower id first", subject)
+            yield Diagnostic.error("domains", message, where, "put the lower id first", subject)
         elif item.last > MAX_DOMAIN:
             message = f"domain {item.last} is higher than {MAX_DOMAIN}; Cyclone DDS refuses the document"
-            yield Diagnostic("portability-domain", Severity.ERROR, message, where, f"use 0 to {MAX_DOMAIN}", subject)
+            yield Diagnostic.error("portability-domain", message, where, f"use 0 to {MAX_DOMAIN}", subject)

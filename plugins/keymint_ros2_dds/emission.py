@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from comarmor.patterns.steps import step_limit
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, Claim, ComparisonTask, Grant, Package, Proof
@@ -143,7 +143,7 @@ def _open(claims: Iterable[Claim]) -> list[Claim]:
 
 def _unproven(package: Package, code: str, what: str, claim: Claim, help_: str) -> Diagnostic:
     message = f"{what} not proven to mean what the rules mean: {_reason(claim)}"
-    return Diagnostic(code, Severity.WARNING, message, package.grant.origin, help_, package.subject)
+    return Diagnostic.warning(code, message, package.grant.origin, help_, package.subject)
 
 
 def _plain_unproven(package: Package, compiled: Compiled, open_claims: Sequence[Claim]) -> Iterator[Diagnostic]:

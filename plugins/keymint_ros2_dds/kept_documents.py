@@ -10,7 +10,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from functools import lru_cache
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from keymint.api import BuildOptions, Package, Relation
 from keymint.errors import KeymintError
 from keymint_ros2_dds import subject_name_text
@@ -81,9 +81,8 @@ def _difference(package: Package, document: bytes) -> str:
 
 
 def _vendors(package: Package) -> Diagnostic:
-    return Diagnostic(
+    return Diagnostic.warning(
         "kept-vendors",
-        Severity.WARNING,
         "goes on with signed permissions that vendors of DDS may read differently from the standard",
         package.grant.origin,
         "'keymint prove' says what they do; '--allow-vendor-specific' accepts it",

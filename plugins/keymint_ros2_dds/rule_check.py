@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from keymint.api import BuildOptions
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
@@ -31,4 +31,4 @@ def _relay_only(rules: SubjectRules) -> Iterator[Diagnostic]:
         if rule.permissions and all(permission in _RELAYS for permission in rule.permissions):
             message = f"this {rule.effect} {rule.kind} rule only concerns relaying, which no DDS vendor enforces"
             help_ = "control who may publish and subscribe instead"
-            yield Diagnostic("portability-relay", Severity.WARNING, message, rule.origin, help_, rules.subject)
+            yield Diagnostic.warning("portability-relay", message, rule.origin, help_, rules.subject)

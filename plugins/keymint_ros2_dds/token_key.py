@@ -28,8 +28,8 @@ def check(package: Package, *, allow_vendor_specific: bool) -> Iterator[Diagnost
     if not spec.key.uri:
         return
     if package.distro not in READS_KEY_URI:
-        yield Diagnostic(
-            "key-token-distro", Severity.ERROR,
+        yield Diagnostic.error(
+            "key-token-distro",
             f"the key of the identity lies in a token, but ROS 2 {package.distro} reads keys from files only",
             spec.origin, f"leave out <pkcs11>, or use {READS_KEY_URI[0]} or later", package.subject,
         )  # fmt: skip
@@ -37,8 +37,8 @@ def check(package: Package, *, allow_vendor_specific: bool) -> Iterator[Diagnost
     from keymint.pki.pkcs11_uri import parse  # noqa: PLC0415 - few packages need it
 
     if parse(spec.key.uri, spec.origin).module_path:
-        yield Diagnostic(
-            "key-token-module", Severity.ERROR,
+        yield Diagnostic.error(
+            "key-token-module",
             "the URI of the key names a module, but Fast DDS finds modules through p11-kit",
             spec.origin, "leave out module-path; put the module into /etc/pkcs11/modules on the robot", package.subject,
         )  # fmt: skip

@@ -74,9 +74,8 @@ def check_issuers(package: Package) -> Iterator[Diagnostic]:
     its vendor. They have no subject, since one authority issues many identities.
     """
     if package.identity.hash_algorithm.upper() != "SHA256":
-        yield Diagnostic(
+        yield Diagnostic.warning(
             "portability-hash",
-            Severity.WARNING,
             f"identities are signed with {package.identity.hash_algorithm}; Fast DDS 2.9 refuses all but SHA256",
             package.identity.origin,
             "use SHA256",
@@ -84,18 +83,16 @@ def check_issuers(package: Package) -> Iterator[Diagnostic]:
     for authority in package.issuers:
         spec = authority.certificate
         if spec.issuer:
-            yield Diagnostic(
+            yield Diagnostic.warning(
                 "portability-chain",
-                Severity.WARNING,
                 f"the authority {authority.name!r} is an intermediate CA; Cyclone DDS refuses identities it issues",
                 spec.origin,
                 "issue identities by a self-signed authority",
             )
         with suppress(KeymintError):  # reported where the authority's key is generated
             if _key_name(spec.key, spec.origin) not in _ACCEPTED_KEYS:
-                yield Diagnostic(
+                yield Diagnostic.warning(
                     "portability-authority-key",
-                    Severity.WARNING,
                     f"the key of the authority {authority.name!r} is not RSA with 2048 bits or SECP256R1; "
                     "Cyclone DDS refuses identities that it issues",
                     spec.origin,
@@ -135,7 +132,7 @@ def check_size(size: int, kind: str, package: Package, lowered: Lowered | None =
         where = largest.origin
         if kind_name.startswith(Effect.DENY):
             help_ = "deny entire namespaces with a wildcard where that is intended"
-    yield Diagnostic(f"size-{kind}", Severity.WARNING, message, where, help_, package.subject)
+    yield Diagnostic.warning(f"size-{kind}", message, where, help_, package.subject)
 
 
 def signed_size(unsigned: bytes) -> int:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from comarmor.errors import ComArmorError, Diagnostic, Severity
+from comarmor.errors import ComArmorError, Diagnostic
 from comarmor.ros_names import is_subject
 from comarmor.text import quoted
 from comarmor.values import dataclass
@@ -49,7 +49,7 @@ def _deviation(
     code: str, message: str, enclave: Enclave, place: Enclave | Entry | Node | NodeGroup, help_: str, *,
     acceptable: bool = True,
 ) -> Deviation:  # fmt: skip
-    return Deviation(Diagnostic(code, Severity.ERROR, message, place.where, help_, enclave.path), acceptable)
+    return Deviation(Diagnostic.error(code, message, place.where, help_, enclave.path), acceptable)
 
 
 def _doubled(policy: SourcePolicy) -> Iterator[Deviation]:

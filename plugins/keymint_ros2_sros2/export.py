@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 from lxml import etree
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.language import render
 from comarmor.ros_names import is_subject
 from comarmor.rules import Effect, Rule
@@ -73,7 +73,7 @@ class _Exporter:
         where = subject.rules[0].origin if subject.rules else Origin("policy.xml")
         if not is_subject(path) or len(path) > _LONGEST:
             message = f"the subject {quoted(path)} is no path of an enclave of at most {_LONGEST} characters"
-            self.errors.append(Diagnostic("sros2-path", Severity.ERROR, message, where, "rename it", path))
+            self.errors.append(Diagnostic.error("sros2-path", message, where, "rename it", path))
         lists: list[RuleList] = []
         kept: list[Rule] = []
         graph: set[str] = set()
@@ -100,7 +100,7 @@ class _Exporter:
         else:
             message = f"SROS2 allows {path} to publish and subscribe to ros_discovery_info by itself"
             help_ = "participants need it: include common/node/graph.xml"
-            self.warnings.append(Diagnostic("sros2-graph", Severity.WARNING, message, where, help_, path))
+            self.warnings.append(Diagnostic.warning("sros2-graph", message, where, help_, path))
         self.kept[path] = SubjectRules(path, tuple(kept))
         parent, _, name = path.rpartition("/")
         node = Node(parent or "/", name or _ROOT_NODE, tuple(lists), where)
@@ -122,15 +122,15 @@ class _Exporter:
         message = f"SROS2 cannot say {rule.effect} {permission} {quoted(expression)}: {reason}"
         if rule.effect is Effect.DENY:
             help_ = "without it more would be allowed, so --lossy does not drop it either: write the policy without it"
-            self.errors.append(Diagnostic("sros2-unsayable", Severity.ERROR, message, rule.origin, help_, path))
+            self.errors.append(Diagnostic.error("sros2-unsayable", message, rule.origin, help_, path))
         else:
             self._lost("sros2-unsayable", message, rule, path, "--lossy leaves it out: then less is allowed")
 
     def _lost(self, code: str, message: str, rule: Rule, path: str, help_: str) -> None:
         if self.lossy:
-            self.warnings.append(Diagnostic(code, Severity.WARNING, message, rule.origin, "left out (--lossy)", path))
+            self.warnings.append(Diagnostic.warning(code, message, rule.origin, "left out (--lossy)", path))
         else:
-            self.errors.append(Diagnostic(code, Severity.ERROR, message, rule.origin, help_, path))
+            self.errors.append(Diagnostic.error(code, message, rule.origin, help_, path))
 
 
 def _lists(rule: Rule, names: dict[Said, None]) -> list[RuleList]:

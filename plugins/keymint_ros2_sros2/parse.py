@@ -8,7 +8,7 @@ from dataclasses import field, replace
 from pathlib import Path
 from types import MappingProxyType
 
-from comarmor.errors import ComArmorError, Diagnostic, Severity
+from comarmor.errors import ComArmorError, Diagnostic
 from comarmor.rules import Effect
 from comarmor.text import quoted
 from comarmor.values import dataclass
@@ -119,7 +119,7 @@ class _Parser:
 
     def lose(self, what: str, item: Placed) -> None:
         """Note something that no other policy language has."""
-        self.lost.append(Diagnostic("sros2-lost", Severity.NOTE, f"{what} is not taken over", item.where))
+        self.lost.append(Diagnostic.note("sros2-lost", f"{what} is not taken over", item.where))
 
     def children(self, item: Placed, expected: tuple[str, ...], place: str) -> Iterator[Placed]:
         """Yield the child elements, which includes may have put into the wrong place; ``<metadata>`` is left out."""

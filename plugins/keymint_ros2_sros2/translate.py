@@ -64,10 +64,10 @@ def _notes(policy: SourcePolicy) -> Iterator[Diagnostic]:
             for rules in node.lists:
                 if not rules.effects:
                     message = f"<{rules.tag}> has no qualifier, so that it allows and denies nothing"
-                    yield Diagnostic("sros2-no-qualifier", Severity.NOTE, message, rules.where, "", enclave.path)
+                    yield Diagnostic.note("sros2-no-qualifier", message, rules.where, "", enclave.path)
                 for entry in rules.entries:
                     name = as_read(node, entry.text)
                     if rules.tag == "topics" and entry.text.strip() == "rosout" and name != "/rosout":
                         message = f"'rosout' is {name} here, but nodes publish their log to /rosout"
                         help_ = "allow /rosout as well"
-                        yield Diagnostic("sros2-rosout", Severity.WARNING, message, entry.where, help_, enclave.path)
+                        yield Diagnostic.warning("sros2-rosout", message, entry.where, help_, enclave.path)

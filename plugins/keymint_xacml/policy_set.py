@@ -98,9 +98,9 @@ def _parts(rule: Rule) -> Iterator[tuple[str, tuple[str, ...], str]]:
 def _unsayable(rule: Rule, reason: str, subject: str, *, lossy: bool) -> Diagnostic:
     message = f"XACML cannot say {rule.effect} {rule.kind} {quoted(', '.join(rule.expressions))}: {reason}"
     if lossy and rule.effect is Effect.ALLOW:
-        return Diagnostic("xacml-unsayable", Severity.WARNING, message, rule.origin, "left out (--lossy)", subject)
+        return Diagnostic.warning("xacml-unsayable", message, rule.origin, "left out (--lossy)", subject)
     help_ = "change the expression" + ("; --lossy leaves it out" if rule.effect is Effect.ALLOW else "")
-    return Diagnostic("xacml-unsayable", Severity.ERROR, message, rule.origin, help_, subject)
+    return Diagnostic.error("xacml-unsayable", message, rule.origin, help_, subject)
 
 
 def _document(subjects: Iterable[tuple[str, Sequence[_XacmlRule]]]) -> bytes:

@@ -15,7 +15,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.rules import PERMISSIONS
 from keymint.api import (
     Artifact,
@@ -199,7 +199,7 @@ def _where(inspection: Inspection, name: str) -> Origin:
 
 def _error(inspection: Inspection, code: str, name: str, message: str) -> Diagnostic:
     fix = f"'keymint install {inspection.package.name}' rewrites it"
-    return Diagnostic(code, Severity.ERROR, message, _where(inspection, name), fix, inspection.package.subject)
+    return Diagnostic.error(code, message, _where(inspection, name), fix, inspection.package.subject)
 
 
 build_type = JsonBuildType()

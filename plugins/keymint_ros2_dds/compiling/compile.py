@@ -185,21 +185,21 @@ def vendor_notes(rules: Iterable[GrantRule[str]], permissions: Grant) -> Iterato
     subject = permissions.rules.subject
     rules = tuple(rules)
     if not rules:
-        yield Diagnostic(
-            "no-permissions", Severity.NOTE, f"{subject} is allowed nothing, so it may not join a domain either",
+        yield Diagnostic.note(
+            "no-permissions", f"{subject} is allowed nothing, so it may not join a domain either",
             permissions.origin, "allow something if it is to take part", subject,
         )  # fmt: skip
     if any(TopicAction.RELAY in rule.topics for rule in rules):
-        yield Diagnostic(
-            "vendor-relay", Severity.WARNING, "Cyclone DDS and OpenDDS ignore permissions to relay",
+        yield Diagnostic.warning(
+            "vendor-relay", "Cyclone DDS and OpenDDS ignore permissions to relay",
             permissions.origin, "do not rely on them there", subject,
         )  # fmt: skip
     expressions = {text for rule in rules for texts in rule.topics.values() for text in texts}
     infix = sorted(text for text in expressions - {GUARD} if "*" in text[:-1] or "[" in text)
     if infix:
         option = "; --no-optimise writes out the names that share an expression" if GUARD in expressions else ""
-        yield Diagnostic(
-            "vendor-wildcard", Severity.NOTE,
+        yield Diagnostic.note(
+            "vendor-wildcard",
             f"OpenDDS and RTI Connext may not match a '*' before the end of an expression, or a bracket expression "
             f"({len(infix)} here, e.g. {infix[0]!r})",
             permissions.origin, f"Cyclone DDS and Fast DDS do{option}", subject,

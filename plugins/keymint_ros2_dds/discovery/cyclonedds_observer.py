@@ -15,7 +15,7 @@ from functools import cache, partial
 from threading import Event
 from typing import Any, Self
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from keymint.api import Availability, DiscoveredGraph
 from keymint.errors import KeymintError
 from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, DiscoveredParticipant
@@ -147,9 +147,8 @@ def observe(domain: int, go_on: Callable[[], bool], names: Mapping[str, str]) ->
         observed = discovered(observer.capture(), names)
     if observed.graph.subjects:
         return observed
-    nothing = Diagnostic(
+    nothing = Diagnostic.warning(
         "discovery-empty",
-        Severity.WARNING,
         f"no participant seen in domain {domain}",
         help="check --domain, --seconds, CYCLONEDDS_URI and the network; secured participants are invisible",
     )

@@ -67,10 +67,10 @@ def name_participants(
             how, names[guid] = _announced(participant, serves[guid], meets[guid])
         shown, name = f"participant {guid} in domain {participant.domain}", names[guid]
         if how:
-            diagnostics.append(Diagnostic("subject-named", Severity.NOTE, f"{shown} is {name}: {how}", subject=name))
+            diagnostics.append(Diagnostic.note("subject-named", f"{shown} is {name}: {how}", subject=name))
         else:
             message, help_ = f"{shown} does not announce a name; it is named {name}", f"name it with {_ASKED}"
-            diagnostics.append(Diagnostic("subject-unknown", Severity.WARNING, message, help=help_, subject=name))
+            diagnostics.append(Diagnostic.warning("subject-unknown", message, help=help_, subject=name))
     diagnostics += _shared(participants, names, given)
     return names, diagnostics
 

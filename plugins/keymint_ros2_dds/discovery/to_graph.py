@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from keymint.api import DiscoveredGraph
 from keymint.graph import Edge, Graph
 from keymint.graph_json import legal_text
@@ -24,9 +24,8 @@ def discovered(capture: Capture, names: Mapping[str, str]) -> DiscoveredGraph:
     subjects, diagnostics = name_participants(capture.participants, sound, names)
     domains = {participant.guid: participant.domain for participant in capture.participants}
     diagnostics += [
-        Diagnostic(
+        Diagnostic.warning(
             "endpoint-odd",
-            Severity.WARNING,
             f"an endpoint of {subjects[guid]} is left out: its topic, type or partition is no name, or too long",
             subject=subjects[guid],
         )

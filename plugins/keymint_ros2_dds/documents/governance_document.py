@@ -105,14 +105,14 @@ def _domain_rule(parent: etree._Element, rule: DomainRule, distro: str, lenient:
             continue
         effective = [pattern for pattern in topic_patterns if not union_covers(tuple(covered), pattern)]
         if not effective:
-            yield Diagnostic(
-                "governance-shadowed", Severity.WARNING,
+            yield Diagnostic.warning(
+                "governance-shadowed",
                 f"the {topic.kind} rule for {topic.expression!r} has no effect: the rules before it match all of it",
                 topic.origin, "put it before the wider rules, or remove it",
             )  # fmt: skip
         if distro == ARDENT and topic.kind != "topic":
-            yield Diagnostic(
-                "governance-base-name", Severity.NOTE,
+            yield Diagnostic.note(
+                "governance-base-name",
                 f"DDS topics of ROS 2 Ardent have base names only: the {topic.kind} rule for {topic.expression!r} "
                 "applies to topics of the same base name in every namespace",
                 topic.origin, "use the same protection in all rules on one base name",
@@ -122,8 +122,8 @@ def _domain_rule(parent: etree._Element, rule: DomainRule, distro: str, lenient:
         covered += effective
     if not union_covers(tuple(covered), EVERYTHING):
         last = rule.topic_rules[-1].origin if rule.topic_rules else rule.origin
-        yield Diagnostic(
-            "governance-open-end", Severity.WARNING,
+        yield Diagnostic.warning(
+            "governance-open-end",
             "no topic rule matches every topic; a last one is added for '*', with access control and encryption",
             last, "end with a rule for '*' that says how all other topics are protected",
         )  # fmt: skip
@@ -153,7 +153,7 @@ def _never_matches(topic: TopicProtection, topic_patterns: Sequence[Glob]) -> Di
         why = "every ROS name begins with '/'"
         help_ = f"write {'/' + expression!r}"
     message = f"the expression {expression!r} of this {topic.kind} rule of the governance matches no name: {why}"
-    return Diagnostic("governance-never-matches", Severity.ERROR, message, topic.origin, help_)
+    return Diagnostic.error("governance-never-matches", message, topic.origin, help_)
 
 
 def patterns(topic: TopicProtection, distro: str) -> list[Glob]:

@@ -11,7 +11,7 @@ from functools import lru_cache
 
 from lxml import etree
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from comarmor.rules import Effect
 from keymint.api import DomainRange, Grant
 from keymint.errors import KeymintError
@@ -60,7 +60,7 @@ def head(permissions: Grant) -> Mapping[str, str]:
     if period.not_after.year > _MAX_YEAR:
         message = f"the permissions end in the year {period.not_after.year}, which Cyclone DDS reads as expired"
         help_ = f"let them end by {_MAX_YEAR}"
-        problems.append(Diagnostic("portability-date", Severity.ERROR, message, permissions.origin, help_, subject))
+        problems.append(Diagnostic.error("portability-date", message, permissions.origin, help_, subject))
     if problems:
         raise KeymintError.of(problems)
     name = subject_name_text.of(permissions).translate(_TEXT)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint.api import KeystoreFiles
 from keymint.errors import KeymintError
@@ -53,15 +53,15 @@ class Contents:
 
     def error(self, code: str, path: str, message: str, help_: str, subject: str = "") -> Diagnostic:
         """Return why a file or folder cannot be taken over as it is."""
-        return Diagnostic(code, Severity.ERROR, message, self.place(path), help_, subject)
+        return Diagnostic.error(code, message, self.place(path), help_, subject)
 
     def warning(self, code: str, path: str, message: str, help_: str, subject: str = "") -> Diagnostic:
         """Return what is wrong with a file that is taken over."""
-        return Diagnostic(code, Severity.WARNING, message, self.place(path), help_, subject)
+        return Diagnostic.warning(code, message, self.place(path), help_, subject)
 
     def note(self, code: str, path: str, message: str, help_: str) -> Diagnostic:
         """Return what a later step can improve."""
-        return Diagnostic(code, Severity.NOTE, message, self.place(path), help_)
+        return Diagnostic.note(code, message, self.place(path), help_)
 
     def keys_of(self, certificate: x509.Certificate) -> Sequence[str]:
         """Return the paths of all files with the private key of a certificate; those in PEM come first."""

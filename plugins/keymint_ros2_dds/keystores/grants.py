@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.patterns import glob
 from comarmor.patterns.glob import EVERYTHING, Glob
 from comarmor.patterns.matching import matches
@@ -114,9 +114,9 @@ def _grant(
         raise _unsayable(message, document.place(eras[1].grant.line), "sign a document with one grant")
     grant = eras[0].grant if eras else None
     findings = [
-        Diagnostic(
-            "learn-grant", Severity.WARNING, f"this grant of {quoted(name)} is never in force, and is not learned",
-            document.place(each.line), "remove it from the document", subject,
+        Diagnostic.warning(
+            "learn-grant", f"this grant of {quoted(name)} is never in force, and is not learned",
+            document.place(each.line), "remove it from the document", subject
         )
         for each in own
         if each is not grant
@@ -124,7 +124,7 @@ def _grant(
     if not own:
         message = f"no grant is for {quoted(name)}, so the enclave is permitted nothing"
         help_ = "sign a document for this name"
-        findings.append(Diagnostic("learn-grant", Severity.WARNING, message, Origin(document.file), help_, subject))
+        findings.append(Diagnostic.warning("learn-grant", message, Origin(document.file), help_, subject))
     return grant, tuple(findings)
 
 
@@ -191,8 +191,7 @@ def _steps(document: PermissionsDocument, grant: DocumentGrant, rules: Sequence[
                 topics = [glob.parse(each) for each in criteria.topics]
             except PatternError as error:
                 raise KeymintError.of(
-                    Diagnostic("expression", Severity.ERROR, each.message, where, each.help)
-                    for each in error.diagnostics
+                    Diagnostic.error("expression", each.message, where, each.help) for each in error.diagnostics
                 ) from None
             if effect is Effect.ALLOW and partitions == ((),):
                 partitions = ()

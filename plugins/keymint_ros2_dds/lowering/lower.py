@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic
 from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.possible_names import advice, matches_ros_name
@@ -110,9 +110,8 @@ def _unknown_permission(part: str, rule: Rule) -> KeymintError:
 
 
 def _unknown(rule: Rule, distro: str, subject: str) -> Diagnostic:
-    return Diagnostic(
+    return Diagnostic.error(
         "distro-kind",
-        Severity.ERROR,
         f"ROS 2 {distro.capitalize()} has no actions, but this is an {rule.effect} {rule.kind} rule",
         rule.origin,
         "remove it, or take a later distro",
@@ -122,9 +121,8 @@ def _unknown(rule: Rule, distro: str, subject: str) -> Diagnostic:
 
 def _never_matches(expression: str, rule: Rule, subject: str) -> Diagnostic:
     raw = rule.kind == _RAW_TOPIC
-    return Diagnostic(
+    return Diagnostic.warning(
         "never-matches",
-        Severity.WARNING,
         f"the expression {expression!r} of this {rule.effect} {rule.kind} rule matches no name: no "
         + ("DDS topic" if raw else "ROS object")
         + " can have such a name",
