@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Hashable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import field, replace
 from datetime import datetime
 from pathlib import Path
@@ -51,6 +51,24 @@ _T = TypeVar("_T")
 _Arguments = TypeVarTuple("_Arguments")
 _FILES = "files"
 """First part of the key of what a session knows about the files of a package."""
+
+
+def once(make: Callable[[Session, *_Arguments], _T]) -> Callable[[Session, *_Arguments], _T]:
+    """Let a function of a session, and perhaps of hashable values, make each result once for a session; a decorator."""
+    return _made_once(make, of_sources=False)
+
+
+def once_of_sources(make: Callable[[Session, *_Arguments], _T]) -> Callable[[Session, *_Arguments], _T]:
+    """Do the same as :func:`once` for results that depend on the profile and the source space only."""
+    return _made_once(make, of_sources=True)
+
+
+def _made_once(make: Callable[[Session, *_Arguments], _T], *, of_sources: bool) -> Callable[[Session, *_Arguments], _T]:
+    @functools.wraps(make)
+    def known(session: Session, /, *arguments: *_Arguments) -> _T:
+        return session.made((make, *arguments), lambda: make(session, *arguments), of_sources=of_sources)
+
+    return known
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,10 +153,10 @@ class Session(Inputs):
     profile: WorkspaceProfile
     profile_digest: str
     _packages: dict[tuple[str, str, bool], Package] = field(default_factory=dict, repr=False, compare=False)
-    _made_of_sources: dict[Hashable, Any] = field(default_factory=dict, repr=False, compare=False)
-    _made: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _made_of_sources: dict[tuple[Any, ...], Any] = field(default_factory=dict, repr=False, compare=False)
+    _made: dict[tuple[Any, ...], Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
-    def once(self, key: Hashable, make: Callable[[], _T], *, of_sources: bool = False) -> _T:
+    def made(self, key: tuple[Any, ...], make: Callable[[], _T], *, of_sources: bool = False) -> _T:
         """Return a value that depends on this session only, made at the first call.
 
         Args:
@@ -171,9 +189,10 @@ class Session(Inputs):
         )
 
     @property
+    @once
     def enclaves(self) -> Path:
         """The folder that contains the enclaves; errors as :attr:`layouts`."""
-        return self.once("enclaves", lambda: self.workspace.install / self.layouts[0].enclaves)
+        return self.workspace.install / self.layouts[0].enclaves
 
     def enclave(self, name: str) -> Path:
         """Return the folder of an enclave; that of the root enclave contains all others. Errors as :attr:`layouts`."""
@@ -181,8 +200,7 @@ class Session(Inputs):
 
     def enclave_folder(self, name: str) -> str:
         """Return :meth:`enclave` as a text."""
-        enclaves = self.once("enclaves as a text", lambda: str(self.enclaves))
-        return enclaves if name == ROOT else f"{enclaves}/{name}"
+        return str(self.enclaves) if name == ROOT else f"{self.enclaves}/{name}"
 
     @property
     def profile_type(self) -> ProfileType:
@@ -200,14 +218,15 @@ class Session(Inputs):
         return {each: self.plugins.build_type(each, self.profile_marker()) for each in self.profile.build_types}
 
     @property
+    @once
     def package_type(self) -> PackageType:
         """The type of the packages; errors as :meth:`keymint.plugins.Plugins.package_type`."""
-        name = self.profile.package_type
-        return self.once("package type", lambda: self.plugins.package_type(name, self.profile_marker()))
+        return self.plugins.package_type(self.profile.package_type, self.profile_marker())
 
+    @once_of_sources
     def packages(self) -> tuple[str, ...]:
         """Return the names of the source packages, sorted; errors as :func:`keymint.workspace.packages`."""
-        return self.once("packages", lambda: packages(self.tree, self.workspace.src), of_sources=True)
+        return packages(self.tree, self.workspace.src)
 
     def after(self, plan: Plan) -> Self:
         """Return the session as it is once a plan is carried out."""
@@ -215,7 +234,7 @@ class Session(Inputs):
         changed = {f"{change.folder}/" for change in plan.changes()}
         changed = {folder for folder in changed if folder.startswith(src)}
         if changed:
-            files = [key for key in made if isinstance(key, tuple) and key[0] == _FILES]
+            files = [key for key in made if key[0] == _FILES]
             made = {key: made[key] for key in files if changed.isdisjoint(self._folders(key[1]))}
         tree = self.tree.overlaid(plan.overlay())
         return replace(self, tree=tree, state=plan.state, _made_of_sources=made)
@@ -235,7 +254,7 @@ class Session(Inputs):
 
     def _sources(self, name: str) -> tuple[Mapping[str, str], str]:
         """Return the digests of the files of a package, and one over all of them."""
-        return self.once((_FILES, name), lambda: self._read_sources(name), of_sources=True)
+        return self.made((_FILES, name), lambda: self._read_sources(name), of_sources=True)
 
     def _read_sources(self, name: str) -> tuple[Mapping[str, str], str]:
         paths = package_paths(self.tree, self.workspace, name)
@@ -255,30 +274,26 @@ class Session(Inputs):
         package = self._load(name, built=built)
         if package.role is Role.INFRASTRUCTURE:
             return package
-        of_package = package.build_types
-        needing = self.once(("needing", of_package), lambda: frozenset(filter(self._needs_infrastructure, of_package)))
+        needing = self._needing_infrastructure(package.build_types)
         if not needing:
             return package
         infrastructure = (self._load(each) for each in self.infrastructure())
         return replace(package, infrastructure=tuple(each for each in infrastructure if needing & {*each.build_types}))
 
+    @once
+    def _needing_infrastructure(self, build_types: tuple[str, ...]) -> frozenset[str]:
+        return frozenset(each for each in build_types if isinstance(self.plugins.build_type(each), Infrastructure))
+
+    @once_of_sources
     def infrastructure(self) -> tuple[str, ...]:
         """Return the names of the existing packages of infrastructure, sorted; none if no build type needs any."""
-        return self.once("infrastructure", lambda: tuple(self._existing_infrastructure()), of_sources=True)
+        if not any(isinstance(each, Infrastructure) for each in self.build_types.values()):
+            return ()
+        return tuple(name for name in self.packages() if self.role(name) is Role.INFRASTRUCTURE)
 
-    def _existing_infrastructure(self) -> Iterator[str]:
-        marker = self.profile_marker()
-        if any(self._needs_infrastructure(each, marker) for each in self.profile.build_types):
-            yield from (name for name in self.packages() if self.role(name) is Role.INFRASTRUCTURE)
-
-    def _needs_infrastructure(self, build_type: str, where: Origin | None = None) -> bool:
-        return isinstance(self.plugins.build_type(build_type, where), Infrastructure)
-
+    @once_of_sources
     def sources_digest(self, name: str) -> str:
         """Return the digest of all that a package is loaded from except the profile, its infrastructure included."""
-        return self.once(("sources", name), lambda: self._sources_digest(name), of_sources=True)
-
-    def _sources_digest(self, name: str) -> str:
         infrastructure = self.infrastructure()
         placed = (str(self.workspace.install),) if infrastructure else ()
         return digest(*placed, self._sources(name)[1], *map(self._named_digest, infrastructure))
@@ -298,14 +313,12 @@ class Session(Inputs):
         return digest(*(part for item in own for part in item), *((str(generation),) if generation else ()))
 
     @property
+    @once
     def issuance_files(self) -> IssuanceFiles | None:
         """The type of the packages, if it keeps what an authority decided about them."""
+        return self.package_type if isinstance(self.package_type, IssuanceFiles) else None
 
-        def find() -> IssuanceFiles | None:
-            return self.package_type if isinstance(self.package_type, IssuanceFiles) else None
-
-        return self.once("issuance files", find)
-
+    @once_of_sources
     def issuance(self, name: str) -> Issuance:
         """Return what the authority decided about a package; the defaults if it has nothing about it.
 
@@ -315,13 +328,9 @@ class Session(Inputs):
         files = self.issuance_files
         if files is None or files.ISSUANCE not in self.file_digests(name):
             return Issuance()
-
-        def read() -> Issuance:
-            folder = self.workspace.src / name
-            content = self.tree.read(folder / files.ISSUANCE) or b""
-            return files.issuance(self.workspace.shown(folder), {files.ISSUANCE: content})
-
-        return self.once(("issuance", name), read, of_sources=True)
+        folder = self.workspace.src / name
+        content = self.tree.read(folder / files.ISSUANCE) or b""
+        return files.issuance(self.workspace.shown(folder), {files.ISSUANCE: content})
 
     def role(self, name: str) -> Role:
         """Return why a package exists; the role of a subject if there is none or its manifest has defects."""
@@ -329,7 +338,7 @@ class Session(Inputs):
         found = self.tree.digest(marker)
         if found is None:
             return Role.SUBJECT
-        return self.once(("role", found), lambda: self.package_type.role(self.tree.read(marker) or b""))
+        return self.made(("role", found), lambda: self.package_type.role(self.tree.read(marker) or b""))
 
     def needed_infrastructure(self) -> Mapping[str, tuple[InfrastructurePackage, str]]:
         """Return the packages of infrastructure that the profile's build types need, each with its build type, by name.
@@ -351,10 +360,11 @@ class Session(Inputs):
         return needed
 
     @property
+    @once
     def _loader(self) -> Callable[..., Package]:
         """What loads a package that was built."""
         own = self.package_type
-        return self.once("loader", lambda: own.load_built if isinstance(own, BuiltPackageType) else own.load)
+        return own.load_built if isinstance(own, BuiltPackageType) else own.load
 
     def _load(self, name: str, *, built: bool = False) -> Package:
         key = (name, self._sources(name)[1], built)
@@ -365,13 +375,3 @@ class Session(Inputs):
             install_space = str(self.workspace.install)
             self._packages[key] = load(self.profile, name, folder, files, self.plugins.build_type, install_space)
         return self._packages[key]
-
-
-def once(make: Callable[[Session, *_Arguments], _T]) -> Callable[[Session, *_Arguments], _T]:
-    """Let a function of a session, and perhaps of hashable values, make each result once for a session; a decorator."""
-
-    @functools.wraps(make)
-    def known(session: Session, /, *arguments: *_Arguments) -> _T:
-        return session.once((make, *arguments), lambda: make(session, *arguments))
-
-    return known

@@ -12,7 +12,7 @@ from keymint.api import AuthorityChanges, Implementation
 from keymint.errors import ExitCode, KeymintError
 from keymint.plan.authority_files import with_issuers
 from keymint.plan.build_types import build_types_of
-from keymint.session import Session
+from keymint.session import Session, once_of_sources
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -32,16 +32,13 @@ class Use:
     packages: int
 
 
+@once_of_sources
 def uses(session: Session) -> dict[str, tuple[Use, ...]]:
     """Return what each authority does; an authority above others is used as they are.
 
     Raises:
         KeymintError: a package has defects.
     """
-    return session.once("authority uses", lambda: _uses(session), of_sources=True)
-
-
-def _uses(session: Session) -> dict[str, tuple[Use, ...]]:
     issuers = {each.name: each.certificate.issuer for each in session.profile.authorities}
     counts: Counter[tuple[str, str, str, bool]] = Counter()
     for package in map(session.package, session.packages()):

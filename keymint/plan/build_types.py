@@ -21,7 +21,7 @@ def build_types_of(session: Session, package: Package) -> Mapping[str, BuildType
     Raises:
         KeymintError: one is not installed, fails to load, or does not support the layout of the workspace.
     """
-    return session.once(("build types", package.build_types), lambda: _build_types(session, package))
+    return session.made(("build types", package.build_types), lambda: _build_types(session, package))
 
 
 def _build_types(session: Session, package: Package) -> Mapping[str, BuildType]:
@@ -128,7 +128,7 @@ def inputs_digest(session: Session, name: str, build_types: Iterable[str] | None
         build_types = stamp.build_types if stamp is not None else ()
     shared = any(shared_builder(session, each) for each in build_types)
     places = [str(session.workspace.install)] if shared else []
-    return session.once(
+    return session.made(
         ("inputs", name, shared),
         lambda: digest(session.profile_digest, session.sources_digest(name), session.plugins.versions, *places),
         of_sources=True,

@@ -50,7 +50,7 @@ def planning(days: float = 0, end: datetime = END, issuer: str = "") -> Any:
     }
     return SimpleNamespace(
         now=CLOCK + days * DAY, profile=SimpleNamespace(authorities=authorities),
-        once=lambda key, make: certificates if key[0].__name__ == "_authorities_here" else make(),
+        made=lambda key, make, **_: certificates if key[0].__name__ == "_authorities_here" else make(),
     )  # fmt: skip
 
 
