@@ -20,9 +20,9 @@ def session_with(layout: str, **build_types: Mapping[str, Layout]) -> Any:
     """Return what of a session its layouts depend on."""
     marker = Origin("profile/keymint_profile.xml")
     return SimpleNamespace(
-        profile=SimpleNamespace(layout=layout, build_types=tuple(build_types)),
+        profile=SimpleNamespace(layout=layout),
         profile_marker=lambda: marker,
-        plugins=SimpleNamespace(build_type=lambda name, _where: SimpleNamespace(LAYOUTS=build_types[name])),
+        build_types={name: SimpleNamespace(LAYOUTS=layouts) for name, layouts in build_types.items()},
         workspace=SimpleNamespace(install=Path("/ws/install")),
     )
 
