@@ -59,7 +59,7 @@ def save(
     """
     written, removed = _written_by(changes)
     seen = sight.after(written, removed, visible, clock(workspace.state))
-    content = _dump(workspace.root, seen, tree.known, tree.digests, written)
+    content = _dump(workspace.root, seen, *tree.digests, written)
     if content != read_file(workspace.state / INDEX, MAX_RECORD):
         store.write(workspace.state, {INDEX: File(content)})
     return seen

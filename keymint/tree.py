@@ -6,9 +6,10 @@ Stages plan against this view, so that one run can plan all of them before its f
 
 from __future__ import annotations
 
+import contextlib
 import os
 import stat
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
 from typing import NamedTuple, TypeVar
@@ -20,7 +21,7 @@ from keymint.state import digest
 
 __all__ = ["MAX_FILE", "REGISTER", "Content", "File", "HeldError", "HeldFile", "Tree", "read_file", "unreadable"]
 
-_Read = TypeVar("_Read", bytes | None, dict[str, bool])
+_Read = TypeVar("_Read")
 
 
 class _Disk:
@@ -39,15 +40,25 @@ class _Disk:
         self._contents: dict[str, bytes | KeymintError | None] = {}
         self._entries: dict[str, dict[str, bool] | KeymintError] = {}
         self._statuses: dict[str, os.stat_result | None] = {}
-        self._links: set[str] = set()
-        """Symbolic links among the paths whose status is known."""
         self._held: tuple[str, ...] = ()
         """Folders that were read completely, with a slash."""
 
+    def _once(
+        self, known: dict[str, _Read | KeymintError], path: str, read: Callable[[str], _Read], absent: _Read
+    ) -> _Read:
+        """Return what is known about a path, or raise its error; the disk is accessed at the first call."""
+        if path not in known:
+            try:
+                known[path] = absent if self._is_absent(path) else read(path)
+            except KeymintError as error:
+                known[path] = error
+        found = known[path]
+        if isinstance(found, KeymintError):
+            raise KeymintError.of(found.diagnostics, found.exit_code)
+        return found
+
     def read(self, path: str) -> bytes | None:
-        if path not in self._contents:
-            self._contents[path] = None if self._is_absent(path) else self._file(path)
-        return _or_raise(self._contents[path])
+        return self._once(self._contents, path, self._file, None)
 
     def _file(self, path: str) -> bytes | None:
         try:
@@ -71,9 +82,7 @@ class _Disk:
         return digests[name]
 
     def entries(self, folder: str) -> Mapping[str, bool]:
-        if folder not in self._entries:
-            self._entries[folder] = {} if self._is_absent(folder) else self._scan(folder)
-        return _or_raise(self._entries[folder])
+        return self._once(self._entries, folder, self._scan, {})
 
     def status(self, path: str) -> os.stat_result | None:
         if path not in self._statuses:
@@ -84,35 +93,23 @@ class _Disk:
         found = lstat(path)
         if found is None or not stat.S_ISLNK(found.st_mode):
             return found
-        self._links.add(path)
         return lstat(linked_file(path, self.linked) or path)
-
-    def follows(self, path: str) -> str:
-        if path in self._statuses and path not in self._links:
-            return ""
-        return linked_file(path, self.linked)
 
     def hold(self, folder: str, suffix: str) -> None:
         """Read everything below a folder, so that the disk is not accessed again."""
-        self._statuses[folder] = lstat(folder)
+        self.status(folder)
         waiting = [folder]
         while waiting:
             inner = waiting.pop()
-            try:
-                self._entries[inner] = self._scan(inner)
-            except KeymintError as error:
-                self._entries[inner] = error
-                continue
-            for name, is_folder in self.entries(inner).items():
-                path = f"{inner}/{name}"
-                self._statuses[path] = self._status(path)
-                if is_folder:
-                    waiting += [path] if name != ".git" else []
-                elif name.endswith(suffix):
-                    try:
-                        self._contents[path] = self._file(path)
-                    except KeymintError as error:
-                        self._contents[path] = error
+            with contextlib.suppress(KeymintError):
+                for name, is_folder in self.entries(inner).items():
+                    path = f"{inner}/{name}"
+                    self.status(path)
+                    if is_folder:
+                        waiting += [path] if name != ".git" else []
+                    elif name.endswith(suffix):
+                        with contextlib.suppress(KeymintError):
+                            self.read(path)
         self._held = (*self._held, f"{folder}/")
 
     def _is_absent(self, path: str) -> bool:
@@ -134,13 +131,6 @@ class _Disk:
             return {}
         except OSError as error:
             raise unreadable(folder, error) from error
-
-
-def _or_raise(result: _Read | KeymintError) -> _Read:
-    """Return the result of reading, or raise its error."""
-    if isinstance(result, KeymintError):
-        raise KeymintError.of(result.diagnostics, result.exit_code)
-    return result
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,30 +179,21 @@ class Tree:
     """Files by absolute path, as they are at the first access.
 
     Args:
-        overlay: planned content by absolute path, which hides the disk; None for a file that will be removed.
-        disk: the files on the disk, if some were already read.
         known: digests of files that need not be read for them, by folder and name.
         linked: a folder in which symbolic links are followed that stay in it, as ROS 2 does in a keystore.
     """
 
-    def __init__(
-        self,
-        overlay: Mapping[Path | str, Content] | None = None,
-        disk: _Disk | None = None,
-        known: Mapping[str, Mapping[str, str]] | None = None,
-        linked: Path | None = None,
-    ) -> None:
-        self._disk = disk or _Disk(known or {}, str(linked or ""))
+    def __init__(self, known: Mapping[str, Mapping[str, str]] | None = None, linked: Path | None = None) -> None:
+        self._disk = _Disk(known or {}, str(linked or ""))
         self._files: dict[str, dict[str, Content]] = {}
         """Planned content by folder and name."""
         self._folders: dict[str, set[str]] = {}
         """Names of planned folders, by the folder around them."""
-        self._add((overlay or {}).items())
 
     def overlaid(self, changes: Iterable[tuple[Path | str, Content]]) -> Tree:
-        """Return this view with more planned changes."""
-        tree = Tree(disk=self._disk)
-        tree._files, tree._folders = dict(self._files), dict(self._folders)
+        """Return this view with more planned content, which hides the disk; None for a file that will be removed."""
+        tree = Tree()
+        tree._disk, tree._files, tree._folders = self._disk, dict(self._files), dict(self._folders)
         tree._add(changes)
         return tree
 
@@ -269,14 +250,9 @@ class Tree:
         return self._disk.digest(path)
 
     @property
-    def known(self) -> Mapping[str, Mapping[str, str]]:
-        """The digests of files that need not be read for them, by folder and name."""
-        return self._disk.known
-
-    @property
-    def digests(self) -> Mapping[str, Mapping[str, str]]:
-        """The digests of files on the disk that were asked for, by folder and name."""
-        return self._disk.digests
+    def digests(self) -> tuple[Mapping[str, Mapping[str, str]], ...]:
+        """The digests of files that need not be read for them, and of those that were asked for, by folder and name."""
+        return self._disk.known, self._disk.digests
 
     def try_read(self, path: Path | str) -> bytes | None:
         """Return a file's bytes, or None if there is none or it cannot be read."""
@@ -294,7 +270,7 @@ class Tree:
 
     def follows(self, path: Path | str) -> str:
         """Return the file that a symbolic link leads to, if :meth:`read` follows it; else an empty text."""
-        return self._disk.follows(str(path))
+        return linked_file(str(path), self._disk.linked)
 
     def hold(self, folder: Path, *, suffix: str = "") -> None:
         """Read everything below a folder into memory, so that the disk is not accessed again.

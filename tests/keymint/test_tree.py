@@ -57,7 +57,7 @@ def test_the_overlay_hides_the_disk(tmp_path: Path) -> None:
     (tmp_path / "changed").write_bytes(b"old")
     (tmp_path / "gone").write_bytes(b"old")
     planned = {tmp_path / "changed": b"new", tmp_path / "gone": None, tmp_path / "a" / "b" / "made": b"new"}
-    tree = Tree(planned)
+    tree = Tree().overlaid(planned.items())
     assert tree.names(tmp_path) == [("a", True), ("changed", False), ("kept", False)]
     assert tree.names(tmp_path / "a") == [("b", True)]
     assert tree.files(tmp_path) == {"kept": b"old", "changed": b"new"}
@@ -98,7 +98,7 @@ def test_the_overlay_alone_is_read_as_a_disk_with_its_files_would_be(planned: di
     files = {path: content for path, content in planned.items() if content is not None}
     if any(other.startswith(f"{path}/") for path in planned for other in planned):
         return  # a path cannot be a file and a folder
-    tree = Tree({root / path: content for path, content in planned.items()})
+    tree = Tree().overlaid((root / path, content) for path, content in planned.items())
     assert tree.files(root, depth=8) == files
 
 

@@ -104,8 +104,8 @@ def test_packages_are_nested_and_ignored_folders_are_not_searched(tmp_path: Path
 
 def test_packages_that_are_planned_are_seen(tmp_path: Path) -> None:
     make(tmp_path, "a/keymint_package.xml")
-    planned = Tree({tmp_path / "b" / "c" / "keymint_package.xml": b"", tmp_path / "a" / "keymint_package.xml": None})
-    assert packages(planned, tmp_path) == ("b/c",)
+    planned = {tmp_path / "b" / "c" / "keymint_package.xml": b"", tmp_path / "a" / "keymint_package.xml": None}
+    assert packages(Tree().overlaid(planned.items()), tmp_path) == ("b/c",)
 
 
 @pytest.mark.parametrize("folder", ["1st", "a-b", "a b", "talker.bak", "ä"])
