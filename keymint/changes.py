@@ -51,9 +51,9 @@ class FolderChange:
     held: Mapping[str, HeldFile] = field(default_factory=dict)
 
     @property
-    def written(self) -> tuple[str, ...]:
-        """The names of the files that are written."""
-        return (*self.files, *self.held)
+    def written(self) -> Mapping[str, File | HeldFile]:
+        """The files that are written, by whichever process, by name."""
+        return {**self.files, **self.held}
 
     def held_elsewhere(self) -> FolderChange:
         """Return this change without the content of its files, for a process that does not write them."""
@@ -145,30 +145,19 @@ class Plan:
         """Return this plan with further diagnostics."""
         return replace(self, diagnostics=(*self.diagnostics, *diagnostics))
 
-    def kept(self) -> frozenset[str]:
-        """Return the packages that are left as they are, although they should be something else."""
-        return frozenset(step.package for step in self.steps if step.action is Action.KEPT)
-
-    def withdrawn(self) -> frozenset[str]:
-        """Return the packages that are removed."""
-        return frozenset(step.package for step in self.steps if step.action is Action.REMOVED)
+    def of_action(self, *actions: Action) -> frozenset[str]:
+        """Return the packages with a step that has one of some actions."""
+        return frozenset(step.package for step in self.steps if step.action in actions)
 
     def changes(self) -> Iterator[FolderChange]:
         """Yield all changes, in order."""
         return itertools.chain(self.first, (change for step in self.steps for change in step.changes))
 
-    def overlay(self, below: str = "") -> list[tuple[str, Content]]:
-        """Return the planned content by path, for the stages that plan on top of this one.
-
-        Args:
-            below: if given, a folder with a slash at its end; only the content of it and of its subfolders is returned.
-        """
+    def overlay(self) -> list[tuple[str, Content]]:
+        """Return the planned content by path, for the stages that plan on top of this one."""
         changed: list[tuple[str, Content]] = []
         for change in self.changes():
-            if below and not f"{change.folder}/".startswith(below):
-                continue
-            changed += [(f"{change.folder}/{name}", file) for name, file in change.files.items()]
-            changed += [(f"{change.folder}/{name}", file) for name, file in change.held.items()]
+            changed += [(f"{change.folder}/{name}", file) for name, file in change.written.items()]
             changed += [(f"{change.folder}/{name}", None) for name in change.removed]
         return changed
 

@@ -111,5 +111,4 @@ def _staged(plan: Plan, store: Store, workers: Workers) -> list[Staged]:
 def _public(plan: Plan) -> Iterator[str]:
     """Yield the digests of the public files that a plan writes."""
     for change in plan.changes():
-        yield from (file.digest for file in change.files.values() if not file.secret)
-        yield from (file.digest for file in change.held.values() if not file.secret)
+        yield from (file.digest for file in change.written.values() if not file.secret)

@@ -83,9 +83,8 @@ def _written_by(changes: Iterable[FolderChange]) -> tuple[dict[str, dict[str, st
     for change in changes:
         folder = str(change.folder)
         if change.written:
-            digests = written.setdefault(folder, {})
-            digests.update((name, file.digest) for name, file in change.files.items())
-            digests.update((name, file.digest) for name, file in change.held.items())
+            digests = {name: file.digest for name, file in change.written.items()}
+            written.setdefault(folder, {}).update(digests)
         if change.removed:
             removed.setdefault(folder, set()).update(change.removed)
     return written, removed

@@ -9,7 +9,7 @@ from functools import partial
 
 from comarmor.errors import Diagnostic, Severity
 from keymint.api import LoadedPolicy, Proof
-from keymint.changes import Plan
+from keymint.changes import Action, Plan
 from keymint.commands.proof_diagnostics import dated_of, diagnostics_of, effort_of, merged_packages
 from keymint.commands.run import Run
 from keymint.errors import ExitCode, KeymintError
@@ -57,7 +57,7 @@ def proven(
     Raises:
         KeymintError: a claim about an enclave is refuted or unknown; exit code 3.
     """
-    before, session, kept = session, session.after(installed), installed.kept() | installed.withdrawn()
+    before, session, kept = session, session.after(installed), installed.of_action(Action.KEPT, Action.REMOVED)
     # New shared documents decide about enclaves that stay as they are, too.
     names = [name for name in sorted({*names, *affected(before, session)}) if name not in kept]
     stage = proof(session)

@@ -34,7 +34,7 @@ def test_a_plan_writes_if_any_step_changes_a_file(tmp_path: Path) -> None:
     removing = Step("build", "b", Action.REMOVED, (FolderChange(tmp_path, removed=("x",)),))
     assert not Plan((idle,), State()).writes()
     assert Plan((idle, removing), State()).writes()
-    assert Plan((idle, removing), State()).kept() == {"a"}
+    assert Plan((idle, removing), State()).of_action(Action.KEPT) == {"a"}
 
 
 def test_a_secret_is_not_shown() -> None:
