@@ -7,11 +7,13 @@ Everything here works on names in a folder that is already open, so no symbolic 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import errno
+import functools
 import itertools
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NoReturn
 
@@ -27,6 +29,16 @@ NEW_FILE = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 MAX_COMPONENT = 255
 """Bytes that common file systems allow in one component of a path."""
 _serial = itertools.count()
+
+
+@functools.cache
+def c_function(name: str) -> Callable[..., int] | None:
+    """Return a function of the C library that Python lacks, or None if the library lacks it, too."""
+    try:
+        found: Callable[..., int] = getattr(ctypes.CDLL(None, use_errno=True), name)
+    except (OSError, AttributeError):
+        return None
+    return found
 
 
 def temporary(suffix: str = SUFFIX) -> str:

@@ -104,8 +104,7 @@ def stage(old: int, new_parent: int, name: str, shown: str, content: FolderConte
             give(new, (status.st_uid, status.st_gid))
             _copy_attributes(old, new)
             carried = _carry(old, new, shown, content)
-            for file in content.files:
-                changed = content.files[file]
+            for file, changed in content.files.items():
                 replaced = require_regular(old, shown, file, or_link=changed.replaces_link) or status
                 create(new, shown, file, changed, (replaced.st_uid, replaced.st_gid))
             _add_folders(new, shown, content, staged=carried.folders)
@@ -164,8 +163,8 @@ def add(parent: int, name: str, shown: str, content: FolderContent) -> None:
     with reported(shown):
         os.mkdir(name, 0o700, dir_fd=parent)
         with opened_folder(name, parent) as new:
-            for file in content.files:
-                create(new, shown, file, content.files[file])
+            for name_inside, file in content.files.items():
+                create(new, shown, name_inside, file)
             _add_folders(new, shown, content)
             os.fchmod(new, 0o700 if content.private else content.mode)
 

@@ -12,12 +12,10 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import errno
-import functools
 import os
 import shutil
-from collections.abc import Callable
 
-from keymint.file_writing import PREFIX, opened_folder, temporary
+from keymint.file_writing import PREFIX, c_function, opened_folder, temporary
 
 WAITING = ".next"
 """Suffix of the folder in which a complete new folder waits."""
@@ -26,24 +24,13 @@ _UNABLE = {errno.EINVAL, errno.ENOSYS, errno.EXDEV, errno.EOPNOTSUPP, errno.EPER
 """Errors of a system that cannot exchange names; a filter of system calls refuses unknown ones with EPERM."""
 
 
-@functools.cache
-def _renameat2() -> Callable[..., int] | None:
-    """Return the function of the C library, or None if it has none."""
-    try:
-        function = ctypes.CDLL(None, use_errno=True).renameat2
-    except (OSError, AttributeError):
-        return None
-    function.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_uint)
-    return function
-
-
 def exchange(parent: int, one: str, other: str) -> None:
     """Exchange two names in an open folder in one step.
 
     Raises:
         OSError: the system refuses; nothing changed.
     """
-    function = _renameat2()
+    function = c_function("renameat2")
     if function is None:
         raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
     if function(parent, os.fsencode(one), parent, os.fsencode(other), _EXCHANGE):
@@ -70,10 +57,8 @@ def swap_in(parent: int, staged: str, name: str) -> str | None:
     except OSError as error:
         if error.errno not in _UNABLE:
             raise
-        old = _replace(parent, staged, name)
-    else:
-        old = staged
-    return old
+        return _replace(parent, staged, name)
+    return staged
 
 
 def _replace(parent: int, staged: str, name: str) -> str | None:

@@ -208,7 +208,7 @@ def _sync(exchanges: Iterable[Exchange], folders: OpenFolders, size: int, *, sta
         of_folder.setdefault(exchange.folder, []).append(exchange)
     done: dict[int, bool] = {}
     """File systems by their number, with whether they were synchronised."""
-    singly: list[str] = []
+    synced: set[str] = set()
     for folder, changing in of_folder.items():
         with reported(folder):
             opened = folders.open(folder)
@@ -217,10 +217,9 @@ def _sync(exchanges: Iterable[Exchange], folders: OpenFolders, size: int, *, sta
                 done[device] = size > FEW and sync_file_system(opened)
             if done[device]:
                 continue
-            singly.append(folder)
-            for exchange in changing if staged else ():
+            if not staged:
+                folders.sync(folder, synced)
+                continue
+            for exchange in changing:
                 if exchange.staged is not None:
                     sync_tree(opened, exchange.staged)
-    synced: set[str] = set()
-    for folder in () if staged else singly:
-        folders.sync(folder, synced)

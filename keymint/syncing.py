@@ -16,7 +16,7 @@ import os
 import re
 from collections.abc import Callable
 
-from keymint.file_writing import FOLDER
+from keymint.file_writing import FOLDER, c_function
 from keymint.folder_staging import mount_of
 
 FEW = 64
@@ -32,12 +32,7 @@ def _syncfs() -> Callable[[int], int] | None:
     release = re.match(r"(\d+)\.(\d+)", os.uname().release)
     if os.uname().sysname != "Linux" or release is None or tuple(map(int, release.groups())) < _SINCE:
         return None
-    try:
-        function = ctypes.CDLL(None, use_errno=True).syncfs
-    except (OSError, AttributeError):
-        return None
-    function.argtypes = (ctypes.c_int,)
-    return function
+    return c_function("syncfs")
 
 
 def sync_file_system(opened: int) -> bool:
