@@ -11,8 +11,8 @@ import signal
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from datetime import UTC, datetime
 from pathlib import Path
 from types import MappingProxyType
@@ -110,20 +110,10 @@ def cli() -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     given = sys.argv[1:] if arguments is None else arguments
-    with _standard_streams() as streams:
-        return _run(given, *streams)
-
-
-@contextmanager
-def _standard_streams() -> Iterator[tuple[Output, Output]]:
-    """Replace the standard streams by streams that report failures; libraries that print use them too."""
-    before = sys.stdout, sys.stderr
-    streams = Output(sys.stdout), Output(sys.stderr, required=False)
-    sys.stdout, sys.stderr = (cast("TextIO", stream) for stream in streams)
-    try:
-        yield streams
-    finally:
-        sys.stdout, sys.stderr = before
+    out, err = Output(sys.stdout), Output(sys.stderr, required=False)
+    # Libraries that print use these streams, which report failures, too.
+    with redirect_stdout(cast("TextIO", out)), redirect_stderr(cast("TextIO", err)):
+        return _run(given, out, err)
 
 
 def _run(given: Sequence[str], out: Output, err: Output) -> int:
