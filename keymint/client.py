@@ -200,8 +200,12 @@ class Client:
         """Return the policy, which is loaded again if one of its files changed."""
         known, policy = self._policy
         fingerprint = session.policy_type.fingerprint
-        changed = policy is None or any(fingerprint(path) != value for path, value in policy.seen.items())
-        if policy is None or changed or known != locations_digest(session):
+        locations = locations_digest(session)
+        if (
+            policy is None
+            or known != locations
+            or any(fingerprint(path) != value for path, value in policy.seen.items())
+        ):
             policy = load_policy(session)
-            self._policy = locations_digest(session), policy
+            self._policy = locations, policy
         return policy

@@ -12,6 +12,7 @@ A column ``partition`` is optional. In a graph every edge counts once.
 from __future__ import annotations
 
 import csv
+from collections import Counter
 from collections.abc import Iterator, Sequence
 
 from comarmor.errors import Diagnostic, Origin
@@ -42,7 +43,7 @@ def load_hints(content: bytes, name: str) -> tuple[Hint, ...]:
     if graph_json.recognises(content):
         return tuple(Hint(edge, 1) for edge in graph_json.load(content, name).edges)
     rows = csv.reader(graph_json.decoded(content, name, _INVALID).splitlines(), strict=True)
-    counts: dict[Edge, int] = {}
+    counts: Counter[Edge] = Counter()
     problems: list[Diagnostic] = []
     try:
         columns = _columns(next(rows, []), name)
@@ -53,7 +54,7 @@ def load_hints(content: bytes, name: str) -> tuple[Hint, ...]:
                 except KeymintError as error:
                     problems += error.diagnostics
                 else:
-                    counts[edge] = counts.get(edge, 0) + times
+                    counts[edge] += times
     except csv.Error as error:
         raise _error(name, rows.line_num, f"not CSV: {error}") from None
     if problems:

@@ -7,6 +7,7 @@ A subject is a fully qualified ROS name (:mod:`comarmor.ros_names`). No name bec
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import accumulate
 
 from comarmor.ros_names import is_segment
 from comarmor.text import quoted
@@ -88,9 +89,7 @@ def refuse_case_collisions(names: Iterable[str]) -> None:
     """
     seen: dict[str, str] = {}
     for name in sorted(set(names)):
-        parts = name.split("/")
-        for end in range(1, len(parts) + 1):
-            prefix = "/".join(parts[:end])
+        for prefix in accumulate(name.split("/"), "{}/{}".format):
             other = seen.setdefault(prefix.casefold(), prefix)
             if other != prefix:
                 raise KeymintError(

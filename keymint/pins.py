@@ -50,11 +50,11 @@ class Pins:
         """
         if file:
             return _from_file(file, where)
-        pin = self.environment.get(variable or VARIABLE, "")
+        variable = variable or VARIABLE
+        pin = self.environment.get(variable, "")
         if not pin and self.ask is not None:
             pin = self.ask(f"PIN of the token {token}: ")
         if not pin:
-            variable = variable or VARIABLE
             raise KeymintError(
                 f"the environment variable {variable}, which holds the PIN of the token {token}, is not set",
                 where=where,

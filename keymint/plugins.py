@@ -183,12 +183,7 @@ class Plugins:
     @functools.cached_property
     def infos(self) -> tuple[PluginInfo, ...]:
         """Metadata of all plugins, sorted by group and name, including duplicates."""
-        return tuple(
-            entry
-            for group in GROUPS
-            for name in sorted(self._entries.get(group, {}))
-            for entry in self._entries[group][name]
-        )
+        return tuple(entry for group in GROUPS for name in self.names(group) for entry in self._entries[group][name])
 
     @functools.cached_property
     def versions(self) -> str:
@@ -246,8 +241,7 @@ class Plugins:
 
     def transports_of(self, build_type: str) -> Sequence[str]:
         """Return the names of the transports that read what a build type builds, sorted."""
-        names = sorted(self._entries.get("keymint.transports", {}))
-        return [name for name in names if self.read_by(name) == build_type]
+        return [name for name in self.names("keymint.transports") if self.read_by(name) == build_type]
 
     def graph_source(self, name: str, where: Origin | None = None) -> GraphSource:
         """Return the graph source of this name; see :meth:`load`."""

@@ -112,11 +112,8 @@ def _shared_row(session: Session, build_type: str, names: Sequence[str], chains:
     except KeymintError as error:  # a file that is no file, or too large
         return SharedRow(build_type, (), "source", "", str(error.diagnostics[0]))
     stage = "source" if built is None else "installed" if there else "built"
-    stale = ""
-    if built is None or not is_current(session, build_type, names):
-        stale = "build"
-    elif not current:
-        stale = "install"
+    is_stale = built is None or not is_current(session, build_type, names)
+    stale = "build" if is_stale else "" if current else "install"
     return SharedRow(build_type, tuple(built or ()), stage, stale)
 
 

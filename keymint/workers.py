@@ -99,10 +99,7 @@ class Workers:
         """
         if not self._pipes:
             return [stage.package(name) for name in names]
-        planned: list[_T] = []
-        for pipe in self._pipes:
-            planned += _answer(pipe)
-        return planned
+        return [each for pipe in self._pipes for each in _answer(pipe)]
 
     def stage(self, store: Store) -> list[Staged]:
         """Let the processes stage what they planned, and return it in the order of stages.

@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
+from itertools import permutations
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
@@ -62,15 +63,14 @@ class Workspace:
         """
         root = root.resolve()
         paths = {space: (root / spaces[space]).resolve() if space in spaces else root / space for space in SPACES}
-        for one, path in paths.items():
-            for other, outer in paths.items():
-                if one != other and path.is_relative_to(outer):
-                    raise KeymintError(
-                        f"the {one} space {path} is inside the {other} space {outer}",
-                        help="give each space a folder of its own",
-                        code="space-overlap",
-                        exit_code=ExitCode.USAGE,
-                    )
+        for (one, path), (other, outer) in permutations(paths.items(), 2):
+            if path.is_relative_to(outer):
+                raise KeymintError(
+                    f"the {one} space {path} is inside the {other} space {outer}",
+                    help="give each space a folder of its own",
+                    code="space-overlap",
+                    exit_code=ExitCode.USAGE,
+                )
         return cls(root=root, shown_from=shown_from, **paths)
 
     @property
@@ -80,7 +80,7 @@ class Workspace:
 
     def spaces(self) -> tuple[Path, ...]:
         """Return the folders of all spaces, and of a second keystore if there is one."""
-        spaces = (self.profile, self.private, self.public, self.src, self.build, self.install)
+        spaces = tuple(getattr(self, space) for space in SPACES)
         return (*spaces, self.next_install) if self.next_install.is_dir() else spaces
 
     @property

@@ -8,6 +8,7 @@ results, but not as exceptions, types and messages (measured with Dask 2026.8), 
 from __future__ import annotations
 
 import contextlib
+import functools
 import ipaddress
 import pickle
 import socket
@@ -216,21 +217,23 @@ class RefusedPickleError(pickle.UnpicklingError, TypeError):
 
 
 _guarded = threading.Event()
-_hooked: list[bool] = []
-"""Not empty: Python calls the hook already; it cannot be removed."""
 
 
 @contextlib.contextmanager
 def _no_pickles() -> Iterator[None]:
     """Refuse pickles that name classes or functions, in all threads but this one: those of Dask."""
-    if not _hooked:
-        sys.addaudithook(_refuse)
-        _hooked.append(True)
+    _hook()
     _guarded.set()
     try:
         yield
     finally:
         _guarded.clear()
+
+
+@functools.cache
+def _hook() -> None:
+    """Let Python ask before it unpickles a class or function; this cannot be undone, so it is done once."""
+    sys.addaudithook(_refuse)
 
 
 def _refuse(event: str, arguments: tuple[Any, ...]) -> None:

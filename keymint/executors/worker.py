@@ -85,8 +85,8 @@ def carry_out(content: bytes) -> bytes:
     try:
         installed, now, inner = pickle.loads(content)  # noqa: S301 - from the user, whom a worker trusts
         plugins = _plugins(now)
-        if versions(plugins) != installed:
-            return REFUSED + answers.dump(Refusal(versions=versions(plugins)))
+        if (here := versions(plugins)) != installed:
+            return REFUSED + answers.dump(Refusal(versions=here))
         work, task = pickle.loads(inner)  # noqa: S301 - the same
         return DONE + answers.dump(work(plugins, task))
     except KeymintError as error:
