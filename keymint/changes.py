@@ -153,10 +153,16 @@ class Plan:
         """Yield all changes, in order."""
         return itertools.chain(self.first, (change for step in self.steps for change in step.changes))
 
-    def overlay(self) -> list[tuple[str, Content]]:
-        """Return the planned content by path, for the stages that plan on top of this one."""
+    def overlay(self, below: str = "") -> list[tuple[str, Content]]:
+        """Return the planned content by path, for the stages that plan on top of this one.
+
+        Args:
+            below: if given, a folder with a slash at its end; only the content of it and of its subfolders is returned.
+        """
         changed: list[tuple[str, Content]] = []
         for change in self.changes():
+            if below and not f"{change.folder}/".startswith(below):
+                continue
             changed += [(f"{change.folder}/{name}", file) for name, file in change.written.items()]
             changed += [(f"{change.folder}/{name}", None) for name in change.removed]
         return changed

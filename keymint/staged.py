@@ -74,6 +74,7 @@ class Staging:
         self._trees: dict[str, FolderContent] = {}
         self._kept: list[tuple[int, str, FolderChange, bool]] = []
         """Changes in folders that are never replaced, each with its number, folder, and whether that is private."""
+        self._checked: set[str] = set()
         self._exchanges: list[Exchange] = []
 
     def stage(self, changes: Iterable[FolderChange]) -> Staged:
@@ -105,7 +106,7 @@ class Staging:
     def _add(self, order: int, change: FolderChange) -> None:
         folder = str(change.folder)
         for name in (*change.files, *change.removed):
-            check_component(name, folder)
+            self._check(name, folder)
         if not change.files and not change.removed:
             return
         root = self._roots.of(folder)
@@ -118,7 +119,7 @@ class Staging:
         for part in folder[len(root) + 1 :].split("/"):
             inner = content.folders.get(part)
             if inner is None:
-                check_component(part, folder)
+                self._check(part, folder)
                 inner = content.folders[part] = FolderContent(mode=0o700 if closed else 0o755, order=order)
             content = inner
         content.own = order
@@ -128,6 +129,11 @@ class Staging:
             content.files.pop(name, None)
         content.removed.update(change.removed)
         content.private = content.private or private
+
+    def _check(self, name: str, folder: str) -> None:
+        if name not in self._checked:
+            check_component(name, folder)
+            self._checked.add(name)
 
     # -- how it is staged ----------------------------------------------------------------------------------------
 

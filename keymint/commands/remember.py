@@ -37,7 +37,7 @@ def remember(
     expected = next_report(plan, report)
     if expected is None or not is_recordable(call, str(inputs.workspace.root)):
         return
-    session = inputs.after(plan).session()
+    session = _session_after(inputs, plan)
     seen = recorded_files(session)
     if seen is None:
         return
@@ -45,6 +45,13 @@ def remember(
     content = record(call, str(inputs.workspace.root), sight, seen, _dates(session), answer)
     if content is not None:
         store.write(inputs.workspace.state, {name_of(call): File(content)})
+
+
+def _session_after(inputs: Inputs, plan: Plan) -> Session:
+    """Return profile, authorities and record as they are after a plan; the enclaves of a fleet would take memory."""
+    workspace = inputs.workspace
+    changed = [item for space in (workspace.profile, workspace.public) for item in plan.overlay(f"{space}/")]
+    return replace(inputs, tree=inputs.tree.overlaid(changed), state=plan.state).session()
 
 
 def _dates(session: Session) -> Iterator[datetime]:
