@@ -27,6 +27,7 @@ from .policies import (
     rule,
     separate_rules,
 )
+from .probe_commands import close
 from .provisioning import enclave
 from .test_install_space import POLICY
 
@@ -143,4 +144,4 @@ def test_a_provisioned_keystore(provisioned: Callable[[str | Path], Path], vendo
                 done = all(opened.allows(each.direction, each.topic) for each in needed)
                 said = loaded.decide(subject, kind, permission, name).allowed
                 assert done is said, (subject, permission, name)
-            opened.close()
+            close(opened)
