@@ -6,7 +6,6 @@ Stages plan against this view, so that one run can plan all of them before its f
 
 from __future__ import annotations
 
-import contextlib
 import os
 import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -97,19 +96,25 @@ class _Disk:
 
     def hold(self, folder: str, suffix: str) -> None:
         """Read everything below a folder, so that the disk is not accessed again."""
-        self.status(folder)
+        self._statuses[folder] = lstat(folder)
         waiting = [folder]
         while waiting:
             inner = waiting.pop()
-            with contextlib.suppress(KeymintError):
-                for name, is_folder in self.entries(inner).items():
-                    path = f"{inner}/{name}"
-                    self.status(path)
-                    if is_folder:
-                        waiting += [path] if name != ".git" else []
-                    elif name.endswith(suffix):
-                        with contextlib.suppress(KeymintError):
-                            self.read(path)
+            try:
+                entries = self._entries[inner] = self._scan(inner)
+            except KeymintError as error:
+                self._entries[inner] = error
+                continue
+            for name, is_folder in entries.items():
+                path = f"{inner}/{name}"
+                self._statuses[path] = self._status(path)
+                if is_folder:
+                    waiting += [path] if name != ".git" else []
+                elif name.endswith(suffix):
+                    try:
+                        self._contents[path] = self._file(path)
+                    except KeymintError as error:
+                        self._contents[path] = error
         self._held = (*self._held, f"{folder}/")
 
     def _is_absent(self, path: str) -> bool:
