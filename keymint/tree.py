@@ -39,6 +39,8 @@ class _Disk:
         self._contents: dict[str, bytes | KeymintError | None] = {}
         self._entries: dict[str, dict[str, bool] | KeymintError] = {}
         self._statuses: dict[str, os.stat_result | None] = {}
+        self._links: set[str] = set()
+        """Symbolic links among the paths whose status is known."""
         self._held: tuple[str, ...] = ()
         """Folders that were read completely, with a slash."""
 
@@ -92,7 +94,13 @@ class _Disk:
         found = lstat(path)
         if found is None or not stat.S_ISLNK(found.st_mode):
             return found
+        self._links.add(path)
         return lstat(linked_file(path, self.linked) or path)
+
+    def follows(self, path: str) -> str:
+        if path in self._statuses and path not in self._links:
+            return ""
+        return linked_file(path, self.linked)
 
     def hold(self, folder: str, suffix: str) -> None:
         """Read everything below a folder, so that the disk is not accessed again."""
@@ -275,7 +283,7 @@ class Tree:
 
     def follows(self, path: Path | str) -> str:
         """Return the file that a symbolic link leads to, if :meth:`read` follows it; else an empty text."""
-        return linked_file(str(path), self._disk.linked)
+        return self._disk.follows(str(path))
 
     def hold(self, folder: Path, *, suffix: str = "") -> None:
         """Read everything below a folder into memory, so that the disk is not accessed again.

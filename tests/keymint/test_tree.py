@@ -163,3 +163,14 @@ def test_what_cannot_be_held_is_reported_when_it_is_asked_for(tmp_path: Path, mo
     for _ in range(2):
         with pytest.raises(KeymintError, match="has 11 bytes, 10 are the most"):
             tree.read(tmp_path / "large.xml")
+
+
+def test_a_held_file_that_becomes_a_link_is_still_a_file(tmp_path: Path) -> None:
+    (tmp_path / "public.pem").write_bytes(b"public")
+    (tmp_path / "own.pem").write_bytes(b"own")
+    tree = Tree(linked=tmp_path)
+    tree.hold(tmp_path)
+    (tmp_path / "own.pem").unlink()
+    (tmp_path / "own.pem").symlink_to("public.pem")
+    assert (tree.follows(tmp_path / "own.pem"), tree.read(tmp_path / "own.pem")) == ("", b"own")
+    assert Tree(linked=tmp_path).follows(tmp_path / "own.pem") == str(tmp_path / "public.pem")
