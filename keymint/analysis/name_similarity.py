@@ -19,13 +19,13 @@ from keymint.analysis.findings import undecided
 from keymint.api import PolicyStructure
 from keymint.ir import Rule
 
-_PEERS = {
-    "publish": "subscribe",
-    "ros_publish": "ros_subscribe",
-    "ros_call": "ros_execute",
-    "ros_request": "ros_operate",
-}
-_PEERS |= {other: permission for permission, other in _PEERS.items()}
+_PAIRS = (
+    ("publish", "subscribe"),
+    ("ros_publish", "ros_subscribe"),
+    ("ros_call", "ros_execute"),
+    ("ros_request", "ros_operate"),
+)
+_PEERS = {one: other for pair in _PAIRS for one, other in (pair, pair[::-1])}
 """The permission of the peer, by permission."""
 _MOST_EDITS = 2
 _SHORTEST = 4

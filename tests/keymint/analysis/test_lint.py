@@ -135,6 +135,13 @@ def test_attachments_that_expand_equally_for_one_subject_are_distinguished(tmp_p
     ]
 
 
+def test_of_names_that_are_similar_twice_the_topic_is_reported(tmp_path: Path) -> None:
+    writer = (rule(*PUB, "/cam/images"), rule("ros_service", "ros_call", "/cam/images"))
+    readers = rule("ros_topic", "ros_subscribe", "/cam/image", "/cam/imagesxy")
+    policy = profile("/a", *writer), profile("/b", readers, rule("ros_service", "ros_execute", "/cam/imagesxy"))
+    assert found(tmp_path, *policy) == [("name-similar", 3), ("name-similar", 7)]
+
+
 def test_similar_subjects(tmp_path: Path) -> None:
     often = profile("/amr1/nav") + profile("/amr1/nav").replace('"/amr1/nav"', '"more"')
     copied = ("profile-copied", 4)
