@@ -34,7 +34,8 @@ def grant_periods(document: PermissionsDocument, subject_name: str, semantics: S
         at = next((n for n, (_, (first, last)) in enumerate(periods) if first <= begin <= last), None)
         if at is not None and at not in known:
             known.add(at)
-            yield GrantPeriod(periods[at][0], begin, end - _SECOND)
+            grant, (_, last) = periods[at]
+            yield GrantPeriod(grant, begin, last if end == following(last) else end - _SECOND)
 
 
 def following(moment: datetime) -> datetime:

@@ -55,3 +55,11 @@ def test_at_the_ends_of_a_period_its_grant_decides(variation: Variation, days: l
 
 def test_a_grant_of_another_subject_has_no_period() -> None:
     assert list(grant_periods(read(grants((0, 3), subject="CN=/other")), SUBJECT, OMG.semantics)) == []
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_period_without_an_end_keeps_its_last_second(number: int) -> None:
+    dates = "2026-01-01T00:00:00", "9999-12-31T23:59:59"
+    loaded = read(document(*[grant(rule("allow", criteria("publish", "t")), validity=dates)] * number))
+    (period,) = grant_periods(loaded, SUBJECT, OMG.semantics)
+    assert (period.begin, period.end) == (FIRST, datetime(9999, 12, 31, 23, 59, 59, tzinfo=UTC))
