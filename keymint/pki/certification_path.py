@@ -45,17 +45,19 @@ def verify_chain(
         ``chain-signature``, ``chain-not-authority``, ``chain-path-length``, ``chain-key-usage``,
         ``chain-critical-extension``, ``certificate-expired`` and ``certificate-not-yet-valid``.
     """
+    path: list[x509.Certificate] = []
+    problems: list[_Problem] = []
+    unread: Sequence[Diagnostic] = ()
     try:
-        certificate = certificates.load(certificate_pem, where)
-        bundle = certificates.load_bundle(ca_pem_bundle, where)
+        path.append(certificates.load(certificate_pem, where))
+        path, problem = _path(path[0], certificates.load_bundle(ca_pem_bundle, where))
+        problems += [problem] if problem else []
     except KeymintError as error:
-        return list(error.diagnostics)
-    path, problem = _path(certificate, bundle)
-    problems = [problem] if problem else []
+        unread = error.diagnostics  # the certificate, or its authorities: then it is checked alone
     for depth, link in enumerate(path):
         problems += [] if at is None else _time(link, at)
         problems += [*_critical(link), *(_authority(link, path[1:depth]) if depth else ())]
-    return [Diagnostic.error(code, message, where, help_) for code, message, help_ in problems]
+    return [*unread, *(Diagnostic.error(code, message, where, help_) for code, message, help_ in problems)]
 
 
 _Problem = tuple[str, str, str]

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import base64
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 import pytest
 from cryptography import x509
@@ -151,6 +151,15 @@ def test_what_is_no_certificate_is_a_finding(authority: certificates.Issuer, pem
     assert _codes(pem, authority) == ["certificate-invalid"]
     assert [each.code for each in verify_chain(certificates.to_pem(authority.certificate), pem, NOW)] == [
         "certificate-invalid"
+    ]
+
+
+@pytest.mark.parametrize("pem", [b"", b"junk"])
+def test_without_authorities_the_certificate_is_checked_alone(authority: certificates.Issuer, pem: bytes) -> None:
+    late = authority.certificate.not_valid_after_utc + timedelta(days=1)
+    assert [each.code for each in verify_chain(certificates.to_pem(authority.certificate), pem, late)] == [
+        "certificate-invalid",
+        "certificate-expired",
     ]
 
 

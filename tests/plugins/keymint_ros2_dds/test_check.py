@@ -145,6 +145,13 @@ def test_expiry_of_the_certificate(files):
     assert codes(files, now=VALIDITY.not_before + timedelta(hours=1)) == ["grant-slack"]
 
 
+def test_an_authority_that_is_missing_hides_no_expiry(files):
+    chains = {"identity": b"", "permissions": authority("permissions_ca").pem}
+    late = VALIDITY.not_after + timedelta(days=1)
+    assert {"certificate-expired", "certificate-invalid"} <= set(codes(files, chains=chains, now=late))
+    assert "certificate-expired" not in codes(files, chains=chains)
+
+
 def test_an_authority_that_expired_hides_nothing_else(files):
     long_after = VALIDITY.not_after + timedelta(days=36_500)
     drifted = package(CHATTER, rule("ALLOW", "ros_topic", "ros_publish", "/new"))
