@@ -14,12 +14,7 @@ from comarmor.errors import Origin
 from keymint_ros2_dds.decision import fnmatch
 from keymint_ros2_dds.decision.evaluator import DecisionOutcome, DocumentEvaluator, EndpointDecision
 from keymint_ros2_dds.decision.semantics import Semantics
-from keymint_ros2_dds.reading.signed_governance import (
-    ACCESS,
-    DocumentDomainRule,
-    DocumentTopicRule,
-    GovernanceDocument,
-)
+from keymint_ros2_dds.reading.signed_governance import ACCESS, DocumentDomainRule, DocumentTopicRule, GovernanceDocument
 
 
 class DomainAccess:

@@ -21,11 +21,7 @@ from keymint_ros2_dds.decision import fnmatch, subject_names
 from keymint_ros2_dds.reading import dates
 from keymint_ros2_dds.reading.quirks import BLANKS, CRASHES, REFUSES, UNMODELLED, Quirk, VendorReading
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
-from keymint_ros2_dds.reading.signed_permissions import (
-    DocumentGrant,
-    DocumentRule,
-    PermissionsDocument,
-)
+from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, DocumentRule, PermissionsDocument
 
 
 def trimmed(text: str) -> str:

@@ -7,10 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
 
-from comarmor.patterns.decision_lists import (
-    Unknown,
-    Witness,
-)
+from comarmor.patterns.decision_lists import Unknown, Witness
 from comarmor.patterns.tokens import PatternError
 from keymint.api import Claim, DomainRange, Proof
 from keymint_ros2_dds.decision import VARIATIONS

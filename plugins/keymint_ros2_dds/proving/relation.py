@@ -13,12 +13,7 @@ from itertools import product
 from comarmor.patterns.decision_lists import DecisionList, Unknown, Witness
 from comarmor.patterns.proofs import implies
 from comarmor.patterns.tokens import PatternError
-from keymint.api import (
-    ComparisonTask,
-    Counterexample,
-    DocumentComparison,
-    Relation,
-)
+from keymint.api import ComparisonTask, Counterexample, DocumentComparison, Relation
 from keymint.errors import KeymintError
 from keymint_ros2_dds.decision import OMG, read
 from keymint_ros2_dds.lowering.dds_topics import TopicAction

@@ -16,12 +16,7 @@ from keymint_ros2_dds.enclave_layout import reads_revocations
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import enclave_files
 from keymint_ros2_dds.transports.enclave_model import EnclaveModels
-from keymint_ros2_dds.vendors.participants import (
-    ProbeParticipant,
-    RefusedError,
-    System,
-    Vendor,
-)
+from keymint_ros2_dds.vendors.participants import ProbeParticipant, RefusedError, System, Vendor
 
 
 def unsayable(endpoint: Edge) -> str:

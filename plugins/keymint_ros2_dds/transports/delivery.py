@@ -23,13 +23,7 @@ from keymint_ros2_dds.decision import Variation
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import admission
 from keymint_ros2_dds.transports.enclave_model import EnclaveModels
-from keymint_ros2_dds.vendors.participants import (
-    DeniedError,
-    ProbeEndpoint,
-    RefusedError,
-    System,
-    Vendor,
-)
+from keymint_ros2_dds.vendors.participants import DeniedError, ProbeEndpoint, RefusedError, System, Vendor
 
 BATCH = 20
 """Number of edges per pair of processes."""
