@@ -8,7 +8,7 @@ of ``DCPSParticipant``), ``publications`` and ``subscriptions`` (samples of ``DC
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 from lxml import etree
 
@@ -58,19 +58,13 @@ class _AdminConsoleReader:
         return KeymintError(message, where=Origin(self._name, line(element)), help=hint, code="capture")
 
     def capture(self, root: etree._Element) -> Capture:
-        participants: dict[str, DiscoveredParticipant] = {}
+        participants = {each.guid: each for each in map(self._participant, root.iter("participant_data"))}
         endpoints: dict[DiscoveredEndpoint, None] = {}
-        for data in root.iter("participant_data"):
-            participant = self._participant(data)
-            participants[participant.guid] = participant
-        for tag, permission in _ENDPOINTS.items():
-            for data in root.iter(tag):
-                endpoint = self._endpoint(data, permission)
-                if endpoint.participant not in participants:
-                    raise self.error(
-                        data, f"the participant {endpoint.participant} of this endpoint is not in the file"
-                    )
-                endpoints[endpoint] = None
+        for data in (data for tag in _ENDPOINTS for data in root.iter(tag)):
+            endpoint = self._endpoint(data)
+            if endpoint.participant not in participants:
+                raise self.error(data, f"the participant {endpoint.participant} of this endpoint is not in the file")
+            endpoints[endpoint] = None
         if not participants:
             raise self.error(root, "no participant in this file", "export the system from RTI Admin Console")
         return Capture(tuple(participants.values()), tuple(endpoints))
@@ -80,22 +74,18 @@ class _AdminConsoleReader:
         domain = data.findtext("domain_id") or (above.findtext("domain_id") if above is not None else None) or "0"
         if not domain.strip().isdecimal() or int(domain) > MAX_DOMAIN:
             raise self.error(data, f"domain_id is {domain.strip()!r}, expected a DDS domain id from 0 to {MAX_DOMAIN}")
-        name = (data.findtext("participant_name/name") or "").strip()
+        user_data = _octets(_text(data, "user_data/value"))
         return DiscoveredParticipant(
-            self._guid(data, "key"), int(domain), name, _octets(data.findtext("user_data/value"))
+            self._guid(data, "key"), int(domain), _text(data, "participant_name/name"), user_data
         )
 
-    def _endpoint(self, data: etree._Element, permission: str) -> DiscoveredEndpoint:
-        topic = (data.findtext("topic_name") or "").strip()
+    def _endpoint(self, data: etree._Element) -> DiscoveredEndpoint:
+        topic = _text(data, "topic_name")
         if not topic:
             raise self.error(data, f"<{data.tag}> has no <topic_name>")
-        return DiscoveredEndpoint(
-            self._guid(data, "participant_key"),
-            permission,
-            topic,
-            (data.findtext("type_name") or "").strip(),
-            tuple(_partitions(data)),
-        )
+        partitions = tuple((each.text or "").strip() for each in data.iterfind("partition/name/element"))
+        participant, permission = self._guid(data, "participant_key"), _ENDPOINTS[str(data.tag)]
+        return DiscoveredEndpoint(participant, permission, topic, _text(data, "type_name"), partitions)
 
     def _guid(self, data: etree._Element, key: str) -> str:
         """Return a key as 32 digits; it is written as four hexadecimal numbers of 32 bits."""
@@ -109,14 +99,12 @@ class _AdminConsoleReader:
         return "".join(f"{number:08x}" for number in numbers)
 
 
-def _partitions(data: etree._Element) -> Iterator[str]:
-    for element in data.iterfind("partition/name/element"):
-        yield (element.text or "").strip()
+def _text(data: etree._Element, path: str) -> str:
+    return (data.findtext(path) or "").strip()
 
 
-def _octets(text: str | None) -> bytes:
+def _octets(text: str) -> bytes:
     """Return user data, which is written as hexadecimal octets or as text."""
-    bare = (text or "").strip()
-    if _HEX.match(bare):
-        return bytes(int(octet, 16) for octet in bare.split(","))
-    return bare.encode()
+    if _HEX.match(text):
+        return bytes(int(octet, 16) for octet in text.split(","))
+    return text.encode()
