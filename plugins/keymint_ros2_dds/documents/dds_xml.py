@@ -62,6 +62,11 @@ def settings(parent: etree._Element, values: Mapping[str, str | bool]) -> None:
         child(parent, tag, value if isinstance(value, str) else str(value).lower())
 
 
+def topic_rule(parent: etree._Element, expression: str, values: Mapping[str, str | bool]) -> None:
+    """Append a topic rule of a governance, with all of its settings in the order of a document."""
+    settings(child(parent, "topic_rule"), {"topic_expression": expression, **values})
+
+
 def domains(parent: etree._Element, ranges: Iterable[DomainRange]) -> None:
     """Append ``<domains>`` with an ``<id>``, or an ``<id_range>`` with both ends, for each range."""
     element = child(parent, "domains")

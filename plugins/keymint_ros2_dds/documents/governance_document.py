@@ -137,7 +137,7 @@ def _domain_rule(parent: etree._Element, rule: DomainRule, distro: str, lenient:
             "no topic rule matches every topic; a last one is added for '*', with access control and encryption",
             last, "end with a rule for '*' that says how all other topics are protected",
         )  # fmt: skip
-        _topic_rule(topics, "*", TopicProtection("topic", "*", origin=rule.origin, **STRICT_TOPIC))
+        dds_xml.topic_rule(topics, "*", STRICT_TOPIC)
 
 
 def _never_matches(topic: TopicProtection, topic_patterns: Sequence[Glob]) -> Diagnostic | None:
@@ -193,10 +193,4 @@ def _topic_rules(parent: etree._Element, pattern: Glob, topic: TopicProtection, 
         hint = "write the names out, or build with --allow-vendor-specific"
         yield Diagnostic("portability-expression", severity, message, topic.origin, hint)
     for text in texts:
-        _topic_rule(parent, text, topic)
-
-
-def _topic_rule(parent: etree._Element, expression: str, topic: TopicProtection) -> None:
-    element = dds_xml.child(parent, "topic_rule")
-    dds_xml.child(element, "topic_expression", expression)
-    dds_xml.settings(element, {name: getattr(topic, name) for name in STRICT_TOPIC})
+        dds_xml.topic_rule(parent, text, {name: getattr(topic, name) for name in STRICT_TOPIC})

@@ -55,9 +55,7 @@ def _topic_rule(parent: etree._Element, rule: DocumentTopicRule) -> None:
         ACCESS["subscribe"]: rule.read_controlled,
         ACCESS["publish"]: rule.write_controlled,
     }
-    element = dds_xml.child(parent, "topic_rule")
-    dds_xml.child(element, "topic_expression", rule.expression)
-    dds_xml.settings(element, {name: own[name] for name in STRICT_TOPIC})
+    dds_xml.topic_rule(parent, rule.expression, {name: own[name] for name in STRICT_TOPIC})
 
 
 def is_same(one: bytes, other: bytes) -> bool:

@@ -6,6 +6,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 
 from keymint.api import Availability, Enclave, Tier, Verdict
@@ -45,22 +47,19 @@ class CycloneDDSTransport(RealTransport):
 
     def _decision(self, models: EnclaveModels, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:
         """Ask the access-control plugin about each enclave; only those of one subject are open at a time."""
-        subject, opened = "", dict[int, "AccessControl | str"]()
-        with ExitStack() as stack:
-            for edge in edges:
-                enclave = models.enclaves[edge.subject]
-                if edge.subject != subject:
-                    stack.pop_all().close()
-                    subject, opened = edge.subject, {}
-                enclave_model = models.of(edge.subject, edge.domain)
-                if edge.domain not in opened:
-                    opened[edge.domain] = _open(enclave_model, enclave.folder, edge.domain, stack)
-                access = opened[edge.domain]
-                if isinstance(access, str):
-                    yield edge, Verdict(allowed=False, reason=access, where=enclave_model.place())
-                    continue
-                needed = endpoints(enclave.distro, edge)
-                yield edge, enclave_model.verdict(self.MODEL, needed, _answers(access, needed))
+        for subject, group in groupby(edges, key=attrgetter("subject")):
+            enclave, opened = models.enclaves[subject], dict[int, "AccessControl | str"]()
+            with ExitStack() as stack:
+                for edge in group:
+                    enclave_model = models.of(subject, edge.domain)
+                    if edge.domain not in opened:
+                        opened[edge.domain] = _open(enclave_model, enclave.folder, edge.domain, stack)
+                    access = opened[edge.domain]
+                    if isinstance(access, str):
+                        yield edge, Verdict(allowed=False, reason=access, where=enclave_model.place())
+                        continue
+                    needed = endpoints(enclave.distro, edge)
+                    yield edge, enclave_model.verdict(self.MODEL, needed, _answers(access, needed))
 
     def _decide(self, enclave: Enclave, domain: int, endpoints: Sequence[Edge]) -> Iterable[bool]:
         enclave_model = EnclaveModel(enclave, self._environment, domain)

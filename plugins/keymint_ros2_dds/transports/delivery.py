@@ -96,14 +96,13 @@ def _peer(endpoint: Edge, models: EnclaveModels, model: Variation) -> Enclave | 
     if any(wildcards & set(partition) for partition in endpoint.object.partitions):
         return None  # two expressions never match each other (DDS 1.4, 2.2.3.13)
     own, stranger = models.of(endpoint.subject, endpoint.domain), None
-    for subject in sorted(models.enclaves):
-        if subject != endpoint.subject:
-            other = replace(endpoint, subject=subject, permission=_OTHER_END[endpoint.permission])
-            peer = models.of(subject, endpoint.domain)
-            if peer.decide(model, other).allowed:
-                if not peer.refuses(own, model) and not own.refuses(peer, model):
-                    return models.enclaves[subject]
-                stranger = stranger or models.enclaves[subject]
+    for subject in sorted(models.enclaves.keys() - {endpoint.subject}):
+        other = replace(endpoint, subject=subject, permission=_OTHER_END[endpoint.permission])
+        peer = models.of(subject, endpoint.domain)
+        if peer.decide(model, other).allowed:
+            if not peer.refuses(own, model) and not own.refuses(peer, model):
+                return models.enclaves[subject]
+            stranger = stranger or models.enclaves[subject]
     return stranger
 
 
@@ -177,14 +176,14 @@ def _pairs(
         return [(trial, None) for trial in trials]
     for number, trial in enumerate(trials):
         name, partitions = trial.endpoint.object.name, trial.endpoint.object.partitions
-        publishes = trial.endpoint.permission == "publish"
+        permission = trial.endpoint.permission
         try:
-            far = other.edge("subscribe" if publishes else "publish", name, partitions)
-            near = own.edge("publish" if publishes else "subscribe", name, partitions)
+            far = other.edge(_OTHER_END[permission], name, partitions)
+            near = own.edge(permission, name, partitions)
         except DeniedError:
             pairs.append((trial, None))
             continue
-        writer, reader = (near, far) if publishes else (far, near)
+        writer, reader = (near, far) if permission == "publish" else (far, near)
         text = f"{trial.endpoint.subject} {number}"
         writer.write(text)
         pairs.append((trial, _SentSample(reader, text)))
@@ -195,13 +194,10 @@ def _answer(trial: _Trial) -> tuple[bool, str]:
     peer = trial.peer
     if peer is None:
         ending = "no other enclave may be the other end, so nothing was sent"
-        return trial.admitted, f"it is admitted; {ending}" if trial.admitted else f"{trial.answer}; {ending}"
+        return trial.admitted, f"{'it is admitted' if trial.admitted else trial.answer}; {ending}"
     if trial.admitted:
-        reason = f"a sample was delivered with {peer.subject}"
-        return (
-            trial.delivered,
-            reason if trial.delivered else f"it is admitted, but no sample was delivered with {peer.subject}",
-        )
+        sample = "a sample" if trial.delivered else "it is admitted, but no sample"
+        return trial.delivered, f"{sample} was delivered with {peer.subject}"
     if trial.delivered:
         return True, f"its own side denies it, but {peer.subject} accepts it from a participant that ignores its policy"
     return False, f"{trial.answer}; {peer.subject} refuses it as well"
