@@ -71,22 +71,24 @@ def _in_order(exchanges: Iterable[Exchange], roots: Roots) -> list[list[Exchange
     """Return groups of exchanges; each group must be durable before the next one begins.
 
     Within a group, a loss of power may leave any of the exchanges. But what was signed must not outlive its keys, so
-    they come first; and a file directly in a root, such as that of a profile, tells that what comes before it is there,
-    and what comes after it is recognised by it.
+    they come first; and a file directly in a root, such as that of a profile or the key of an authority, tells that
+    what comes before it is there, and what comes after it is recognised by it.
     """
     keys: list[Exchange] = []
-    groups: list[list[Exchange]] = [[]]
-    after_mark = False
+    others: list[Exchange] = []
     for exchange in exchanges:
-        if exchange.staged is not None and roots.private[roots.of(exchange.folder)]:
-            keys.append(exchange)
-            continue
-        is_mark = exchange.file and exchange.folder in roots.kept
-        if is_mark or after_mark:
-            groups.append([])
-        groups[-1].append(exchange)
-        after_mark = is_mark
-    return [group for group in (keys, *groups) if group]
+        is_key = exchange.staged is not None and roots.private[roots.of(exchange.folder)]
+        (keys if is_key else others).append(exchange)
+    groups: list[list[Exchange]] = []
+    for of_kind in (keys, others):
+        begins = True
+        for exchange in of_kind:
+            is_mark = exchange.file and exchange.folder in roots.kept
+            if is_mark or begins:
+                groups.append([])
+            groups[-1].append(exchange)
+            begins = is_mark
+    return groups
 
 
 def _make_visible(folder: int, exchange: Exchange) -> str | None:

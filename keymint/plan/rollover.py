@@ -86,6 +86,10 @@ def plan_switch(session: Session, name: str) -> Plan:
     in_force, next_key = (authority_files.stored_key(session, authority, each) for each in names[:2])
     files: dict[str, File] = {}
     removed: tuple[str, ...] = ()
+    if in_force is not None and not keys.matches(in_force[1], following):  # else a killed run kept the former key
+        removed = (key_path.name,)  # if the next key is elsewhere, the present one must not stand in its place
+        if rollover.phase is Phase.DISTRIBUTE:
+            files[former_path.name] = File(in_force[0], secret=True)  # first: a killed run must not lose it
     if next_key is not None:
         if not keys.matches(next_key[1], following):
             raise KeymintError(
@@ -96,10 +100,6 @@ def plan_switch(session: Session, name: str) -> Plan:
             )
         files[key_path.name] = File(next_key[0], secret=True)
         removed = (next_path.name,)
-    elif in_force is not None and not keys.matches(in_force[1], following):
-        removed = (key_path.name,)  # the next key is elsewhere, and the present one must not stand in its place
-    if removed and in_force is not None and rollover.phase is Phase.DISTRIBUTE:
-        files[former_path.name] = File(in_force[0], secret=True)
     issuance = _issuance_of(session, name, rollover.certificate)
     if rollover.phase is Phase.DISTRIBUTE:
         former = _former(session, authority, authority_files.stored_certificate(session, name), following)

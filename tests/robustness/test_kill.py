@@ -50,6 +50,7 @@ class Prepared:
     start: Path
     traced: Trace
     tree: Mapping[str, str]
+    keys: Mapping[str, bytes]
     before: Mapping[str, Mapping[str, bytes]]
     after: Mapping[str, Mapping[str, bytes]]
 
@@ -107,6 +108,7 @@ def _prepared(name: str, folder: Path, keymint: Keymint) -> Prepared:
         start,
         traced,
         scenarios.tree(undisturbed / "ws"),
+        scenarios.keys(undisturbed / "ws"),
         scenarios.enclaves(start / "ws"),
         scenarios.enclaves(undisturbed / "ws"),
     )
@@ -140,7 +142,7 @@ def require_convergence(prepared: Prepared, folder: Path, keymint: Keymint) -> N
     assert scenarios.tree(workspace) == prepared.tree
     now = scenarios.keys(workspace)
     if scenarios.KEYS_MOVE & set(prepared.scenario.verb):
-        assert set(now.values()) <= set(minted.values())
+        assert now == prepared.keys
     elif not {"--renew", "--rekey"} & {*prepared.scenario.verb}:
         assert {name: now.get(name) for name in minted} == minted
     checked = keymint("check", "-w", workspace)

@@ -110,6 +110,8 @@ def test_a_loss_of_power_loses_nothing_and_the_next_run_converges(
                 shutil.copy(run / "policy.xml", folder)
                 write_image(found, folder / "ws")
                 require_convergence(scenario, folder, tree, keymint)
+                if scenarios.KEYS_MOVE & set(scenario.verb):
+                    assert State.of(folder / "ws").keys == new.keys
                 shutil.rmtree(folder)
         except Exception as error:
             error.add_note(f"power was lost after {crash.at} of {len(recording.events)} calls: {event}")

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -52,6 +53,24 @@ def test_a_run_that_was_killed_between_key_and_profile_is_recognised_and_complet
     assert rollover.phase_of(session_of(ws), IDENTITY) is (Phase.REISSUE if words else None)
     assert (ws / AUTHORITY_KEYS[0]).read_bytes() == key
     assert public_key(ws / CERTIFICATES[0]) == public_key(ws / AUTHORITY_KEYS[0])
+    assert keymint("check", cwd=ws).code == 0
+
+
+def test_a_run_that_was_killed_between_two_keys_keeps_the_former_one(keymint, begun: Callable) -> None:
+    ws = begun(*BUNDLES)
+    former, key = (ws / AUTHORITY_KEYS[0]).read_bytes(), (ws / NEXT).read_bytes()
+    (exchanged, *_) = rollover.plan_switch(session_of(ws), IDENTITY).steps
+    written = exchanged.changes[0].files
+    assert {name: file.content for name, file in written.items()} == {
+        Path(FORMER).name: former,
+        "identity_ca.key.pem": key,
+    }
+    assert next(iter(written)) == Path(FORMER).name
+    shutil.copy(ws / AUTHORITY_KEYS[0], ws / FORMER)
+    shutil.copy(ws / NEXT, ws / AUTHORITY_KEYS[0])
+    begun()
+    assert [(ws / name).read_bytes() for name in (AUTHORITY_KEYS[0], FORMER)] == [key, former]
+    assert not (ws / NEXT).exists()
     assert keymint("check", cwd=ws).code == 0
 
 
