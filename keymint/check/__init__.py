@@ -26,7 +26,6 @@ from keymint.check.shared_documents import check_shared
 from keymint.errors import KeymintError
 from keymint.executors import Pool
 from keymint.plan import identity_keys
-from keymint.plan.authority_files import authority_keys
 from keymint.plan.enclaves import unaccounted
 from keymint.plan.identity_keys import Keyring
 from keymint.plugins import Plugins
@@ -46,7 +45,7 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
         pool: where to examine many enclaves: processes of this machine, since they read private keys.
     """
     of_authorities = tuple(authorities(session, within))
-    keyring = Keyring(session, authority_keys(session))
+    keyring = Keyring(session)
     loaded = _loaded(session, names, within)
     first = _examined(session, keyring, loaded[:1])  # processes have then what all enclaves need
     parts = pool.parts(loaded[1:], LEAST)

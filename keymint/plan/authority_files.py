@@ -214,8 +214,17 @@ def other(authority: Authority) -> str:
 
 
 def authority_keys(session: Session) -> Mapping[str, str]:
-    """Return the names of the authorities that enclaves trust, by the fingerprints of their keys."""
-    return {certificates.fingerprint(each): name for _, name, each in issuers(session)}
+    """Return the names of the authorities by the fingerprints of their keys, which none may have but they.
+
+    While the key of an authority is replaced, it has two.
+    """
+    known = [(name, certificate) for _, name, certificate in issuers(session)]
+    known += (
+        (each.name, certificates.load(each.issuance.rollover.certificate))
+        for each in session.profile.authorities
+        if each.issuance.rollover
+    )
+    return {certificates.fingerprint(certificate): name for name, certificate in known}
 
 
 def satisfies(pem: bytes, spec: CertificateSpec, key: keys.PublicKey, issuer: x509.Certificate | None) -> bool:

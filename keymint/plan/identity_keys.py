@@ -17,6 +17,7 @@ from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.pki import certificates, keys, public_keys
 from keymint.plan import key_record
+from keymint.plan.authority_files import authority_keys
 from keymint.plan.enclaves import INSTALLED, KEY, installed, installed_certificate
 from keymint.plan.issuance import place_of
 from keymint.plan.private_keys import load_key, password
@@ -162,13 +163,12 @@ class Keyring:
     """The known keys of subjects and authorities, to compare the stored key of a subject with.
 
     Args:
-        session: the workspace and its profile.
-        authorities: names of the authorities by the fingerprint of their key.
+        session: the workspace and its profile, with the authorities as they will be.
     """
 
-    def __init__(self, session: Session, authorities: Mapping[str, str]) -> None:
+    def __init__(self, session: Session) -> None:
         self._session = session
-        self._authorities = authorities
+        self._authorities = authority_keys(session)
 
     def require_own(self, package: Package, key: keys.PublicKey) -> str:
         """Require that the key of a package is its subject's, and nobody else's; returns its fingerprint.

@@ -14,7 +14,6 @@ from keymint.api import Artifact, Package, Succession
 from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
 from keymint.names import ROOT, subject_of
-from keymint.pki import certificates
 from keymint.plan import authority_files, build, identity_keys, key_record, lifetimes, revocation
 from keymint.plan.authorities import MintedAuthority, chains_of
 from keymint.plan.build_types import build_types_of, inputs_digest
@@ -51,7 +50,7 @@ class InstallStage:
     """The stage ``install``.
 
     Args:
-        session: the workspace and its profile.
+        session: the workspace and its profile, with these authorities.
         authorities: the authorities that issue and sign, by name.
         prune: remove installed enclaves that have no source package.
     """
@@ -65,8 +64,7 @@ class InstallStage:
             authorities = {name: replace(minted, chain=chains[name]) for name, minted in authorities.items()}
         self._authorities = authorities
         self._prune = prune
-        owners = {certificates.fingerprint(each.certificate): who for who, each in authorities.items()}
-        self._keyring = Keyring(session, owners)
+        self._keyring = Keyring(session)
 
     def package(self, name: str) -> PackagePlan:
         """Return the plan for the enclave of a package."""

@@ -20,7 +20,6 @@ from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.pki import keys, public_keys
 from keymint.pki.distinguished_names import common_name
-from keymint.plan.authority_files import authority_keys
 from keymint.plan.identity_keys import Keyring, known_fingerprint
 from keymint.plan.issuance import place_of, plan_issuance
 from keymint.plan.register import register_of
@@ -67,7 +66,7 @@ def plan_requests(
             )
     requests: dict[str, Request] = {}
     owners: dict[str, str] = {}
-    defects, keyring = Defects(), Keyring(session, authority_keys(session))
+    defects, keyring = Defects(), Keyring(session)
     for each in given:
         with defects:
             name = _package(session, each, fingerprints)

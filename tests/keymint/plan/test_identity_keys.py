@@ -6,6 +6,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import pytest
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
 from tests.keymint.plan.keystores import (
@@ -24,6 +25,22 @@ class TestIdentities:
         outcome = keymint("install", cwd=ws)
         assert outcome.code == 1
         assert "is the private key of the authority 'permissions_ca'" in outcome.err
+        assert not (ws / "install").exists()
+        assert "key-of-authority" in keymint("check", "--json", cwd=ws).codes()
+
+    @pytest.mark.parametrize(
+        ("words", "file"), [((), "next"), (("--vendor", "fastdds"), "next"), (("--phase", "reissue"), "former")]
+    )
+    def test_nor_does_one_that_is_not_in_force(self, keymint, ws: Path, words: tuple[str, ...], file: str) -> None:
+        replace = ("authority", "replace", "identity_ca")
+        for phase in (("--vendor", "fastdds"), words) if file == "former" else (words,):
+            assert keymint(*replace, *phase, cwd=ws).code == 0
+        shutil.copyfile(ws / f"private/identity_ca.{file}.key.pem", ws / IDENTITY_KEYS[0])
+        (ws / ".keymint/state.json").unlink()
+        shutil.rmtree(ws / "install")
+        outcome = keymint("install", cwd=ws)
+        assert outcome.code == 1
+        assert "is the private key of the authority 'identity_ca'" in outcome.err
         assert not (ws / "install").exists()
         assert "key-of-authority" in keymint("check", "--json", cwd=ws).codes()
 
