@@ -109,15 +109,18 @@ def _of_entry(enclave: Enclave, node: Node, entry: Entry) -> Iterator[Deviation]
     except ComArmorError as error:
         yield from (Deviation(replace(each, subject=enclave.path), acceptable=False) for each in error.diagnostics)
         return
-    names = f"SROS2 enforces {quoted(enforced(node, text))}, not {quoted(as_read(node, text))}"
     if text != trimmed:
-        message = f"{quoted(text)} has white space around it, which SROS2 keeps: {names}"
+        message = f"{quoted(text)} has white space around it, which SROS2 keeps: {_names(node, text)}"
         yield _deviation("sros2-padded", message, enclave, entry, "remove it; --accept reads it so")
     if trimmed.startswith("~") and trimmed[1:2] not in ("", "/"):
-        message = f"{quoted(text)} is not a private name, which begins with '~/': {names}"
+        message = f"{quoted(text)} is not a private name, which begins with '~/': {_names(node, text)}"
         help_ = f"write ~/{trimmed[1:]}, or the full name; --accept reads it as ~/{trimmed[1:]}"
         yield _deviation("sros2-tilde", message, enclave, entry, help_)
     if "\\" in text:
         message = f"{quoted(text)} has a '\\', which escapes a character in the standard, and is one for Fast DDS"
         help_ = "no ROS name has a '\\': remove it; --accept reads it as the standard does"
         yield _deviation("sros2-backslash", message, enclave, entry, help_)
+
+
+def _names(node: Node, text: str) -> str:
+    return f"SROS2 enforces {quoted(enforced(node, text))}, not {quoted(as_read(node, text))}"

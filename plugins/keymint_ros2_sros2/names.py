@@ -12,8 +12,12 @@ from comarmor.errors import ComArmorError
 from comarmor.language.attachments import MOST_CHARACTERS
 from comarmor.patterns.printing import canonical
 from comarmor.patterns.tokens import COMARMOR, tokenize
+from comarmor.regex import lazy_regex
 from comarmor.text import quoted
 from keymint_ros2_sros2.syntax import Entry, Node
+
+_PLAIN = lazy_regex(r"[\w/~.]*")
+"""Names in which no character has a meaning: most names."""
 
 
 def enforced(node: Node, text: str) -> str:
@@ -49,7 +53,7 @@ def expression(name: str, entry: Entry) -> str:
         ComArmorError: the name is too long, or contains notation that POSIX leaves undefined; with ``file:line``.
     """
     try:
-        written = canonical(tuple(tokenize(name, COMARMOR)))
+        written = name if _PLAIN.fullmatch(name) else canonical(tokenize(name, COMARMOR))
     except ComArmorError as error:
         (diagnostic,) = error.diagnostics
         raise ComArmorError(

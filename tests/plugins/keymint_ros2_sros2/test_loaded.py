@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from keymint_ros2_sros2 import policy_type
 from comarmor.errors import ComArmorError, Origin
 from keymint.api import LoadedPolicy, PolicySource
 from keymint.graph import Edge, Object
+from tests.effort import calls_of
 
 from .sros2_policies import enclave, policy
 
@@ -92,3 +94,12 @@ def test_recognised_by_its_root(robot: Path, write) -> None:
     loop = robot.with_name("loop.xml")
     loop.symlink_to(loop)
     assert not policy_type.recognises(loop)
+
+
+def test_the_calls_for_an_enclave(write: Callable[..., Path]) -> None:
+    """Most of the work was to look at each character of each name, twice."""
+    names = "".join(f"<topic>a_topic_with_a_name_of_some_length_{number}</topic>" for number in range(10))
+    rules = f'<topics publish="ALLOW">{names}</topics>'
+    path = write(policy(*(enclave(f"/a{number}", rules) for number in range(100))))
+    _, calls = calls_of(lambda: load(path))
+    assert calls < 100 * 10 * 120
