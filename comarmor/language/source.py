@@ -53,6 +53,7 @@ class PolicyFile:
         uniform: it has rules only, and uses no tunables, so that it means the same wherever it is included. A document
             with anything else includes it without reading or copying it.
         package: name of the package that ships it; empty for a file of the policy's owner.
+        climbs: number of folders above its own that the paths of its includes, nested ones included, lead through.
     """
 
     name: str
@@ -62,6 +63,7 @@ class PolicyFile:
     inclusions: int
     uniform: bool
     package: str = ""
+    climbs: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,10 +198,13 @@ class _PolicyReader:
         files: digests of the files.
         seen: fingerprints of the paths that were looked at.
         shipped: files of packages by package and path.
-        done: complete documents: those of packages by package and path, others by resolved path and folder of the name.
-        included: documents by folder, the folder in it, and ``href`` of an include there.
+        done: complete documents, with the paths by which they were read: those of packages by package and path, others
+            by resolved path and folder of the name.
+        included: documents by folder, the folder in it, and ``href`` of an include there, with the folders above it
+            that lead to the document and its includes.
         open: resolved paths of the files that are being read, outermost first.
         total: bytes read.
+        renamed: names of packages' files that were read by another name before.
     """
 
     folder: SandboxedFolder
@@ -209,12 +214,13 @@ class _PolicyReader:
     files: dict[Path, bytes] = field(default_factory=dict)
     seen: dict[Path, bytes] = field(default_factory=dict)
     shipped: dict[tuple[str, str], ShippedFile] = field(default_factory=dict)
-    done: dict[tuple[str, str], PolicyFile] = field(default_factory=dict)
-    included: dict[tuple[SandboxedFolder, str, str], PolicyFile] = field(default_factory=dict)
+    done: dict[tuple[str, str], tuple[Path, PolicyFile]] = field(default_factory=dict)
+    included: dict[tuple[SandboxedFolder, str, str], tuple[PolicyFile, int]] = field(default_factory=dict)
     open: list[Path] = field(default_factory=list)
     total: int = 0
     nodes: int = 0
     inclusions: int = 0
+    renamed: int = 0
 
     def result(self, roots: tuple[PolicyFile, ...]) -> PolicyFiles:
         """Return what was read for some root documents."""
@@ -249,20 +255,37 @@ class _PolicyReader:
                 help="remove one of the includes of the loop",
                 code="include-loop",
             )
-        if folder.package:
+        named = folder.real / relative
+        if folder.package:  # a copy of the package has no links, but each name
             key = folder.package, relative
         else:  # what it includes is relative to the folder of its name, also if that is a link
-            named = folder.real / relative
             key = str(real), str(real.parent if named == real else named.parent.resolve())
         if key in self.done:
-            return self.done[key]
+            first, document = self.done[key]
+            if first != named and _above(first, document.climbs) != _above(named, document.climbs):
+                raise ComArmorError(
+                    f"a link to a folder makes this file also {quoted(path_text(str(first)), 200)},"
+                    " from where '..' in its includes leads to other files",
+                    where=where,
+                    help="include it by one of the two names only, or copy the folder in place of the link",
+                    code="include-ambiguous",
+                )
+            return document
+        self.renamed += bool(folder.package) and real in self.files
+        if self.renamed > self.limits.renamed:
+            raise ComArmorError(
+                f"by symbolic links the packages' files have more than the {self.limits.renamed:,} other names allowed",
+                where=where,
+                code="xml-limit",
+            )
         content = self.read(folder, real, where)
         self.seen[folder.place(relative)] = self.files[real]
         if folder.package:
             self.shipped[key] = ShippedFile(folder.package, relative, content, where)
         root = parse(content, folder.name(relative), limits=self.limits, chain=chain)
         self.open.append(real)
-        document = self.done[key] = self.complete(root, folder, relative, chain)
+        document = self.complete(root, folder, relative, chain)
+        self.done[key] = named, document
         self.open.pop()
         return document
 
@@ -272,7 +295,7 @@ class _PolicyReader:
         """Read the includes of a document; the arguments are those of :meth:`document`, which read it."""
         name = folder.name(relative)
         includes: dict[etree._Element, PolicyFile] = {}
-        nodes, inclusions, uniform = 0, 0, _is_uniform(root)
+        nodes, inclusions, climbs, uniform = 0, 0, 0, _is_uniform(root)
         for element in root.iter():
             nodes += 1
             if element.tag != INCLUDE:
@@ -282,17 +305,20 @@ class _PolicyReader:
                 raise ComArmorError(
                     f"includes are nested more than {self.limits.include_depth} deep", where=place, code="xml-limit"
                 )
-            included = self.include(element, folder, relative, place)
+            included, above = self.include(element, folder, relative, place)
             includes[element] = included
+            climbs = max(climbs, above)
             if uniform or not included.uniform:
                 nodes += included.nodes
                 inclusions += 1 + included.inclusions
             self.bound(nodes, inclusions, place)
         uniform = uniform and all(included.uniform for included in includes.values())
-        return PolicyFile(name, root, MappingProxyType(includes), nodes, inclusions, uniform, folder.package)
+        return PolicyFile(name, root, MappingProxyType(includes), nodes, inclusions, uniform, folder.package, climbs)
 
-    def include(self, element: etree._Element, folder: SandboxedFolder, relative: str, where: Origin) -> PolicyFile:
-        """Read the file that an ``xi:include`` element refers to."""
+    def include(
+        self, element: etree._Element, folder: SandboxedFolder, relative: str, where: Origin
+    ) -> tuple[PolicyFile, int]:
+        """Read the file that an ``xi:include`` element refers to, and count the folders above that lead there."""
         href = href_of(element, where)
         key = folder, posixpath.dirname(relative), href
         if key in self.included:  # many profiles include the same few files
@@ -300,25 +326,28 @@ class _PolicyReader:
         chain = (where.alone(), *where.chain)
         shipped = includes.package_path(href, where)
         if shipped is not None:
-            inner, target = self.package(shipped.package, where), shipped.path
+            inner, target, path = self.package(shipped.package, where), shipped.path, ""
         else:
-            target = posixpath.normpath(posixpath.join(key[1], includes.path_of(href, where)))
+            path = posixpath.normpath(includes.path_of(href, where))
+            target = posixpath.normpath(posixpath.join(key[1], path))
             inner, target = folder, includes.checked_path(target, where) if folder.package else target
         is_there = exists(inner, target, where)
         if not is_there:
             self.seen[inner.place(target)] = b""
-        if not is_there and not inner.package and self.library is not None:
-            from_root = posixpath.normpath(includes.path_of(href, where))
-            if exists(self.library, from_root, where):
-                inner, target, is_there = self.library, from_root, True
+            if not inner.package and self.library is not None and exists(self.library, path, where):
+                inner, target, is_there = self.library, path, True
         if is_there:
             document = self.document(inner, target, where, chain)
         elif inner.absent_is_empty:
             document = PolicyFile(inner.name(target), etree.Element("profiles"), {}, 1, 0, True, inner.package)
         else:
             raise self.missing(inner, target, href, where)
-        self.included[key] = document
-        return document
+        *folders, _ = path.split("/")
+        above = folders.count("..")
+        if inner is folder:
+            above += max(0, document.climbs - (len(folders) - above))
+        self.included[key] = document, above
+        return self.included[key]
 
     def package(self, name: str, where: Origin) -> SandboxedFolder:
         """Return the folder of the files that a package ships."""
@@ -369,6 +398,11 @@ class _PolicyReader:
                 where=where,
                 code="xml-limit",
             )
+
+
+def _above(path: Path, climbs: int) -> list[Path]:
+    """Return the folders above that of a path, up to a number of them."""
+    return [each.resolve() for each in path.parents[1 : climbs + 1]]
 
 
 def _is_uniform(root: etree._Element) -> bool:

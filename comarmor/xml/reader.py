@@ -33,6 +33,7 @@ class Limits:
         nodes: elements of one file, and of all files with each inclusion counted that reads or copies them.
         include_depth: nesting depth of includes.
         inclusions: such inclusions, nested ones counted each time.
+        renamed: names of packages' files that symbolic links add.
     """
 
     file_bytes: int = 16 * 2**20
@@ -41,6 +42,7 @@ class Limits:
     nodes: int = 1_000_000
     include_depth: int = 16
     inclusions: int = 50_000
+    renamed: int = 500
 
 
 LIMITS = Limits()

@@ -10,6 +10,7 @@ import pytest
 import comarmor
 from comarmor.errors import ComArmorError, Diagnostic
 from comarmor.xml.package_folders import InstalledPackages
+from tests.effort import calls_of
 from tests.ros_packages import HREF, PACKAGE, XI, fragment, including, ship, topic
 
 
@@ -108,6 +109,18 @@ def test_it_includes_files_of_its_own_folder_only(loader: Loader, tmp_path: Path
     by_name = fragment('<xi:include href="package://other_package/other.xml"/>')
     shipped = loader.load(including(HREF), {"controller.xml": by_name}).shipped
     assert [each.package for each in shipped] == [PACKAGE, "other_package"]
+
+
+def test_names_that_links_in_a_package_multiply_are_refused_quickly(loader: Loader) -> None:
+    """Each of these names is another file in a copy of the package."""
+    parts = {f"{i}.xml": including(f"a/{i + 1}.xml", f"b/{i + 1}.xml") for i in range(14)}
+    folder = ship(loader.prefix, {**parts, "14.xml": topic("/x")})
+    for link in "ab":
+        (folder / link).symlink_to(".")
+    found, calls = calls_of(lambda: loader.refused(including(f"package://{PACKAGE}/0.xml"), {}))
+    assert (found.code, calls < 1_000_000) == ("xml-limit", True)
+    assert "more than the 500 other names" in found.message
+    assert len(loader.load(including(f"package://{PACKAGE}/8.xml"), {}).shipped) == 2**7 - 1
 
 
 def test_a_file_that_is_both_the_owners_and_a_packages_keeps_both_roles(loader: Loader) -> None:

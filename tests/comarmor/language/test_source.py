@@ -202,6 +202,38 @@ def test_includes_are_relative_to_the_name_by_which_a_file_is_included(write, or
     assert [rule.attachments[0].text for rule in found.rules] == [f"/from_{name}" for name in order]
 
 
+def climbing(write, *names: str, link: str, linked: str) -> Path:
+    """Write a policy that includes a file by names of its folder; the file includes one that includes ``../y.xml``."""
+    included = "".join(f'<xi:include href="{name}/x.xml"/>' for name in names)
+    profile = f'<profile name="p" {XI}><attachment>/s</attachment>{included}</profile>'
+    files = {"sub/y.xml": RULE, "y.xml": RULE.replace("/x", "/other"), "sub/deep/z.xml": including("../y.xml")}
+    root = write({"p.xml": profile, "sub/deep/x.xml": including("z.xml"), **files})
+    (root / link).symlink_to(linked)
+    return root
+
+
+@pytest.mark.parametrize("names", [("sub/deep", "link"), ("link", "sub/deep")])
+def test_a_way_up_out_of_a_linked_folder_is_refused_if_names_differ_in_it(write, names: tuple[str, str]) -> None:
+    """Else both names would have the rules of the one that comes first."""
+    root = climbing(write, *names, link="link", linked="sub/deep")
+    found = quickly_refused(root / "p.xml")
+    assert (found.code, str(found.where)) == ("include-ambiguous", f"{root}/p.xml:1")
+    assert f"'{root}/{names[0]}/x.xml'" in found.message
+
+
+@pytest.mark.parametrize(
+    ("names", "link", "linked", "rules"),
+    [
+        (("link",), "link", "sub/deep", ["/other"]),
+        (("sub/deep",), "link", "sub/deep", ["/x"]),
+        (("sub/deep", "sub/link"), "sub/link", "deep", ["/x", "/x"]),
+    ],
+)
+def test_a_way_up_is_that_of_the_name(write, names: tuple[str, ...], link: str, linked: str, rules: list[str]) -> None:
+    (found,) = comarmor.load(climbing(write, *names, link=link, linked=linked) / "p.xml").profiles
+    assert [rule.attachments[0].text for rule in found.rules] == rules
+
+
 @pytest.mark.parametrize("leaf", [RULE, PROFILE])
 def test_names_that_links_multiply_are_refused_quickly(write, leaf: str) -> None:
     links = [f"d{i}" for i in range(10)]
