@@ -101,22 +101,17 @@ def _signature(certificate: x509.Certificate) -> _Problem:
 
 
 def _time(certificate: x509.Certificate, at: datetime) -> Iterator[_Problem]:
-    if at > certificate.not_valid_after_utc:
+    begin, end = certificates.period(certificate)
+    if at > end:
         yield (
             "certificate-expired",
-            (
-                f"the certificate of {_shown(certificate.subject)} expired on "
-                f"{certificate.not_valid_after_utc:%Y-%m-%dT%H:%M:%SZ}"
-            ),
+            f"the certificate of {_shown(certificate.subject)} expired on {end:%Y-%m-%dT%H:%M:%SZ}",
             "'keymint renew' issues it again with later dates; that of an authority: 'keymint authority renew'",
         )
-    elif at < certificate.not_valid_before_utc:
+    elif at < begin:
         yield (
             "certificate-not-yet-valid",
-            (
-                f"the certificate of {_shown(certificate.subject)} begins "
-                f"{certificate.not_valid_before_utc:%Y-%m-%dT%H:%M:%SZ}"
-            ),
+            f"the certificate of {_shown(certificate.subject)} begins {begin:%Y-%m-%dT%H:%M:%SZ}",
             "compare the clock of this machine, or give it an earlier start",
         )
 
@@ -142,13 +137,11 @@ def _authority(certificate: x509.Certificate, below: Sequence[x509.Certificate])
         )
         return
     intermediates = sum(1 for each in below if each.subject != each.issuer)
-    if constraints.path_length is not None and intermediates > constraints.path_length:
+    most = constraints.path_length
+    if most is not None and intermediates > most:
         yield (
             "chain-path-length",
-            (
-                f"{_shown(certificate.subject)} has pathlen:{constraints.path_length}, "
-                f"and {intermediates} authorities are below it"
-            ),
+            f"{_shown(certificate.subject)} has pathlen:{most}, and {intermediates} authorities are below it",
             "raise its pathlen, or name another issuer",
         )
     if not extensions.may(certificate, "keyCertSign"):

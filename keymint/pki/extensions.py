@@ -310,10 +310,7 @@ def _raw(text: str) -> bytes:
 
 _KNOWN: dict[str, tuple[x509.ObjectIdentifier, Callable[[str, Context], x509.ExtensionType | None]]] = {
     "basicConstraints": (ExtensionOID.BASIC_CONSTRAINTS, _basic_constraints),
-    "keyUsage": (
-        ExtensionOID.KEY_USAGE,
-        lambda text, _: key_usage(*_items(text)),
-    ),
+    "keyUsage": (ExtensionOID.KEY_USAGE, lambda text, _: key_usage(*_items(text))),
     "extendedKeyUsage": (ExtensionOID.EXTENDED_KEY_USAGE, _extended_key_usage),
     "subjectAltName": (
         ExtensionOID.SUBJECT_ALTERNATIVE_NAME,

@@ -105,7 +105,7 @@ def to_pem(key: PrivateKey, password: bytes | None = None) -> bytes:
     """Return a private key as PKCS #8 PEM, encrypted (PBES2, AES-256) if a password is given."""
     if not password:
         pem = _plain_pem(key)
-        _remember(hashlib.sha256(pem).digest(), key.public_key(), canonical=True)
+        _remember(pem, key.public_key(), canonical=True)
         return pem
     encryption = serialization.BestAvailableEncryption(password)
     return key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, encryption)
@@ -173,14 +173,14 @@ def _read(pem: bytes, where: Origin | None = None) -> tuple[PublicKey, bool]:
     """Read and remember an unencrypted key; returns its public key, and whether :func:`to_pem` writes the file so."""
     key = from_pem(pem, None, where)
     public, canonical = key.public_key(), _plain_pem(key) == pem
-    _remember(hashlib.sha256(pem).digest(), public, canonical=canonical)
+    _remember(pem, public, canonical=canonical)
     return public, canonical
 
 
-def _remember(file: bytes, key: PublicKey, *, canonical: bool) -> None:
+def _remember(pem: bytes, key: PublicKey, *, canonical: bool) -> None:
     if len(_KNOWN) >= _MOST:
         _KNOWN.clear()
-    _KNOWN[file] = _encoded(key), canonical
+    _KNOWN[hashlib.sha256(pem).digest()] = _encoded(key), canonical
 
 
 def matches(key: PrivateKey | PublicKey, certificate: x509.Certificate) -> bool:

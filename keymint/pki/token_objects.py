@@ -84,11 +84,8 @@ def described(error: pkcs11.PKCS11Error, token: str, where: Origin | None) -> Ke
         help_ = "correct it; it was tried once, and tokens lock themselves after a few tries"
     elif isinstance(error, pkcs11.PinLocked | pkcs11.PinExpired | pkcs11.UserPinNotInitialized):
         state = {"PinLocked": "locked", "PinExpired": "expired"}.get(name, "not set")
-        code, message, help_ = (
-            "token-pin",
-            f"the PIN of the token {token} is {state}",
-            "set it with the token's own tool",
-        )
+        code, message = "token-pin", f"the PIN of the token {token} is {state}"
+        help_ = "set it with the token's own tool"
     elif isinstance(error, _LOST):
         message = f"the token {token} was removed, or ended the session: {name}"
         help_ = "connect it, and run it again; nothing was written"
