@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
+from datetime import datetime
 
 from comarmor.values import dataclass
-from keymint.api import LoadedPolicy, Role
+from keymint.api import LoadedPolicy, Role, Validity
 from keymint.errors import KeymintError
-from keymint.pki import certificates
+from keymint.pki import certificates, forms
 from keymint.plan import build, create, install, lifetimes
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.enclaves import hidden, installed, installed_certificate, orphans
@@ -125,13 +125,12 @@ def _certificate_end(session: Session, name: str) -> datetime | None:
 def _recorded_period(session: Session, name: str, chains: Mapping[str, bytes]) -> tuple[datetime, datetime] | None:
     """Return the validity of the certificate of an enclave that is as it was installed, without reading it.
 
-    It is cut to its issuer's, and in whole seconds; see :mod:`keymint.pki.forms`.
+    It is cut to its issuer's, and in whole seconds.
     """
     for each in lifetimes.recalled(session, name, session.state.stamp(install.STAGE, name)):
         if each.what == "certificate":
-            issuer = certificates.load_bundle(chains[each.issuer])[0]
-            first, last = (moment.astimezone(UTC).replace(microsecond=0) for moment in (each.first, each.last))
-            return max(first, issuer.not_valid_before_utc), min(last, issuer.not_valid_after_utc)
+            period = forms.cut(Validity(each.first, each.last), certificates.load_bundle(chains[each.issuer])[0])
+            return period.not_before, period.not_after
     return None
 
 
@@ -150,7 +149,6 @@ def _row(
     *,
     installed: bool,
 ) -> PackageRow:
-    stale, problem, permissions_end, current = "", "", None, False
     try:
         built = build.is_built(session, name)
         session.file_digests(name)
@@ -160,17 +158,16 @@ def _row(
     stage = "installed" if installed else "built" if built else "source"
     if name in withdrawn(session):
         stage = "revoked"
+    stale, problem = ("create", differing[name]) if name in differing else ("", "")
+    permissions_end, current = None, False
     try:
         current = built and build.is_current(session, name)
         own = lifetimes.recalled(session, name, session.state.stamp(build.STAGE, name) if current else None)
         if session.role(name) is Role.SUBJECT:
             permissions_end = next((each.last for each in own if each.what == "grant"), None)
-        if name in differing:
-            stale, problem = "create", differing[name]
     except KeymintError as error:
         stale, problem = "create", str(error.diagnostics[0])
-    if not stale and not current:
-        stale = "build"
+    stale = stale or ("" if current else "build")
     if not stale and stage == "revoked":
         return PackageRow(name, stage, "", None, permissions_end, problem)
     period = None
