@@ -61,7 +61,7 @@ def compare(
             if allowed != decided:
                 by_subject[subject] = by_subject.get(subject, 0) + 1
                 if len(findings) + len(wrong) < limit:
-                    wrong.append((edge, replace(verdict, allowed=decided) if verdict.partial else verdict))
+                    wrong.append((edge, replace(verdict, allowed=decided)))
         if wrong:
             findings += explain(name, enclaves[subject], wrong)
         on_subject(subject)
@@ -85,8 +85,7 @@ def label_by_subject(
     """
     if tier is Tier.EXCHANGE:
         labelled = _answers(transport, tuple(enclaves.values()), edges, tier, deque())
-        for subject, group in groupby(labelled, key=lambda item: item[0].subject):
-            yield subject, group
+        yield from groupby(labelled, key=lambda item: item[0].subject)
         return
     for subject, group_of_edges in groupby(edges, key=attrgetter("subject")):
         yield subject, label_enclave(transport, enclaves[subject], group_of_edges, tier)

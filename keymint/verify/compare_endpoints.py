@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from operator import and_
 
-from keymint.api import Enclave, EndpointTransport, Tier, Verdict
+from keymint.api import Enclave, EndpointTransport, Tier
 from keymint.errors import KeymintError
 from keymint.graph import ConfusionMatrix, Edge
 from keymint.verify.compare import ENCLAVE_REFUSED, Explain, label_enclave
@@ -59,7 +59,8 @@ def compare_endpoints(
         if not first:
             return []
         again = label_enclave(transport, enclaves[subject], first, tier)
-        return explain(name, enclaves[subject], [(edge, _as_decided(verdict, first[edge])) for edge, verdict in again])
+        counted = [(edge, replace(verdict, allowed=first[edge])) for edge, verdict in again]
+        return explain(name, enclaves[subject], counted)
 
     findings: list[Mismatch] = []
     single: dict[str, list[tuple[Edge, bool]]] = {}
@@ -101,8 +102,3 @@ def _admitted(transport: EndpointTransport, enclave: Enclave, column: MappedColu
         if error.diagnostics[0].code != ENCLAVE_REFUSED:
             raise
         return bytes(len(column.endpoints.requests))
-
-
-def _as_decided(verdict: Verdict, allowed: bool) -> Verdict:
-    """Return a verdict with the decision that was counted."""
-    return verdict if verdict.allowed == allowed else replace(verdict, allowed=allowed)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import string
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
-from itertools import islice
+from itertools import chain, islice
 
 from comarmor.patterns import glob
 from comarmor.patterns.tokens import Charset, PatternError, Star
@@ -94,22 +94,14 @@ def names(expression: str) -> tuple[str, ...]:
 
 def _objects(rule: Rule, *, probe: bool) -> Iterator[Object]:
     """Yield the objects of a rule, and objects that probe its patterns."""
-    for name in _names_of(rule.expressions, probe):
+    named = (names(each) if probe else (glob.literal(glob.parse(each)),) for each in rule.expressions)
+    for name in chain.from_iterable(named):
         if not name or (rule.kind != RAW and name[0] != "/"):
             continue  # no topic has such a name
         yield from (Object(rule.kind, name, each) for each in _partitions(rule.partitions, rule.kind, probe=probe))
         for permission in rule.permissions:
             for kind, _, suffix in PARTS.get((rule.kind, permission), ()):
                 yield Object(kind, name + suffix)
-
-
-def _names_of(expressions: Sequence[str], probe: bool) -> Iterator[str]:
-    for expression in expressions:
-        text = glob.literal(glob.parse(expression))
-        if probe:
-            yield from names(expression)
-        elif text is not None:
-            yield text
 
 
 def _partitions(expressions: Sequence[str], kind: str, *, probe: bool) -> Iterator[tuple[str, ...]]:

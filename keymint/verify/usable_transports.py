@@ -29,16 +29,18 @@ def choose(
             usable.
     """
     if chosen:
-        return _grouped(plugins, _named(plugins, chosen, tier, build_types), build_types)
-    known = {name: plugins.transport(name) for each in build_types for name in plugins.transports_of(each)}
-    usable_here = {name: each for name, each in known.items() if usable_by_default(each.usable(), tier)}
-    if not usable_here:
+        used = _named(plugins, chosen, tier, build_types)
+    else:
+        known = {name: plugins.transport(name) for each in build_types for name in plugins.transports_of(each)}
+        used = {name: each for name, each in known.items() if usable_by_default(each.usable(), tier)}
+    if not used:
         raise KeymintError(
             f"no transport supports the tier {tier} on this machine",
             help="'keymint transports' shows how to install one",
             code="transport-none",
         )
-    return _grouped(plugins, usable_here, build_types)
+    groups = {each: {name: used[name] for name in used if plugins.read_by(name) == each} for each in build_types}
+    return {build_type: group for build_type, group in groups.items() if group}
 
 
 def _named(plugins: Plugins, chosen: Sequence[str], tier: Tier, build_types: Sequence[str]) -> dict[str, Transport]:
@@ -75,15 +77,6 @@ def _named(plugins: Plugins, chosen: Sequence[str], tier: Tier, build_types: Seq
     return named
 
 
-def _grouped(
-    plugins: Plugins, transports: Mapping[str, Transport], build_types: Sequence[str]
-) -> Mapping[str, Mapping[str, Transport]]:
-    groups: dict[str, dict[str, Transport]] = {name: {} for name in build_types}
-    for name, transport in transports.items():
-        groups[plugins.read_by(name)][name] = transport
-    return {name: group for name, group in groups.items() if group}
-
-
 def usable_by_default(usable: Availability, tier: Tier) -> bool:
     """Return whether a transport is tested when none is chosen."""
     return usable.usable and usable.by_default and tier in usable.tiers
@@ -96,7 +89,7 @@ def names_rules(usable: Availability) -> bool:
 
 def models(plugins: Plugins, build_type: str) -> dict[str, Transport]:
     """Return the transports of a build type that name the rule that decides; one without a version comes first."""
-    transports = {name: plugins.transport(name) for name in plugins.transports_of(build_type)}
-    usable = {name: each.usable() for name, each in transports.items()}
+    names = sorted(plugins.transports_of(build_type), key=lambda name: ("-" in name, name))
+    usable = {name: plugins.transport(name).usable() for name in names}
     named = [name for name, each in usable.items() if names_rules(each) and usable_by_default(each, Tier.DECISION)]
-    return {name: transports[name] for name in sorted(named, key=lambda name: ("-" in name, name))}
+    return {name: plugins.transport(name) for name in named}

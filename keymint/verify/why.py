@@ -31,7 +31,7 @@ from keymint.names import name_of
 from keymint.plan.enclaves import installed
 from keymint.session import Session
 from keymint.verify.compare import label_enclave
-from keymint.verify.copies import Copies, copied
+from keymint.verify.copies import copied
 from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.explain import Explainer
 from keymint.verify.matching import matching_rules, nearest
@@ -263,19 +263,17 @@ def _labels(
         [session.enclave(each) for each in there],
         [session.enclave(each) for each in there if each in infrastructure],
     ) as copies:
+
+        def models(build_type: str) -> Mapping[str, Transport]:
+            return copies.read_by(find_models(build_type))
+
         for build_type, group in asked.items():
             readers = copies.read_by(group)
-            explainer = Explainer(views[build_type].policy, readers, partial(_models, copies, find_models, build_type))
+            explainer = Explainer(views[build_type].policy, readers, partial(models, build_type))
             for each, transport in readers.items():
                 verdicts = list(label_enclave(transport, enclave, [edge], Tier.DECISION))
                 (labels[each],) = explainer(each, enclave, verdicts)
     return labels
-
-
-def _models(
-    copies: Copies, find_models: Callable[[str], Mapping[str, Transport]], build_type: str
-) -> Mapping[str, Transport]:
-    return copies.read_by(find_models(build_type))
 
 
 def _source_package(session: Session, subject: str) -> Package | None:
