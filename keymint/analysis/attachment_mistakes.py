@@ -82,20 +82,19 @@ _GrantedRight = tuple[str, str]
 
 def _wide(profiles: Sequence[WrittenProfile], clauses: Iterable[WrittenRule]) -> Iterator[Diagnostic]:
     """Yield profiles whose wildcards match subjects that have a profile of their own beside it."""
-    wild = [(each, text, parse(text)) for each in profiles for text in _texts(each)]
-    wild = [(each, text, glob) for each, text, glob in wild if literal(glob) is None and not _is_for_all(glob)]
+    attached = [(each, text, parse(text)) for each in profiles for text in _texts(each)]
+    wild = [(each, text, glob) for each, text, glob in attached if literal(glob) is None and not _is_for_all(glob)]
     if not wild:
         return
     rights = _rights(clauses)
-    near = PatternIndex(
-        (parse(text), each) for each in profiles for text in _texts(each) if literal(parse(text)) is not None
-    )
+    near = PatternIndex((glob, each) for each, _, glob in attached if literal(glob) is not None)
     checked: set[tuple[_Chain, str]] = set()
     for each, text, glob in wild:
-        granted = rights.get(profile_chain(each), {})
-        if not granted or (profile_chain(each), text) in checked:
+        chain = profile_chain(each)
+        granted = rights.get(chain, {})
+        if not granted or (chain, text) in checked:
             continue
-        checked.add((profile_chain(each), text))
+        checked.add((chain, text))
         try:
             with step_limit(STEPS):
                 gaining = list(_gaining(each, granted, near.meeting(glob), rights))

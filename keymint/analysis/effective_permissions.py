@@ -10,13 +10,7 @@ from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.relations import disjoint
 from comarmor.rules import Effect, parts
 from comarmor.values import dataclass
-from keymint.analysis.rule_lists import (
-    allow_only,
-    find_permitted,
-    part_lists,
-    query_pattern,
-    rule_patterns,
-)
+from keymint.analysis.rule_lists import allow_only, find_permitted, part_lists, query_pattern, rule_patterns
 from keymint.ir import Rule
 
 

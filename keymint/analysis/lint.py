@@ -7,7 +7,7 @@ example of each pattern of subjects that its profiles match.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 
 from comarmor.errors import Diagnostic, Origin, Spot
@@ -20,16 +20,11 @@ from keymint.analysis.attachment_mistakes import attachment_mistakes
 from keymint.analysis.expression_origins import ExpressionOrigins
 from keymint.analysis.findings import quoted_list, undecided
 from keymint.analysis.name_similarity import similar_names, similar_subjects
-from keymint.analysis.redundant_rules import (
-    MOST_PAIRS,
-    RedundantRules,
-    can_name_exist,
-    within_bounds,
-)
+from keymint.analysis.redundant_rules import MOST_PAIRS, RedundantRules, can_name_exist, within_bounds
 from keymint.analysis.root_names import CODES as ROOT_CODES
 from keymint.analysis.root_names import root_names
 from keymint.analysis.subject_patterns import can_exist, pattern_examples, profile_subjects, rules_of, structure
-from keymint.api import LoadedPolicy, PolicyStructure
+from keymint.api import LoadedPolicy, PolicyStructure, WrittenProfile
 from keymint.ir import Rule
 
 CODES: Mapping[str, str] = {
@@ -117,23 +112,15 @@ def _profiles(written: PolicyStructure) -> Iterator[Diagnostic]:
                 reachable = True
             applies = applies or reachable
             if not reachable and len(profile.attachments) > 1:
-                message = (
-                    f"profile {profile.name!r} never applies to {expression!r}: "
-                    f"the profiles around it apply only to {quoted_list(profile.around[-1])}"
-                )
-                yield Diagnostic.warning(
-                    "profile-never", message, where, _attachment_advice(expression, profile.around[-1])
-                )
+                why = f" to {expression!r}: the profiles around it apply only to {quoted_list(profile.around[-1])}"
+                yield _never(profile, expression, where, why)
         if not applies and profile.around and len(profile.attachments) == 1:
             ((expression, where),) = profile.attachments
-            message = (
-                f"profile {profile.name!r} never applies: no subject matches both its attachment "
-                f"{expression!r} and the profiles around it ({quoted_list(profile.around[-1])})"
-            )
-            yield Diagnostic.warning(
-                "profile-never", message, where, _attachment_advice(expression, profile.around[-1])
-            )
+            around = quoted_list(profile.around[-1])
+            why = f": no subject matches both its attachment {expression!r} and the profiles around it ({around})"
+            yield _never(profile, expression, where, why)
 
 
-def _attachment_advice(attachment: str, around: Sequence[str]) -> str:
-    return did_you_mean(attachment, around, "fix the attachment, or move the profile out", similarity=0.8)
+def _never(profile: WrittenProfile, attachment: str, where: Origin, why: str) -> Diagnostic:
+    help_ = did_you_mean(attachment, profile.around[-1], "fix the attachment, or move the profile out", similarity=0.8)
+    return Diagnostic.warning("profile-never", f"profile {profile.name!r} never applies{why}", where, help_)

@@ -105,10 +105,8 @@ class _PatternComparison:
                     self._reported[subjects][answer] = None
                     yield subjects, answer
                 elif answer is not None:
-                    yield (
-                        subjects,
-                        PermissionChange(self._gains, *key, rule.object, False, "", rule.where, answer.reason),
-                    )
+                    change = PermissionChange(self._gains, *key, rule.object, False, "", rule.where, answer.reason)
+                    yield subjects, change
 
     def _first(
         self, key: PermissionKey, rule: SymbolicRule, subjects: Glob, searches: Sequence[_AlternativeSearches]

@@ -23,13 +23,7 @@ from keymint.analysis.rule_lists import (
     part_lists,
     query_pattern,
 )
-from keymint.analysis.subject_patterns import (
-    can_exist,
-    named_subjects,
-    pattern_examples,
-    rules_of,
-    unknown_subject,
-)
+from keymint.analysis.subject_patterns import can_exist, named_subjects, pattern_examples, rules_of, unknown_subject
 from keymint.analysis.who_can import who_can
 from keymint.api import Expectation, LoadedPolicy
 from keymint.errors import KeymintError
