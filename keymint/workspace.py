@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
-from itertools import permutations
+from itertools import accumulate, permutations
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
@@ -194,7 +194,7 @@ def _packages(tree: Tree, folder: str, name: str) -> Iterator[str]:
 
 def hidden_by(tree: Tree, src: Path, name: str) -> Path | None:
     """Return the file ``KEYMINT_IGNORE`` that hides a package of this name, or None."""
-    folders = (src, *(src / "/".join(name.split("/")[:end]) for end in range(1, name.count("/") + 2)))
+    folders = accumulate(name.split("/"), Path.joinpath, initial=src)
     return next((folder / IGNORE_MARKER for folder in folders if tree.has_file(folder / IGNORE_MARKER)), None)
 
 

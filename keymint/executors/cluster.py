@@ -136,20 +136,20 @@ def _parsed(address: str) -> tuple[str, str]:
             code="executor-address",
             exit_code=ExitCode.USAGE,
         )
-    if scheme == "tls":
-        return "tls", f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-    try:
-        found = [ipaddress.ip_address(str(each[4][0])) for each in socket.getaddrinfo(host, None)]
-    except OSError as error:
-        raise KeymintError(f"the host {host} is not known: {error.strerror}", code="executor-lost") from error
-    if not all(each.is_loopback for each in found):
-        raise KeymintError(
-            f"{address} is on the network, where others could read the work and change the answers",
-            help=f"use tls://{host}:{port} with client certificates, or a scheduler on this machine",
-            code="executor-tls",
-        )
-    # The name is not looked up again: it could be another machine by then.
-    return "tcp", f"[{found[0]}]:{port}" if found[0].version == 6 else f"{found[0]}:{port}"  # noqa: PLR2004
+    if scheme == "dask":
+        try:
+            found = [ipaddress.ip_address(str(each[4][0])) for each in socket.getaddrinfo(host, None)]
+        except OSError as error:
+            raise KeymintError(f"the host {host} is not known: {error.strerror}", code="executor-lost") from error
+        if not all(each.is_loopback for each in found):
+            raise KeymintError(
+                f"{address} is on the network, where others could read the work and change the answers",
+                help=f"use tls://{host}:{port} with client certificates, or a scheduler on this machine",
+                code="executor-tls",
+            )
+        # The name is not looked up again: it could be another machine by then.
+        scheme, host = "tcp", str(found[0])
+    return scheme, f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
 def _security(kind: type[Security], address: str) -> Security:
