@@ -194,7 +194,7 @@ def vendor_notes(rules: Iterable[GrantRule[str]], permissions: Grant) -> Iterato
             "vendor-relay", "Cyclone DDS and OpenDDS ignore permissions to relay",
             permissions.origin, "do not rely on them there", subject,
         )  # fmt: skip
-    expressions = {text for rule in rules for texts in rule.topics.values() for text in texts}
+    expressions = {text for rule in rules for text in rule.every_topic()}
     infix = sorted(text for text in expressions - {GUARD} if "*" in text[:-1] or "[" in text)
     if infix:
         option = "; --no-optimise writes out the names that share an expression" if GUARD in expressions else ""

@@ -15,7 +15,7 @@ from comarmor.patterns.matching import matcher
 from comarmor.rules import Effect
 from keymint.keymake.gather import Pattern, gather, similar
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
-from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, GrantRule, Partitions, is_name
+from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, GrantRule, Partitions, begun, is_name
 
 GUARD = "*]*"
 """The names that match on Cyclone DDS and not by the standard."""
@@ -44,7 +44,7 @@ def gathered(rules: Sequence[GrantRule[str]], *, min_saved: int | None = None) -
         min_saved = max(MIN_SAVED, size // MIN_SAVED_PART)
     if most < min_saved or _most_shared(rules) < min_saved:
         return tuple(rules)
-    relay = next((n for n, rule in enumerate(rules) if rule.topics and not _has_endpoints(rule)), len(rules))
+    relay = next((n for n, rule in enumerate(rules) if rule.topics.keys() == {TopicAction.RELAY}), len(rules))
     endpoints, relays = rules[:relay], rules[relay:]
     movable = _named_once(endpoints)
     remaining: list[GrantRule[str]] = []
@@ -68,7 +68,7 @@ def gathered(rules: Sequence[GrantRule[str]], *, min_saved: int | None = None) -
 
 def _joined(
     remaining: Sequence[GrantRule[str]], topics: Mapping[Partitions, Mapping[TopicAction, tuple[str, ...]]]
-) -> list[GrantRule[str]]:
+) -> tuple[GrantRule[str], ...]:
     """Return the remaining rules, then the guard and the gathered topics; an allow rule comes first."""
     denied = DEFAULT if set(topics) == {DEFAULT} else EVERY
     actions = {action for by_action in topics.values() for action in by_action}
@@ -77,12 +77,7 @@ def _joined(
         GrantRule(Effect.ALLOW, partitions, {action: tuple(sorted(texts)) for action, texts in by_action.items()})
         for partitions, by_action in sorted(topics.items())
     ]
-    rules = [*remaining, guard, *last]
-    return rules if rules[0].effect is Effect.ALLOW else [GrantRule(Effect.ALLOW, DEFAULT, {}), *rules]
-
-
-def _has_endpoints(rule: GrantRule[str]) -> bool:
-    return any(action in rule.topics for action in _ACTIONS)
+    return begun([*remaining, guard, *last])
 
 
 def _named_once(rules: Sequence[GrantRule[str]]) -> frozenset[str]:
@@ -91,7 +86,7 @@ def _named_once(rules: Sequence[GrantRule[str]]) -> frozenset[str]:
     several: set[str] = set()
     wild: dict[int, list[Callable[[str], bool]]] = {}
     for number, rule in enumerate(rules):
-        for text in (text for texts in rule.topics.values() for text in texts):
+        for text in rule.every_topic():
             if not is_name(text):
                 wild.setdefault(number, []).append(matcher(glob.parse(text)))
             elif owner.setdefault(text, number) != number:

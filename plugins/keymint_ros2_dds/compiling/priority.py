@@ -10,7 +10,6 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from comarmor.patterns import glob
-from comarmor.patterns.glob import Glob
 from comarmor.patterns.matching import matcher, matches
 from comarmor.patterns.relations import all_disjoint
 from keymint_ros2_dds.compiling.gathering import GUARD
@@ -72,17 +71,8 @@ def _may_swap(before: GrantRule[str], rule: GrantRule[str], *, is_end: bool) -> 
     """Tell whether a rule may move before its predecessor; at an end, one of them is the first or the last rule."""
     if (TopicAction.RELAY in before.topics) is not (TopicAction.RELAY in rule.topics):
         return False  # relay rules, which some vendors ignore, stay at the end
-    if before.effect is not rule.effect and (is_end or _is_guard(before)):
-        return False
+    if before.effect is not rule.effect and (is_end or GUARD in before.every_topic()):
+        return False  # a guard denies what the gathered topics after it match on Cyclone DDS only
     if (before.effect, before.partitions) == (rule.effect, rule.partitions):
         return True
-    return all_disjoint(_patterns(before), _patterns(rule))
-
-
-def _patterns(rule: GrantRule[str]) -> list[Glob]:
-    return [glob.parse(text) for texts in rule.topics.values() for text in texts]
-
-
-def _is_guard(rule: GrantRule[str]) -> bool:
-    """Tell whether a rule denies the names that the gathered topics after it match on Cyclone DDS only."""
-    return any(GUARD in texts for texts in rule.topics.values())
+    return all_disjoint(*([glob.parse(text) for text in each.every_topic()] for each in (before, rule)))

@@ -38,7 +38,7 @@ class RuleGroup:
     def denied(self) -> tuple[Glob, ...]:
         """The patterns that are denied."""
         denials = (rule for rule in self.ordered if rule.effect is Effect.DENY)
-        return tuple(pattern for rule in denials for patterns in rule.topics.values() for pattern in patterns)
+        return tuple(pattern for rule in denials for pattern in rule.every_topic())
 
 
 def rule_groups(

@@ -30,7 +30,7 @@ from keymint.keymake.order import EarlyRules, early_rules
 from keymint_ros2_dds.compiling.partitions import UnportableError
 from keymint_ros2_dds.compiling.rule_groups import RuleGroup, denied_partitions, merged, rule_groups
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
-from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, GrantRule
+from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, GrantRule, begun
 from keymint_ros2_dds.lowering.lower import Lowered
 
 _ORDER = "portability-order"
@@ -55,10 +55,7 @@ def portable_rules(lowered: Lowered, *, reduced: bool = True) -> tuple[GrantRule
     }
     relay = groups.pop(TopicAction.RELAY)
     relay_rules = [*(rule for group in relay for rule in group.free), *(r for group in relay for r in group.ordered)]
-    rules = [*_both_directions(groups), *merged(relay_rules)]
-    if rules and rules[0].effect is Effect.DENY:
-        rules.insert(0, GrantRule(Effect.ALLOW, DEFAULT, {}))
-    return tuple(rules)
+    return begun([*_both_directions(groups), *merged(relay_rules)])
 
 
 def _both_directions(groups: _Groups) -> list[GrantRule[Glob]]:
@@ -134,7 +131,7 @@ def _early(action: TopicAction, groups: _Groups) -> list[_Early]:
 
 def _free_patterns(groups: _Groups) -> list[Glob]:
     rules = (rule for action in groups for group in groups[action] for rule in group.free)
-    return [pattern for rule in rules for patterns in rule.topics.values() for pattern in patterns]
+    return [pattern for rule in rules for pattern in rule.every_topic()]
 
 
 def _clash(denied: Iterable[Glob], action: TopicAction, group: RuleGroup, earlier: Iterable[Glob]) -> Glob | None:
@@ -205,6 +202,4 @@ def standard_rules(lowered: Lowered) -> tuple[GrantRule[Glob], ...]:
             for pattern, partitions in sides[action]
         ]
         result += merged(sorted(rules, key=lambda rule: rule.partitions))
-    if not any(lowered.allow.values()):
-        return ()
-    return (GrantRule(Effect.ALLOW, DEFAULT, {}), *result) if result[0].effect is Effect.DENY else tuple(result)
+    return begun(result) if any(lowered.allow.values()) else ()

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from typing import Generic, TypeVar
 
 from comarmor.patterns.tokens import SPECIAL
@@ -33,6 +34,16 @@ class GrantRule(Generic[_Pattern]):
     effect: Effect
     partitions: Partitions
     topics: Mapping[TopicAction, tuple[_Pattern, ...]]
+
+    def every_topic(self) -> Iterator[_Pattern]:
+        """Return the topics of all actions."""
+        return chain.from_iterable(self.topics.values())
+
+
+def begun(rules: Sequence[GrantRule[_Pattern]]) -> tuple[GrantRule[_Pattern], ...]:
+    """Return rules that begin with an allow rule: with one without criteria, if the first one denies."""
+    empty: GrantRule[_Pattern] = GrantRule(Effect.ALLOW, DEFAULT, {})
+    return (empty, *rules) if rules and rules[0].effect is Effect.DENY else tuple(rules)
 
 
 def is_name(expression: str) -> bool:
