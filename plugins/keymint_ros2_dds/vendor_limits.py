@@ -121,16 +121,14 @@ def check_size(size: int, kind: str, package: Package, lowered: Lowered | None =
     where = package.grant.origin
     help_ = "allow entire namespaces with a wildcard where that is intended, or split the subject"
     if lowered is not None:
-        rules = Counter(rule for _, _, _, rule in lowered.patterns())
-        kinds: Counter[str] = Counter()
-        for rule, count in rules.items():
-            kinds[f"{rule.effect} {rule.kind}"] += count
-        largest, count = rules.most_common(1)[0]
-        kind_name, kind_count = kinds.most_common(1)[0]
-        total = sum(rules.values())
-        message += f"; {kind_count} of its {total} patterns come from {kind_name} rules, {count} of them from one rule"
+        rules = Counter(rule for *_, rule in lowered.patterns())
+        kinds = Counter(f"{rule.effect} {rule.kind}" for rule in rules.elements())
+        ((largest, count),), ((of_kind, number),) = rules.most_common(1), kinds.most_common(1)
+        message += (
+            f"; {number} of its {rules.total()} patterns come from {of_kind} rules, {count} of them from one rule"
+        )
         where = largest.origin
-        if kind_name.startswith(Effect.DENY):
+        if of_kind.startswith(Effect.DENY):
             help_ = "deny entire namespaces with a wildcard where that is intended"
     yield Diagnostic.warning(f"size-{kind}", message, where, help_, package.subject)
 

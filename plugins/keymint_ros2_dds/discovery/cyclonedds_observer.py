@@ -204,11 +204,8 @@ class _Observer:
 
     def _take_endpoints(self, permission: str, reader: int) -> None:
         for sample in _taken(reader, _Endpoint):
-            partitions = tuple(_partitions(sample.qos))
-            endpoint = DiscoveredEndpoint(
-                str(sample.participant), permission, _text(sample.topic), _text(sample.type), partitions
-            )
-            self._endpoints[endpoint] = None
+            guid, topic, type_ = str(sample.participant), _text(sample.topic), _text(sample.type)
+            self._endpoints[DiscoveredEndpoint(guid, permission, topic, type_, _partitions(sample.qos))] = None
 
     def capture(self) -> Capture:
         """Return everything observed but the observer itself; a participant that was missed has no name."""
@@ -271,13 +268,13 @@ def _user_data(qos: int | None) -> bytes:
     return _freed(data.value, size.value)
 
 
-def _partitions(qos: int | None) -> list[str]:
+def _partitions(qos: int | None) -> tuple[str, ...]:
     count, names = c_uint32(), POINTER(c_void_p)()
     if not qos or not library().dds_qget_partition(qos, byref(count), byref(names)) or not count.value:
-        return []
+        return ()
     addresses = [names[index] for index in range(count.value)]
     library().dds_free(names)
-    return [_text(_freed(address)) if address else "" for address in addresses]
+    return tuple(_text(_freed(address)) if address else "" for address in addresses)
 
 
 def _freed(address: int, size: int = -1) -> bytes:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 
 from cryptography import x509
 
@@ -12,8 +13,8 @@ from comarmor.values import dataclass
 from keymint.api import KeystoreFiles
 from keymint.errors import KeymintError
 from keymint.pki import certificates, extensions, key_files, keys, smime
-from keymint_ros2_dds.enclave_layout import GOVERNANCE, PERMISSIONS
 from keymint_ros2_dds.reading import signed_governance, signed_permissions
+from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
 from keymint_ros2_dds.reading.signed_permissions import PermissionsDocument
 
 _SIGNED = b"MIME-Version:"
@@ -84,7 +85,7 @@ def contents(keystore: KeystoreFiles) -> Contents:
             document = _document(file.content)
             if isinstance(document, PermissionsDocument):
                 permissions[path] = document
-            elif document:
+            elif document is not None:
                 governances.append(path)
         elif key_files.has_any(file.content):
             own = key_files.private_keys(file.content)
@@ -119,18 +120,11 @@ def is_authority(certificate: x509.Certificate) -> bool:
     return constraints is not None and constraints.ca
 
 
-def _document(signed: bytes) -> PermissionsDocument | bool:
-    """Return a signed permissions document, or whether the file is a signed governance document."""
-    try:
+def _document(signed: bytes) -> PermissionsDocument | GovernanceDocument | None:
+    """Return a signed document; None for any other file."""
+    with suppress(KeymintError):
         content = smime.signed_content(signed)
-    except KeymintError:
-        return False
-    try:
-        return signed_permissions.read(content, f"{PERMISSIONS}.xml")
-    except KeymintError:
-        pass
-    try:
-        signed_governance.read(content, f"{GOVERNANCE}.xml")
-    except KeymintError:
-        return False
-    return True
+        for read in (signed_permissions.read, signed_governance.read):
+            with suppress(KeymintError):
+                return read(content)
+    return None

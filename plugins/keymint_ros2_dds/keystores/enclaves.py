@@ -15,6 +15,7 @@ from keymint.errors import KeymintError
 from keymint.names import name_of, package_name
 from keymint.pki import certificates, certification_path, keys, smime
 from keymint.pki.distinguished_names import MAX_COMMON_NAME, attributes, to_text
+from keymint.pki.mime import SignedDocument
 from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.domains import in_words, merged, uncovered
 from keymint_ros2_dds.enclave_layout import (
@@ -57,7 +58,7 @@ class _Enclave:
         self._certificate: x509.Certificate | None = None
         self._documents: dict[str, bytes] = {}
         self._grant: DocumentGrant | None = None
-        self._offsets: dict[str, int] = {}
+        self._found_grant: FoundGrant | None = None
         self._domains: tuple[DomainRange, ...] = ()
         self._facts: dict[str, Any] = {"place": place.place, "links": 0}
 
@@ -74,7 +75,7 @@ class _Enclave:
             grant_validity=self._grant_validity(),
             domains=self._domains,
             documents=self._documents,
-            grant=self._found_grant(),
+            grant=self._found_grant,
             facts=self._facts,
         )
 
@@ -205,8 +206,8 @@ class _Enclave:
 
     # -- documents -----------------------------------------------------------------------------------------------
 
-    def _signed(self, kind: str) -> Generator[Diagnostic, None, bytes | None]:
-        """Check a signed document; the generator returns its content if the signature verifies, else None."""
+    def _signed(self, kind: str) -> Generator[Diagnostic, None, SignedDocument | None]:
+        """Check a signed document; the generator returns it if the signature verifies, else None."""
         self._facts.setdefault("signatures", {})[kind] = False
         name = f"{kind}.p7s"
         signed, authority = self._content(name), self._trusted(PERMISSIONS_CA)
@@ -219,21 +220,21 @@ class _Enclave:
             return None
         self._facts["signatures"][kind] = True
         self._documents[f"{kind}.xml"] = document.content
-        self._offsets[kind] = document.lines_before
-        return document.content
+        return document
 
-    def _permissions(self, content: bytes | None) -> Iterator[Diagnostic]:
+    def _permissions(self, signed: SignedDocument | None) -> Iterator[Diagnostic]:
         self._facts |= {"grants": [], "same_text": None, "domains": []}
-        if content is None:
+        if signed is None:
             return
-        plain = self._content(PERMISSIONS_XML)
+        content, plain = signed.content, self._content(PERMISSIONS_XML)
         self._facts["same_text"] = plain == content if plain else None
         if plain and plain != content:
             message = "is not the document that permissions.p7s signs, which is the one that participants read"
             help_ = "write the signed text into it (openssl smime -verify -noverify prints it), or remove it"
             yield self._error("adopt-document-differs", PERMISSIONS_XML, message, help_)
+        place = self._where(PERMISSIONS_P7S).file, signed.lines_before
         try:
-            document = signed_permissions.read(content, self._where(PERMISSIONS_P7S).file, self._offsets[PERMISSIONS])
+            document = signed_permissions.read(content, *place)
         except KeymintError as error:
             yield from error.diagnostics
             return
@@ -245,6 +246,7 @@ class _Enclave:
             yield self._error("adopt-grants", PERMISSIONS_P7S, message, "sign a document with one grant")
             return
         self._grant = grant = document.grants[0]
+        self._found_grant = FoundGrant(content, *place, grant.subject_name)
         yield from self._grant_header(grant)
         yield from self._rules(grant)
 
@@ -286,12 +288,12 @@ class _Enclave:
             help_ = "write a policy for it: 'ros2 security create_enclave' resets an existing enclave to this"
             yield self._warning("adopt-allows-all", PERMISSIONS_P7S, message, help_)
 
-    def _governance(self, content: bytes | None) -> Iterator[Diagnostic]:
+    def _governance(self, signed: SignedDocument | None) -> Iterator[Diagnostic]:
         self._facts["governance_domains"] = []
-        if content is None:
+        if signed is None:
             return
         try:
-            document = signed_governance.read(content, self._where(GOVERNANCE_P7S).file, self._offsets[GOVERNANCE])
+            document = signed_governance.read(signed.content, self._where(GOVERNANCE_P7S).file, signed.lines_before)
         except KeymintError as error:
             del self._documents[GOVERNANCE_XML]
             yield from error.diagnostics
@@ -304,12 +306,6 @@ class _Enclave:
             message = f"grants in {in_words(lacking)}, but the governance is for {in_words(governed)}"
             help_ = "'ros2 security' takes both from ROS_DOMAIN_ID: sign the permissions again with that of the robots"
             yield self._error("adopt-domain", PERMISSIONS_P7S, message, help_)
-
-    def _found_grant(self) -> FoundGrant | None:
-        if self._grant is None:
-            return None
-        file = self._where(PERMISSIONS_P7S).file
-        return FoundGrant(self._documents[PERMISSIONS_XML], file, self._offsets[PERMISSIONS], self._grant.subject_name)
 
     def _grant_validity(self) -> Validity | None:
         grant = self._grant

@@ -48,8 +48,7 @@ def prove_content(
         if all(claim.proof is Proof.PROVEN for claim in claims):
             return claims
     key = _key(task, kind_of(task.rules.rules), names, b"" if governance is None else governance.key)
-    known = _proven.get(key)
-    if known is not None:
+    if (known := _proven.get(key)) is not None:
         return known
     document = decision.read(task.document, task.file, task.offset)
     if not document.defects:
