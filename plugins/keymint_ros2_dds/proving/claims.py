@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
 
@@ -16,7 +16,7 @@ from keymint_ros2_dds.domains import merged
 from keymint_ros2_dds.proving import octets, protection
 from keymint_ros2_dds.proving.comparison import Comparator
 from keymint_ros2_dds.proving.counterexamples import Counterexamples, Situation
-from keymint_ros2_dds.proving.enclave_governance import ACTIONS
+from keymint_ros2_dds.proving.enclave_governance import ACTIONS, unread_topic
 from keymint_ros2_dds.proving.governance_lists import (
     NOTHING,
     NOTHING_PERMITTED,
@@ -88,7 +88,7 @@ class _Model:
         if governance is not None and not self._refused:
             self._refused = semantics.refusal(governance.document)
             if not self._refused:
-                odd = semantics.unmodelled(governance.document) or governance.unread(semantics)
+                odd = semantics.unmodelled(governance.document) or unread_topic(governance.document, semantics)
                 self._unmodelled = self._unmodelled or odd
         eras = () if self._refused else grant_periods(question.document, question.task.subject_name, semantics)
         self._eras = tuple(eras)
@@ -135,9 +135,10 @@ class _Model:
             yield tuple(merged(group)), bool(applies)
 
     def _claim(self, action: str, domains: tuple[DomainRange, ...], *, inside: bool) -> Claim:
-        domain = domains[0].first
+        domain, semantics, governance = domains[0].first, self._semantics, self._governance
+        rule = None if self._unmodelled else self._rule(domain)
         universe = octets.PAIRS if self._comparison.pairs else octets.TOPICS
-        if not self._unmodelled and self._both_ways(domain):
+        if rule is not None and semantics.topic_rules_both_ways and not is_closed(rule, semantics):
             universe += f"; without {' '.join(WILDCARDS)}, which topic rules of the governance are compared with"
         claim = partial(Claim, self._variation.name, action, domains, universe)
         if self._unmodelled:
@@ -155,7 +156,8 @@ class _Model:
             return claim(Proof.UNKNOWN, unknown.reason, spent=True)
         if self._by_locale:
             return claim(Proof.UNKNOWN, self._by_locale)
-        return claim(Proof.PROVEN, excepted=tuple(self._excepted(action, domain)))
+        excepted = () if governance is None or rule is None else governance.excepted(rule, action, domain)
+        return claim(Proof.PROVEN, excepted=tuple(excepted))
 
     def _permitted(self, situation: Situation) -> Permitted:
         """Return what is permitted while a grant is in force; without a grant nothing is."""
@@ -181,15 +183,6 @@ class _Model:
         exempt = NOTHING if accepted is None else regions(accepted, action, semantics, pairs=pairs).opened
         topics = regions(governed.rule, action, semantics, pairs=pairs)
         return Permitted(own, topics, exempt, semantics.topic_rules_both_ways)
-
-    def _both_ways(self, domain: int) -> bool:
-        """Tell whether a claim excludes names with wildcards."""
-        rule = self._rule(domain) if self._semantics.topic_rules_both_ways else None
-        return rule is not None and not is_closed(rule, self._semantics)
-
-    def _excepted(self, action: str, domain: int) -> Iterable[str]:
-        rule = self._rule(domain)
-        return () if self._governance is None or rule is None else self._governance.excepted(rule, action, domain)
 
     def _refuted(self, claim: Callable[..., Claim], situation: Situation, witness: Witness) -> Claim:
         examples = Counterexamples(self._question, self._variation, self._refused, self._eras, self._comparison.pairs)

@@ -88,10 +88,6 @@ class EnclaveGovernance:
         """
         return not self.differs and _transparent(self._contents[0], domains)
 
-    def unread(self, semantics: Semantics) -> str:
-        """Return which expression has no meaning, or one that depends on the locale of a process; or an empty text."""
-        return _unread(self.document, semantics)
-
     def opens(self) -> bool:
         """Tell whether any rule leaves a topic open."""
         return any(rule.opens for rule in self.document.domain_rules)
@@ -117,7 +113,7 @@ class EnclaveGovernance:
 @lru_cache(maxsize=64)
 def _transparent(content: bytes, domains: tuple[DomainRange, ...]) -> bool:
     document = signed_governance.read(content)
-    if document.quirks or _unread(document, STANDARD):
+    if document.quirks or unread_topic(document, STANDARD):
         return False
     closed = all(
         rule.join_controlled and not rule.unauthenticated and is_closed(rule, STANDARD)
@@ -130,7 +126,8 @@ def _transparent(content: bytes, domains: tuple[DomainRange, ...]) -> bool:
     return closed and exact and all(document.rule(domain) is not None for domain in wanted)
 
 
-def _unread(document: GovernanceDocument, semantics: Semantics) -> str:
+def unread_topic(document: GovernanceDocument, semantics: Semantics) -> str:
+    """Return which expression has no meaning, or one that depends on the locale of a process; or an empty text."""
     for topic in (topic for rule in document.domain_rules for topic in rule.topic_rules):
         if not topic.expression.isascii() or "[:" in topic.expression:
             what = f"the expression {topic.expression!r} has characters beyond ASCII, or a class"

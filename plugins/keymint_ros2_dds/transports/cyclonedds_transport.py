@@ -36,13 +36,11 @@ class CycloneDDSTransport(RealTransport):
 
     def _installed(self) -> Availability:
         """Without compiler and headers only the tier *decision* is usable."""
+        probe_builds.require_cyclone_plugins()
         try:
-            probe_builds.require_cyclone_plugins()
+            availability = super()._installed()
         except MissingVendorError as error:
-            return Availability(usable=False, reason=error.reason, help=error.help)
-        availability = super()._installed()
-        if not availability.usable:
-            return replace(availability, usable=True, version="0.10", tiers=(Tier.DECISION,))
+            return Availability(True, "0.10", error.reason, error.help, (Tier.DECISION,))
         return replace(availability, version=availability.version or "0.10")
 
     def _decision(self, models: EnclaveModels, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:

@@ -48,14 +48,17 @@ class RealTransport:
 
     @cached_property
     def _usable(self) -> Availability:
-        return self._installed()
-
-    def _installed(self) -> Availability:
-        """Look for the libraries, compilers and headers that the tiers need."""
         try:
-            self.PROBE.require(self._environment.variables)
+            return self._installed()
         except MissingVendorError as error:
             return Availability(usable=False, reason=error.reason, help=error.help)
+
+    def _installed(self) -> Availability:
+        """Look for the libraries, compilers and headers that the tiers need.
+
+        Raises:
+            MissingVendorError: one that every tier needs is missing.
+        """
         version = self.PROBE.version(*self.VERSION, self._environment.variables)
         return Availability(usable=True, version=version, tiers=tuple(Tier))
 

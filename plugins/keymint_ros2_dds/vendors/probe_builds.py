@@ -57,7 +57,8 @@ class Probe:
         Raises:
             MissingVendorError: compiler or headers are not installed.
         """
-        compiler = self._compiler(environment)
+        path = environment.get("PATH", os.defpath)
+        compiler = next(filter(None, (shutil.which(name, path=path) for name in self.compilers)), None)
         if compiler is None:
             reason = f"no compiler {' or '.join(self.compilers)}"
             raise _missing(self.vendor, reason, (self.compilers[0], *self.packages))
@@ -94,17 +95,11 @@ class Probe:
         return program
 
     def version(self, header: str, macro: str, environment: Mapping[str, str]) -> str:
-        """Return the value of the macro of the vendor's version, or an empty text."""
-        compiler = self._compiler(environment)
-        if compiler is None:
-            return ""
+        """Return the value of the macro of the vendor's version, or an empty text; errors as of :meth:`require`."""
+        compiler, _ = self.require(environment)
         output = self._preprocess(compiler, header, environment, "-dM").stdout.decode(errors="replace")
         lines = (line.split(maxsplit=2) for line in output.splitlines())
         return next((words[2].strip('"') for words in lines if words[1:2] == [macro] and len(words) == 3), "")  # noqa: PLR2004
-
-    def _compiler(self, environment: Mapping[str, str]) -> str | None:
-        path = environment.get("PATH", os.defpath)
-        return next(filter(None, (shutil.which(name, path=path) for name in self.compilers)), None)
 
     def _preprocess(
         self, compiler: str, header: str, environment: Mapping[str, str], *options: str
