@@ -8,7 +8,6 @@ says. If that is intended, the profile can accept it.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import pairwise
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.patterns.decision_lists import Block, DecisionList, Equal, SearchBudget
@@ -17,9 +16,10 @@ from comarmor.patterns.proofs import escapes
 from comarmor.patterns.relations import union_covers
 from keymint.api import DomainRange, Package
 from keymint_ros2_dds.documents import governance_document
-from keymint_ros2_dds.domains import in_words
+from keymint_ros2_dds.domains import in_words, uncovered
 from keymint_ros2_dds.lowering.lower import Lowered, lower
 from keymint_ros2_dds.proving import octets, permission_lists
+from keymint_ros2_dds.proving.enclave_governance import cuts
 from keymint_ros2_dds.proving.protection import ACCEPT
 from keymint_ros2_dds.reading.signed_governance import ACCESS, JOIN, UNAUTHENTICATED
 from keymint_ros2_dds.settings import DomainRule, TopicProtection, settings_of
@@ -52,7 +52,8 @@ def findings(package: Package, lowered: Lowered | None = None) -> tuple[Diagnost
     diagnostics: list[Diagnostic] = []
     earlier: list[DomainRange] = []
     for rule in governance.domain_rules:
-        domains = tuple(_without(rule.domains, earlier))
+        pieces = [each for each in cuts((*rule.domains, *earlier)) if not uncovered([each], rule.domains)]
+        domains = uncovered(pieces, earlier)  # the first rule for a domain counts
         earlier += rule.domains
         if domains:
             results = (*_open_domain(rule, domains), *_open_topics(package, rule, domains, lowered))
@@ -62,15 +63,6 @@ def findings(package: Package, lowered: Lowered | None = None) -> tuple[Diagnost
 
 _Finding = tuple[str, str, Origin]
 """Code, message and place of a finding."""
-
-
-def _without(domains: tuple[DomainRange, ...], earlier: list[DomainRange]) -> Iterator[DomainRange]:
-    """Yield the domains that no earlier rule applies to; the first rule for a domain counts."""
-    edges = {edge for each in (*domains, *earlier) for edge in (each.first, each.last + 1)}
-    for first, following in pairwise(sorted(edges)):
-        inside = any(each.first <= first <= each.last for each in domains)
-        if inside and not any(each.first <= first <= each.last for each in earlier):
-            yield DomainRange(first, following - 1)
 
 
 def _is_closed(rule: DomainRule) -> bool:

@@ -59,9 +59,7 @@ def uniform(allow: Iterable[Step], deny: Iterable[Step]) -> Partitions | None:
 
     If no pattern is allowed, the list is the default partition.
     """
-    lists = {_reduced(partitions or DEFAULT) for _, partitions in allow}
-    if not lists:
-        return DEFAULT
+    lists = {_reduced(partitions or DEFAULT) for _, partitions in allow} or {DEFAULT}
     if len(lists) > 1:
         return None
     shared = lists.pop()

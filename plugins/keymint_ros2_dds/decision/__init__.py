@@ -10,8 +10,6 @@ from keymint_ros2_dds.decision.semantics import CYCLONEDDS_0_10 as CYCLONEDDS_0_
 from keymint_ros2_dds.decision.semantics import FASTDDS_2_9 as FASTDDS_2_9
 from keymint_ros2_dds.decision.semantics import OMG as OMG
 from keymint_ros2_dds.decision.semantics import VARIATIONS as VARIATIONS
-from keymint_ros2_dds.decision.semantics import Semantics as Semantics
 from keymint_ros2_dds.decision.semantics import Variation as Variation
 from keymint_ros2_dds.decision.semantics import explain as explain
-from keymint_ros2_dds.reading.signed_permissions import PermissionsDocument as PermissionsDocument
 from keymint_ros2_dds.reading.signed_permissions import read as read

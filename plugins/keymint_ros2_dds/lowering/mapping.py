@@ -87,10 +87,6 @@ def check_distro(distro: str) -> None:
     Raises:
         KeymintError: the distribution is not known.
     """
-    if distro in DISTROS:
-        return
-    raise KeymintError(
-        f"unknown distro {distro!r}",
-        help=did_you_mean(distro, DISTROS, f"use one of {', '.join(DISTROS)}"),
-        code="distro-unknown",
-    )
+    if distro not in DISTROS:
+        help_ = did_you_mean(distro, DISTROS, f"use one of {', '.join(DISTROS)}")
+        raise KeymintError(f"unknown distro {distro!r}", help=help_, code="distro-unknown")

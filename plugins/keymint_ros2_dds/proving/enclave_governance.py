@@ -139,7 +139,7 @@ def unread_topic(document: GovernanceDocument, semantics: Semantics) -> str:
     return ""
 
 
-def cuts(ranges: Iterable[DocumentDomains]) -> Iterator[DomainRange]:
+def cuts(ranges: Iterable[DocumentDomains | DomainRange]) -> Iterator[DomainRange]:
     """Yield ranges of domains such that each given range contains all or none of the domains of each one."""
     edges = {0, LAST_DOMAIN + 1}
     for domains in ranges:

@@ -11,7 +11,7 @@ from keymint.api import ComparisonTask, DomainRange
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.lowering.lower import Lowered
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance, cuts
-from keymint_ros2_dds.reading.signed_permissions import DocumentDomains, DocumentRule, PermissionsDocument
+from keymint_ros2_dds.reading.signed_permissions import DocumentRule, PermissionsDocument
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,10 +34,8 @@ class ProofQuestion:
         self, rules: Collection[DocumentRule], semantics: Semantics
     ) -> Iterator[tuple[DomainRange, bool, tuple[bool, ...]]]:
         """Yield domains that nothing tells apart, whether the policy applies there, and which rules of grants do."""
-        ranges = [DocumentDomains(each.first, each.last) for each in self.task.domains]
-        ranges += (domains for rule in rules for domains in rule.domains)
-        ranges += () if self.governance is None else self.governance.domains()
-        for domains in cuts(ranges):
+        governed = () if self.governance is None else self.governance.domains()
+        for domains in cuts((*self.task.domains, *(each for rule in rules for each in rule.domains), *governed)):
             inside = any(each.first <= domains.first <= each.last for each in self.task.domains)
             yield domains, inside, tuple(semantics.applies(rule, domains.first) for rule in rules)
 

@@ -21,7 +21,7 @@ from keymint.errors import KeymintError
 from keymint_ros2_dds.enclave_layout import GOVERNANCE, GOVERNANCE_XML
 from keymint_ros2_dds.reading import quirks
 from keymint_ros2_dds.reading.quirks import PLAIN, REFUSES, UNMODELLED, Quirk
-from keymint_ros2_dds.reading.signed_permissions import DocumentDomains
+from keymint_ros2_dds.reading.signed_permissions import DocumentDomains, placed
 
 ACCESS = {"publish": "enable_write_access_control", "subscribe": "enable_read_access_control"}
 """The element that puts an action under access control."""
@@ -153,9 +153,7 @@ def read(content: bytes, file: str = GOVERNANCE_XML, offset: int = 0) -> Governa
     try:
         return replace(_read(content), file=file, offset=offset)
     except KeymintError as error:
-        first = error.diagnostics[0]
-        where = Origin(file, first.where.line + offset if first.where and first.where.line else 0)
-        raise KeymintError(first.message, where=where, help=first.help, code=first.code) from None
+        raise KeymintError.of(placed(error, file, offset)) from None
 
 
 # Enclaves usually have the same governance.

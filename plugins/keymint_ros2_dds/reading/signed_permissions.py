@@ -151,7 +151,7 @@ def read(content: bytes, file: str = "permissions.xml", offset: int = 0) -> Perm
     try:
         root = parse(content, file)
     except ComArmorError as error:
-        raise KeymintError.of(_diagnostics(error, file, offset)) from None
+        raise KeymintError.of(placed(error, file, offset)) from None
     if root.tag != "dds" or root.find("permissions") is None:
         where = Origin(file, line(root) + offset)
         raise KeymintError("this is not a permissions document", where=where, code="document-kind")
@@ -167,7 +167,7 @@ def read(content: bytes, file: str = "permissions.xml", offset: int = 0) -> Perm
     return PermissionsDocument(
         file,
         tuple(_grant(element, file, offset) for element in root.iterfind("permissions/grant")),
-        _diagnostics(violation, file, offset) if violation else (),
+        placed(violation, file, offset) if violation else (),
         tuple(sorted(document_quirks, key=lambda quirk: quirk.line)),
         crash,
         offset,
@@ -267,7 +267,8 @@ def _plain(content: bytes) -> tuple[DocumentGrant, ...] | None:
     return (grant,)
 
 
-def _diagnostics(error: ComArmorError, file: str, offset: int) -> tuple[Diagnostic, ...]:
+def placed(error: ComArmorError, file: str, offset: int) -> tuple[Diagnostic, ...]:
+    """Return the findings of an error, with their places in the file that has the document."""
     return tuple(
         replace(item, where=Origin(file, item.where.line + offset) if item.where and item.where.line else Origin(file))
         for item in error.diagnostics

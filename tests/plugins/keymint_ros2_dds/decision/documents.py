@@ -7,7 +7,8 @@ from collections.abc import Collection, Sequence
 from datetime import UTC, datetime
 from xml.sax.saxutils import escape
 
-from keymint_ros2_dds.decision import OMG, DocumentEvaluator, EndpointDecision, PermissionsDocument, Variation
+from keymint_ros2_dds.decision import OMG, DocumentEvaluator, EndpointDecision, Variation
+from keymint_ros2_dds.reading.signed_permissions import PermissionsDocument
 
 NOW = datetime(2026, 11, 21, tzinfo=UTC)
 SUBJECT = "CN=/talker,OU=4f"
