@@ -13,7 +13,8 @@ from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.language.attachments import parse as parse_attachment
 from comarmor.language.attachments import strip
 from comarmor.language.policy import Policy
-from comarmor.language.source import INCLUDE, PolicyFile, PolicyFiles
+from comarmor.language.policy_files import PolicyFile, PolicyFiles
+from comarmor.language.source import INCLUDE
 from comarmor.language.syntax import Attachment, Inclusion, Profile, ProfileRule
 from comarmor.language.tunables import MOST_CHARACTERS, ExpansionBudget, TunableScope
 from comarmor.patterns.expression import literal
@@ -22,7 +23,6 @@ from comarmor.rules import PERMISSIONS, Effect
 from comarmor.text import quoted
 from comarmor.values import dataclass
 from comarmor.xml import schema
-from comarmor.xml.reader import place
 
 _LONGEST_NAME = 1024
 _LONGEST_SEGMENT = 255
@@ -40,12 +40,12 @@ class _PlacedElement:
 
     @property
     def where(self) -> Origin:
-        return _place(self.document, self.element, self.chain)
+        return self.document.place(self.element, self.chain)
 
     @property
     def inner_chain(self) -> tuple[Origin, ...]:
         """The chain of the elements that this one includes."""
-        return (_place(self.document, self.element), *self.chain)
+        return (self.document.place(self.element), *self.chain)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,14 +61,12 @@ class _PolicyParser:
     """Parses the documents of a policy in order, and collects every defect.
 
     Attributes:
-        checked: documents that were validated.
         budget: tunables, and characters of expressions.
         diagnostics: the defects.
         fragments: by document and whether it is included into a watched profile; None for a document that must be
             parsed at each inclusion.
     """
 
-    checked: set[PolicyFile] = field(default_factory=set)
     budget: ExpansionBudget = field(default_factory=ExpansionBudget)
     diagnostics: list[Diagnostic] = field(default_factory=list)
     fragments: dict[tuple[PolicyFile, bool], _Fragment | None] = field(default_factory=dict)
@@ -85,17 +83,6 @@ class _PolicyParser:
     def refuse(self, message: str, where: Origin, code: str, help_: str = "") -> None:
         """Collect a defect."""
         self.collect(ComArmorError(message, where=where, help=help_, code=code), where)
-
-    def validate(self, document: PolicyFile, chain: tuple[Origin, ...]) -> None:
-        """Validate a document and its includes, unless they were, against the schema: where each is first included."""
-        self.checked.add(document)
-        try:
-            schema.validate(document.root, locate("comarmor", "schemas") / "comarmor.xsd", document.name, chain)
-        except ComArmorError as error:
-            self.collect(error, Origin(document.name))
-        for element, included in document.includes.items():
-            if included not in self.checked:
-                self.validate(included, (_place(document, element), *chain))
 
     def root(self, document: PolicyFile) -> tuple[Profile, ...]:
         """Return the profiles of a root file."""
@@ -246,7 +233,7 @@ class _PolicyParser:
     def attachments(self, item: _PlacedElement, scope: TunableScope) -> Iterator[Attachment]:
         """Yield the expressions of an ``<attachment>`` or ``<attachments>`` element."""
         for element in item.element if item.element.tag == "attachments" else (item.element,):
-            where = _place(item.document, element, item.chain)
+            where = item.document.place(element, item.chain)
             try:
                 values = scope.expand(element.text or "", where)
             except ComArmorError as error:
@@ -285,7 +272,7 @@ class _PolicyParser:
         """Return the expressions of a ``<partitions>`` element; tunables and placeholders are not allowed."""
         expressions: dict[str, None] = {}
         for child in element:
-            where = _place(item.document, child, item.chain)
+            where = item.document.place(child, item.chain)
             try:
                 pieces = parse_attachment(strip(child.text or ""))
             except ComArmorError as error:
@@ -312,9 +299,11 @@ def parse(sources: PolicyFiles) -> Policy:
         ComArmorError: with every defect, each with ``file:line`` and its chain of includes.
     """
     parser = _PolicyParser()
-    for document in sources.roots:
-        if document not in parser.checked:
-            parser.validate(document, ())
+    for document, chain in sources.documents():
+        try:
+            schema.validate(document.root, locate("comarmor", "schemas") / "comarmor.xsd", document.name, chain)
+        except ComArmorError as error:
+            parser.collect(error, Origin(document.name))
     if parser.diagnostics:
         raise ComArmorError.of(parser.diagnostics)
     profiles = tuple(profile for document in sources.roots for profile in parser.root(document))
@@ -322,11 +311,6 @@ def parse(sources: PolicyFiles) -> Policy:
         raise ComArmorError.of(parser.diagnostics)
     unused = tuple(parser.budget.unused_tunables.values())
     return Policy(profiles, sources.files, sources.seen, unused, sources.shipped)
-
-
-def _place(document: PolicyFile, element: etree._Element, chain: tuple[Origin, ...] = ()) -> Origin:
-    line, column = place(element)
-    return Origin(document.name, line, chain, column)
 
 
 def _unique(expressions: list[Attachment]) -> tuple[Attachment, ...]:

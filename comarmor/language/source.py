@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import posixpath
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -18,13 +18,14 @@ from types import MappingProxyType
 from lxml import etree
 
 from comarmor.errors import ComArmorError, Origin
+from comarmor.language.policy_files import IncludeFormat, PolicyFile, PolicyFiles
 from comarmor.rules import PERMISSIONS
 from comarmor.text import quoted
 from comarmor.values import dataclass
 from comarmor.xml import includes
 from comarmor.xml.include_elements import href_of
 from comarmor.xml.package_folders import PackageFolders, ShippedFile
-from comarmor.xml.reader import LIMITS, XINCLUDE, Limits, line, parse
+from comarmor.xml.reader import LIMITS, XINCLUDE, Limits, parse, place
 from comarmor.xml.sandboxed_paths import (
     SandboxedFolder,
     exists,
@@ -38,49 +39,7 @@ from comarmor.xml.sandboxed_paths import (
 INCLUDE = f"{{{XINCLUDE}}}include"
 TESTS = ".test.xml"
 """Suffix of policy tests, which are beside the policy's root files."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PolicyFile:
-    """One file of a policy.
-
-    Attributes:
-        name: path as the user would type it.
-        root: the root element, with its ``xi:include`` elements.
-        includes: the included document of each ``xi:include`` element.
-        nodes: number of elements, with those of included documents counted at each inclusion that reads or copies them.
-        inclusions: number of such inclusions, nested ones included.
-        uniform: it has rules only, and uses no tunables, so that it means the same wherever it is included. A document
-            with anything else includes it without reading or copying it.
-        package: name of the package that ships it; empty for a file of the policy's owner.
-        climbs: number of folders above its own that the paths of its includes, nested ones included, lead through.
-    """
-
-    name: str
-    root: etree._Element
-    includes: Mapping[etree._Element, PolicyFile]
-    nodes: int
-    inclusions: int
-    uniform: bool
-    package: str = ""
-    climbs: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class PolicyFiles:
-    """The files of a policy.
-
-    Attributes:
-        roots: its root documents, in order.
-        files: the SHA-256 of every file by its resolved path.
-        seen: the :func:`fingerprint` of every path that was looked at, whether it exists or not.
-        shipped: those of its files that packages ship, each once.
-    """
-
-    roots: tuple[PolicyFile, ...]
-    files: Mapping[Path, bytes]
-    seen: Mapping[Path, bytes]
-    shipped: tuple[ShippedFile, ...] = ()
+_COMARMOR = IncludeFormat((INCLUDE,), href_of)
 
 
 def load_tree(
@@ -90,6 +49,7 @@ def load_tree(
     *,
     packages: PackageFolders | None = None,
     limits: Limits = LIMITS,
+    form: IncludeFormat = _COMARMOR,
 ) -> PolicyFiles:
     """Read a policy: a file, or the ``*.xml`` files directly in a directory, in sorted order.
 
@@ -99,6 +59,7 @@ def load_tree(
         library_shown: path of the library in origins, if it differs from where the library is read.
         packages: where packages are that ship files; without it the policy may include none of theirs.
         limits: limits of files and includes.
+        form: the form of includes.
 
     Raises:
         ComArmorError: something is missing, outside, too large or not well-formed, with ``file:line``.
@@ -121,7 +82,7 @@ def load_tree(
             help="put the policy's root files directly into it; files in sub-folders are only reached by includes",
             code="policy-empty",
         )
-    reader = _PolicyReader(folder, _library(library, library_shown), limits, packages)
+    reader = _PolicyReader(folder, _library(library, library_shown), limits, packages, form)
     if path.is_dir():
         reader.seen[Path(folder.shown)] = _names_fingerprint(roots)
     return reader.result(tuple(reader.root(name) for name in roots))
@@ -145,7 +106,7 @@ def read_document(
     folder = SandboxedFolder(library.resolve(), str(library_shown or library))
     reader = _PolicyReader(folder, folder, limits)
     # The document itself lies nowhere, but its includes are relative to the library's folder.
-    document = replace(reader.complete(parse(content, name, limits=limits), folder, "-", ()), name=name)
+    document = replace(reader.complete(content, parse(content, name, limits=limits), folder, "-", ()), name=name)
     reader.bound(document.nodes, document.inclusions, Origin(name))
     return reader.result((document,))
 
@@ -195,6 +156,7 @@ class _PolicyReader:
         library: the library's folder.
         limits: limits.
         packages: where packages are that ship files.
+        form: the form of includes.
         files: digests of the files.
         seen: fingerprints of the paths that were looked at.
         shipped: files of packages by package and path.
@@ -211,6 +173,7 @@ class _PolicyReader:
     library: SandboxedFolder | None
     limits: Limits
     packages: PackageFolders | None = None
+    form: IncludeFormat = _COMARMOR
     files: dict[Path, bytes] = field(default_factory=dict)
     seen: dict[Path, bytes] = field(default_factory=dict)
     shipped: dict[tuple[str, str], ShippedFile] = field(default_factory=dict)
@@ -284,42 +247,45 @@ class _PolicyReader:
             self.shipped[key] = ShippedFile(folder.package, relative, content, where)
         root = parse(content, folder.name(relative), limits=self.limits, chain=chain)
         self.open.append(real)
-        document = self.complete(root, folder, relative, chain)
+        document = self.complete(content, root, folder, relative, chain)
         self.done[key] = named, document
         self.open.pop()
         return document
 
     def complete(
-        self, root: etree._Element, folder: SandboxedFolder, relative: str, chain: tuple[Origin, ...]
+        self, content: bytes, root: etree._Element, folder: SandboxedFolder, relative: str, chain: tuple[Origin, ...]
     ) -> PolicyFile:
         """Read the includes of a document; the arguments are those of :meth:`document`, which read it."""
         name = folder.name(relative)
         includes: dict[etree._Element, PolicyFile] = {}
-        nodes, inclusions, climbs, uniform = 0, 0, 0, _is_uniform(root)
+        nodes, inclusions, climbs, uniform = 0, 0, 0, self.form is _COMARMOR and _is_uniform(root)
         for element in root.iter():
             nodes += 1
-            if element.tag != INCLUDE:
+            if element.tag not in self.form.tags:
                 continue
-            place = Origin(name, line(element), chain)
+            number, column = place(element)
+            where = Origin(name, number, chain, column)
             if len(self.open) > self.limits.include_depth:
                 raise ComArmorError(
-                    f"includes are nested more than {self.limits.include_depth} deep", where=place, code="xml-limit"
+                    f"includes are nested more than {self.limits.include_depth} deep", where=where, code="xml-limit"
                 )
-            included, above = self.include(element, folder, relative, place)
+            included, above = self.include(element, folder, relative, where)
             includes[element] = included
             climbs = max(climbs, above)
             if uniform or not included.uniform:
                 nodes += included.nodes
                 inclusions += 1 + included.inclusions
-            self.bound(nodes, inclusions, place)
+            self.bound(nodes, inclusions, where)
         uniform = uniform and all(included.uniform for included in includes.values())
-        return PolicyFile(name, root, MappingProxyType(includes), nodes, inclusions, uniform, folder.package, climbs)
+        return PolicyFile(
+            name, content, root, MappingProxyType(includes), nodes, inclusions, uniform, folder.package, climbs
+        )
 
     def include(
         self, element: etree._Element, folder: SandboxedFolder, relative: str, where: Origin
     ) -> tuple[PolicyFile, int]:
         """Read the file that an ``xi:include`` element refers to, and count the folders above that lead there."""
-        href = href_of(element, where)
+        href = self.form.href_of(element, where)
         key = folder, posixpath.dirname(relative), href
         if key in self.included:  # many profiles include the same few files
             return self.included[key]
@@ -339,7 +305,7 @@ class _PolicyReader:
         if is_there:
             document = self.document(inner, target, where, chain)
         elif inner.absent_is_empty:
-            document = PolicyFile(inner.name(target), etree.Element("profiles"), {}, 1, 0, True, inner.package)
+            document = PolicyFile(inner.name(target), b"", etree.Element("profiles"), {}, 1, 0, True, inner.package)
         else:
             raise self.missing(inner, target, href, where)
         *folders, _ = path.split("/")
@@ -364,8 +330,8 @@ class _PolicyReader:
 
     def missing(self, folder: SandboxedFolder, target: str, href: str, where: Origin) -> ComArmorError:
         """Return the error for a missing included file, with the searched paths and a similar file name."""
-        place = path_text(str(folder.place(target))) if folder.package else folder.name(target)
-        places, near = [place], similar_file(folder, target, where.file)
+        first = path_text(str(folder.place(target))) if folder.package else folder.name(target)
+        places, near = [first], similar_file(folder, target, where.file) or self.form.advice
         if self.library is not None and not folder.package:
             from_root = posixpath.normpath(includes.path_of(href, where))
             places.append(self.library.name(from_root))

@@ -87,13 +87,12 @@ def checked_path(path: str, where: Origin) -> str:
     return normal
 
 
-def path_of(href: str, where: Origin, *, help_: str = "") -> str:
+def path_of(href: str, where: Origin) -> str:
     """Return the path that the ``href`` of an ``xi:include`` names (XInclude 1.0, 3.1), with its escapes resolved.
 
     Args:
         href: the attribute.
         where: the place of the element.
-        help_: how to mend an absolute path.
 
     Raises:
         ComArmorError: ``include-href``: it is no path, e.g. an address or a query. ``include-outside``: it is absolute.
@@ -111,7 +110,7 @@ def path_of(href: str, where: Origin, *, help_: str = "") -> str:
         raise ComArmorError(
             f"xi:include of the absolute path {quoted(path)}, expected one relative to the including file",
             where=where,
-            help=help_,
+            help="copy the file into the policy's folder, and include the copy",
             code="include-outside",
         )
     return path

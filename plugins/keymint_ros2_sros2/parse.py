@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -12,7 +12,7 @@ from comarmor.errors import ComArmorError, Diagnostic
 from comarmor.rules import Effect
 from comarmor.text import quoted
 from comarmor.values import dataclass
-from keymint_ros2_sros2.policy_files import Placed, PolicyFiles, policy_files
+from keymint_ros2_sros2.policy_files import Placed, read
 from keymint_ros2_sros2.syntax import NEW, PERMISSIONS, Enclave, Entry, Node, NodeGroup, RuleList, SourcePolicy
 
 
@@ -25,8 +25,8 @@ def parse(path: Path) -> SourcePolicy:
     Raises:
         ComArmorError: a file is missing, outside of the policy's folder, or not valid, with ``file:line``.
     """
-    files, name = policy_files(path)
-    return _Parser(files).policy(files.root(name))
+    root, seen = read(path)
+    return _Parser(seen).policy(root)
 
 
 @dataclass(slots=True)
@@ -34,11 +34,11 @@ class _Parser:
     """Parses the elements of a policy in document order.
 
     Attributes:
-        files: the reader, which resolves includes.
+        seen: every path that was looked at, with its fingerprint.
         lost: notes about what has no meaning for access control.
     """
 
-    files: PolicyFiles
+    seen: Mapping[Path, bytes]
     lost: list[Diagnostic] = field(default_factory=list)
 
     def policy(self, root: Placed) -> SourcePolicy:
@@ -62,7 +62,7 @@ class _Parser:
                 help=f"expected <{inner}> with <{'enclave' if version == NEW else 'profile'}> in it",
             )  # fmt: skip
         closing = (*comments, *root.closing)
-        return SourcePolicy(version, tuple(enclaves), MappingProxyType(self.files.seen), tuple(self.lost), closing)
+        return SourcePolicy(version, tuple(enclaves), self.seen, tuple(self.lost), closing)
 
     def enclaves(self, item: Placed) -> Iterator[Enclave]:
         """Yield the enclaves of an ``<enclaves>`` element."""
@@ -123,7 +123,7 @@ class _Parser:
 
     def children(self, item: Placed, expected: tuple[str, ...], place: str) -> Iterator[Placed]:
         """Yield the child elements, which includes may have put into the wrong place; ``<metadata>`` is left out."""
-        for child in self.files.children(item):
+        for child in item.children():
             if child.element.tag == "metadata":
                 self.lose("<metadata>", child)
             elif child.element.tag in expected:

@@ -41,10 +41,12 @@ def test_a_path(href: str, path: str) -> None:
 )
 def test_what_is_no_relative_path(href: str, code: str) -> None:
     with pytest.raises(ComArmorError) as caught:
-        path_of(href, WHERE, help_="copy it")
+        path_of(href, WHERE)
     (found,) = caught.value.diagnostics
     assert (found.code, found.where) == (code, WHERE)
-    assert found.help == ("copy it" if code == "include-outside" else "")
+    assert found.help == (
+        "copy the file into the policy's folder, and include the copy" if code == "include-outside" else ""
+    )
 
 
 @pytest.mark.parametrize(

@@ -6,12 +6,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from keymint_ros2_sros2.parse import _Parser, parse
-from keymint_ros2_sros2.policy_files import policy_files
+from keymint_ros2_sros2.parse import parse
+from keymint_ros2_sros2.policy_files import INCLUDES
 from lxml import etree
 
 from comarmor.errors import ComArmorError
+from comarmor.language.source import load_tree
 from comarmor.xml.reader import Limits
+from tests.effort import calls_of
 
 from .sros2_policies import COMMON, DRAFT, LOGGING, XI, enclave, policy
 
@@ -177,11 +179,9 @@ def test_a_loop_over_two_files(write) -> None:
 def test_includes_that_multiply_are_bounded(write) -> None:
     files = {f"{level}.xml": f"<profile {XI}>{include(f'{level + 1}.xml') * 10}</profile>" for level in range(8)}
     path = write(policy(enclave("/a", include("0.xml"))), {**files, "8.xml": LOGGING})
-    reader, name = policy_files(path)
-    for limits, message in ((Limits(inclusions=500), "more than 500 includes"), (Limits(nodes=200), "200 elements")):
-        reader.limits = limits
-        with pytest.raises(ComArmorError, match=message):
-            _Parser(reader).policy(reader.root(name))
+    for limits, message in ((Limits(inclusions=500), "500 inclusions"), (Limits(nodes=200), "200 elements")):
+        with pytest.raises(ComArmorError, match=f"more than .*{message}"):
+            load_tree(path, limits=limits, form=INCLUDES)
 
 
 @pytest.mark.parametrize("steps", ["/profile/topics/*", "/profile/*/topic"])
@@ -189,10 +189,8 @@ def test_what_an_xpointer_selects_counts_each_time(write, steps: str) -> None:
     listed = f'<profile {XI}><topics publish="ALLOW">{"<topic>/x</topic>" * 50}</topics></profile>'
     selected = include("many.xml", f'xpointer="xpointer({steps})"')
     path = write(policy(enclave("/a", f'<topics publish="ALLOW">{selected * 5}</topics>')), {"many.xml": listed})
-    reader, name = policy_files(path)
-    reader.limits = Limits(nodes=200)
-    with pytest.raises(ComArmorError, match="more than 200 elements"):
-        _Parser(reader).policy(reader.root(name))
+    with pytest.raises(ComArmorError, match="more than the 200 elements"):
+        load_tree(path, limits=Limits(nodes=200), form=INCLUDES)
 
 
 def test_the_depth_of_includes_is_bounded(write) -> None:
@@ -202,10 +200,9 @@ def test_the_depth_of_includes_is_bounded(write) -> None:
 
 
 def test_the_limit_of_bytes(write) -> None:
-    files, name = policy_files(write(policy(enclave("/a", include("logging.xml"))), {"logging.xml": LOGGING}))
-    files.limits = Limits(total_bytes=100)
+    path = write(policy(enclave("/a", include("logging.xml"))), {"logging.xml": LOGGING})
     with pytest.raises(ComArmorError, match="bytes allowed"):
-        files.root(name)
+        load_tree(path, limits=Limits(total_bytes=100), form=INCLUDES)
 
 
 def test_a_missing_policy_and_a_folder(tmp_path: Path) -> None:
@@ -215,13 +212,42 @@ def test_a_missing_policy_and_a_folder(tmp_path: Path) -> None:
         assert caught.value.diagnostics[0].code == "policy-missing"
 
 
-def test_every_file_is_seen_even_a_missing_one(robot: Path, tmp_path: Path) -> None:
+def test_every_file_is_seen(robot: Path) -> None:
     seen = parse(robot).seen
     assert {path.name for path in seen} == {"policy.xml", "node.xml", "logging.xml", "time.xml", "parameters.xml"}
     assert all(seen.values())
-    files, name = policy_files(robot)
-    (tmp_path / "common/node.xml").unlink()
-    with pytest.raises(ComArmorError, match="does not exist"):
-        list(files.children(next(files.children(next(files.children(next(files.children(next(
-            files.children(files.root(name)))))))))))  # fmt: skip
-    assert files.seen[tmp_path / "common/node.xml"] == b""
+
+
+def test_a_missing_file_says_where_to_get_it(robot: Path, tmp_path: Path) -> None:
+    (tmp_path / "common").rename(tmp_path / "moved")
+    with pytest.raises(ComArmorError, match="does not exist") as caught:
+        parse(robot)
+    (found,) = caught.value.diagnostics
+    assert found.help.startswith(f"looked for '{tmp_path}/common/node.xml'; copy SROS2's 'common' folder beside")
+
+
+def test_names_that_links_multiply_are_read_once(write) -> None:
+    links = [f"d{i}" for i in range(10)]
+    files = {
+        f"s/{i}.xml": f"<profile {XI}>{''.join(include(f'{link}/{i + 1}.xml') for link in links)}</profile>"
+        for i in range(14)
+    }
+    path = write(policy(enclave("/a", include("s/0.xml"))), files | {"s/14.xml": LOGGING})
+    for link in links:
+        (path.parent / "s" / link).symlink_to(".")
+
+    def refused() -> str:
+        with pytest.raises(ComArmorError) as caught:
+            parse(path)
+        return caught.value.diagnostics[0].code
+
+    assert (found := calls_of(refused))[0] == "xml-limit"
+    assert found[1] < 100_000
+
+
+def test_rules_of_profiles_alone_count_each_time(write) -> None:
+    """A file with nothing but includes is no file of rules that ComArmor would read once."""
+    files = {f"{level}.xml": f"<profiles {XI}>{include(f'{level + 1}.xml', '') * 10}</profiles>" for level in range(8)}
+    path = write(f'<policy version="0.1.0" {XI}>{include("0.xml", "")}</policy>', {**files, "8.xml": "<profiles/>"})
+    with pytest.raises(ComArmorError, match="50,000 inclusions allowed"):
+        parse(path)

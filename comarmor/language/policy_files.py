@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files of a policy, with the documents that their includes stand for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import field
+from pathlib import Path
+
+from lxml import etree
+
+from comarmor.errors import Origin
+from comarmor.values import dataclass
+from comarmor.xml.package_folders import ShippedFile
+from comarmor.xml.reader import place
+
+
+@dataclass(frozen=True, slots=True)
+class IncludeFormat:
+    """What a language accepts as an include.
+
+    Attributes:
+        tags: its elements.
+        href_of: checks such an element at a place, and returns its ``href``.
+        advice: what to do about a missing file.
+    """
+
+    tags: tuple[str, ...]
+    href_of: Callable[[etree._Element, Origin], str]
+    advice: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PolicyFile:
+    """One file of a policy.
+
+    Attributes:
+        name: path as the user would type it.
+        content: its bytes.
+        root: the root element, with its ``xi:include`` elements.
+        includes: the included document of each ``xi:include`` element.
+        nodes: number of elements, with those of included documents counted at each inclusion that reads or copies them.
+        inclusions: number of such inclusions, nested ones included.
+        uniform: it has rules only, and uses no tunables, so that it means the same wherever it is included. A document
+            with anything else includes it without reading or copying it.
+        package: name of the package that ships it; empty for a file of the policy's owner.
+        climbs: number of folders above its own that the paths of its includes, nested ones included, lead through.
+    """
+
+    name: str
+    content: bytes = field(repr=False)
+    root: etree._Element
+    includes: Mapping[etree._Element, PolicyFile]
+    nodes: int
+    inclusions: int
+    uniform: bool
+    package: str = ""
+    climbs: int = 0
+
+    def place(self, element: etree._Element, chain: tuple[Origin, ...] = ()) -> Origin:
+        """Return the place of an element of it, with the places that include the file, innermost first."""
+        line, column = place(element)
+        return Origin(self.name, line, chain, column)
+
+
+@dataclass(frozen=True, slots=True)
+class PolicyFiles:
+    """The files of a policy.
+
+    Attributes:
+        roots: its root documents, in order.
+        files: the SHA-256 of every file by its resolved path.
+        seen: the :func:`fingerprint` of every path that was looked at, whether it exists or not.
+        shipped: those of its files that packages ship, each once.
+    """
+
+    roots: tuple[PolicyFile, ...]
+    files: Mapping[Path, bytes]
+    seen: Mapping[Path, bytes]
+    shipped: tuple[ShippedFile, ...] = ()
+
+    def documents(self) -> Iterator[tuple[PolicyFile, tuple[Origin, ...]]]:
+        """Yield each document once, with the places that include it where it is first included, innermost first."""
+        met: set[PolicyFile] = set()
+
+        def below(document: PolicyFile, chain: tuple[Origin, ...]) -> Iterator[tuple[PolicyFile, tuple[Origin, ...]]]:
+            met.add(document)
+            yield document, chain
+            for element, included in document.includes.items():
+                if included not in met:
+                    yield from below(included, (document.place(element), *chain))
+
+        for root in self.roots:
+            if root not in met:
+                yield from below(root, ())
