@@ -29,6 +29,7 @@ from keymint.output.sarif import sarif as sarif_log
 from keymint.plan.policy import load_policy
 from keymint.plan.register import with_enclaves
 from keymint.plan.trust_anchors import differences
+from keymint.verify.compare import Asking
 from keymint.verify.copies import copied
 from keymint.verify.mismatch import Comparison
 from keymint.verify.parts import verified_in_parts
@@ -38,7 +39,7 @@ from keymint.verify.scope import (
     subjects_of_graph,
 )
 from keymint.verify.usable_transports import choose
-from keymint.verify.verification import Asking, Verification
+from keymint.verify.verification import Verification
 
 
 @verb(executor=True)

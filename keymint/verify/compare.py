@@ -9,9 +9,10 @@ from dataclasses import replace
 from itertools import groupby
 from operator import attrgetter
 
+from comarmor.values import dataclass
 from keymint.api import Enclave, Tier, Transport, Verdict
 from keymint.errors import KeymintError
-from keymint.graph import ConfusionMatrix, Edge, EdgeOutcome
+from keymint.graph import ConfusionMatrix, Edge
 from keymint.verify.mismatch import Comparison, Mismatch
 
 ENCLAVE_REFUSED = "enclave-refused"
@@ -21,16 +22,29 @@ Explain = Callable[[str, Enclave, list[tuple[Edge, Verdict]]], list[Mismatch]]
 """Returns the mismatches of one enclave, given the name of the transport and the edges with its verdicts."""
 
 
+@dataclass(frozen=True, slots=True)
+class Asking:
+    """How to ask transports.
+
+    Attributes:
+        tier: the tier of the test.
+        limit: mismatches to keep for each transport; all are counted.
+        on_subject: called with the name of a transport, or ``policy``, and a subject after all edges of the subject.
+    """
+
+    tier: Tier
+    limit: int
+    on_subject: Callable[[str, str], None]
+
+
 def compare(
     name: str,
     transport: Transport,
     enclaves: Mapping[str, Enclave],
     edges: Iterable[Edge],
     labels: Iterable[int],
-    tier: Tier,
     explain: Explain,
-    limit: int,
-    on_subject: Callable[[str], None] = lambda _subject: None,
+    asking: Asking,
 ) -> Comparison:
     """Compare one transport with the policy.
 
@@ -40,10 +54,8 @@ def compare(
         enclaves: the enclave of each subject of the edges.
         edges: grouped by subject.
         labels: the policy's label of each edge: 1 allowed, 0 denied.
-        tier: the tier of the test.
         explain: returns mismatches with their reasons.
-        limit: mismatches to keep; all are counted.
-        on_subject: called after all edges of a subject.
+        asking: how to ask.
 
     Raises:
         KeymintError: the transport does not work.
@@ -52,7 +64,7 @@ def compare(
     counts = [[0, 0], [0, 0]]
     findings: list[Mismatch] = []
     by_subject: dict[str, int] = {}
-    for subject, labelled in label_by_subject(transport, enclaves, edges, tier):
+    for subject, labelled in label_by_subject(transport, enclaves, edges, asking.tier):
         wrong: list[tuple[Edge, Verdict]] = []
         for edge, verdict in labelled:
             allowed = next(expected)
@@ -60,19 +72,14 @@ def compare(
             counts[allowed][decided] += 1
             if allowed != decided:
                 by_subject[subject] = by_subject.get(subject, 0) + 1
-                if len(findings) + len(wrong) < limit:
+                if len(findings) + len(wrong) < asking.limit:
                     wrong.append((edge, replace(verdict, allowed=decided)))
         if wrong:
             findings += explain(name, enclaves[subject], wrong)
-        on_subject(subject)
+        asking.on_subject(name, subject)
     (true_negative, false_positive), (false_negative, true_positive) = counts
     confusion = ConfusionMatrix(true_positive, false_negative, false_positive, true_negative)
-    return Comparison(name, transport.usable().version, tier, confusion, tuple(findings), by_subject)
-
-
-def error_of(allowed_by_transport: bool) -> EdgeOutcome:
-    """Return how an edge is wrong that a transport labels so, and the policy differently."""
-    return EdgeOutcome.FALSE_POSITIVE if allowed_by_transport else EdgeOutcome.FALSE_NEGATIVE
+    return Comparison(name, transport.usable().version, asking.tier, confusion, tuple(findings), by_subject)
 
 
 def label_by_subject(

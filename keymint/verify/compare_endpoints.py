@@ -7,14 +7,14 @@ The transport is asked about edges only for the reasons of mismatches. The resul
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from operator import and_
 
 from keymint.api import Enclave, EndpointTransport, Tier
 from keymint.errors import KeymintError
 from keymint.graph import ConfusionMatrix, Edge
-from keymint.verify.compare import ENCLAVE_REFUSED, Explain, label_enclave
+from keymint.verify.compare import ENCLAVE_REFUSED, Asking, Explain, label_enclave
 from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.halves import halves
 from keymint.verify.mismatch import Comparison, Mismatch
@@ -29,10 +29,8 @@ def compare_endpoints(
     labels: bytes | bytearray,
     policy: EndpointPolicy,
     namings: Mapping[str, Naming],
-    tier: Tier,
     explain: Explain,
-    limit: int,
-    on_subject: Callable[[str], None] = lambda _subject: None,
+    asking: Asking,
 ) -> Comparison:
     """Compare one transport with the policy.
 
@@ -44,10 +42,8 @@ def compare_endpoints(
         labels: the policy's label of each edge: 1 allowed, 0 denied.
         policy: the policy on endpoints.
         namings: the naming of each subject.
-        tier: the tier of the test.
         explain: returns mismatches with their reasons.
-        limit: mismatches to keep; all are counted.
-        on_subject: called after all edges of a subject.
+        asking: how to ask.
 
     Raises:
         KeymintError: the transport does not work.
@@ -55,10 +51,10 @@ def compare_endpoints(
 
     def kept(subject: str, decided: Sequence[tuple[Edge, bool]]) -> list[Mismatch]:
         """Return the first of some mismatches."""
-        first = dict(decided[: max(0, limit - len(findings))])
+        first = dict(decided[: max(0, asking.limit - len(findings))])
         if not first:
             return []
-        again = label_enclave(transport, enclaves[subject], first, tier)
+        again = label_enclave(transport, enclaves[subject], first, asking.tier)
         counted = [(edge, replace(verdict, allowed=first[edge])) for edge, verdict in again]
         return explain(name, enclaves[subject], counted)
 
@@ -68,7 +64,7 @@ def compare_endpoints(
     both = by_policy = by_transport = 0
     for row, expected in labelled_rows(rows, labels):
         column = mapped(row.column, namings[row.subject])
-        admitted = _admitted(transport, enclaves[row.subject], column, tier)
+        admitted = _admitted(transport, enclaves[row.subject], column, asking.tier)
         decided = column.allowed(admitted)
         if half_edges := halves(row, expected, column, admitted, policy):
             single[row.subject] = [(edge, True) for edge in half_edges]
@@ -83,7 +79,7 @@ def compare_endpoints(
         both += sum(map(and_, expected, decided))
         by_policy += expected.count(1)
         by_transport += decided.count(1)
-        on_subject(row.subject)
+        asking.on_subject(name, row.subject)
     of_edges = len(findings)
     for subject, found in single.items():
         wrong[subject] = wrong.get(subject, 0) + len(found)
@@ -91,7 +87,7 @@ def compare_endpoints(
     false_positive = by_transport - both + sum(map(len, single.values()))
     confusion = ConfusionMatrix(both, by_policy - both, false_positive, len(labels) - by_policy - by_transport + both)
     version, of_endpoints = transport.usable().version, len(findings) - of_edges
-    return Comparison(name, version, tier, confusion, tuple(findings), wrong, of_endpoints)
+    return Comparison(name, version, asking.tier, confusion, tuple(findings), wrong, of_endpoints)
 
 
 def _admitted(transport: EndpointTransport, enclave: Enclave, column: MappedColumn, tier: Tier) -> bytes:

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cache
 
 from comarmor.errors import Origin
 from keymint.api import Enclave, Tier, Transport, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Edge
-from keymint.verify.compare import error_of, label_enclave
+from keymint.verify.compare import label_enclave
 from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.mismatch import Mismatch
 from keymint.verify.usable_transports import names_rules
@@ -35,18 +35,13 @@ class Explainer:
     ) -> None:
         self._policy = policy
         self._explains_itself = frozenset(name for name, each in transports.items() if names_rules(each.usable()))
-        self._find_models = find_models
-
-    @cached_property
-    def _models(self) -> Mapping[str, Transport]:
-        return self._find_models()
+        self._models = cache(find_models)
 
     def __call__(self, transport: str, enclave: Enclave, wrong: list[tuple[Edge, Verdict]]) -> list[Mismatch]:
         """Return the mismatches of one enclave with their reasons."""
         modelled = self._modelled(transport, enclave, wrong)
         return [
             Mismatch(
-                error_of(verdict.allowed),
                 edge,
                 self._policy.decide(edge),
                 replace(verdict, where=modelled_verdict.where, deviation=modelled_verdict.deviation),
@@ -59,8 +54,8 @@ class Explainer:
 
     def model_of(self, transport: str) -> str:
         """Return the name of the simulation that explains a transport, or an empty text."""
-        own = [name for name in self._models if name.startswith(f"{transport}-")]
-        return next(iter(own or self._models), "")
+        own = [name for name in self._models() if name.startswith(f"{transport}-")]
+        return next(iter(own or self._models()), "")
 
     def _modelled(
         self, transport: str, enclave: Enclave, wrong: Sequence[tuple[Edge, Verdict]]
@@ -72,7 +67,7 @@ class Explainer:
             return plain
         try:
             edges = [edge for edge, _ in wrong]
-            models = [verdict for _, verdict in label_enclave(self._models[name], enclave, edges, Tier.DECISION)]
+            models = [verdict for _, verdict in label_enclave(self._models()[name], enclave, edges, Tier.DECISION)]
         except KeymintError:
             return plain
         return [

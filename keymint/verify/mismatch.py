@@ -16,7 +16,6 @@ class Mismatch:
     """An edge that a transport labels differently from the policy, with the reason.
 
     Attributes:
-        error: false positive or false negative.
         edge: the edge.
         policy: the policy's decision.
         verdict: the transport's decision, in its own words.
@@ -25,13 +24,17 @@ class Mismatch:
         model: the simulated transport that explains the verdict of a real one, or empty.
     """
 
-    error: EdgeOutcome
     edge: Edge
     policy: PolicyDecision
     verdict: Verdict
     reason: str
     document: Origin
     model: str = ""
+
+    @property
+    def error(self) -> EdgeOutcome:
+        """How the edge is labelled wrongly: false positive or false negative."""
+        return EdgeOutcome.FALSE_POSITIVE if self.verdict.allowed else EdgeOutcome.FALSE_NEGATIVE
 
 
 @dataclass(frozen=True, slots=True)

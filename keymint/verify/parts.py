@@ -11,13 +11,14 @@ from keymint.api import DivisiblePolicy, LoadedPolicy, Transport
 from keymint.executors import Pool
 from keymint.graph import ConfusionMatrix, Graph, Object
 from keymint.plugins import Plugins
+from keymint.verify.compare import Asking
 from keymint.verify.copies import Copies, placed
 from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.mismatch import Comparison
 from keymint.verify.rows import EdgeRows
 from keymint.verify.scope import VerificationScope, common_objects, edges_of_graph, edges_of_policy
 from keymint.verify.usable_transports import models, names_rules
-from keymint.verify.verification import Asking, Verification, verification
+from keymint.verify.verification import Verification, verification
 
 LEAST = 150_000
 """Edges, times models, for which a process of its own is worth its start."""

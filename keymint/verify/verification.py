@@ -10,7 +10,7 @@ from itertools import chain
 from comarmor.values import dataclass
 from keymint.api import EndpointTransport, LoadedPolicy, PolicyDecision, Tier, Transport
 from keymint.graph import Edge
-from keymint.verify.compare import compare
+from keymint.verify.compare import Asking, compare
 from keymint.verify.compare_endpoints import compare_endpoints
 from keymint.verify.endpoint_policy import EndpointPolicy, label
 from keymint.verify.explain import Explainer
@@ -45,21 +45,6 @@ class Verification:
         return chain.from_iterable(self.rows())
 
 
-@dataclass(frozen=True, slots=True)
-class Asking:
-    """How to ask transports.
-
-    Attributes:
-        tier: the tier of the test.
-        limit: mismatches to keep for each transport; all are counted.
-        on_subject: called with the name of a transport, or ``policy``, and a subject after all edges of the subject.
-    """
-
-    tier: Tier
-    limit: int
-    on_subject: Callable[[str, str], None]
-
-
 def verification(
     scope: VerificationScope,
     policy: LoadedPolicy,
@@ -88,19 +73,15 @@ def verification(
     labels = label(endpoint_policy, rows(), lambda subject: asking.on_subject("policy", subject))
 
     def compared(name: str, transport: Transport) -> Comparison:
-        def on_subject(subject: str) -> None:
-            asking.on_subject(name, subject)
-
         alone = asking.tier is not Tier.EXCHANGE and scope.namings.keys() >= set(subjects)
         if alone and isinstance(transport, EndpointTransport):
             return compare_endpoints(
-                name, transport, scope.enclaves, rows(), labels, endpoint_policy, scope.namings, asking.tier, explain,
-                asking.limit, on_subject,
-            )  # fmt: skip
-        limit, edges = asking.limit, chain.from_iterable(rows())
-        outcome = compare(name, transport, scope.enclaves, edges, labels, asking.tier, explain, limit, on_subject)
+                name, transport, scope.enclaves, rows(), labels, endpoint_policy, scope.namings, explain, asking
+            )
+        edges = chain.from_iterable(rows())
+        outcome = compare(name, transport, scope.enclaves, edges, labels, explain, asking)
         return with_halves(
-            outcome, transport, scope.enclaves, rows(), labels, endpoint_policy, scope.namings, explain, limit
+            outcome, transport, scope.enclaves, rows(), labels, endpoint_policy, scope.namings, explain, asking.limit
         )
 
     comparisons = tuple(compared(name, transport) for name, transport in transports.items())

@@ -9,7 +9,7 @@ from comarmor.errors import Origin, Reason
 from keymint.api import PolicyDecision, Tier, Verdict
 from keymint.commands.verify_report import labelled_edges
 from keymint.drawing.labelled_graph import Label
-from keymint.graph import Column, ConfusionMatrix, Edge, EdgeOutcome, Object
+from keymint.graph import Column, ConfusionMatrix, Edge, Object
 from keymint.verify.mismatch import Comparison, Mismatch
 from keymint.verify.rows import EdgeRow
 from keymint.verify.verification import Verification
@@ -20,9 +20,7 @@ DENIED = PolicyDecision(False, None, Reason(("no rule",)))
 
 def finding(edge: Edge) -> Mismatch:
     verdict = Verdict(True, "allowed", deviation="row 5")
-    return Mismatch(
-        EdgeOutcome.FALSE_POSITIVE, edge, DENIED, verdict, "allow rule 2", Origin("/ws/permissions.xml", 7), "omg"
-    )
+    return Mismatch(edge, DENIED, verdict, "allow rule 2", Origin("/ws/permissions.xml", 7), "omg")
 
 
 def outcome(name: str, counts: ConfusionMatrix, *findings: Mismatch) -> Comparison:

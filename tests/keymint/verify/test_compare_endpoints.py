@@ -18,7 +18,7 @@ from comarmor.errors import Origin, Reason
 from keymint.api import Availability, Enclave, PolicyDecision, PolicySource, Tier, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import Column, Edge, Object
-from keymint.verify.compare import ENCLAVE_REFUSED, compare, error_of
+from keymint.verify.compare import ENCLAVE_REFUSED, Asking, compare
 from keymint.verify.compare_endpoints import compare_endpoints
 from keymint.verify.endpoint_policy import EndpointPolicy, label
 from keymint.verify.halves import with_halves
@@ -77,10 +77,7 @@ class Transport:
 
 def explain(name: str, enclave: Enclave, wrong: list[tuple[Edge, Verdict]]) -> list[Mismatch]:
     decided = PolicyDecision(False, None, Reason(("",)))
-    return [
-        Mismatch(error_of(verdict.allowed), edge, decided, verdict, f"{name} {enclave.subject}", Origin("x"))
-        for edge, verdict in wrong
-    ]
+    return [Mismatch(edge, decided, verdict, f"{name} {enclave.subject}", Origin("x")) for edge, verdict in wrong]
 
 
 @pytest.fixture(scope="module")
@@ -94,13 +91,11 @@ def judge(tmp_path_factory: pytest.TempPathFactory) -> EndpointPolicy:
 def both(judge: EndpointPolicy, transport: Transport, rows: Sequence[EdgeRow], limit: int) -> list[Comparison]:
     labels = label(judge, rows)
     namings = dict.fromkeys(SUBJECTS, NAMING)
-    edges = chain.from_iterable(rows)
-    outcome = compare("fake", transport, ENCLAVES, edges, labels, Tier.DECISION, explain, limit)
+    edges, asking = chain.from_iterable(rows), Asking(Tier.DECISION, limit, lambda _name, _subject: None)
+    outcome = compare("fake", transport, ENCLAVES, edges, labels, explain, asking)
     slow = with_halves(outcome, transport, ENCLAVES, rows, labels, judge, namings, explain, limit)
     transport.asked.clear()
-    fast = compare_endpoints(
-        "fake", transport, ENCLAVES, rows, labels, judge, namings, Tier.DECISION, explain, limit
-    )  # fmt: skip
+    fast = compare_endpoints("fake", transport, ENCLAVES, rows, labels, judge, namings, explain, asking)
     return [slow, fast]
 
 

@@ -14,7 +14,6 @@ from keymint_ros2_dds import build_type
 from comarmor.errors import Origin
 from keymint.api import Availability, Enclave, PolicySource, Tier, Verdict
 from keymint.graph import Column, ConfusionMatrix, Edge, EdgeOutcome, Object
-from keymint.verify.compare import error_of
 from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.halves import with_halves
 from keymint.verify.mismatch import Comparison, Mismatch
@@ -60,10 +59,7 @@ def compared(judge: EndpointPolicy, allowed: set[str], edges: Sequence[Edge], li
     """Add the endpoints to a comparison without mismatches."""
 
     def explain(name: str, enclave: Enclave, wrong: list[tuple[Edge, Verdict]]) -> list[Mismatch]:
-        return [
-            Mismatch(error_of(verdict.allowed), edge, judge.decide(edge), verdict, verdict.reason, HERE)
-            for edge, verdict in wrong
-        ]
+        return [Mismatch(edge, judge.decide(edge), verdict, verdict.reason, HERE) for edge, verdict in wrong]
 
     return with_halves(
         Comparison("fake", "1", Tier.DECISION, ConfusionMatrix(true_negative=len(edges)), (), {}),
