@@ -198,9 +198,9 @@ class Plugins:
         """
         return tuple(sorted(self._entries.get(group, {})))
 
-    def profile_type(self, name: str, where: Origin | None = None) -> ProfileType:
+    def profile_type(self, name: str) -> ProfileType:
         """Return the profile type of this name; see :meth:`load`."""
-        return cast("ProfileType", self.load("keymint.profile_types", name, where))
+        return cast("ProfileType", self.load("keymint.profile_types", name))
 
     def profile_types(self) -> Mapping[str, ProfileType]:
         """Return all profile types by name; see :meth:`load`."""
@@ -222,12 +222,12 @@ class Plugins:
         """Return the build type of this name; see :meth:`load`."""
         return cast("BuildType", self.load("keymint.build_types", name, where))
 
-    def transport(self, name: str, where: Origin | None = None) -> Transport:
+    def transport(self, name: str) -> Transport:
         """Return the transport of this name, opened once in the environment; see :meth:`load`."""
         if name not in self._transports:
             if self._environment is None:
                 raise ValueError("transports are opened in environment")
-            opener = cast("TransportType", self.load("keymint.transports", name, where))
+            opener = cast("TransportType", self.load("keymint.transports", name))
             self._transports[name] = opener.open(self._environment)
         return self._transports[name]
 
@@ -235,9 +235,9 @@ class Plugins:
         """Return all transports by name, sorted; see :meth:`transport`."""
         return {name: self.transport(name) for name in self.names("keymint.transports")}
 
-    def read_by(self, transport: str, where: Origin | None = None) -> str:
+    def read_by(self, transport: str) -> str:
         """Return the name of the build type whose files a transport reads; see :meth:`load`."""
-        return cast("TransportType", self.load("keymint.transports", transport, where)).BUILD_TYPE
+        return cast("TransportType", self.load("keymint.transports", transport)).BUILD_TYPE
 
     def transports_of(self, build_type: str) -> Sequence[str]:
         """Return the names of the transports that read what a build type builds, sorted."""
@@ -247,9 +247,9 @@ class Plugins:
         """Return the graph source of this name; see :meth:`load`."""
         return cast("GraphSource", self.load("keymint.graph_sources", name, where))
 
-    def policy_format(self, name: str, where: Origin | None = None) -> PolicyFormat:
+    def policy_format(self, name: str) -> PolicyFormat:
         """Return the policy format of this name; see :meth:`load`."""
-        return cast("PolicyFormat", self.load("keymint.policy_formats", name, where))
+        return cast("PolicyFormat", self.load("keymint.policy_formats", name))
 
     def load(self, group: str, name: str, where: Origin | None = None) -> Any:
         """Return a plugin object.

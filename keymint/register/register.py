@@ -95,9 +95,7 @@ class Register:
 
     def generation(self, name: str) -> int:
         """Return the lowest generation that may be issued to a package: one after the last that was revoked."""
-        of_package = self.of(name)
-        revoked = max((each.generation + 1 for each in of_package if each.revoked), default=0)
-        return max(revoked, max((each.generation for each in of_package), default=0))
+        return max((each.generation + 1 if each.revoked else each.generation for each in self.of(name)), default=0)
 
     @functools.cached_property
     def _by_name(self) -> Mapping[str, tuple[IssuedCertificate, ...]]:
