@@ -63,7 +63,7 @@ def _copied(profiles: Iterable[WrittenProfile]) -> Iterator[Diagnostic]:
     first: dict[tuple[_Chain, str, frozenset[str]], WrittenProfile] = {}
     for each in profiles:
         texts = frozenset(_texts(each))
-        if not all(literal(parse(text)) is not None for text in texts):
+        if any(literal(parse(text)) is None for text in texts):
             continue
         other = first.setdefault((each.around, each.where.file, texts), each)
         if other is not each and other.name != each.name:  # same names are reported by _named_twice

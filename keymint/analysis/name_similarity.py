@@ -62,12 +62,11 @@ def similar_names(subjects: Mapping[str, tuple[Rule, ...]], attachments: Express
             if near and frozenset((name, near)) not in reported:
                 reported.add(frozenset((name, near)))
                 peer, peer_rule = exact[other][near]
-                peer_place = attachments.of(peer_rule, peer)[near].where
+                peer_place = attachments.of(peer_rule, peer)[near].where.alone()
                 yield Diagnostic.warning(
                     "name-similar",
                     f"{subject} may {_plain(permission)} the {KIND_OF[permission]} {name!r} "
-                    f"and nobody may {_plain(other)} it, "
-                    f"but {peer} may {_plain(other)} {near!r} ({peer_place.alone()})",
+                    f"and nobody may {_plain(other)} it, but {peer} may {_plain(other)} {near!r} ({peer_place})",
                     attachments.of(rule, subject)[name].where,
                     f"did you mean {near!r}?",
                     subject,

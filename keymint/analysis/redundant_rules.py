@@ -237,9 +237,8 @@ class RedundantRules:
             ),
         }[code]
         subject = f"{'' if of_rule else f'{quoted_list(texts)} in '}this {rule.effect} {rule.kind} rule"
-        return Diagnostic.warning(
-            code, f"{subject} ({permissions}) {problem}", rule.origin if of_rule else attached, help_
-        )
+        where = rule.origin if of_rule else attached
+        return Diagnostic.warning(code, f"{subject} ({permissions}) {problem}", where, help_)
 
     def _example_place(self, expressions: Iterable[_RuleExpression], effect: Effect) -> str:
         """Return the place of an overlapping expression of an effect, as text for a message."""

@@ -102,12 +102,10 @@ def fit_pattern(pattern: Glob, shape: Glob, namespace: Glob, name: Glob, *, wide
     own, other = units(pattern), units(shape)
     head = _common_prefix(own, other)
     tail = _common_prefix(own[head:][::-1], other[head:][::-1])
-    end, end2 = len(own) - tail, len(other) - tail
-    if _surely_disjoint(own[head:end], other[head:end2]) or _surely_disjoint(
-        own[head:end][::-1], other[head:end2][::-1]
-    ):
+    end = len(own) - tail
+    middle, others = own[head:end], other[head : len(other) - tail]
+    if _surely_disjoint(middle, others) or _surely_disjoint(middle[::-1], others[::-1]):
         return FittedPattern((), exact=True)
-    middle, others = own[head:end], other[head:end2]
     values = {NAMESPACE: namespace, NAME: name}
     exact = not _has_placeholder(middle)
     splits_shape = not exact and not _has_placeholder(others)
@@ -170,10 +168,9 @@ def _splits(pattern: _Tokens, segments: list[_Tokens], values: dict[str, Glob]) 
     The part of a placeholder is that placeholder, or a pattern of its value.
     """
     first, rest = segments[0], segments[1:]
-    placeholder = first[0] if len(first) == 1 and isinstance(first[0], str) and first[0] in PLACEHOLDERS else None
-    outer = values[str(placeholder)] if placeholder else normalise(first)
+    outer = values[str(first[0])] if _has_placeholder(first) else normalise(first)
     for left, right in _cuts(pattern) if rest else ((pattern, ()),):
-        if left != (placeholder,) and (_has_placeholder(left) or disjoint(normalise(left), outer)):
+        if left != first and (_has_placeholder(left) or disjoint(normalise(left), outer)):
             continue
         if not rest:
             yield (left,)
