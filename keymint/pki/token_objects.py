@@ -44,7 +44,8 @@ def public_of(session: Any, key: Any, where: Origin | None) -> keys.PublicKey:
         pkcs11.PKCS11Error: the token refuses.
     """
     if key.key_type == KeyType.RSA:
-        return _rsa(key)
+        exponent, modulus = (int.from_bytes(key[each]) for each in (Attribute.PUBLIC_EXPONENT, Attribute.MODULUS))
+        return rsa.RSAPublicNumbers(exponent, modulus).public_key()
     curve = _CURVES.get(bytes(key[Attribute.EC_PARAMS])) if key.key_type == KeyType.EC else None
     if curve is None:
         raise KeymintError(
@@ -93,11 +94,6 @@ def described(error: pkcs11.PKCS11Error, token: str, where: Origin | None) -> Ke
         code, message = "token-key-kind", f"the token {token} cannot sign with this key: {name}"
         help_ = "use an EC key, or RSA with PKCS #1 v1.5 and SHA-2"
     return KeymintError(message, where=where, help=help_, code=code)
-
-
-def _rsa(key: Any) -> rsa.RSAPublicKey:
-    exponent, modulus = (int.from_bytes(key[each]) for each in (Attribute.PUBLIC_EXPONENT, Attribute.MODULUS))
-    return rsa.RSAPublicNumbers(exponent, modulus).public_key()
 
 
 def _point(value: bytes, curve: ec.EllipticCurve) -> bytes:
