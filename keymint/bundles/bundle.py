@@ -20,7 +20,7 @@ from keymint.bundles import container
 from keymint.bundles.manifest import Manifest, dump, load
 from keymint.errors import KeymintError
 from keymint.pki import certificates, cms
-from keymint.pki.revocation_lists import is_by
+from keymint.pki.revocation_lists import is_by, parse
 
 CERTIFICATE, KEY = "cert.pem", "key.pem"
 """The identity of an enclave and its private key; see :class:`keymint.api.BuildType`."""
@@ -151,7 +151,7 @@ def revocation_lists(files: Mapping[str, bytes]) -> tuple[x509.CertificateRevoca
         ValueError: a list is damaged.
     """
     blocks = (block for name, content in files.items() if name.endswith(".pem") for block in content.split(_LIST)[1:])
-    return tuple(x509.load_pem_x509_crl(_LIST + block) for block in blocks)
+    return tuple(parse(_LIST + block) for block in blocks)
 
 
 def number_of(lists: Iterable[x509.CertificateRevocationList], authority: x509.Certificate) -> int:

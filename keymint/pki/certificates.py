@@ -22,7 +22,7 @@ from keymint.errors import KeymintError
 from keymint.pki import distinguished_names, extensions, forms, keys
 from keymint.pki.distinguished_names import to_text
 
-_UNREADABLE = (
+UNREADABLE = (
     ValueError,
     TypeError,
     KeyError,
@@ -32,7 +32,7 @@ _UNREADABLE = (
     x509.UnsupportedGeneralNameType,
     UserWarning,  # where warnings are errors: a serial number of 0, a country of three letters
 )
-"""What the library raises on a damaged certificate."""
+"""What the library raises on a damaged certificate or revocation list."""
 _CERTIFICATE, _LIST = b"CERTIFICATE", b"X509 CRL"
 _BLOCK = lazy_regex(rb"^-----BEGIN (%b|%b)-----\n[^-]*^-----END \1-----$" % (_CERTIFICATE, _LIST), re.MULTILINE)
 """A certificate, or a revocation list, which may follow the certificates of authorities in their file."""
@@ -77,7 +77,7 @@ def load_bundle(pem: bytes, where: Origin | None = None) -> tuple[x509.Certifica
     """
     try:
         return _parsed(pem)
-    except _UNREADABLE:
+    except UNREADABLE:
         raise KeymintError(
             "not a certificate in PEM, or a damaged one",
             where=where,

@@ -133,7 +133,7 @@ def load(pem: bytes, where: Origin) -> RevocationList:
     """
     try:
         return _loaded(pem)
-    except (ValueError, TypeError, UnsupportedAlgorithm, x509.DuplicateExtension):
+    except certificates.UNREADABLE:
         raise KeymintError(
             "is not one revocation list in PEM",
             where=where,
@@ -143,7 +143,7 @@ def load(pem: bytes, where: Origin) -> RevocationList:
 
 
 def _loaded(pem: bytes) -> RevocationList:
-    crl = x509.load_pem_x509_crl(pem)
+    crl = parse(pem)
     if crl.public_bytes(Encoding.PEM) != pem:
         raise ValueError
     revocations = []
@@ -158,9 +158,21 @@ def _loaded(pem: bytes) -> RevocationList:
 def first(pem: bytes) -> x509.CertificateRevocationList | None:
     """Return the first revocation list of a file, the only one that transports read; None if they can read none."""
     try:
-        return x509.load_pem_x509_crl(pem)
+        return parse(pem)
     except ValueError:
         return None
+
+
+def parse(pem: bytes) -> x509.CertificateRevocationList:
+    """Return the first revocation list of a file.
+
+    Raises:
+        ValueError: there is none, or it is damaged.
+    """
+    try:
+        return x509.load_pem_x509_crl(pem)
+    except x509.InvalidVersion as error:
+        raise ValueError(str(error)) from None
 
 
 def period(crl: x509.CertificateRevocationList) -> tuple[datetime, datetime]:

@@ -3,14 +3,17 @@
 
 from __future__ import annotations
 
+import base64
 from datetime import UTC, datetime, timedelta
 
 import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
+from cryptography.hazmat.primitives.serialization import Encoding
 
 from comarmor.errors import Origin
+from keymint.bundles import bundle
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, revocation_lists
 from keymint.pki.certificates import Issuer
@@ -94,12 +97,27 @@ def test_an_authority_whose_key_nothing_can_verify_with_issued_no_list(ca: Issue
     assert not revocation_lists.is_by(crl, builder.sign(ca.key, hashes.SHA256()))
 
 
+def of_another_version(pem: bytes) -> bytes:
+    der = x509.load_pem_x509_crl(pem).public_bytes(Encoding.DER)
+    changed = base64.encodebytes(der.replace(b"\x02\x01\x01", b"\x02\x01\x35", 1))
+    return b"-----BEGIN X509 CRL-----\n" + changed + b"-----END X509 CRL-----\n"
+
+
 @pytest.mark.parametrize(
-    "change", [lambda _pem: b"", lambda pem: pem + pem, lambda pem: pem[:-40], lambda pem: b"x\n" + pem]
+    "change",
+    [lambda _pem: b"", lambda pem: pem + pem, lambda pem: pem[:-40], lambda pem: b"x\n" + pem, of_another_version],
 )
 def test_a_file_has_exactly_one_list(ca: Issuer, change) -> None:
     with pytest.raises(KeymintError, match="is not one revocation list in PEM"):
         revocation_lists.load(change(revocation_lists.issue(ca, [], 1, NOW)), WHERE)
+
+
+def test_a_list_of_another_version_cannot_be_read(ca: Issuer) -> None:
+    pem = of_another_version(revocation_lists.issue(ca, [], 1, NOW))
+    assert revocation_lists.first(pem) is None
+    assert "not a revocation list in PEM" in revocation_lists.problem(pem, ca.certificate)
+    with pytest.raises(ValueError, match="version"):
+        bundle.revocation_lists({"crl.pem": pem})
 
 
 def test_an_authority_that_cannot_sign_lists(spec) -> None:
