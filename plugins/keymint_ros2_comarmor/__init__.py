@@ -3,18 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import comarmor
-import comarmor.language.source
-from comarmor.rules import Expectation
 from comarmor.xml.package_folders import PackageFolders
-from keymint.api import API_VERSION, LearnedPolicy, LoadedPolicy, PolicyOfRules, PolicySource
+from keymint.api import API_VERSION, PolicySource
+from keymint.api.lazy import lazy
 from keymint.errors import KeymintError
-from keymint.graph import Graph
-from keymint.ir import SubjectRules
 
 if TYPE_CHECKING:
     from keymint_comarmor.loaded import ComArmorPolicy
@@ -55,51 +52,12 @@ class ComArmorPolicyType:
         loaded = comarmor.load_all(paths, library=library, library_shown=library_shown, packages=packages)
         return ComArmorPolicy(loaded)
 
-    def fingerprint(self, path: Path) -> bytes:
-        """Return a digest of a path that changes when a policy loaded from it may change."""
-        return comarmor.language.source.fingerprint(path)
-
-    def expectations(self, path: Path) -> Mapping[Path, Sequence[Expectation]]:
-        """Return the expectations in the ``*.test.xml`` files beside a policy, or in one such file."""
-        from comarmor.language.policy_tests import expectations  # noqa: PLC0415 - only one verb needs it
-
-        return expectations(path)
-
-    def written_files(self, folder: Path) -> Sequence[Path]:
-        """See :meth:`keymint.api.PolicyTypeWithForm.written_files`."""
-        from comarmor.language.formatting import written_files  # noqa: PLC0415 - only one verb needs it
-
-        return written_files(folder)
-
-    def formatted(self, content: bytes, name: str) -> bytes | None:
-        """See :meth:`keymint.api.PolicyTypeWithForm.formatted`."""
-        from comarmor.language.formatting import formatted  # noqa: PLC0415 - only one verb needs it
-
-        return formatted(content, name)
-
-    def policy_of(self, subjects: Sequence[SubjectRules], name: str, note: str = "") -> PolicyOfRules:
-        """See :func:`keymint_ros2_comarmor.policy_of_rules.policy_of`.
-
-        Raises:
-            KeymintError: an expression or the name of a subject cannot be written.
-        """
-        from keymint_ros2_comarmor.policy_of_rules import policy_of  # noqa: PLC0415 - few verbs need it
-
-        return policy_of(subjects, name, note)
-
-    def learn(self, graph: Graph, existing: LoadedPolicy | None, fragments: str) -> LearnedPolicy:
-        """See :func:`keymint_ros2_comarmor.learn.learn`.
-
-        Raises:
-            KeymintError: the existing policy is not of this type.
-        """
-        from keymint_comarmor.loaded import ComArmorPolicy  # noqa: PLC0415 - as below
-
-        from keymint_ros2_comarmor.learn import learn  # noqa: PLC0415 - only this verb needs it
-
-        if existing is not None and not isinstance(existing, ComArmorPolicy):
-            raise KeymintError("the existing policy is not a ComArmor policy", code="policy-type")
-        return learn(graph, existing.policy if existing else None, fragments)
+    fingerprint = lazy("comarmor.language.source:fingerprint")
+    expectations = lazy("comarmor.language.policy_tests:expectations")
+    written_files = lazy("comarmor.language.formatting:written_files")
+    formatted = lazy("comarmor.language.formatting:formatted")
+    policy_of = lazy("keymint_ros2_comarmor.policy_of_rules:policy_of")
+    learn = lazy("keymint_ros2_comarmor.learn:learn")
 
 
 policy_type = ComArmorPolicyType()
