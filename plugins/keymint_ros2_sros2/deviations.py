@@ -9,30 +9,25 @@ from dataclasses import replace
 from comarmor.errors import ComArmorError, Diagnostic
 from comarmor.ros_names import is_subject
 from comarmor.text import quoted
-from comarmor.values import dataclass
 from keymint_ros2_sros2.names import as_read, enforced, expression
-from keymint_ros2_sros2.syntax import Enclave, Entry, Node, NodeGroup, SourcePolicy
+from keymint_ros2_sros2.syntax import Enclave, Entry, Node, SourcePolicy
 
 _LONGEST_PATH = 1024
 _LONGEST_SEGMENT = 255
 """Characters of a path, which becomes one of files, and of a part of it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Deviation:
-    """Something in a policy that needs a decision of its owner.
+ACCEPTABLE = frozenset((
+    "sros2-path-twice", "sros2-two-profiles", "sros2-namespace", "sros2-padded", "sros2-tilde", "sros2-backslash",
+))  # fmt: skip
+"""The codes of what has a meaning as it reads, which ``--accept`` takes."""
 
-    Attributes:
-        diagnostic: what it is, as an error about an enclave.
-        acceptable: it has a meaning as it reads, which ``--accept`` takes.
+
+def deviations(policy: SourcePolicy) -> tuple[Diagnostic, ...]:
+    """Return errors about what SROS2 enforces differently from what the policy says, and what cannot be taken over.
+
+    Each is about an enclave, and needs a decision of the policy's owner.
     """
-
-    diagnostic: Diagnostic
-    acceptable: bool
-
-
-def deviations(policy: SourcePolicy) -> tuple[Deviation, ...]:
-    """Return what SROS2 enforces differently from what the policy says, and what cannot be taken over."""
     found = [*_doubled(policy)]
     for enclave in policy.enclaves:
         found += _of_path(enclave)
@@ -45,14 +40,7 @@ def deviations(policy: SourcePolicy) -> tuple[Deviation, ...]:
     return tuple(found)
 
 
-def _deviation(
-    code: str, message: str, enclave: Enclave, place: Enclave | Entry | Node | NodeGroup, help_: str, *,
-    acceptable: bool = True,
-) -> Deviation:  # fmt: skip
-    return Deviation(Diagnostic.error(code, message, place.where, help_, enclave.path), acceptable)
-
-
-def _doubled(policy: SourcePolicy) -> Iterator[Deviation]:
+def _doubled(policy: SourcePolicy) -> Iterator[Diagnostic]:
     first: dict[str, Enclave] = {}
     for enclave in policy.enclaves:
         before = first.setdefault(enclave.path, enclave)
@@ -62,10 +50,10 @@ def _doubled(policy: SourcePolicy) -> Iterator[Deviation]:
                 " the last one only, create_permission the first"
             )
             help_ = "write one <enclave>; --accept takes all of them together"
-            yield _deviation("sros2-path-twice", message, enclave, enclave, help_)
+            yield Diagnostic.error("sros2-path-twice", message, enclave.where, help_, enclave.path)
 
 
-def _of_path(enclave: Enclave) -> Iterator[Deviation]:
+def _of_path(enclave: Enclave) -> Iterator[Diagnostic]:
     path = enclave.path
     if is_subject(path) and len(path) <= _LONGEST_PATH and max(map(len, path.split("/"))) <= _LONGEST_SEGMENT:
         return
@@ -74,52 +62,52 @@ def _of_path(enclave: Enclave) -> Iterator[Deviation]:
         "expected '/' and segments of letters, digits and '_' that do not begin with a digit, without wildcards;"
         f" at most {_LONGEST_PATH:,} characters, and {_LONGEST_SEGMENT} between two '/'"
     )
-    yield _deviation("sros2-path", message, enclave, enclave, help_, acceptable=False)
+    yield Diagnostic.error("sros2-path", message, enclave.where, help_, enclave.path)
 
 
-def _of_groups(enclave: Enclave) -> Iterator[Deviation]:
+def _of_groups(enclave: Enclave) -> Iterator[Diagnostic]:
     if len(enclave.groups) > 1:
         message = (
             f"the enclave {quoted(enclave.path)} has {len(enclave.groups)} <profiles>: SROS2 writes a grant for each,"
             " and participants use the first only"
         )
         help_ = "put all <profile> into one <profiles>; --accept takes all of them together"
-        yield _deviation("sros2-two-profiles", message, enclave, enclave.groups[1], help_)
+        yield Diagnostic.error("sros2-two-profiles", message, enclave.groups[1].where, help_, enclave.path)
 
 
-def _of_node(enclave: Enclave, node: Node) -> Iterator[Deviation]:
+def _of_node(enclave: Enclave, node: Node) -> Iterator[Diagnostic]:
     if node.ns and not node.ns.startswith("/"):
         message = f"the namespace {quoted(node.ns)} does not begin with '/': SROS2 writes topics that no node has"
         help_ = f"write ns={quoted('/' + node.ns.strip())}; --accept reads it so"
-        yield _deviation("sros2-namespace", message, enclave, node, help_)
+        yield Diagnostic.error("sros2-namespace", message, node.where, help_, enclave.path)
     for name, value in (("ns", node.ns), ("node", node.name)):
         if value != value.strip():
             message = f"{name}={quoted(value)} has white space around it, which SROS2 keeps"
-            yield _deviation("sros2-padded", message, enclave, node, "remove it; --accept reads it so")
+            yield Diagnostic.error("sros2-padded", message, node.where, "remove it; --accept reads it so", enclave.path)
 
 
-def _of_entry(enclave: Enclave, node: Node, entry: Entry) -> Iterator[Deviation]:
+def _of_entry(enclave: Enclave, node: Node, entry: Entry) -> Iterator[Diagnostic]:
     text, trimmed = entry.text, entry.text.strip()
     if not trimmed:
         help_ = "write a name, or remove the element"
-        yield _deviation("sros2-empty", "the name is empty", enclave, entry, help_, acceptable=False)
+        yield Diagnostic.error("sros2-empty", "the name is empty", entry.where, help_, enclave.path)
         return
     try:
         expression(as_read(node, text), entry)
     except ComArmorError as error:
-        yield from (Deviation(replace(each, subject=enclave.path), acceptable=False) for each in error.diagnostics)
+        yield from (replace(each, subject=enclave.path) for each in error.diagnostics)
         return
     if text != trimmed:
         message = f"{quoted(text)} has white space around it, which SROS2 keeps: {_names(node, text)}"
-        yield _deviation("sros2-padded", message, enclave, entry, "remove it; --accept reads it so")
+        yield Diagnostic.error("sros2-padded", message, entry.where, "remove it; --accept reads it so", enclave.path)
     if trimmed.startswith("~") and trimmed[1:2] not in ("", "/"):
         message = f"{quoted(text)} is not a private name, which begins with '~/': {_names(node, text)}"
         help_ = f"write ~/{trimmed[1:]}, or the full name; --accept reads it as ~/{trimmed[1:]}"
-        yield _deviation("sros2-tilde", message, enclave, entry, help_)
+        yield Diagnostic.error("sros2-tilde", message, entry.where, help_, enclave.path)
     if "\\" in text:
         message = f"{quoted(text)} has a '\\', which escapes a character in the standard, and is one for Fast DDS"
         help_ = "no ROS name has a '\\': remove it; --accept reads it as the standard does"
-        yield _deviation("sros2-backslash", message, enclave, entry, help_)
+        yield Diagnostic.error("sros2-backslash", message, entry.where, help_, enclave.path)
 
 
 def _names(node: Node, text: str) -> str:

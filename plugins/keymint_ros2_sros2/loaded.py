@@ -33,7 +33,7 @@ def load(
     profiles: dict[str, Profile] = {}
     for source in sources:
         policy = parse(source.path)
-        if found := [each.diagnostic for each in deviations(policy)]:
+        if found := deviations(policy):
             raise KeymintError.of(found)
         seen |= policy.seen
         for enclave in policy.enclaves:

@@ -13,7 +13,7 @@ from keymint.api import ImportedPolicy, ImportedSubject, ImportRequest
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint_ros2_sros2 import comarmor_document, permissions
-from keymint_ros2_sros2.deviations import deviations
+from keymint_ros2_sros2.deviations import ACCEPTABLE, deviations
 from keymint_ros2_sros2.names import as_read
 from keymint_ros2_sros2.parse import parse
 from keymint_ros2_sros2.syntax import Enclave, SourcePolicy
@@ -28,12 +28,12 @@ def translated(request: ImportRequest) -> ImportedPolicy:
     """
     policy = parse(request.path)
     found = deviations(policy)
-    if refused := [each.diagnostic for each in found if not (request.accept and each.acceptable)]:
+    if refused := [each for each in found if not (request.accept and each.code in ACCEPTABLE)]:
         raise KeymintError.of(refused)
     enclaves, graph = _by_path(policy), request.implicit and policy.has_graph
     document = comarmor_document.document(enclaves.values(), policy.closing, request.library, graph=graph)
     loaded = parse_comarmor(read_document(document, request.name, request.library, request.library_shown))
-    deviating = {each.diagnostic.subject for each in found}
+    deviating = {each.subject for each in found}
     subjects = tuple(
         ImportedSubject(
             SubjectRules(path, loaded.rules(path)),
@@ -45,7 +45,7 @@ def translated(request: ImportRequest) -> ImportedPolicy:
         for path, group in enclaves.items()
     )
     help_ = "the new policy has it as it reads (--accept)"
-    accepted = (replace(each.diagnostic, severity=Severity.WARNING, help=help_) for each in found)
+    accepted = (replace(each, severity=Severity.WARNING, help=help_) for each in found)
     return ImportedPolicy(document, subjects, (*accepted, *_notes(policy)))
 
 
