@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files of a policy, with the documents that their includes stand for."""
+"""The files of a policy, the documents that their includes stand for, and what is accepted as an include."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from pathlib import Path
 
 from lxml import etree
 
-from comarmor.errors import Origin
+from comarmor.errors import ComArmorError, Origin
+from comarmor.text import did_you_mean, quoted
 from comarmor.values import dataclass
 from comarmor.xml.package_folders import ShippedFile
-from comarmor.xml.reader import place
+from comarmor.xml.reader import line, place
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +29,38 @@ class IncludeFormat:
     tags: tuple[str, ...]
     href_of: Callable[[etree._Element, Origin], str]
     advice: str = ""
+
+
+def href_of(element: etree._Element, where: Origin, known: tuple[str, ...] = ("href", "parse")) -> str:
+    """Return the ``href`` of an ``xi:include`` element that includes an XML file.
+
+    Args:
+        element: the element.
+        where: its place.
+        known: the attributes of the format; without ``xpointer`` the file is included as a whole.
+
+    Raises:
+        ComArmorError: it has another attribute, includes text, or has a fallback.
+    """
+    for attribute in map(str, element.attrib):
+        if attribute not in known:
+            expected = f"{', '.join(known[:-1])} and {known[-1]}"
+            raise ComArmorError(
+                f"xi:include has the attribute {quoted(attribute)}, expected only {expected}",
+                where=where,
+                help=did_you_mean(attribute, known),
+                code="schema",
+            )
+    if element.get("parse", "xml") != "xml":
+        raise ComArmorError('xi:include can only have parse="xml"', where=where, code="include-parse")
+    if len(element):
+        raise ComArmorError(
+            "xi:include must be empty; xi:fallback is not supported",
+            where=Origin(where.file, line(element[0]), where.chain),
+            help="a missing include is an error, so that no rule is ever left out silently",
+            code="include-fallback",
+        )
+    return element.get("href", "")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,8 +92,8 @@ class PolicyFile:
 
     def place(self, element: etree._Element, chain: tuple[Origin, ...] = ()) -> Origin:
         """Return the place of an element of it, with the places that include the file, innermost first."""
-        line, column = place(element)
-        return Origin(self.name, line, chain, column)
+        number, column = place(element)
+        return Origin(self.name, number, chain, column)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,12 +18,11 @@ from types import MappingProxyType
 from lxml import etree
 
 from comarmor.errors import ComArmorError, Origin
-from comarmor.language.policy_files import IncludeFormat, PolicyFile, PolicyFiles
+from comarmor.language.policy_files import IncludeFormat, PolicyFile, PolicyFiles, href_of
 from comarmor.rules import PERMISSIONS
 from comarmor.text import quoted
 from comarmor.values import dataclass
 from comarmor.xml import includes
-from comarmor.xml.include_elements import href_of
 from comarmor.xml.package_folders import PackageFolders, ShippedFile
 from comarmor.xml.reader import LIMITS, XINCLUDE, Limits, parse, place
 from comarmor.xml.sandboxed_paths import (
@@ -236,11 +235,8 @@ class _PolicyReader:
             return document
         self.renamed += bool(folder.package) and real in self.files
         if self.renamed > self.limits.renamed:
-            raise ComArmorError(
-                f"by symbolic links the packages' files have more than the {self.limits.renamed:,} other names allowed",
-                where=where,
-                code="xml-limit",
-            )
+            message = f"by links the packages' files have more than the {self.limits.renamed:,} other names allowed"
+            raise _limit(message, where)
         content = self.read(folder, real, where)
         self.seen[folder.place(relative)] = self.files[real]
         if folder.package:
@@ -266,9 +262,7 @@ class _PolicyReader:
             number, column = place(element)
             where = Origin(name, number, chain, column)
             if len(self.open) > self.limits.include_depth:
-                raise ComArmorError(
-                    f"includes are nested more than {self.limits.include_depth} deep", where=where, code="xml-limit"
-                )
+                raise _limit(f"includes are nested more than {self.limits.include_depth} deep", where)
             included, above = self.include(element, folder, relative, where)
             includes[element] = included
             climbs = max(climbs, above)
@@ -349,21 +343,19 @@ class _PolicyReader:
         content = read_in(folder, real, self.limits.file_bytes + 1, where)
         self.total += len(content)
         if self.total > self.limits.total_bytes:
-            raise ComArmorError(
-                f"the policy has more than the {self.limits.total_bytes:,} bytes allowed", where=where, code="xml-limit"
-            )
+            raise _limit(f"the policy has more than the {self.limits.total_bytes:,} bytes allowed", where)
         self.files[real] = hashlib.sha256(content).digest()
         return content
 
     def bound(self, nodes: int, inclusions: int, where: Origin) -> None:
         """Refuse a policy that would be too large with its includes expanded."""
         if nodes > self.limits.nodes or inclusions > self.limits.inclusions:
-            raise ComArmorError(
-                f"with its includes the policy has more than the {self.limits.nodes:,} elements"
-                f" or {self.limits.inclusions:,} inclusions allowed",
-                where=where,
-                code="xml-limit",
-            )
+            most = f"{self.limits.nodes:,} elements or {self.limits.inclusions:,} inclusions"
+            raise _limit(f"with its includes the policy has more than the {most} allowed", where)
+
+
+def _limit(message: str, where: Origin) -> ComArmorError:
+    return ComArmorError(message, where=where, code="xml-limit")
 
 
 def _above(path: Path, climbs: int) -> list[Path]:

@@ -16,13 +16,12 @@ from lxml import etree
 
 from comarmor.data import locate
 from comarmor.errors import ComArmorError, Origin
-from comarmor.language.policy_files import IncludeFormat, PolicyFile
+from comarmor.language.policy_files import IncludeFormat, PolicyFile, href_of
 from comarmor.language.source import load_tree
 from comarmor.regex import lazy_regex
 from comarmor.text import quoted
 from comarmor.values import dataclass
 from comarmor.xml import schema
-from comarmor.xml.include_elements import href_of
 from comarmor.xml.reader import XINCLUDE
 from comarmor.xml.sandboxed_paths import path_text
 from keymint_ros2_sros2.comments import Comments, comments_of

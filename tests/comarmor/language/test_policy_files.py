@@ -7,7 +7,7 @@ import pytest
 from lxml import etree
 
 from comarmor.errors import ComArmorError, Origin
-from comarmor.xml.include_elements import href_of
+from comarmor.language.policy_files import href_of
 
 WHERE = Origin("policy.xml", 3)
 XI = 'xmlns:xi="http://www.w3.org/2001/XInclude"'
