@@ -6,12 +6,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 from types import MappingProxyType
+from xml.sax.saxutils import quoteattr  # nosec - writes
 
 from comarmor.errors import Defects
 from comarmor.language.parse import parse
 from comarmor.language.policy import Policy
-from comarmor.language.source import load_tree
+from comarmor.language.source import load_tree, read_document
 from comarmor.xml.package_folders import PackageFolders
+from comarmor.xml.reader import XINCLUDE
 
 
 def load(
@@ -34,8 +36,7 @@ def load(
     Raises:
         ComArmorError: the policy has defects; carries all of them, with ``file:line``.
     """
-    folder = None if library is None else Path(library)
-    return parse(load_tree(Path(path), folder, library_shown, packages=packages))
+    return load_all([path], library=library, library_shown=library_shown, packages=packages)
 
 
 def load_all(
@@ -56,11 +57,12 @@ def load_all(
     Raises:
         ComArmorError: a policy has defects; carries those of all policies.
     """
+    folder = None if library is None else Path(library)
     defects = Defects()
     policies: list[Policy] = []
     for path in paths:
         with defects:
-            policies.append(load(path, library=library, library_shown=library_shown, packages=packages))
+            policies.append(parse(load_tree(Path(path), folder, library_shown, packages=packages)))
     defects.require_none()
     files = {file: digest for policy in policies for file, digest in policy.files.items()}
     seen = {path: fingerprint for policy in policies for path, fingerprint in policy.seen.items()}
@@ -68,3 +70,22 @@ def load_all(
     unused = tuple(tunable for policy in policies for tunable in policy.unused_tunables)
     shipped = {(each.package, each.path): each for policy in reversed(policies) for each in reversed(policy.shipped)}
     return Policy(profiles, MappingProxyType(files), MappingProxyType(seen), unused, tuple(reversed(shipped.values())))
+
+
+def load_included(href: str, name: str, library: Path, library_shown: Path | None = None) -> Policy:
+    """Return the policy whose only profile is about every subject, and includes a file of the library.
+
+    Args:
+        href: the file, as an include names it.
+        name: path of the document that includes it, for messages.
+        library: as for :func:`load`.
+        library_shown: as for :func:`load`.
+
+    Raises:
+        ComArmorError: the include or the file has defects.
+    """
+    document = (
+        f'<profiles xmlns:xi="{XINCLUDE}"><profile name="p"><attachment>*</attachment>'
+        f'<xi:include href={quoteattr(href)} parse="xml"/></profile></profiles>'
+    )
+    return parse(read_document(document.encode(), name, library, library_shown))

@@ -3,15 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from functools import lru_cache
 from pathlib import Path
 
-from comarmor.language.parse import parse
+from comarmor.language.loading import load_included
 from comarmor.language.policy import Policy
-from comarmor.language.source import read_document
 from comarmor.rules import Effect, Rule
-from comarmor.xml.reader import XINCLUDE
 
 Atom = tuple[Effect, str, str, str]
 """Effect, kind, permission and expression of a part of a rule."""
@@ -48,15 +46,6 @@ def common_files(library: Path, subject: str, wanted: Collection[Atom]) -> dict[
 
 @lru_cache(maxsize=4)
 def _policies(library: Path) -> tuple[tuple[str, Policy], ...]:
-    return tuple(_each(library))
-
-
-def _each(library: Path) -> Iterator[tuple[str, Policy]]:
-    """Yield the files of the library, each in a profile for all subjects."""
-    for path in sorted((library / _FOLDER).rglob("*.xml")):
-        name = path.relative_to(library).as_posix()
-        profile = (
-            f'<profiles xmlns:xi="{XINCLUDE}"><profile name="p"><attachment>*</attachment>'
-            f'<xi:include href="{name}"/></profile></profiles>'
-        )
-        yield name, parse(read_document(profile.encode(), name, library))
+    """Return the files of the library, each in a profile for all subjects."""
+    names = (path.relative_to(library).as_posix() for path in sorted((library / _FOLDER).rglob("*.xml")))
+    return tuple((name, load_included(name, name, library)) for name in names)

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import field, replace
 from pathlib import Path
 from types import MappingProxyType
-from xml.sax.saxutils import quoteattr  # nosec - writes
 
 from keymint_comarmor.loaded import ComArmorPolicy
 
@@ -15,14 +14,13 @@ import comarmor
 from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.language import attachments
 from comarmor.language.attachments import Placeholder, TunableReference
-from comarmor.language.parse import expected_of_name, parse
-from comarmor.language.source import read_document
+from comarmor.language.loading import load_included
+from comarmor.language.parse import expected_of_name
 from comarmor.language.syntax import Attachment, Inclusion, Profile, ProfileRule
 from comarmor.patterns.expression import literal
 from comarmor.rules import PERMISSIONS, Effect
 from comarmor.text import did_you_mean, quoted
 from comarmor.values import dataclass
-from comarmor.xml.reader import XINCLUDE
 from keymint.api import PolicySource
 from keymint.errors import KeymintError
 from keymint_ros2_table.files import read
@@ -195,12 +193,8 @@ class _PolicyMaker:
     def _of_library(self, row: Row) -> tuple[_Part, ...]:
         if self.library is None:
             raise ComArmorError("there is no policy library to include from", where=row.where, code="include-missing")
-        document = (
-            f'<profiles xmlns:xi="{XINCLUDE}"><profile name="p"><attachment>*</attachment>'
-            f'<xi:include href={quoteattr(row.object)} parse="xml"/></profile></profiles>'
-        )
         try:
-            policy = parse(read_document(document.encode(), row.where.file, self.library, self.library_shown))
+            policy = load_included(row.object, row.where.file, self.library, self.library_shown)
         except ComArmorError as error:
             raise ComArmorError.of(_placed_at(each, row.where) for each in error.diagnostics) from None
         self.seen |= policy.seen
