@@ -21,6 +21,8 @@ from pathlib import Path
 
 from fleet import KEYMINT, Spent, policy, spent
 from keymint_ros2_zenoh.documents import json5
+from keymint_ros2_zenoh.documents.configuration import TLS
+from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY
 from keymint_ros2_zenoh.messages import Flow, Message
 from keymint_ros2_zenoh.vendors import loopback
 from keymint_ros2_zenoh.vendors.loopback_ports import free_port
@@ -76,7 +78,7 @@ def route(system: ZenohSystem, install: Path, messages: int, file: Path) -> Runn
     ports = {"7447": port}
     enclaves = install / "enclaves"
     changes = loopback.router_changes(["tls/127.0.0.1:7447"], ports) | _paths("listen", enclaves / "zenoh_router")
-    process.ask("accept", file=str(system.file("empty.json5", b"{}")))  # starts the interpreter, loads the library
+    process.ask("put", session="router", samples=[])  # starts the interpreter, loads the library
     begin = time.perf_counter()
     process.open("router", file, changes)
     start = time.perf_counter() - begin
@@ -109,8 +111,8 @@ def _rate(sessions: ZenohProcess, messages: int) -> float:
 
 
 def _paths(role: str, folder: Path) -> dict[str, object]:
-    names = {"root_ca_certificate": "identity_ca.cert.pem", f"{role}_certificate": "cert.pem"}
-    return loopback.path_changes({**names, f"{role}_private_key": "key.pem"}, lambda name: folder / name)
+    names = {"root_ca_certificate": IDENTITY_CA, f"{role}_certificate": CERTIFICATE, f"{role}_private_key": KEY}
+    return {f"{TLS}/{name}": str(folder / file) for name, file in names.items()}
 
 
 def _run(*words: object) -> Spent:

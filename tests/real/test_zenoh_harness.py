@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -84,3 +86,13 @@ def test_a_library_that_is_too_old_is_not_used(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(zenoh_library.importlib.metadata, "version", lambda _: "1.5.9")
     with pytest.raises(MissingVendorError, match=r"eclipse-zenoh 1\.5\.9 is older than 1\.6"):
         zenoh_library.installed_version()
+
+
+def test_the_benchmark_of_the_router_prints_a_row(zenoh_library: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is the only user of these processes beside the transport and the tests."""
+    monkeypatch.delenv("SOURCE_DATE_EPOCH")  # its certificates are for now
+    program = Path(__file__).parents[2] / "benchmarks/zenoh_router.py"
+    command = [sys.executable, str(program), "--sizes", "2", "--messages", "100", "--repeat", "1"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1].startswith("| 2 | ")
