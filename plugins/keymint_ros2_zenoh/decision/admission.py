@@ -66,5 +66,6 @@ def names_host(certificate: x509.Certificate, host: str) -> bool:
 
 
 def _matches_host(name: str, host: str) -> bool:
-    """Compare a name with a host; ``*`` stands for its first label (RFC 6125, 6.4.3)."""
-    return name == host or (name.startswith("*.") and name[2:] == host.partition(".")[2])
+    """Compare a name with a host; ``*`` stands for its first label (RFC 6125, 6.4.3), of three at least (rustls)."""
+    domain = host.partition(".")[2]
+    return name == host or ("." in domain and name == f"*.{domain}")

@@ -55,3 +55,25 @@ def test_hosts_are_compared_with_alternative_names_only(space: InstallSpace) -> 
     assert not admission.names_host(router, "robot.local")
     assert not admission.names_host(router, "127.0.0.1")
     assert not admission.names_host(x509.load_pem_x509_certificate(space.issue("x")[0]), "localhost")
+
+
+@pytest.mark.parametrize(
+    ("name", "host", "fits"),
+    [
+        ("*.fleet.example", "robot1.fleet.example", True),
+        ("*.Fleet.example", "Robot1.fleet.EXAMPLE", True),
+        ("*.fleet.example", "deep.robot1.fleet.example", False),
+        ("*.fleet.example", "fleet.example", False),
+        ("*.local", "robot1.local", False),
+        ("*.", "localhost", False),
+        ("*", "localhost", False),
+        ("r*.fleet.example", "robot1.fleet.example", False),
+        ("robot1.*.example", "robot1.fleet.example", False),
+        ("*.fleet.example.", "robot1.fleet.example", False),
+        ("robot1.local.", "robot1.local", False),
+    ],
+)
+def test_wildcards_of_hosts(space: InstallSpace, name: str, host: str, fits: bool) -> None:
+    """As sessions of Zenoh 1.10.2 do, measured with these names for 127.0.0.1."""
+    certificate = x509.load_pem_x509_certificate(space.issue("router", server=True, host=name)[0])
+    assert admission.names_host(certificate, host) == fits
