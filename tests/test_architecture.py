@@ -47,6 +47,16 @@ def test_help_imports_nothing_slow(option: str) -> None:
     assert set(json.loads(done.stderr)) & SLOW == set()
 
 
+def test_packages_are_read_without_modules_for_networks() -> None:
+    """The helpers of xml.sax that escape texts load them."""
+    script = (
+        "import sys, keymint_ros.adopted, keymint_ros.create, keymint_ros.hardening, keymint_ros.package\n"
+        "print({'http.client', 'ssl', 'urllib.request'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], cwd=CHECKOUT, capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"
+
+
 def _environment() -> Mapping[str, str]:
     return {"PYTHONPATH": str(CHECKOUT), "PATH": "/usr/bin:/bin"}
 

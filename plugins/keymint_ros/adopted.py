@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from xml.sax.saxutils import escape  # nosec - writes
 
 from keymint.api import AdoptedSources, DomainRange, KeySpec, Validity, WorkspaceProfile
 from keymint_ros import bootstrap, permissions_writer
@@ -14,6 +13,7 @@ from keymint_ros.validity import written
 
 PREFIX = "adopted."
 """Prefix of the files of a package that are documents which another tool signed: ``adopted.permissions.xml``."""
+_SPECIAL = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;"})
 
 
 def kept(files: Mapping[str, bytes]) -> Mapping[str, bytes]:
@@ -24,7 +24,7 @@ def kept(files: Mapping[str, bytes]) -> Mapping[str, bytes]:
 def adopted_sources(profile: WorkspaceProfile, sources: AdoptedSources) -> Mapping[str, bytes]:
     """Return the files of a package: see :meth:`keymint.api.AdoptingPackageType.adopted_sources`."""
     domains = [_domains(sources.domains)] if sources.domains else []
-    name = [f"<subject_name>{escape(sources.subject_name)}</subject_name>"] if sources.subject_name else []
+    name = [f"<subject_name>{sources.subject_name.translate(_SPECIAL)}</subject_name>"] if sources.subject_name else []
     cert = (*name, _validity(sources.validity))
     overrides = (*domains, *name, _validity(sources.grant_validity))
     return {
