@@ -10,6 +10,7 @@ from comarmor.errors import Origin
 from keymint.api import Enclave, Environment, Verdict
 from keymint.api.installed_enclaves import EnclavesBySubject
 from keymint.graph import Edge
+from keymint.pki import certificates
 from keymint_ros2_zenoh.decision import admission
 from keymint_ros2_zenoh.decision.access import AccessDecision, Link
 from keymint_ros2_zenoh.decision.operations import Request, operations
@@ -138,7 +139,7 @@ def _refusal(session: InstalledConfiguration, router: InstalledConfiguration, en
     certificate = router.content(other.listen_certificate)
     reason = admission.refusal(certificate, session.content(own.root_ca), environment.now, server=True)
     if not reason and own.verify_name:
-        leaf = router.certificate(other.listen_certificate)
+        leaf = certificates.load_bundle(certificate)[0]
         if not any(admission.names_host(leaf, loopback.host(endpoint)) for endpoint in endpoints):
             reason = "no subjectAltName of it is the host that the session connects to"
     return f"the session refuses the certificate of the router: {reason}" if reason else ""

@@ -54,15 +54,7 @@ class InstalledConfiguration:
         Raises:
             KeymintError: it is not in the install space, or cannot be read.
         """
-        found = self.local(path)
-        if found is None:
-            missing = (
-                f"{self.file.name} names {path!r}, which is not in the install space"
-                if path
-                else (f"{self.file.name} does not name the certificates and keys that it needs")
-            )
-            raise KeymintError(missing, where=Origin(str(self.file)), help="run 'keymint install'", code="enclave-file")
-        return installed_file(found)
+        return installed_file(self._there(path))
 
     def certificate(self, path: str) -> x509.Certificate:
         """Return the first certificate of a file that the configuration names.
@@ -70,7 +62,18 @@ class InstalledConfiguration:
         Raises:
             KeymintError: it cannot be read.
         """
-        return certificates.load_bundle(self.content(path), Origin(str(self.local(path))))[0]
+        found = self._there(path)
+        return certificates.load_bundle(installed_file(found), Origin(str(found)))[0]
+
+    def _there(self, path: str) -> Path:
+        found = self.local(path)
+        if found is not None:
+            return found
+        missing = "does not name the certificates and keys that it needs"
+        if path:
+            missing = f"names {path!r}, which is not in the install space"
+        where, help_ = Origin(str(self.file)), "run 'keymint install'"
+        raise KeymintError(f"{self.file.name} {missing}", where=where, help=help_, code="enclave-file")
 
     def common_name(self, path: str) -> str:
         """Return the common name by which the other side knows a certificate that the configuration names.
