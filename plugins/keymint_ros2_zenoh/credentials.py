@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, timedelta
 
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
@@ -54,17 +54,14 @@ class _Credentials(IdentityCheck):
         if certificate is None:
             return
         begin, end = certificates.period(certificate)
-        if begin <= inspection.now <= end:  # else it is reported already
-            yield from self._expires(end)
+        # One that is not valid is reported already.
+        if begin <= inspection.now <= end <= inspection.now + timedelta(days=inspection.within_days):
+            message = f"the certificate expires on {end.astimezone(UTC):%Y-%m-%d %H:%M} UTC"
+            help_ = f"'keymint renew {package.name}' issues it again, with later dates"
+            yield replace(self._error("certificate-expires", CERTIFICATE, message, help_), severity=Severity.WARNING)
         yield from self._usage(certificate)
         if public_key or not identity.key.password_env:  # else it cannot be read
             yield from self._key(certificate, public_key)
-
-    def _expires(self, end: datetime) -> Iterator[Diagnostic]:
-        if self._inspection.now + timedelta(days=self._inspection.within_days) >= end:
-            message = f"the certificate expires on {end.astimezone(UTC):%Y-%m-%d %H:%M} UTC"
-            help_ = f"'keymint renew {self._inspection.package.name}' issues it again, with later dates"
-            yield replace(self._error("certificate-expires", CERTIFICATE, message, help_), severity=Severity.WARNING)
 
     def _usage(self, certificate: x509.Certificate) -> Iterator[Diagnostic]:
         """Yield what a certificate lacks, or has too much: a router is a server of its host, all others are clients."""

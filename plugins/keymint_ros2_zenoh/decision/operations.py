@@ -7,7 +7,6 @@ The parts of a key that no right depends on are fixed: the type and its hash, an
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from types import MappingProxyType
 
 from comarmor.rules import parts
 from comarmor.values import dataclass
@@ -21,7 +20,7 @@ TYPE = "std_msgs::msg::dds_::String_"
 HASH = "TypeHashNotSupported"
 """A type, and what Humble has in place of the hash of its definition."""
 PUBLISH, SUBSCRIBE, CALL, EXECUTE = "ros_publish", "ros_subscribe", "ros_call", "ros_execute"
-OTHER_END: Mapping[str, str] = MappingProxyType({PUBLISH: SUBSCRIBE, SUBSCRIBE: PUBLISH, CALL: EXECUTE, EXECUTE: CALL})
+OTHER_END: Mapping[str, str] = {PUBLISH: SUBSCRIBE, SUBSCRIBE: PUBLISH, CALL: EXECUTE, EXECUTE: CALL}
 """The operation at the other end of each operation."""
 _ADVANCED_IDS = "pub/0123456789abcdef/1/_"
 

@@ -22,22 +22,18 @@ def write(configuration: Configuration, title: Sequence[str]) -> bytes:
         configuration: what the file says.
         title: lines of the comment at its beginning.
     """
-    tree = _tree(configuration.other, _settings(configuration))
+    given = configuration.settings().items()
+    settings = {path: value for path, value in given if value not in ("", ()) or path.endswith("/endpoints")}
+    tree = _tree(settings | dict(sorted(configuration.other.items())))
     members = [f"  {_text(key)}: {_value(value, 2)}" for key, value in tree.items()]
     members.append(_access_control(configuration.access_control))
     return "\n".join([*(f"// {line}".rstrip() for line in title), "{", ",\n".join(members), "}", ""]).encode()
 
 
-def _settings(configuration: Configuration) -> Iterator[tuple[str, Any]]:
-    for path, value in configuration.settings().items():
-        if value not in ("", ()) or path.endswith("/endpoints"):
-            yield path, value
-
-
-def _tree(other: Mapping[str, Any], settings: Iterable[tuple[str, Any]]) -> dict[str, Any]:
-    """Return settings by path as nested objects; those that access depends on come first."""
+def _tree(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings by path as nested objects."""
     tree: dict[str, Any] = {}
-    for path, value in (*settings, *sorted(other.items())):
+    for path, value in settings.items():
         *parents, name = path.split("/")
         place = tree
         for parent in parents:

@@ -56,7 +56,8 @@ def lower(rules: SubjectRules, distro: str, domains: Sequence[DomainRange], orig
         KeymintError: Zenoh cannot express a rule, or there are too many domains.
     """
     names = name_rules(rules, distro)
-    ids = _domain_ids(domains, origin)
+    _require_few(domains, origin)
+    ids = domain_ids(domains)
     return Lowered((*_rules(names, ids), *_graph(rules.subject, ids, origin)), tuple(lower_notes(names)))
 
 
@@ -66,21 +67,20 @@ def lower_notes(names: NameRules) -> Iterator[Diagnostic]:
     yield from deny_wildcards(names)
 
 
-def _domain_ids(domains: Iterable[DomainRange], origin: Origin) -> tuple[int, ...]:
-    count = 0
-    ids: set[int] = set()
-    for each in domains:
-        count += max(0, each.last - each.first + 1)
-        if count > MAX_DOMAINS:
-            raise KeymintError(
-                f"the subject may join more than {MAX_DOMAINS} domains: Zenoh has no ranges of them, so that each one "
-                "repeats all rules",
-                where=origin,
-                help="name the domains that it needs",
-                code="zenoh-domains",
-            )
-        ids.update(range(each.first, each.last + 1))
-    return tuple(sorted(ids))
+def _require_few(domains: Iterable[DomainRange], origin: Origin) -> None:
+    if sum(each.last - each.first + 1 for each in domains) > MAX_DOMAINS:
+        raise KeymintError(
+            f"the subject may join more than {MAX_DOMAINS} domains: Zenoh has no ranges of them, so that each one "
+            "repeats all rules",
+            where=origin,
+            help="name the domains that it needs",
+            code="zenoh-domains",
+        )
+
+
+def domain_ids(domains: Iterable[DomainRange]) -> tuple[int, ...]:
+    """Return the ids of all domains."""
+    return tuple(sorted({each for item in domains for each in range(item.first, item.last + 1)}))
 
 
 def _rules(names: NameRules, domains: tuple[int, ...]) -> Iterator[KeyRule]:
@@ -123,17 +123,9 @@ def slot_rules(names: NameRules) -> Iterator[tuple[Effect, tuple[Slot, ...], Glo
             and any(not disjoint(allowed, pattern) for allowed in names.patterns(Effect.ALLOW, permission))
         }
         yield Effect.DENY, tuple(slot for slot, users in USERS.items() if not users & living), pattern, rule
-        for slot in _shared(permissions, living):
+        for slot in dict.fromkeys(slot for permission in permissions for slot in SLOTS[permission]):
             for both in _denied_too(names, pattern, USERS[slot] & living):
                 yield Effect.DENY, (slot,), both, rule
-
-
-def _shared(denied: Iterable[str], living: Iterable[str]) -> Iterator[Slot]:
-    """Yield the slots that denied permissions share with others."""
-    others = set(living)
-    for slot in dict.fromkeys(slot for permission in denied for slot in SLOTS[permission]):
-        if USERS[slot] & others:
-            yield slot
 
 
 def _denied_too(names: NameRules, pattern: Glob, permissions: Iterable[str]) -> Iterator[Glob]:

@@ -60,8 +60,8 @@ class NameRules:
 
     def patterns(self, effect: Effect, permission: str) -> tuple[Glob, ...]:
         """Return the distinct patterns of an effect and a permission."""
-        found = {each.pattern: None for each in self.rules if (each.effect, each.permission) == (effect, permission)}
-        return tuple(found)
+        own = (each for each in self.rules if (each.effect, each.permission) == (effect, permission))
+        return tuple(dict.fromkeys(each.pattern for each in own))
 
 
 def name_rules(rules: SubjectRules, distro: str) -> NameRules:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from comarmor.errors import Diagnostic
+from comarmor.errors import Defects, Diagnostic
 from keymint.api import Package
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
@@ -32,14 +32,11 @@ def lower_package(package: Package) -> Lowered:
     Raises:
         KeymintError: Zenoh cannot express a rule or the validity of the grant; all defects with their ``file:line``.
     """
-    errors = list(_dated(package))
-    grant = package.grant
-    try:
+    defects, grant = Defects(), package.grant
+    defects.found += _dated(package)
+    with defects:
         lowered = lower(grant.rules, package.distro, grant.domains, grant.domains_origin or grant.origin)
-    except KeymintError as error:
-        raise KeymintError.of([*errors, *error.diagnostics]) from None
-    if errors:
-        raise KeymintError.of(errors)
+    defects.require_none()
     return lowered
 
 

@@ -13,13 +13,14 @@ from keymint.ir import SubjectRules
 from keymint_ros2_zenoh.decision.access import AccessModel, Link
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr
 from keymint_ros2_zenoh.keyexpr.relations import includes, intersects
+from keymint_ros2_zenoh.lowering.key_rules import domain_ids
 from keymint_ros2_zenoh.lowering.name_rules import name_rules
 from keymint_ros2_zenoh.lowering.slots import action
 from keymint_ros2_zenoh.messages import Flow, Message
 from keymint_ros2_zenoh.proving import policy_evaluator
 from keymint_ros2_zenoh.proving.automaton import Automaton
 from keymint_ros2_zenoh.proving.key_search import Side, difference, side_of
-from keymint_ros2_zenoh.proving.policy_side import KeyLists, PolicySide, domain_ids
+from keymint_ros2_zenoh.proving.policy_side import KeyLists, PolicySide
 from keymint_ros2_zenoh.proving.router_side import LinkRights, RouterRights
 
 MODEL = "zenoh-1"
@@ -28,7 +29,6 @@ _REPLIES = (
     "replies about names for which one rule denies a permission and another rule allows the one that shares the reply: "
     "no query reaches the subject there"
 )
-_PROTOCOL = "tls"
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,8 +62,7 @@ def prove_rights(question: RightsQuestion) -> Iterator[Claim]:
     Raises:
         KeymintError: Zenoh cannot express a rule of the policy.
     """
-    ids = domain_ids(question.domains)
-    policy = PolicySide(name_rules(question.rules, question.distro), ids)
+    policy = PolicySide(name_rules(question.rules, question.distro), domain_ids(question.domains))
     rights = question.router.on(question.common_name)
     unknown = rights.unmodelled or policy.unproven(question.states)
     proof = _Rights(question, policy, rights)
@@ -164,7 +163,7 @@ class _Rights:
         question, key = self._question, witness.word
         policy = self._decision(message, flow, key)
         decided = AccessModel(question.router.control).decide(
-            Link(question.common_name, protocol=_PROTOCOL), message, flow, key
+            Link(question.common_name, protocol="tls"), message, flow, key
         )
         if policy.allowed is not witness.left or decided.allowed is witness.left:
             return self.claim(

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from types import MappingProxyType
 
 from comarmor.errors import Reason
 from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDecision, Proof, ProofTask, Verdict
@@ -26,17 +25,15 @@ from keymint_ros2_zenoh.settings import is_router
 CONNECT = "connect"
 _EXPECTED = "a session must exchange messages with the router alone"
 _SESSIONS = "the sessions of the enclave that its configuration describes"
-ASSUMPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        MODEL: (
-            "configurations are read and decided as Zenoh 1.10 was measured to do it",
-            "the router runs with the installed file, reads it at its start, and is not compromised",
-            "names are mapped to keys as rmw_zenoh does it; nodes of one process are one subject",
-            "names consist of the characters of ROS names; keys with wildcards are the subject of a claim of their own",
-            "every enclave may announce its own nodes and read the graph",
-        )
-    }
-)
+ASSUMPTIONS: Mapping[str, tuple[str, ...]] = {
+    MODEL: (
+        "configurations are read and decided as Zenoh 1.10 was measured to do it",
+        "the router runs with the installed file, reads it at its start, and is not compromised",
+        "names are mapped to keys as rmw_zenoh does it; nodes of one process are one subject",
+        "names consist of the characters of ROS names; keys with wildcards are the subject of a claim of their own",
+        "every enclave may announce its own nodes and read the graph",
+    )
+}
 
 
 def prove(task: ProofTask) -> tuple[Claim, ...]:

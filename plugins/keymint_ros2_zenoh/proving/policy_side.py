@@ -10,7 +10,6 @@ from comarmor.patterns.glob import Glob
 from comarmor.patterns.printing import exact
 from comarmor.rules import Effect
 from comarmor.values import dataclass
-from keymint.api import DomainRange
 from keymint_ros2_zenoh.keyexpr.expansion import key_exprs
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr
 from keymint_ros2_zenoh.lowering.key_rules import slot_rules
@@ -89,8 +88,3 @@ class PolicySide:
                 yield own_tokens_key(domain, self.names.subject)
             if (message, flow) in set(graph_slots()):
                 yield graph_key(domain)
-
-
-def domain_ids(domains: Sequence[DomainRange]) -> tuple[int, ...]:
-    """Return the ids of all domains."""
-    return tuple(sorted({each for item in domains for each in range(item.first, item.last + 1)}))
