@@ -15,7 +15,6 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -134,22 +133,14 @@ def measure(size: int, messages: int, repeat: int) -> None:
             (route(system, install, messages, router), route(system, install, messages, bare_router))
             for _ in range(repeat)
         ]
-        own, bare = zip(*pairs, strict=True)
+        start, bare_start = (min(run.start for run in runs) for runs in zip(*pairs, strict=True))
+        rate, bare_rate = (max(run.rate for run in runs) for runs in zip(*pairs, strict=True))
         document = router.stat().st_size
         print(
             f"| {size} | {document / 1000:,.0f} kB | {zenoh / size * 1000:.1f} ms | {zenoh / dds:.2f} "
-            f"| {_start(own) * 1000:,.0f} ms | {_start(own) / _start(bare):.1f} "
-            f"| {_best(own):,.0f}/s | {_best(own) / _best(bare):.2f} |",
+            f"| {start * 1000:,.0f} ms | {start / bare_start:.1f} | {rate:,.0f}/s | {rate / bare_rate:.2f} |",
             flush=True,
         )
-
-
-def _start(runs: Sequence[Running]) -> float:
-    return min(run.start for run in runs)
-
-
-def _best(runs: Sequence[Running]) -> float:
-    return max(run.rate for run in runs)
 
 
 def main() -> None:

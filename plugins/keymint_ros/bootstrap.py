@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from datetime import timedelta
 from functools import lru_cache
 from pathlib import PurePosixPath
@@ -62,11 +62,13 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
     if request.authority:
         issuer = signer = request.authority
     build_types = request.build_types or (BUILD_TYPE,)
-    begin, duration = validity.starting(request.valid_for, request.now) if request.valid_for else ("", "")
     dds = _DDS in build_types
-    not_before = f"<not_before>{begin or validity.written(start)}</not_before>"
-    end = validity.written(start + timedelta(days=365 * _PACKAGE_YEARS))
-    not_after = f"<duration>{escaped(duration)}</duration>" if duration else f"<not_after>{end}</not_after>"
+    begin = validity.written(start)
+    end = f"<not_after>{validity.written(start + timedelta(days=365 * _PACKAGE_YEARS))}</not_after>"
+    if request.valid_for:
+        begin = validity.starting(request.valid_for, request.now)
+        end = f"<duration>{escaped(request.valid_for)}</duration>"
+    period = f"<not_before>{begin}</not_before>", end
     subject_name = SUBJECT_NAMES[request.subject_format]
     values = {
         "name": request.name,
@@ -84,8 +86,8 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
         "subject_name": subject_name,
         "not_before": validity.written(start),
         "authority_not_after": validity.written(start + timedelta(days=365 * _AUTHORITY_YEARS)),
-        "package_validity": (not_before, not_after),
-        "grant": (*_grant(subject_name), f"  {not_before}", f"  {not_after}", "</validity>") if dds else (),
+        "package_validity": period,
+        "grant": _grant(subject_name, period) if dds else (),
     }
     defaults = [path for build_type in build_types for path in _DEFAULTS.get(build_type, ())]
     files = {path: filled(f"profile/{path}", **values) for path in (*_PROFILE, *defaults)}
@@ -152,10 +154,11 @@ def authority(name: str) -> tuple[str, ...]:
     return (f'<authority name="{escaped(name)}">', *cert, "</authority>")
 
 
-def _grant(subject_name: str) -> tuple[str, ...]:
-    """Return the first lines of what only a grant of DDS has."""
+def _grant(subject_name: str, period: Iterable[str]) -> tuple[str, ...]:
+    """Return the lines of what only a grant of DDS has."""
     why = "<!-- Must be the subject name of the identity: DDS selects the grant by it. -->"
-    return why, f"<subject_name>{escaped(subject_name)}</subject_name>", "<validity>"
+    name = f"<subject_name>{escaped(subject_name)}</subject_name>"
+    return why, name, "<validity>", *(f"  {line}" for line in period), "</validity>"
 
 
 def _check_choice(option: str, value: str, known: Collection[str]) -> None:

@@ -178,10 +178,10 @@ def _extensions(element: etree._Element) -> tuple[Extension, ...]:
 
 def _basic_constraints(element: etree._Element) -> str:
     """Return the value of ``<BasicConstraints>``, an extension as documents of 2018 write it."""
-    path_length = element.find("path_length")
+    path_length, is_authority = element.find("path_length"), text(element.find("ca")) in _TRUE
     if path_length is None:
-        return "CA:TRUE" if _is_true(element, "ca") else "CA:FALSE"
-    if not _is_true(element, "ca"):
+        return "CA:TRUE" if is_authority else "CA:FALSE"
+    if not is_authority:
         raise KeymintError(
             "<path_length> is given for a certificate that is not an authority's (RFC 5280, 4.2.1.9)",
             where=place(path_length),
@@ -189,10 +189,6 @@ def _basic_constraints(element: etree._Element) -> str:
             code="extension-invalid",
         )
     return f"CA:TRUE, pathlen:{int(text(path_length) or 0)}"
-
-
-def _is_true(element: etree._Element, tag: str) -> bool:
-    return text(element.find(tag)) in _TRUE
 
 
 def _complete_key(key: KeySpec, defaults: KeySpec | None) -> KeySpec:
@@ -249,14 +245,11 @@ def _password(element: etree._Element, key: KeySpec) -> KeySpec:
     encryption, password_env = element.find("encryption_algorithm"), text(element.find("password_env")) or ""
     encrypted = text(encryption) == "BestAvailableEncryption"
     if encrypted != bool(password_env):
-        raise KeymintError(
-            "an encrypted key needs a <password_env>"
-            if encrypted
-            else "<password_env> is given, but the key is not encrypted",
-            where=place(element if encryption is None else encryption),
-            help="name the environment variable that will contain the password, e.g. CA_PASSWORD"
-            if encrypted
-            else "write <encryption_algorithm>BestAvailableEncryption</encryption_algorithm>, or empty <password_env>",
-            code="key-password",
-        )
+        message = "<password_env> is given, but the key is not encrypted"
+        help_ = "write <encryption_algorithm>BestAvailableEncryption</encryption_algorithm>, or empty <password_env>"
+        if encrypted:
+            message = "an encrypted key needs a <password_env>"
+            help_ = "name the environment variable that will contain the password, e.g. CA_PASSWORD"
+        where = place(element if encryption is None else encryption)
+        raise KeymintError(message, where=where, help=help_, code="key-password")
     return replace(key, password_env=password_env)

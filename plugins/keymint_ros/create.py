@@ -123,22 +123,22 @@ def with_validity(
 ) -> Mapping[str, bytes]:
     """Return the files that change: see :meth:`keymint.api.OwnValidity.with_validity`."""
     name = name_of(rules.subject)
-    begin, duration = validity.starting(valid_for, now)
-    element = f"<validity><not_before>{begin}</not_before><duration>{duration}</duration></validity>"
+    begin = validity.starting(valid_for, now)
+    element = f"<validity><not_before>{begin}</not_before><duration>{valid_for}</duration></validity>"
     path = manifest.path_of("identities", name, files)
     changed: dict[str, bytes] = {}
-    if path not in files or _read_identity_length(files[path], f"{name}/{path}") != duration:
+    if path not in files or _read_identity_length(files[path], f"{name}/{path}") != valid_for:
         new = bootstrap.package_document("identities.xml")
         if files.get(path, new) != new:
-            raise _has_own(name, path, duration)
+            raise _has_own(name, path, valid_for)
         identity = f"    <identity>\n      <cert>{element}</cert>\n    </identity>\n".encode()
         changed[path] = new.replace(_EMPTY, identity)
     if bootstrap.has_grant_validity(manifest.read(files[MARKER], f"{name}/{MARKER}").build_types):
         path = manifest.path_of("permissions", name, files)
-        if _read_grant_length(files[path], f"{name}/{path}") != duration:
+        if _read_grant_length(files[path], f"{name}/{path}") != valid_for:
             base = base_of(profile)
             if files[path] != permissions_writer.render(rules, base):
-                raise _has_own(name, path, duration)
+                raise _has_own(name, path, valid_for)
             changed[path] = permissions_writer.render(rules, base, overrides=(element,))
     return changed
 

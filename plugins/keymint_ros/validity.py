@@ -69,8 +69,8 @@ def renewed(period: Validity, start: datetime | None) -> Validity:
     return replace(period, not_before=start, not_after=min(end, _LAST))
 
 
-def starting(duration: str, now: datetime) -> tuple[str, str]:
-    """Return the begin of a period that is given now, as text, and its length.
+def starting(duration: str, now: datetime) -> str:
+    """Return the begin, as text, of a period of this length that is given now.
 
     Args:
         duration: the length, an ISO 8601 duration.
@@ -81,8 +81,7 @@ def starting(duration: str, now: datetime) -> tuple[str, str]:
     """
     from keymint.pki import periods  # noqa: PLC0415 - only needed to write new files
 
-    begin = periods.begin(now, _sum(now, duration) - now)
-    return written(begin), duration
+    return written(periods.begin(now, _sum(now, duration) - now))
 
 
 def written(moment: datetime) -> str:

@@ -7,6 +7,7 @@ lines and the doubled keys, which the library does not tell. A document that the
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -88,7 +89,8 @@ def parse(content: bytes, name: str) -> Node:
     except pyjson5.Json5DecoderException as error:
         raise _syntax(error, text, name) from None
     root = _Scanner(text, name).root()
-    if not _same(root.plain(), value):
+    own, theirs = (json.dumps(each, ensure_ascii=False) for each in (root.plain(), value))
+    if own != theirs:  # compared as texts, since 1 is not true, nor 1.0
         raise _refused("the file is not plain JSON5: readers may understand it differently", name)
     return root
 
@@ -103,15 +105,6 @@ def _syntax(error: pyjson5.Json5DecoderException, text: str, name: str) -> Keymi
     line = text.count("\n", 0, int(near[1])) + 1 if near else 0
     reason = re.sub(r"b'(\w+)'", r"\1", message.partition(" near ")[0]).removesuffix(" starting")
     return _refused(f"not well-formed JSON5: {quoted(reason)}", name, line)
-
-
-def _same(first: Any, second: Any) -> bool:
-    """Compare two values and their types: ``1`` is not ``true``."""
-    if isinstance(first, dict) and isinstance(second, dict):
-        return first.keys() == second.keys() and all(_same(value, second[key]) for key, value in first.items())
-    if isinstance(first, list) and isinstance(second, list):
-        return len(first) == len(second) and all(map(_same, first, second))
-    return type(first) is type(second) and bool(first == second)
 
 
 class _Scanner:

@@ -6,7 +6,7 @@ Order has no meaning: a denial overrides. What no rule allows is denied by the d
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 
 from comarmor.errors import Diagnostic, Origin
@@ -142,16 +142,14 @@ def _by_flow(
     effect: Effect, sides: Iterable[tuple[Message, Flow]], keys: Iterable[KeyExpr], origin: Origin
 ) -> Iterator[KeyRule]:
     """Yield rules of messages and flows, one if both flows have the same messages."""
-    messages: Mapping[Flow, tuple[Message, ...]] = {
-        flow: tuple(message for message in Message if (message, flow) in sides) for flow in Flow
-    }
     expressions = tuple(sorted(set(keys)))
-    if messages[Flow.INGRESS] == messages[Flow.EGRESS]:
-        yield KeyRule(effect, messages[Flow.INGRESS], tuple(Flow), expressions, origin)
-        return
+    flows: dict[tuple[Message, ...], tuple[Flow, ...]] = {}
     for flow in Flow:
-        if messages[flow]:
-            yield KeyRule(effect, messages[flow], (flow,), expressions, origin)
+        messages = tuple(message for message in Message if (message, flow) in sides)
+        flows[messages] = (*flows.get(messages, ()), flow)
+    for messages, own in flows.items():
+        if messages:
+            yield KeyRule(effect, messages, own, expressions, origin)
 
 
 def _graph(subject: str, domains: tuple[int, ...], origin: Origin) -> Iterator[KeyRule]:

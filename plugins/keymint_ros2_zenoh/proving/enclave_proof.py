@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 
 from comarmor.errors import Reason
@@ -48,6 +48,7 @@ def prove(task: ProofTask) -> tuple[Claim, ...]:
     if found := differences(task.files, task.folder, task.anchors, task.shared, task.shared_folder):
         raise KeymintError.of(found)
     package = task.package
+    router = common_name(router_of(package))
     session = read(enclave_file(task.files, task.folder, SESSION), f"{task.folder}/{SESSION}")
     question = RightsQuestion(
         task.rules,
@@ -57,9 +58,9 @@ def prove(task: ProofTask) -> tuple[Claim, ...]:
         router_rights(task.shared[ROUTER], f"{task.shared_folder}/{ROUTER}"),
         task.states,
         task.go_on,
-        RouterRights(session.access_control).on(common_name(router_of(package))),
+        RouterRights(session.access_control).on(router),
     )
-    return (*prove_rights(question), _connects(task, session))
+    return (*prove_rights(question), _connects(task, session, router))
 
 
 # All enclaves rest on the same file.
@@ -73,22 +74,19 @@ def router_rights(content: bytes, file: str) -> RouterRights:
     return RouterRights(read(content, file).access_control)
 
 
-def _connects(task: ProofTask, session: Configuration) -> Claim:
+def _connects(task: ProofTask, session: Configuration, router: str) -> Claim:
     """Return the claim that sessions exchange messages with the router alone."""
-    package, file = task.package, f"{task.folder}/{SESSION}"
-    router = common_name(router_of(package))
-    shortcomings = list(requirements.of_session(session, package, router, file))
-    unmodelled = requirements.unmodelled(session, router=False)
-    return configuration_claim(
-        CONNECT, package.subject, _SESSIONS, shortcomings, _EXPECTED, unmodelled, package.grant.domains
-    )
+    package = task.package
+    shortcomings = requirements.of_session(session, package, router, f"{task.folder}/{SESSION}")
+    unmodelled, domains = requirements.unmodelled(session, router=False), package.grant.domains
+    return configuration_claim(CONNECT, package.subject, _SESSIONS, shortcomings, _EXPECTED, unmodelled, domains)
 
 
 def configuration_claim(
     action: str,
     subject: str,
     universe: str,
-    shortcomings: Sequence[Shortcoming],
+    shortcomings: Iterable[Shortcoming],
     expected: str,
     unmodelled: str = "",
     domains: tuple[DomainRange, ...] = (),
@@ -104,9 +102,10 @@ def configuration_claim(
         unmodelled: why it is unknown; empty if it is not.
         domains: the domains that it covers.
     """
-    if not shortcomings:
+    found = tuple(shortcomings)
+    if not found:
         return Claim(MODEL, action, domains, universe, Proof.UNKNOWN if unmodelled else Proof.PROVEN, unmodelled)
-    first, more = shortcomings[0], len(shortcomings) - 1
+    first, more = found[0], len(found) - 1
     message = first.message + (f" (and {more} more)" if more else "")
     policy = PolicyDecision(allowed=False, where=None, reason=Reason((expected,)))
     verdict = Verdict(allowed=True, reason=message, where=first.where)

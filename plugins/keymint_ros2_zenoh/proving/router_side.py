@@ -31,10 +31,7 @@ class LinkRights:
     def keys(self, message: Message, flow: Flow) -> tuple[tuple[tuple[KeyExpr, ...], tuple[KeyExpr, ...]], ...]:
         """Return for each entry the key expressions that it allows, and those that it denies."""
         return tuple(
-            (
-                _keys(rules, message, flow, Permission.ALLOW),
-                _keys(rules, message, flow, Permission.DENY),
-            )
+            (_keys(rules, message, flow, Permission.ALLOW), _keys(rules, message, flow, Permission.DENY))
             for rules in self.entries
         )
 

@@ -63,7 +63,7 @@ def _route(task: SharedProofTask, configuration: Configuration, file: str) -> Cl
     routers = [package for package in task.packages if is_router(package)]
     if len(routers) != 1:
         return Claim(MODEL, ROUTE, (), _ROUTE, Proof.UNKNOWN, f"the workspace has {len(routers)} packages of routers")
-    shortcomings = list(requirements.of_router(configuration, routers[0], file))
+    shortcomings = requirements.of_router(configuration, routers[0], file)
     expected = "the router must decide on every message, by the certificate of its sender"
     unmodelled = requirements.unmodelled(configuration, router=True)
     return configuration_claim(ROUTE, routers[0].subject, _ROUTE, shortcomings, expected, unmodelled)
@@ -72,8 +72,7 @@ def _route(task: SharedProofTask, configuration: Configuration, file: str) -> Cl
 def _identify(configuration: Configuration, names: Mapping[str, str], file: str) -> Claim:
     """Return the claim that each enclave has the rights of one entry, and nobody else has any."""
     expected = "each enclave must have one subject entry with its common name, and nobody else one"
-    shortcomings = list(_entries(configuration, names, file))
-    return configuration_claim(IDENTIFY, "", _IDENTIFY, shortcomings, expected)
+    return configuration_claim(IDENTIFY, "", _IDENTIFY, _entries(configuration, names, file), expected)
 
 
 def _entries(configuration: Configuration, names: Mapping[str, str], file: str) -> Iterator[Shortcoming]:

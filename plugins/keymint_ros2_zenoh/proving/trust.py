@@ -57,11 +57,7 @@ def _signature_problem(content: bytes, signed: bytes, authority: bytes) -> str:
 
 
 def terms(
-    files: Mapping[str, bytes],
-    folder: str,
-    anchors: TrustAnchors,
-    shared: Mapping[str, bytes],
-    shared_folder: str,
+    files: Mapping[str, bytes], folder: str, anchors: TrustAnchors, shared: Mapping[str, bytes], shared_folder: str
 ) -> tuple[ValidityTerm, ...]:
     """Return the periods of the certificates of an enclave; see :meth:`keymint.api.Prover.terms`.
 

@@ -106,14 +106,11 @@ def _past(sender: Rights, denied: KeyExpr, around: list[KeyExpr], groups: Iterab
                 continue
             fitting = [key for key in sent if includes(right, key)]
             fitting += [right] * any(includes(each, right) for each in around)
-            key = next((key for key in fitting if not _hidden(key, (*sender.denied, *hidden))), None)
+            denials = (*sender.denied, *hidden)
+            key = next((key for key in fitting if not any(includes(each, key) for each in denials)), None)
             meeting = any(intersects(each, right) for each in around)
             if key is not None or fitting or (meeting and not _is_plain(denied)):
                 yield Leak(sender.subject, str(receiver), denied, key)
-
-
-def _hidden(key: KeyExpr, denied: Iterable[KeyExpr]) -> bool:
-    return any(includes(each, key) for each in denied)
 
 
 def _is_plain(denied: KeyExpr) -> bool:

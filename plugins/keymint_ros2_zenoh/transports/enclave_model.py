@@ -14,7 +14,6 @@ from keymint.pki import certificates
 from keymint_ros2_zenoh.decision import admission
 from keymint_ros2_zenoh.decision.access import AccessDecision, Link
 from keymint_ros2_zenoh.decision.operations import Request, operations
-from keymint_ros2_zenoh.messages import Flow
 from keymint_ros2_zenoh.transports import installed
 from keymint_ros2_zenoh.transports.edge_verdict import edge_verdict
 from keymint_ros2_zenoh.transports.installed import InstalledConfiguration
@@ -32,6 +31,8 @@ class EnclaveModel:
     Attributes:
         files: the configuration of its session.
         refusal: why there is no link between its session and the router; empty if there is one.
+        router_access: the router's decisions on its link.
+        session_access: those of its own access control.
 
     Raises:
         KeymintError: a file cannot be read.
@@ -43,26 +44,16 @@ class EnclaveModel:
         others_name = router.common_name(router.configuration.tls.listen_certificate)
         self.refusal = _refusal(self.files, router, environment)
         self._router_file, self._session_file = str(router.file), str(self.files.file)
-        self._at_router = router.access.on(Link(own_name, interface="lo", protocol="tls"))
-        self._at_session = self.files.access.on(Link(others_name, interface="lo", protocol="tls"))
-
-    @property
-    def watched_by_router(self) -> frozenset[Flow]:
-        """The flows of its link of which the router looks at each message."""
-        return self._at_router.watched
-
-    @property
-    def watched_by_session(self) -> frozenset[Flow]:
-        """The flows of its link of which its own access control looks at each message."""
-        return self._at_session.watched
+        self.router_access = router.access.on(Link(own_name, interface="lo", protocol="tls"))
+        self.session_access = self.files.access.on(Link(others_name, interface="lo", protocol="tls"))
 
     def at_router(self, request: Request) -> AccessDecision:
         """Return what the router decides about a message."""
-        return self._at_router.decide(request.message, request.flow, request.key)
+        return self.router_access.decide(request.message, request.flow, request.key)
 
     def at_session(self, request: Request) -> AccessDecision:
         """Return what the session's own access control decides about it."""
-        return self._at_session.decide(request.message, request.flow.opposite, request.key)
+        return self.session_access.decide(request.message, request.flow.opposite, request.key)
 
     def decide(self, request: Request) -> Verdict:
         """Return the decision on a message, with the place that decided: the router's if both allow."""

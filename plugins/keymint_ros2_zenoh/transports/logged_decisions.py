@@ -98,8 +98,8 @@ class LoggedSession:
         self._session = network.open(model)
         zid = network.sessions.ask("zid", session=self._session)
         router_zid = network.router.ask("zid", session=ROUTER)
-        self._at_router = _Decisions(network.router, zid, model.watched_by_router)
-        self._at_session = _Decisions(network.sessions, router_zid, model.watched_by_session)
+        self._at_router = _Decisions(network.router, zid, model.router_access.watched)
+        self._at_session = _Decisions(network.sessions, router_zid, model.session_access.watched)
 
     def declare(self, needed: Iterable[Operation]) -> None:
         """Let both ends decide on the keys of operations."""
