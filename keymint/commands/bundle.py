@@ -42,7 +42,7 @@ from keymint.session import Session
     is_flag=True,
     help="Of the second keystore, which 'keymint authority replace' staged; accept it into a copy of the keystore.",
 )
-def bundle(run: Run, names: tuple[str, ...], output: Path | None, staged: bool = False) -> Report:
+def bundle(run: Run, names: tuple[str, ...], output: Path | None, staged: bool) -> Report:
     """Write installed enclaves into bundles, one for each, which robots take with 'keymint accept'.
 
     A bundle is signed by the authority of the enclave's certificate, and numbered, so that a robot never goes back. It
@@ -54,13 +54,8 @@ def bundle(run: Run, names: tuple[str, ...], output: Path | None, staged: bool =
     def make_plan(session: Session) -> Plan:
         chosen = _chosen(session, names)
         require_output(run, output, len(chosen))
-        if staged:
-            ahead, authorities = _second_keystore(run, session)
-            plan, bundles = plan_bundles(session, chosen, authorities, ahead)
-        else:
-            authorities = _in_force(session, chosen)
-            plan, bundles = plan_bundles(session, chosen, authorities)
-        made[:] = bundles
+        ahead, authorities = _second_keystore(run, session) if staged else (None, _in_force(session, chosen))
+        plan, made[:] = plan_bundles(session, chosen, authorities, ahead)
         return plan
 
     report = run.change(make_plan)

@@ -58,8 +58,7 @@ def sign(run: Run, files: tuple[Path, ...], typed: tuple[str, ...], output: Path
         plan = reissued(run, session, plan, list(chosen), prove=prove)
         after = session.after(plan)
         _, authorities = plan_authorities(after)
-        numbered, bundles = plan_bundles(after, chosen, authorities)
-        made[:] = bundles
+        numbered, made[:] = plan_bundles(after, chosen, authorities)
         return plan.then(numbered)
 
     report = run.change(make_plan)
