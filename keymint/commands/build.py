@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import click
 
 from comarmor.errors import Diagnostic
-from comarmor.values import dataclass
 from keymint.analysis.attachment_mistakes import attachment_mistakes
 from keymint.analysis.subject_patterns import structure
 from keymint.api import BuildOptions, LoadedPolicy
@@ -51,17 +51,18 @@ def build(
     edit them in between. Permissions are rewritten into a smaller form that is proven equivalent; both sizes are
     shown. NAME is a package [all].
     """
-    hinted = build_options(run, document_options)
+    options = build_options(run, document_options)
 
     def make_plan(session: Session) -> Plan:
         chosen = run.names(session, names)
-        run.compile_elsewhere(session, chosen, hinted.options)
-        build = partial(BuildStage, options=hinted.options, force=force, renew=renew)
+        run.compile_elsewhere(session, chosen, options)
+        build = partial(BuildStage, options=options, force=force, renew=renew)
         run.workers.start(session, chosen, (build,))
         plan = run.planned(build(session), chosen)
         warnings = policy_changed(session) if chosen else (no_packages(session),)
         slips = policy_slips(session, plan.steps)
-        return plan.noting(*warnings, *slips, *hinted.unknown(run.names(session, ())))
+        unknown = unknown_hints(options, document_options.hints, run.names(session, ()))
+        return plan.noting(*warnings, *slips, *unknown)
 
     return run.change(make_plan)
 
@@ -76,23 +77,16 @@ def no_packages(session: Session) -> Diagnostic:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Hinted:
-    """The options of a build, and the file of its hints."""
+def unknown_hints(options: BuildOptions, file: Path | None, names: Sequence[str]) -> tuple[Diagnostic, ...]:
+    """Return a warning for each subject of the hints in a file without a package."""
+    if not options.hints:
+        return ()
+    from keymint.hints import unknown_subjects  # noqa: PLC0415 - few builds have hints
 
-    options: BuildOptions
-    hints: str = ""
-
-    def unknown(self, names: Sequence[str]) -> tuple[Diagnostic, ...]:
-        """Return a warning for each subject of the hints without a package."""
-        if not self.options.hints:
-            return ()
-        from keymint.hints import unknown_subjects  # noqa: PLC0415 - few builds have hints
-
-        return tuple(unknown_subjects(self.options.hints, [subject_of(name) for name in names], self.hints))
+    return tuple(unknown_subjects(options.hints, [subject_of(name) for name in names], str(file)))
 
 
-def build_options(run: Run, given: DocumentOptions) -> Hinted:
+def build_options(run: Run, given: DocumentOptions) -> BuildOptions:
     """Return the options of a build.
 
     Raises:
@@ -103,11 +97,10 @@ def build_options(run: Run, given: DocumentOptions) -> Hinted:
         raise click.UsageError("--hints changes the order of rules, which --no-optimise keeps.")
     plain = BuildOptions(given.allow_vendor_specific, given.optimise)
     if given.hints is None:
-        return Hinted(plain)
+        return plain
     from keymint.hints import load_hints  # noqa: PLC0415 - few builds have hints
 
-    hints = load_hints(read_input(run, given.hints), str(given.hints))
-    return Hinted(replace(plain, hints=hints), str(given.hints))
+    return replace(plain, hints=load_hints(read_input(run, given.hints), str(given.hints)))
 
 
 def policy_slips(session: Session, steps: Iterable[Step], policy: LoadedPolicy | None = None) -> tuple[Diagnostic, ...]:

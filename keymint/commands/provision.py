@@ -11,7 +11,7 @@ import click
 from comarmor.errors import Origin
 from keymint.changes import Plan
 from keymint.commands.accepted_packages import AcceptanceOptions, accept, acceptance_options, release
-from keymint.commands.build import build_options, policy_slips
+from keymint.commands.build import build_options, policy_slips, unknown_hints
 from keymint.commands.init import bootstrap_request, refuse_contradiction
 from keymint.commands.options import (
     DEFAULT_PROFILE_TYPE,
@@ -78,7 +78,7 @@ def provision(
     permit exactly what the policy allows, for all names.
     """
     workspace = run.workspace_at(None)
-    hinted = build_options(run, document_options)
+    options = build_options(run, document_options)
     request = bootstrap_request(run, workspace, policy, profile)
     if workspace.exists():
         refuse_contradiction(run, workspace, profile)
@@ -102,7 +102,7 @@ def provision(
         minted = minted.then(plan_lists(session.after(minted), authorities))
         session = session.after(minted)
         create = partial(CreateStage, policy=acquired, force=force)
-        build = partial(BuildStage, options=hinted.options, force=force, renew=renew, policy=acquired)
+        build = partial(BuildStage, options=options, force=force, renew=renew, policy=acquired)
         install = partial(InstallStage, authorities=authorities, prune=prune)
         proof = proof_stage(run, acquired, standard_only=document_options.allow_vendor_specific)
         subjects = create(session).subjects(names)
@@ -110,7 +110,7 @@ def provision(
             ahead = create(session)
             created = ahead.plan([ahead.package(name) for name in subjects])
             # Processes begin with what the cluster compiled.
-            run.compile_elsewhere(session.after(created), subjects, hinted.options, prove=prove)
+            run.compile_elsewhere(session.after(created), subjects, options, prove=prove)
         run.workers.start(session, subjects, (create, build, install, *((proof,) if prove else ())))
         created = run.planned(create(session), subjects)
         session = session.after(created)
@@ -124,12 +124,12 @@ def provision(
             first = plan.then(created).then(built).then(revoking)
             return reissued(
                 run, inputs.after(plan).session(), first, names, prove=prove, new_authority=new_authority,
-                options=hinted.options,
+                options=options,
             )  # fmt: skip
         for stage in (created, built, minted, installed):
             plan = plan.then(stage)
         slips = policy_slips(session, (*created.steps, *built.steps), acquired)
-        plan = plan.noting(*slips, *hinted.unknown(names))
+        plan = plan.noting(*slips, *unknown_hints(options, document_options.hints, names))
         return proven(run, session, installed, names, proof, plan, strict=strict) if prove else plan
 
     def _profile_plan(inputs: Inputs) -> Plan:
