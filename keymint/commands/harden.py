@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 
 import click
@@ -18,7 +19,7 @@ from keymint.errors import KeymintError
 from keymint.output.report import Report
 from keymint.plan.authority_renewal import plan_renewal
 from keymint.plan.enclaves import with_sources
-from keymint.plan.hardening import OpenStep, Weakness, open_steps, plan_authority, plan_names
+from keymint.plan.hardening import Weakness, open_steps, plan_authority, plan_names
 from keymint.session import Session
 
 
@@ -59,41 +60,29 @@ def harden(run: Run, step: str | None, names: tuple[str, ...], applied: bool, fl
                 only = tuple(name for name in wanted if name in chosen[0].concerns)
                 return reissued(run, session, plan_names(session, only), only)
             case Weakness.AUTHORITY:
-                return _authority(run, session, chosen[0], accepted=flag_day)
+                if not flag_day:
+                    raise KeymintError(
+                        f"this is {chosen[0].cost}",
+                        help="plan a common restart of all robots and say --flag-day",
+                        code="authority-flag-day",
+                    )
+                first = plan_authority(session, chosen[0].concerns[0])
+                return reissued_by_profile(run, session, first, with_sources(session))
             case _:
-                return _identifiers(run, session, chosen[0], accepted=flag_day)
+                return _identifiers(run, session, chosen[0].concerns, accepted=flag_day)
 
     return replace(run.change(make_plan), result=result)
 
 
-def _authority(run: Run, session: Session, step: OpenStep, *, accepted: bool) -> Plan:
-    """Return the plan of a second authority, and of all that it signs.
-
-    Raises:
-        KeymintError: the user does not accept that all robots restart together.
-    """
-    _require(step, accepted=accepted)
-    return reissued_by_profile(run, session, plan_authority(session, step.concerns[0]), with_sources(session))
-
-
-def _identifiers(run: Run, session: Session, step: OpenStep, *, accepted: bool) -> Plan:
+def _identifiers(run: Run, session: Session, names: Sequence[str], *, accepted: bool) -> Plan:
     """Return the plan of the authorities' certificates, and of all that follows.
 
     Raises:
         KeymintError: a key is elsewhere, or the user does not accept that all robots restart together.
     """
     plan = Plan((), session.state)
-    for name in step.concerns:
+    for name in names:
         renewal = plan_renewal(session, name)
         plan = plan.then(issued_again(run, session, renewal, name, flag_day=accepted))
         session = session.after(plan).session()
     return plan
-
-
-def _require(step: OpenStep, *, accepted: bool) -> None:
-    if step.flag_day and not accepted:
-        raise KeymintError(
-            f"this is {step.cost}",
-            help="plan a common restart of all robots and say --flag-day",
-            code="authority-flag-day",
-        )
