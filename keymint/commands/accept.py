@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -83,7 +82,7 @@ def accept(run: Run, files: tuple[Path, ...], folder: Path | None, fingerprints:
         "enclaves": [_document(each) for each in taken],
         "restart": restart,
     }
-    return replace(run.report(result, notes), steps=[each.step for each in taken])
+    return run.report(result, notes, steps=[each.step for each in taken])
 
 
 def fingerprint(text: str) -> str:

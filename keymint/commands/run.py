@@ -18,7 +18,7 @@ from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint import SPACES, file_index
 from keymint.api import BuildOptions, Environment
-from keymint.changes import File, Plan
+from keymint.changes import File, Plan, Step
 from keymint.commands.options import PROCESSES, usage_error
 from keymint.commands.remember import remember
 from keymint.errors import ExitCode, KeymintError
@@ -302,7 +302,7 @@ class Run:
     ) -> Report:
         if self.dry_run:
             plan = make_plan(self.snapshot(workspace))
-            return Report(self.verb, workspace, plan.steps, plan.diagnostics, {}, exit_code(plan), dry_run=True)
+            return self.report({}, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps)
         planned: tuple[Inputs, Plan, Sight] | None = None
         if not workspace.state.is_dir():
             sight = Sight.of(map(str, workspace.spaces()))
@@ -329,7 +329,7 @@ class Run:
                 visible = execute(plan, workspace, store, inputs.state, self.workers, advance)
             changes = (*guards, *plan.changes())
             sight = file_index.save(store, workspace, inputs.tree, sight, changes, visible)
-            report = Report(self.verb, workspace, plan.steps, plan.diagnostics, {}, exit_code(plan))
+            report = self.report({}, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps)
             remember(self.setting.call, inputs, plan, self.presented(report), sight, store, self.console)
         return report
 
@@ -346,10 +346,11 @@ class Run:
         exit_code: ExitCode = ExitCode.DONE,
         *,
         workspace: Workspace | None = None,
+        steps: Sequence[Step] = (),
         notes: bool = False,
     ) -> Report:
-        """Return the report of a verb that carried out no plan; arguments as the fields of a report."""
-        return Report(self.verb, workspace, (), diagnostics, result or {}, exit_code, self.dry_run, notes)
+        """Return the report of the verb; arguments as the fields of a report."""
+        return Report(self.verb, workspace, steps, diagnostics, result or {}, exit_code, self.dry_run, notes)
 
     def presented(self, report: Report) -> Report:
         """Return a report with all paths as the user would type them, and equal diagnostics merged."""
