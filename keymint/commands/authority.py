@@ -4,21 +4,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
 
 import click
 
 from keymint.commands.verb_group import VerbGroup
 
-VERBS: Mapping[str, str] = MappingProxyType(
-    {
-        "show": "Show each authority: its certificate, where its key is, and whom it serves.",
-        "renew": "Issue an authority's certificate again for the same key, with later dates.",
-        "replace": "Replace an authority's key, phase by phase.",
-        "import": "Use an authority's certificate that somebody else issued.",
-        "export": "Write an authority's certificate, or its key, to a file.",
-    }
-)
+VERBS: Mapping[str, str] = {
+    "show": "Show each authority: its certificate, where its key is, and whom it serves.",
+    "renew": "Issue an authority's certificate again for the same key, with later dates.",
+    "replace": "Replace an authority's key, phase by phase.",
+    "import": "Use an authority's certificate that somebody else issued.",
+    "export": "Write an authority's certificate, or its key, to a file.",
+}
 
 
 class _Verbs(VerbGroup):
