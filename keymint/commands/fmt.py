@@ -124,14 +124,13 @@ def _formatted(run: Run, paths: Iterable[Path]) -> tuple[list[_Formatted], list[
         name = run.typed(str(path))
         with defects:
             content = run.setting.read(MAX_FILE + 1) if path == _STANDARD else read_input(run, path)
-            if is_named and not looks_like_xml(content):
-                raise _no_xml(run, path, name)
-            forms = (each.formatted(content, name) for each in types)
+            can_format = types if looks_like_xml(content) or not is_named else ()
+            forms = (each.formatted(content, name) for each in can_format)
             after = next((form for form in forms if form is not None), None)
             if after is not None:
                 files.append(_Formatted(path, name, content, after))
             elif is_named:
-                raise _unknown(run, path, name)
+                raise _refused(run, path, name, content)
             else:
                 note = "is no policy, nor a part or a test of one: left as it is"
                 skipped.append(Diagnostic.note("format-skipped", note, Origin(name)))
@@ -145,27 +144,18 @@ def _formatted(run: Run, paths: Iterable[Path]) -> tuple[list[_Formatted], list[
     return files, skipped
 
 
-def _no_xml(run: Run, path: Path, name: str) -> KeymintError:
-    """Return the error for a file that is not XML, as a table of rules."""
+def _refused(run: Run, path: Path, name: str, content: bytes) -> KeymintError:
+    """Return the error for a file that no plugin can format, or that is not XML, as a table of rules."""
     foreign = foreign_policy(run.plugins, [run.setting.cwd / path])
-    return KeymintError(
-        f"is {foreign.noun if foreign else 'not XML'}, and 'keymint fmt' is for policies in XML",
-        where=Origin(name),
-        help="leave it out: 'keymint lint' checks it" if foreign else "name a ComArmor file, or leave it out",
-        code="format-unknown",
-    )
-
-
-def _unknown(run: Run, path: Path, name: str) -> KeymintError:
-    """Return the error for a file that no plugin can format."""
-    if foreign := foreign_policy(run.plugins, [run.setting.cwd / path]):
+    if not looks_like_xml(content):
+        message = f"is {foreign.noun if foreign else 'not XML'}, and 'keymint fmt' is for policies in XML"
+        help_ = "leave it out: 'keymint lint' checks it" if foreign else "name a ComArmor file, or leave it out"
+    elif foreign:
         return foreign.refusal(name)
-    return KeymintError(
-        "is no policy, nor a part or a test of one",
-        where=Origin(name),
-        help="name a ComArmor file, whose root element is <profiles>, <profile>, a rule or <tests>",
-        code="format-unknown",
-    )
+    else:
+        message = "is no policy, nor a part or a test of one"
+        help_ = "name a ComArmor file, whose root element is <profiles>, <profile>, a rule or <tests>"
+    return KeymintError(message, where=Origin(name), help=help_, code="format-unknown")
 
 
 def _files(run: Run, types: Sequence[PolicyTypeWithForm], paths: Iterable[Path]) -> Mapping[Path, bool]:
