@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from comarmor.errors import Diagnostic, Origin
@@ -17,9 +17,8 @@ from keymint.api import (
     Relation,
 )
 from keymint.ir import SubjectRules
+from keymint.plan.proof_results import ProofEffort
 
-STATES = 50_000
-"""States that one comparison may visit."""
 _WORDS = {
     Relation.EQUAL: "equal to the policy",
     Relation.NARROWER: "narrower than the policy",
@@ -95,7 +94,7 @@ def compared(
     enclaves: Iterable[FoundEnclave],
     rules: Mapping[str, SubjectRules],
     distro: str,
-    go_on: Callable[[], bool],
+    effort: ProofEffort,
 ) -> tuple[Compared, ...]:
     """Compare the signed documents of a keystore with a policy.
 
@@ -104,18 +103,19 @@ def compared(
         enclaves: the enclaves; those without rights that verify have a finding already.
         rules: the rules of the policy, by subject; a subject without any may do nothing.
         distro: ROS 2 distribution whose name mapping applies.
-        go_on: polled; the search ends when it returns False.
+        effort: the limits of the search for one answer, and of the comparison of all documents together.
 
     Raises:
         KeymintError: a rule cannot be mapped.
     """
     found: list[Compared] = []
+    go_on = effort.deadline()
     for each in enclaves:
         if (grant := each.grant) is not None:
             of_subject = rules.get(each.subject, SubjectRules(each.subject, ()))
             task = ComparisonTask(
-                grant.document, grant.file, grant.offset, grant.subject_name, of_subject, distro, each.domains, STATES,
-                go_on,
+                grant.document, grant.file, grant.offset, grant.subject_name, of_subject, distro, each.domains,
+                effort.states, go_on,
             )  # fmt: skip
             found.append(Compared(each.subject, comparer.compared(task), grant.file))
     return tuple(found)

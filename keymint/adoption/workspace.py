@@ -77,11 +77,9 @@ def plan_adoption(inputs: Inputs, adoption: Adoption) -> Plan:
     Raises:
         KeymintError: something cannot be taken over as it is; with all reasons.
     """
-    profile = plan_init(inputs, adoption.profile_type, adoption.request)
-    profile = _then(profile, _profile_files(inputs, adoption))
-    session = inputs.after(profile).session()
+    plan = _profile(inputs, adoption)
+    session = inputs.after(plan).session()
     refuse_unsupported(session)
-    plan = profile
     for authority in adoption.found.authorities:
         place = Origin(f"{adoption.files.folder}/{authority.file}")
         key_place = Origin(f"{adoption.files.folder}/{next(iter(authority.key_files), '')}")
@@ -108,17 +106,14 @@ def plan_adoption(inputs: Inputs, adoption: Adoption) -> Plan:
     return plan.then(installed)
 
 
-def _then(plan: Plan, changes: tuple[FolderChange, ...]) -> Plan:
-    """Return the plan of a new profile with other files in it; the marker stays the last file to be written."""
+def _profile(inputs: Inputs, adoption: Adoption) -> Plan:
+    """Plan the profile, with the policy and the defaults; its marker stays the last file to be written."""
+    plan = plan_init(inputs, adoption.profile_type, adoption.request)
     (step,) = plan.steps
     *folders, root = step.changes
+    defaults = {f"{DEFAULTS}/{part}.xml": content for part, content in adoption.found.defaults.items()}
+    changes = changed_below(inputs.tree, inputs.workspace.profile, {**adoption.policy.files, **defaults})
     return replace(plan, steps=(replace(step, changes=(*folders, *changes, root)),))
-
-
-def _profile_files(inputs: Inputs, adoption: Adoption) -> tuple[FolderChange, ...]:
-    files = {**adoption.policy.files}
-    files |= {f"{DEFAULTS}/{part}.xml": content for part, content in adoption.found.defaults.items()}
-    return changed_below(inputs.tree, inputs.workspace.profile, files)
 
 
 # -- sources ------------------------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from keymint.plan.foreign_policies import foreign_policy
 from keymint.workspace import Workspace
 
 STATES, SECONDS = 50_000, 60.0
-"""States that one comparison may visit, and seconds for an enclave."""
+"""States that one comparison may visit, and seconds for an enclave, or for all that are compared with a policy."""
 FOLDER = "comarmor.d"
 """Folder of a new profile that has the policy."""
 
