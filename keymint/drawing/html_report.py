@@ -111,11 +111,9 @@ class _Page:
         self._sources = {name: at for at, name in enumerate(sources)}
         self.transports = [printable(name) for name in labelled.transports]
         self.objects: list[DomainObject] = sorted({one.edge.domain_object for one in labelled.edges})
-        self._numbers: dict[NodeKey, int] = {}
         self.groups = simplify(labelled, options).groups
         keys: list[NodeKey] = [*labelled.subjects, *self.objects, *self.groups]
-        for key in keys:
-            self._numbers.setdefault(key, len(self._numbers))
+        self._numbers = {key: at for at, key in enumerate(dict.fromkeys(keys))}
 
     def number(self, key: NodeKey) -> int:
         """Return the number of a subject or object."""

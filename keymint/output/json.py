@@ -12,6 +12,7 @@ from keymint.analysis.policy_diff import SubjectChanges
 from keymint.api import PolicyDecision, Verdict
 from keymint.graph import Edge
 from keymint.output.mismatches import request_text
+from keymint.output.report import members
 from keymint.verify.mismatch import Comparison, Mismatch
 
 Typed = Callable[[str], str]
@@ -133,11 +134,9 @@ def differences_json(differences: Sequence[SubjectChanges], typed: Typed) -> lis
             "changes": [
                 {
                     "change": "gains" if change.gains else "loses",
-                    "kind": change.kind or None,
-                    "permission": change.permission or None,
+                    **members(change, "kind", "permission"),
                     "pattern": change.pattern,
-                    "whole": change.whole,
-                    "example": change.example or None,
+                    **members(change, "whole", "example"),
                     "rule": line_json(change.where, typed),
                     "unknown": change.unknown or None,
                 }

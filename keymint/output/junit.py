@@ -52,17 +52,13 @@ def junit(title: str, suites: Sequence[JUnitSuite]) -> bytes:
             skipped="0",
         )
         for case in suite.cases:
-            _add_case(element, case)
+            tested = ET.SubElement(element, "testcase", classname=_legal(case.class_name), name=_legal(case.name))
+            if (failed := case.failure) is not None:
+                failure = ET.SubElement(tested, "failure", type=failed.kind, message=_legal(failed.message))
+                failure.text = _legal(failed.details)
     ET.indent(root)
     text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
     return text + b"\n"
-
-
-def _add_case(suite: ET.Element, case: JUnitCase) -> None:
-    element = ET.SubElement(suite, "testcase", classname=_legal(case.class_name), name=_legal(case.name))
-    if case.failure is not None:
-        failure = ET.SubElement(element, "failure", type=case.failure.kind, message=_legal(case.failure.message))
-        failure.text = _legal(case.failure.details)
 
 
 def _legal(text: str) -> str:

@@ -48,9 +48,9 @@ def markdown(
             objects = object_text(change, _code)
             where = _code(place(change.where)) if change.where else ""
             yield f"| {sign} | {permission_text(change, _code).rstrip()} | {objects} | {where} |"
-        for at, (name, number) in enumerate(folded.items()):
-            if at == 0:
-                yield ""
+        if folded:
+            yield ""
+        for name, number in folded.items():
             rules = f"the {number} rules" if number > 1 else "the rule"
             yield f"… and {rules} of {_code(name)} (library)"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic, Severity, cited
 from comarmor.text import counted
 from keymint.graph import Edge, EdgeOutcome
 from keymint.ir import Rule
@@ -51,9 +51,8 @@ def mismatch_text(transports: Sequence[str], mismatch: Mismatch, *, at_rule: boo
 def document_reason(mismatch: Mismatch) -> str:
     """Return the place in the enclave's document, the transport's reason, and the deviation that explains it."""
     document, deviation = mismatch.document, mismatch.verdict.deviation
-    place = document.file + (f":{document.line}" if document.line else "")
     deviates = f"; deviates from the standard: {deviation}" if deviation else ""
-    return f"{place}: {mismatch.reason or 'no reason is given'}{deviates}"
+    return f"{cited(document.file, document.line)}: {mismatch.reason or 'no reason is given'}{deviates}"
 
 
 def verb_of(allowed: bool, *, many: bool = False) -> str:
