@@ -9,7 +9,6 @@ from dataclasses import replace
 from comarmor.errors import Diagnostic
 from keymint.api import Claim, Counterexample, Proof
 from keymint.commands.run import Run
-from keymint.graph import Edge
 from keymint.names import name_of
 from keymint.plan import terms
 from keymint.plan.proof_results import EnclaveProof, ProofEffort, ProofResults
@@ -52,15 +51,6 @@ def dated_of(results: ProofResults) -> Iterator[Diagnostic]:
         yield from terms.findings(enclave.terms, results.now, enclave.subject)
 
 
-def _exceptions(enclave: EnclaveProof) -> Iterator[Diagnostic]:
-    """Yield an error for each exception of a proven claim, for those who accept none."""
-    subject = enclave.subject or "all subjects"
-    for exception in dict.fromkeys(exception for claim in enclave.claims for exception in claim.excepted):
-        message = f"{subject}: not part of the proof: {exception}"
-        help_ = "change the policy or the sources, or accept it without --strict"
-        yield Diagnostic.error("proof-exception", message, None, help_, enclave.subject)
-
-
 def diagnostics_of(results: ProofResults, *, strict: bool = False) -> list[Diagnostic]:
     """Return the diagnostics of all enclaves, each once.
 
@@ -74,8 +64,12 @@ def diagnostics_of(results: ProofResults, *, strict: bool = False) -> list[Diagn
 def _of_enclave(enclave: EnclaveProof, *, strict: bool) -> Iterator[Diagnostic]:
     """Yield the diagnostics of an enclave, merging the same result of several models."""
     yield from enclave.diagnostics
-    if strict:
-        yield from _exceptions(enclave)
+    who = enclave.subject or "all subjects"
+    excepted = dict.fromkeys(exception for claim in enclave.claims for exception in claim.excepted) if strict else ()
+    for exception in excepted:
+        message = f"{who}: not part of the proof: {exception}"
+        help_ = "change the policy or the sources, or accept it without --strict"
+        yield Diagnostic.error("proof-exception", message, None, help_, enclave.subject)
     together: dict[tuple[object, ...], list[Claim]] = {}
     for claim in enclave.claims:
         if claim.counterexample is not None:
@@ -89,9 +83,8 @@ def _of_enclave(enclave: EnclaveProof, *, strict: bool) -> Iterator[Diagnostic]:
         counterexample = claims[0].counterexample
         if counterexample is None:
             actions = " and ".join(dict.fromkeys(claim.action for claim in claims))
-            message = f"{enclave.subject or 'all subjects'}, {actions}: not proven for {models}: {claims[0].reason}"
-            spent = "raise --seconds or --states, or simplify the rules"
-            help_ = spent if claims[0].spent else ""
+            message = f"{who}, {actions}: not proven for {models}: {claims[0].reason}"
+            help_ = "raise --seconds or --states, or simplify the rules" if claims[0].spent else ""
             yield Diagnostic.error("not-proven", message, None, help_, enclave.subject)
         else:
             yield _refutation(enclave.subject, counterexample, models)
@@ -108,7 +101,8 @@ def _refutation(subject: str, counterexample: Counterexample, models: str) -> Di
     may = "permits" if document.allowed else "does not permit"
     allows = "allows" if policy.allowed else "does not allow"
     name = f"{endpoint.name!r}" + "".join(f" in the partition {p!r}" for p in endpoint.partitions)
-    ros = f" ({_entity(counterexample.meaning)})" if counterexample.meaning else ""
+    meant = counterexample.meaning and counterexample.meaning.object
+    ros = f" (the {meant.kind.replace('ros_', 'ROS ')} {meant.name})" if meant else ""
     domain = f" in domain {endpoint.domain}" if endpoint.domain else ""
     message = (
         f"{who}: the document {may} it to {endpoint.action} {name}{ros}{domain}, but the policy {allows} it: "
@@ -117,7 +111,3 @@ def _refutation(subject: str, counterexample: Counterexample, models: str) -> Di
     deviation = f"; docs/vendors.md, {document.deviation}" if document.deviation else ""
     help_ = f"a shortest counterexample{deviation}{f'; {counterexample.help}' if counterexample.help else ''}"
     return Diagnostic.error("counterexample", message, where, help_, subject)
-
-
-def _entity(meaning: Edge) -> str:
-    return f"the {meaning.object.kind.replace('ros_', 'ROS ')} {meaning.object.name}"

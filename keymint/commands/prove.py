@@ -17,7 +17,6 @@ from keymint.commands.options import Number, complete_package, standard_only_opt
 from keymint.commands.proof_diagnostics import SECONDS, STATES, dated_of, diagnostics_of, effort_of, merged_packages
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
-from keymint.graph import Edge
 from keymint.output.report import Report, findings_exit, findings_if
 from keymint.plan import terms
 from keymint.plan.enclaves import unaccounted
@@ -75,15 +74,14 @@ def prove(
     # What a cluster says is a result to show, but nothing that a later run may rely on.
     unrecorded = run.keep(session, results.state) if pool.trusted else ()
 
-    def folder(name: str) -> str:
-        return session.workspace.shown(session.enclave_folder(name))
-
     claims = [claim for enclave in results.all for claim in enclave.claims]
     _summary(run, results)
     proven = all(claim.proof is Proof.PROVEN and not (strict and claim.excepted) for claim in claims)
     unread = any(enclave.diagnostics for enclave in results.all)
     dated = tuple(terms.merged(dated_of(results)))
-    found = merged_packages(diagnostics_of(results, strict=strict), folder)
+    found = merged_packages(
+        diagnostics_of(results, strict=strict), lambda name: session.workspace.shown(session.enclave_folder(name))
+    )
     diagnostics = [*_assumptions(results), *found, *dated, *unknown, *unrecorded]
     result = {
         "at": terms.shown(results.now),
@@ -114,7 +112,9 @@ def _summary(run: Run, results: ProofResults) -> None:
     enclaves = f"{counted(count, 'enclave')}{of_these}{f' for {models}' if models else ''}"
     say(f"proved {enclaves}: {', '.join(parts)}{_when(results)}")
     if excepted := list(dict.fromkeys(_excepted(results))):
-        say(f"not part of the proof: {'; '.join(excepted[:SHOWN])}{_more(excepted)}")
+        left = len(excepted) - SHOWN
+        more = f"; and {left} more (--json names them)" if left > 0 else ""
+        say(f"not part of the proof: {'; '.join(excepted[:SHOWN])}{more}")
 
 
 def _until(results: ProofResults) -> datetime | None:
@@ -142,11 +142,6 @@ def _excepted(results: ProofResults) -> Iterator[str]:
     for enclave in results.all:
         for claim in enclave.claims:
             yield from (f"{enclave.subject or 'all subjects'}, {exception}" for exception in claim.excepted)
-
-
-def _more(excepted: Sequence[str]) -> str:
-    left = len(excepted) - SHOWN
-    return f"; and {left} more (--json names them)" if left > 0 else ""
 
 
 def _taken(results: ProofResults) -> Mapping[str, Sequence[str]]:
@@ -216,7 +211,7 @@ def _counterexample(counterexample: Counterexample, run: Run) -> dict[str, Any]:
         "name": legible(counterexample.endpoint.name) or None,
         "partitions": [legible(each) for each in counterexample.endpoint.partitions],
         "domain": counterexample.endpoint.domain,
-        "ros": None if meaning is None else _ros(meaning),
+        "ros": meaning and {"kind": meaning.object.kind, "permission": meaning.permission, "name": meaning.object.name},
         "policy": {
             "allowed": counterexample.policy.allowed,
             "reason": str(counterexample.policy.reason),
@@ -229,10 +224,6 @@ def _counterexample(counterexample: Counterexample, run: Run) -> dict[str, Any]:
             "deviation": counterexample.document.deviation,
         },
     }
-
-
-def _ros(meaning: Edge) -> Mapping[str, str]:
-    return {"kind": meaning.object.kind, "permission": meaning.permission, "name": meaning.object.name}
 
 
 def _place(where: Origin | None, run: Run) -> Mapping[str, Any]:
