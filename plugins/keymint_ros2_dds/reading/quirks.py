@@ -10,8 +10,9 @@ nothing is claimed of that vendor.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from enum import Enum
+from operator import attrgetter
 
 from lxml import etree
 
@@ -113,13 +114,16 @@ def _line_ends(text: bytes) -> bytes:
     return b"\n" * text.count(b"\n")
 
 
-def of_schema(root: etree._Element, kind: str, file: str) -> tuple[ComArmorError | None, tuple[Quirk, ...]]:
-    """Return how a document violates its schema, as an error and as a quirk; nothing if it does not.
+def of_schema(
+    root: etree._Element, kind: str, file: str, own: Iterable[Quirk] = ()
+) -> tuple[ComArmorError | None, tuple[Quirk, ...]]:
+    """Return how a document violates its schema, as an error and as its quirk; if it does not, its own quirks by line.
 
     Args:
         root: its root element.
         kind: ``permissions`` or ``governance``.
         file: the document's file, for the error.
+        own: the quirks of a valid document.
     """
     try:
         schema.validate(root, locate("keymint_ros2_dds", "schemas") / f"{kind}.xsd", file)
@@ -128,7 +132,7 @@ def of_schema(root: etree._Element, kind: str, file: str) -> tuple[ComArmorError
         at = first.where.line if first.where and first.where.line else 1
         text = f"what the schema does not allow ({first.message})"
         return error, (Quirk(at, text, UNMODELLED, UNMODELLED),)
-    return None, ()
+    return None, tuple(sorted(own, key=attrgetter("line")))
 
 
 def of_domain_ids(root: etree._Element) -> Iterator[Quirk]:

@@ -163,9 +163,7 @@ def _read(content: bytes) -> GovernanceDocument:
     if root.tag != "dds" or root.find("domain_access_rules") is None:
         where = Origin(GOVERNANCE_XML, line(root))
         raise KeymintError("this is not a governance document", where=where, code="document-kind")
-    violation, document_quirks = quirks.of_schema(root, GOVERNANCE, GOVERNANCE_XML)
-    if violation is None:
-        document_quirks = tuple(sorted(_quirks(content, root), key=lambda quirk: quirk.line))
+    violation, document_quirks = quirks.of_schema(root, GOVERNANCE, GOVERNANCE_XML, _quirks(content, root))
     rules = tuple(map(_domain_rule, root.iterfind("domain_access_rules/domain_rule")))
     return GovernanceDocument(
         GOVERNANCE_XML, rules, violation.diagnostics[0].message if violation else "", document_quirks

@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import cache, lru_cache
+from itertools import chain
 
 from lxml import etree
 
@@ -150,28 +151,17 @@ def read(content: bytes, file: str = "permissions.xml", offset: int = 0) -> Perm
         return PermissionsDocument(file, plain, (), (), None, offset)
     try:
         root = parse(content, file)
+        if root.tag != "dds" or root.find("permissions") is None:
+            where = Origin(file, line(root))
+            raise KeymintError("this is not a permissions document", where=where, code="document-kind")
+        grants = tuple(map(_grant, root.iterfind("permissions/grant")))
     except ComArmorError as error:
         raise KeymintError.of(placed(error, file, offset)) from None
-    if root.tag != "dds" or root.find("permissions") is None:
-        where = Origin(file, line(root) + offset)
-        raise KeymintError("this is not a permissions document", where=where, code="document-kind")
-    violation, document_quirks = quirks.of_schema(root, "permissions", file)
     crash = next(_crashes(root), None)
-    if violation is None:
-        document_quirks = (
-            *quirks.of_bytes(content),
-            *quirks.of_domain_ids(root),
-            *_quirks(root),
-            *filter(None, [crash]),
-        )
-    return PermissionsDocument(
-        file,
-        tuple(_grant(element, file, offset) for element in root.iterfind("permissions/grant")),
-        placed(violation, file, offset) if violation else (),
-        tuple(sorted(document_quirks, key=lambda quirk: quirk.line)),
-        crash,
-        offset,
-    )
+    own = chain(quirks.of_bytes(content), quirks.of_domain_ids(root), _quirks(root), filter(None, [crash]))
+    violation, document_quirks = quirks.of_schema(root, "permissions", file, own)
+    defects = placed(violation, file, offset) if violation else ()
+    return PermissionsDocument(file, grants, defects, document_quirks, crash, offset)
 
 
 _TEXT = "[!-%'-;=?-~]"
@@ -315,41 +305,41 @@ def _text(element: etree._Element | None) -> str:
     return "" if element is None else element.text or ""
 
 
-def _grant(element: etree._Element, file: str, offset: int) -> DocumentGrant:
+def _grant(element: etree._Element) -> DocumentGrant:
     return DocumentGrant(
         _text(element.find("subject_name")),
         _text(element.find("validity/not_before")),
         _text(element.find("validity/not_after")),
-        tuple(_rule(child, file, offset) for child in element if child.tag in _RULES),
+        tuple(_rule(child) for child in element if child.tag in _RULES),
         _text(element.find("default")) == "ALLOW",
         line(element),
     )
 
 
-def _rule(element: etree._Element, file: str, offset: int) -> DocumentRule:
+def _rule(element: etree._Element) -> DocumentRule:
     domains = element.find("domains")
     return DocumentRule(
         element.tag == "allow_rule",
-        () if domains is None else tuple(_domains(domains, file, offset)),
+        () if domains is None else tuple(_domains(domains)),
         tuple(_criteria(child) for child in element if child.tag in ACTIONS),
         line(element),
     )
 
 
-def _domains(domains: etree._Element, file: str, offset: int) -> Iterator[DocumentDomains]:
+def _domains(domains: etree._Element) -> Iterator[DocumentDomains]:
     for element in domains:
         if element.tag == "id":
-            number = _number(element, file, offset)
+            number = _number(element)
             yield DocumentDomains(number, number)
         elif element.tag == "id_range":
-            ends = {str(end.tag): _number(end, file, offset) for end in element if end.tag in {"min", "max"}}
+            ends = {str(end.tag): _number(end) for end in element if end.tag in {"min", "max"}}
             yield DocumentDomains(ends.get("min"), ends.get("max"))
 
 
-def _number(element: etree._Element, file: str, offset: int) -> int:
+def _number(element: etree._Element) -> int:
     text = _text(element).strip(BLANKS)
     if _NUMBER.fullmatch(text) is None:
-        where = Origin(file, line(element) + offset)
+        where = Origin("", line(element))
         raise KeymintError(f"{text!r} is no domain id, expected a whole number", where=where, code="domains")
     return int(text)
 
