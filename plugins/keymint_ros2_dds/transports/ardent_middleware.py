@@ -9,9 +9,9 @@ endpoints, and permissions that also allow the empty partition admit those of ev
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import islice, tee
 
 from comarmor.values import dataclass
 from keymint.api import Availability, Enclave, Tier, Transport, Verdict
@@ -60,22 +60,10 @@ class ArdentMiddleware:
     def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`."""
         distros = {enclave.subject: enclave.distro for enclave in enclaves}
-        pending: deque[tuple[Edge, int]] = deque()
-
-        def endpoints() -> Iterator[Edge]:
-            for edge in edges:
-                needed = created(distros[edge.subject], edge)
-                pending.append((edge, len(needed)))
-                yield from needed
-
-        answers: list[tuple[Edge, Verdict]] = []
-        for answer in self.transport.label(enclaves, endpoints(), tier):
-            answers.append(answer)
-            edge, count = pending[0]
-            if len(answers) == count:
-                pending.popleft()
-                yield edge, _together(edge, answers)
-                answers = []
+        asked, waiting = tee((edge, created(distros[edge.subject], edge)) for edge in edges)
+        answers = self.transport.label(enclaves, (endpoint for _, needed in asked for endpoint in needed), tier)
+        for edge, needed in waiting:
+            yield edge, _together(edge, list(islice(answers, len(needed))))
 
 
 def _together(edge: Edge, answers: Sequence[tuple[Edge, Verdict]]) -> Verdict:
