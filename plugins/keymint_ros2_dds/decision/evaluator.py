@@ -27,6 +27,7 @@ from keymint_ros2_dds.reading.signed_permissions import (
 )
 
 DEFAULT_PARTITION = ("",)
+_NO_GRANT = DocumentGrant("", "", "", (), allows=False, line=0)
 
 
 class DecisionOutcome(StrEnum):
@@ -147,13 +148,9 @@ class DocumentEvaluator:
         self._steps: dict[str, list[_CriteriaStep]] = {}
         self._named: list[_CriteriaStep] = []
         self._by_action: dict[str, TopicDecisions] = {}
-        self.joins = False
-        self._default = False
-        self._default_line = 0
-        grant = _grant(document, subject_name, now, semantics)
-        self.refusal = grant if isinstance(grant, EndpointDecision) else None
-        if isinstance(grant, EndpointDecision):
-            return
+        found = _grant(document, subject_name, now, semantics)
+        self.refusal = found if isinstance(found, EndpointDecision) else None
+        grant = _NO_GRANT if isinstance(found, EndpointDecision) else found
         self._default = semantics.default_counts and grant.allows
         self._default_line = grant.line
         in_domain = [rule for rule in grant.rules if semantics.applies(rule, domain)]

@@ -108,10 +108,9 @@ def library() -> Any:
         "dds_take": (c_int32, [c_int32, POINTER(c_void_p), POINTER(_Info), c_size_t, c_uint32]),
     }
     for name, (result, arguments) in signatures.items():
-        try:
-            function = getattr(loaded, name)
-        except AttributeError:
-            raise OSError(f"{loaded._name} has no {name}") from None  # noqa: SLF001 - its file name
+        function = getattr(loaded, name, None)
+        if function is None:
+            raise OSError(f"{loaded._name} has no {name}")  # noqa: SLF001 - its file name
         function.restype, function.argtypes = result, arguments
     return loaded
 

@@ -47,11 +47,9 @@ def authorities(
                 help_ = "a workspace has one authority for each role: adopt these enclaves as a keystore of their own"
                 findings.append(contents.error("adopt-authorities", path, message, help_, enclave.subject))
     together = len(trusted) == len(_FILES) and len(set(map(contents.read, trusted.values()))) == 1
+    by_roles = {tuple(_FILES): trusted[IDENTITY]} if together else {(role,): path for role, path in trusted.items()}
     found = []
-    for role, path in trusted.items():
-        if together and role != IDENTITY:
-            continue
-        roles = tuple(_FILES) if together else (role,)
+    for roles, path in by_roles.items():
         authority, own = _authority(contents, path, roles)
         found += [authority] if authority else []
         findings += own
@@ -62,7 +60,7 @@ def authorities(
     return tuple(found), findings
 
 
-def _authority(contents: Contents, path: str, roles: Sequence[str]) -> tuple[FoundAuthority | None, list[Diagnostic]]:
+def _authority(contents: Contents, path: str, roles: tuple[str, ...]) -> tuple[FoundAuthority | None, list[Diagnostic]]:
     content, where = contents.read(path), contents.place(path)
     findings: list[Diagnostic] = []
     try:
@@ -99,7 +97,7 @@ def _authority(contents: Contents, path: str, roles: Sequence[str]) -> tuple[Fou
         "key_file": str(contents.place(key_paths[0])) if key_paths else None,
     }
     key = key_files.pem_of(contents.read(key_paths[0]), public) if key_paths else b""
-    return FoundAuthority(name, tuple(roles), content, path, key, tuple(key_paths), facts), findings
+    return FoundAuthority(name, roles, content, path, key, tuple(key_paths), facts), findings
 
 
 def _about_key(contents: Contents, key_paths: Sequence[str], name: str, path: str) -> Iterator[Diagnostic]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from comarmor.errors import Diagnostic
-from keymint.api import TrustAnchor, TrustAnchors
+from keymint.api import TrustAnchors
 from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint.pki.identity_check import anchor_defects, enclave_file
@@ -76,17 +76,12 @@ class _AnchorCheck(CredentialCheck):
 
     def _authorities(self) -> Iterator[Diagnostic]:
         """Compare the authorities in the enclave, including files that its layout does not have."""
-        trusted: Mapping[str, TrustAnchor] = {
-            IDENTITY_CA: self._issuer,
-            PERMISSIONS_CA: self._signer,
-            CA: self._signer,
-        }
-        for name, anchor in trusted.items():
-            content = self._files.get(name)
-            if content is None and name in enclave_files(self._anchors.layout, self._anchors.distro):
-                yield self._error("file-missing", name, "is missing")
-            elif content is not None:
+        needed = enclave_files(self._anchors.layout, self._anchors.distro)
+        for name, anchor in ((IDENTITY_CA, self._issuer), (PERMISSIONS_CA, self._signer), (CA, self._signer)):
+            if name in self._files:
                 yield from self._anchored(name, anchor)
+            elif name in needed:
+                yield self._error("file-missing", name, "is missing")
 
     def _identity(self) -> Iterator[Diagnostic]:
         if CERTIFICATE not in self._files:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import partial
+from itertools import product
 
 from comarmor.errors import Origin, Reason
 from comarmor.patterns.decision_lists import Block, DecisionList, SearchBudget, Unknown, Witness
@@ -161,19 +162,17 @@ def weaker(
     """
     yield from _weaker_domain(signed, required, access=access)
     elements: dict[tuple[int, str], Weaker] = {}
-    for rule, region in _regions(signed, semantics):
-        for own, wanted_region in _regions(required, semantics):
-            lacking = list(_weaker_topics(rule, own, access=access))
-            if not lacking or all((rule.line, tag) in elements for tag, _, _ in lacking):
-                continue
-            outcome = escapes((region, wanted_region), (), octets.universe(pairs=False), budget)
-            if isinstance(outcome, Unknown):
-                yield outcome
-            elif isinstance(outcome, Witness):
-                for tag, text, value in lacking:
-                    elements.setdefault(
-                        (rule.line, tag), Weaker(rule.line, tag, text, value, octets.in_text(outcome.word))
-                    )
+    for (rule, region), (own, wanted) in product(_regions(signed, semantics), _regions(required, semantics)):
+        lacking = list(_weaker_topics(rule, own, access=access))
+        if not lacking or all((rule.line, tag) in elements for tag, _, _ in lacking):
+            continue
+        outcome = escapes((region, wanted), (), octets.universe(pairs=False), budget)
+        if isinstance(outcome, Unknown):
+            yield outcome
+        elif isinstance(outcome, Witness):
+            topic = octets.in_text(outcome.word)
+            for tag, text, value in lacking:
+                elements.setdefault((rule.line, tag), Weaker(rule.line, tag, text, value, topic))
     yield from elements.values()
 
 

@@ -21,8 +21,7 @@ from keymint_ros2_dds.vendors.participants import ProbeParticipant, RefusedError
 
 def unsayable(endpoint: Edge) -> str:
     """Return why no participant can create an endpoint of this name, or an empty text."""
-    texts = (endpoint.object.name, *endpoint.object.partitions)
-    if any(not char.isprintable() for text in texts for char in text):
+    if not "".join((endpoint.object.name, *endpoint.object.partitions)).isprintable():
         return "the name has a character that no DDS topic has"
     return "" if endpoint.object.name else "no DDS topic has an empty name"
 
