@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import field, replace
 
@@ -180,10 +180,9 @@ class _PortabilityReport:
         return next(exact, None) or next(overlapping, None)
 
 
-def vendor_notes(rules: Iterable[GrantRule[str]], permissions: Grant) -> Iterator[Diagnostic]:
+def vendor_notes(rules: Sequence[GrantRule[str]], permissions: Grant) -> Iterator[Diagnostic]:
     """Yield notes on what only some vendors do differently with the rules, once for a package."""
     subject = permissions.rules.subject
-    rules = tuple(rules)
     if not rules:
         yield Diagnostic.note(
             "no-permissions", f"{subject} is allowed nothing, so it may not join a domain either",

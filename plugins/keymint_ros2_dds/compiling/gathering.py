@@ -71,8 +71,8 @@ def _joined(
 ) -> tuple[GrantRule[str], ...]:
     """Return the remaining rules, then the guard and the gathered topics; an allow rule comes first."""
     denied = DEFAULT if set(topics) == {DEFAULT} else EVERY
-    actions = {action for by_action in topics.values() for action in by_action}
-    guard = GrantRule(Effect.DENY, denied, {action: (GUARD,) for action in _ACTIONS if action in actions})
+    guarded = {action: (GUARD,) for action in _ACTIONS if any(action in each for each in topics.values())}
+    guard = GrantRule(Effect.DENY, denied, guarded)
     last = [
         GrantRule(Effect.ALLOW, partitions, {action: tuple(sorted(texts)) for action, texts in by_action.items()})
         for partitions, by_action in sorted(topics.items())

@@ -33,13 +33,12 @@ Around = Sequence[str]
 """The text before each list of topics of some rules, and after the last one, to the end of the document."""
 
 
-def render(permissions: Grant, rules: Iterable[GrantRule[str]]) -> bytes:
+def render(permissions: Grant, rules: Sequence[GrantRule[str]]) -> bytes:
     """Return the permissions document, indented unless it is large; a pure function of its arguments.
 
     Raises:
         KeymintError: the subject's name, a date or a domain cannot be expressed portably across DDS vendors.
     """
-    rules = tuple(rules)
     begin = head(permissions)
 
     def write(indent: str) -> str:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from itertools import pairwise, product
+from math import prod
 
 from comarmor.patterns.glob import Glob, literal
 from comarmor.patterns.tokens import ANY, Charset, Star
@@ -40,11 +41,8 @@ def portable_expressions(glob: Glob) -> tuple[str, ...]:
     if text is not None:
         return (_literal(text),)
     choices = [_choices(token) for token in glob]
-    count = 1
-    for alternatives in choices:
-        count *= len(alternatives)
-        if count > MAX_ALTERNATIVES:
-            raise NotPortableError(f"a bracket expression stands for more than {MAX_ALTERNATIVES} alternatives")
+    if prod(map(len, choices)) > MAX_ALTERNATIVES:
+        raise NotPortableError(f"a bracket expression stands for more than {MAX_ALTERNATIVES} alternatives")
     for before, following in pairwise(choices):
         if any(part.startswith("-") for part in following) and any(part.startswith("[") for part in before):
             raise NotPortableError("a bracket expression is followed by '-', which Cyclone DDS misreads")

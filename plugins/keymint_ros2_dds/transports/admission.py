@@ -16,6 +16,7 @@ from keymint_ros2_dds.enclave_layout import reads_revocations
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import enclave_files
 from keymint_ros2_dds.transports.enclave_model import EnclaveModels
+from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
 from keymint_ros2_dds.vendors.participants import ProbeParticipant, RefusedError, System, Vendor
 
 
@@ -101,12 +102,8 @@ def admitted(vendor: Vendor, enclave: Enclave, domain: int, endpoints: Sequence[
             return ()
 
 
-def asked(participant: ProbeParticipant, needed: Iterable[Edge]) -> Iterator[tuple[bool, str]]:
-    """Yield whether a participant may have each endpoint, and why not."""
+def asked(vendor: ProbeParticipant | AccessControl, needed: Iterable[Edge]) -> Iterator[tuple[bool, str]]:
+    """Yield whether a vendor admits each endpoint, and why not."""
     for endpoint in needed:
-        reason = unsayable(endpoint)
-        if reason:
-            yield False, reason
-        else:
-            topic = endpoint.object
-            yield participant.ask(endpoint.permission, topic.name, topic.partitions)
+        reason, topic = unsayable(endpoint), endpoint.object
+        yield (False, reason) if reason else vendor.ask(endpoint.permission, topic.name, topic.partitions)

@@ -57,7 +57,7 @@ class CycloneDDSTransport(RealTransport):
                         yield edge, Verdict(allowed=False, reason=access, where=enclave_model.place())
                         continue
                     needed = endpoints(enclave.distro, edge)
-                    yield edge, enclave_model.verdict(self.MODEL, needed, _answers(access, needed))
+                    yield edge, enclave_model.verdict(self.MODEL, needed, admission.asked(access, needed))
 
     def _decide(self, enclave: Enclave, domain: int, endpoints: Sequence[Edge]) -> Iterable[bool]:
         enclave_model = EnclaveModel(enclave, self._environment, domain)
@@ -91,11 +91,3 @@ def _open(enclave_model: EnclaveModel, folder: Path, domain: int, stack: ExitSta
     if not access.valid or not access.joins():
         return f"Cyclone DDS refuses the enclave: {access.reason}"
     return access
-
-
-def _answers(access: AccessControl, needed: Iterable[Edge]) -> Iterator[tuple[bool, str]]:
-    for endpoint in needed:
-        topic = endpoint.object
-        reason = admission.unsayable(endpoint)
-        allowed = not reason and access.allows(endpoint.permission, topic.name, topic.partitions)
-        yield allowed, "the access-control plugin allows it" if allowed else reason or access.reason

@@ -226,6 +226,11 @@ class AccessControl:
         partition_qos = _String(len(names), len(names), (c_char_p * len(names))(*names))
         return self._noted(self._check_endpoint[direction](*subject, byref(partition_qos), tags, exception))
 
+    def ask(self, direction: str, topic: str, partitions: Iterable[str] = ()) -> tuple[bool, str]:
+        """Tell the same, with the plugin's message if it denies."""
+        allowed = self.allows(direction, topic, partitions)
+        return allowed, "the access-control plugin allows it" if allowed else self.reason
+
     def close(self) -> None:
         """Free the plugin instance; it denies everything afterwards."""
         self._handle = 0
