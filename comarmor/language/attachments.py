@@ -149,11 +149,6 @@ def _flat(combination: Iterable[tuple[Value, bool]]) -> Iterator[tuple[Piece, bo
         yield from ((piece, expanded) for piece in value or ("",))
 
 
-def for_subject(value: Value, subject: str) -> str:
-    """Return the expression of an attachment for a subject."""
-    return for_parts(value, *parts(subject))
-
-
 def parts(subject: str) -> tuple[str, str]:
     """Return the values of ``{namespace}`` and ``{name}`` for a subject, escaped.
 

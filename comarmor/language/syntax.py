@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from comarmor.errors import Origin, Reason
-from comarmor.language.attachments import Placeholder, Value, for_parts, for_subject
+from comarmor.language.attachments import Placeholder, Value, for_parts
 from comarmor.rules import Effect, Rule
 from comarmor.values import dataclass
 
@@ -30,10 +30,6 @@ class Attachment:
     def of(cls, value: Value, where: Origin) -> Attachment:
         """Return the expression of these pieces."""
         return cls("".join(value), where, value if any(isinstance(p, Placeholder) for p in value) else ())
-
-    def expanded(self, subject: str) -> str:
-        """Return the ``fnmatch`` expression of this attachment for a subject."""
-        return for_subject(self.value, subject) if self.value else self.text
 
     def for_parts(self, namespace: str, name: str) -> str:
         """Return the expression for expressions of a namespace, which ends with ``/``, and of a name."""

@@ -7,6 +7,7 @@ A state is the rest of every list. If both sides are equal from there on, nothin
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import field
 from itertools import chain
 
 from comarmor.patterns.decision_lists import DecisionList, Universe
@@ -14,16 +15,18 @@ from comarmor.patterns.derivatives import Derivatives
 from comarmor.patterns.evaluate import Evaluator, shortest
 from comarmor.patterns.glob import literal
 from comarmor.patterns.steps import spend
+from comarmor.values import dataclass
 
 Residual = tuple[tuple[bool, frozenset[int]], ...]
 """The rest of a list: blocks with alternating effects, of which the last one allows."""
 _State = tuple[int, tuple[Residual, ...], Residual, frozenset[int]]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class ProductSearch:
     """Searches for the shortest word on which a conjunction of lists and another list differ.
 
-    Args:
+    Attributes:
         together: lists; together they permit the words that all of them permit.
         other: the list to compare with them.
         universe: the words to compare.
@@ -31,20 +34,12 @@ class ProductSearch:
         count_state: called for every state.
     """
 
-    def __init__(
-        self,
-        together: Sequence[DecisionList],
-        other: DecisionList,
-        universe: Universe,
-        derivatives: Derivatives,
-        count_state: Callable[[], None],
-    ) -> None:
-        self._together = together
-        self._other = other
-        self._universe = universe
-        self._derivatives = derivatives
-        self._count_state = count_state
-        self._after: dict[tuple[Residual, str], Residual] = {}
+    together: Sequence[DecisionList]
+    other: DecisionList
+    universe: Universe
+    derivatives: Derivatives
+    count_state: Callable[[], None]
+    _after: dict[tuple[Residual, str], Residual] = field(init=False, default_factory=dict)
 
     def shortest(self) -> str | None:
         """Return the shortest word, or None when both sides are equal.
@@ -54,10 +49,10 @@ class ProductSearch:
         """
         best, apart = self._among_literals()
         start: _State = (
-            self._derivatives.universe,
-            tuple(self._residual(decisions) for decisions in self._together),
-            self._residual(self._other),
-            frozenset(self._derivatives.node((text,) if text else ()) for text in apart),
+            self.derivatives.universe,
+            tuple(self._residual(decisions) for decisions in self.together),
+            self._residual(self.other),
+            frozenset(self.derivatives.node((text,) if text else ()) for text in apart),
         )
         level: list[tuple[_State, str]] = [(start, "")]
         seen = {start}
@@ -69,11 +64,11 @@ class ProductSearch:
             following: list[tuple[_State, str]] = []
             for state, word in level:
                 nodes = _nodes(state)
-                for letter in self._derivatives.letters_to_try(nodes):
+                for letter in self.derivatives.letters_to_try(nodes):
                     spend(1 + len(nodes) // 4)
                     after = self._step(state, letter)
                     if after is not None and after not in seen:
-                        self._count_state()
+                        self.count_state()
                         seen.add(after)
                         following.append((after, word + letter))
             level = following
@@ -87,9 +82,9 @@ class ProductSearch:
             the shortest one on which the sides differ; and those on which they would differ without literal patterns,
             at which the search must not stop.
         """
-        lists = (*self._together, self._other)
+        lists = (*self.together, self.other)
         full, wild = ([Evaluator(decisions, literals=flag) for decisions in lists] for flag in (True, False))
-        texts = {text for evaluator in full for text in evaluator.literals if text in self._universe}
+        texts = {text for evaluator in full for text in evaluator.literals if text in self.universe}
 
         def differs(evaluators: list[Evaluator], text: str) -> bool:
             return all(evaluator.permits(text) for evaluator in evaluators[:-1]) is not evaluators[-1].permits(text)
@@ -97,43 +92,43 @@ class ProductSearch:
         return shortest(t for t in texts if differs(full, t)), sorted(t for t in texts if differs(wild, t))
 
     def _residual(self, decisions: DecisionList) -> Residual:
-        node = self._derivatives.node
+        node = self.derivatives.node
         blocks = (
             (block.allows, frozenset(node(pattern) for pattern in block.patterns if literal(pattern) is None))
             for block in decisions
         )
-        return _reduced(blocks, self._derivatives.everything)
+        return _reduced(blocks, self.derivatives.everything)
 
     def _step(self, state: _State, letter: str) -> _State | None:
         """Return the state after a letter; None if no word of the universe, or no difference, follows."""
         place, together, other, apart = state
-        inside = self._derivatives.step(place, letter)
+        inside = self.derivatives.step(place, letter)
         if not inside:
             return None
         left = tuple(self._stepped(residual, letter) for residual in together)
         right = self._stepped(other, letter)
         if all(residual == right for residual in left):
             return None
-        return inside[0], left, right, self._derivatives.steps(apart, letter)
+        return inside[0], left, right, self.derivatives.steps(apart, letter)
 
     def _stepped(self, residual: Residual, letter: str) -> Residual:
         key = (residual, letter)
         rest = self._after.get(key)
         if rest is None:
-            derivatives = self._derivatives
+            derivatives = self.derivatives
             blocks = ((allows, derivatives.steps(nodes, letter)) for allows, nodes in residual)
             rest = self._after[key] = _reduced(blocks, derivatives.everything)
         return rest
 
     def _differs(self, state: _State) -> bool:
         place, together, other, apart = state
-        accepts = self._derivatives.accepts
+        accepts = self.derivatives.accepts
         if not accepts[place] or any(accepts[node] for node in apart):
             return False
         return all(self._permits(residual) for residual in together) is not self._permits(other)
 
     def _permits(self, residual: Residual) -> bool:
-        accepts = self._derivatives.accepts
+        accepts = self.derivatives.accepts
         return next((allows for allows, nodes in residual if any(accepts[node] for node in nodes)), False)
 
 

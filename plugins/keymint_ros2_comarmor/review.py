@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 
 import comarmor
 from comarmor.errors import Diagnostic, Origin, Spot
+from comarmor.language.attachments import parts as subject_parts
 from comarmor.patterns.expression import matches
 from comarmor.rules import parts
 from comarmor.text import quoted
@@ -67,7 +68,7 @@ def _used(rule: comarmor.ProfileRule, subject: str, needs: Iterable[_Need]) -> I
             if (part_kind, part_permission) == (kind, needed) and name.endswith(suffix)
         ]
         for attachment in rule.attachments:
-            expression = attachment.expanded(subject)
+            expression = attachment.for_parts(*subject_parts(subject))
             used = any(
                 matches(expression, name) and any(_in_partition(rule, partition) for partition in partitions)
                 for name, partitions in candidates

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import field, replace
 from types import MappingProxyType
 
@@ -77,7 +77,7 @@ class _Exporter:
         lists: list[RuleList] = []
         kept: list[Rule] = []
         graph: set[str] = set()
-        pairs = self._services(subject)
+        pairs = services(subject.rules)
         for rule in subject.rules:
             self._audit(rule, path)
             names: dict[Said, None] = {}
@@ -105,13 +105,6 @@ class _Exporter:
         parent, _, name = path.rpartition("/")
         node = Node(parent or "/", name or _ROOT_NODE, tuple(lists), where)
         return Enclave(path, (NodeGroup((node,), where),), where)
-
-    def _services(self, subject: SubjectRules) -> Mapping[tuple[Effect, str, str], tuple[Said, ...]]:
-        """Return the services that raw rules form; none if one cannot be said, which is then reported as a raw rule."""
-        try:
-            return services(subject.rules)
-        except UnsayableError:
-            return {}
 
     def _audit(self, rule: Rule, path: str) -> None:
         if rule.audit:

@@ -80,6 +80,7 @@ def services(rules: Iterable[Rule]) -> Mapping[tuple[Effect, str, str], tuple[Sa
 
     Returns:
         By effect, permission and expression of a raw rule: the service for a request, nothing for the reply with it.
+        Empty if one of them cannot be said, as the raw rules then cannot.
     """
     raw = {
         (rule.effect, permission, expression)
@@ -95,7 +96,10 @@ def services(rules: Iterable[Rule]) -> Mapping[tuple[Effect, str, str], tuple[Sa
         reply = (effect, back, f"rr{match[1]}Reply") if match else None
         if match and permission in _RAW and reply in raw:
             means = "ros_call" if permission == "publish" else "ros_execute"
-            names = tuple(Said("services", means, text) for text in _names(glob.parse(match[1]), ""))
+            try:
+                names = tuple(Said("services", means, text) for text in _names(glob.parse(match[1]), ""))
+            except UnsayableError:
+                return {}
             found[effect, permission, expression] = names
             found.setdefault(reply, ())
     return found

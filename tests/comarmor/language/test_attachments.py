@@ -19,8 +19,8 @@ from comarmor.language.attachments import (
     TunableReference,
     expand,
     for_parts,
-    for_subject,
     parse,
+    parts,
 )
 from comarmor.patterns import expression
 from comarmor.patterns.printing import escape
@@ -165,9 +165,9 @@ SUBJECTS = st.lists(st.text("ab*[]?\\{}", min_size=1, max_size=3), min_size=1, m
 @given(SUBJECTS)
 def test_namespace_and_name_match_the_subject_itself_and_nothing_else(subject) -> None:
     value = (Placeholder.NAMESPACE, Placeholder.NAME)
-    assert expression.literal(for_subject(value, subject)) == subject
+    assert expression.literal(for_parts(value, *parts(subject))) == subject
     head, _, name = subject.rpartition("/")
-    assert for_parts(value, escape(f"{head}/"), escape(name)) == for_subject(value, subject)
+    assert for_parts(value, escape(f"{head}/"), escape(name)) == for_parts(value, *parts(subject))
 
 
 def test_parts_of_a_name_may_be_expressions() -> None:

@@ -14,16 +14,16 @@ HERE, THERE = Origin("policy.xml", 1), Origin("policy.xml", 2)
 
 def test_an_attachment_is_expanded_for_the_subject_only_if_it_depends_on_it() -> None:
     own = Attachment.of((Placeholder.NAMESPACE, "x"), HERE)
-    assert (own.text, own.expanded("/r/a"), own.expanded("/b")) == ("{namespace}x", "/r/x", "/x")
+    assert (own.text, own.for_parts("/r/", "a"), own.for_parts("/", "b")) == ("{namespace}x", "/r/x", "/x")
     escaped = Attachment.of(("/\\{name\\}",), HERE)
-    assert escaped.expanded("/r/a") == escaped.text == "/\\{name\\}"
+    assert escaped.for_parts("/r/", "a") == escaped.text == "/\\{name\\}"
 
 
 def test_a_rule_of_a_profile_keeps_everything_but_repeated_expressions() -> None:
     attachments = (Attachment.of(("/x",), HERE), Attachment.of((Placeholder.NAMESPACE, "x"), HERE))
     written = ProfileRule(Effect.DENY, "topic", ("publish",), attachments, ("p",), True, THERE)
     assert written.depends_on_subject
-    expanded = written.with_expressions(attachment.expanded("/a") for attachment in attachments)
+    expanded = written.with_expressions(attachment.for_parts("/", "a") for attachment in attachments)
     assert expanded == Rule(Effect.DENY, "topic", ("publish",), ("/x",), ("p",), True, THERE)
 
 

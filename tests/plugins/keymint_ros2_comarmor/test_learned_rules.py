@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from keymint_ros2_comarmor.learned_rules import fold, literal, needs_of, templates
 
-from comarmor.language.attachments import expand, for_subject, parse
+from comarmor.language.attachments import expand, for_parts, parse, parts
 from comarmor.patterns.expression import literal as only_name
 from comarmor.rules import PERMISSIONS, Effect
 from keymint.graph import Edge, Object
@@ -58,7 +58,7 @@ def test_every_template_of_a_need_names_its_object_for_its_subject(subject, name
     assert shared[0] == literal(need)
     for kind, text, permission, partitions in shared:
         (value,) = expand(parse(text), lambda _: ())
-        assert only_name(for_subject(value, subject)) == name
+        assert only_name(for_parts(value, *parts(subject))) == name
         assert (kind, permission, partitions) == (need[0], need[2], need[3])
 
 
