@@ -81,7 +81,10 @@ def load_tree(
             help="put the policy's root files directly into it; files in sub-folders are only reached by includes",
             code="policy-empty",
         )
-    reader = _PolicyReader(folder, _library(library, library_shown), limits, packages, form)
+    fallback = (
+        SandboxedFolder(library.resolve(), str(library_shown or library)) if library and library.is_dir() else None
+    )
+    reader = _PolicyReader(folder, fallback, limits, packages, form)
     if path.is_dir():
         reader.seen[Path(folder.shown)] = _names_fingerprint(roots)
     return reader.result(tuple(reader.root(name) for name in roots))
@@ -138,12 +141,6 @@ def _roots(folder: Path) -> list[str]:
 
 def _names_fingerprint(names: Sequence[str]) -> bytes:
     return hashlib.sha256("/".join(names).encode(errors="surrogateescape")).digest()
-
-
-def _library(library: Path | None, shown: Path | None) -> SandboxedFolder | None:
-    if library is None or not library.is_dir():
-        return None
-    return SandboxedFolder(library.resolve(), str(shown or library))
 
 
 @dataclass(slots=True)
@@ -286,7 +283,8 @@ class _PolicyReader:
         chain = (where.alone(), *where.chain)
         shipped = includes.package_path(href, where)
         if shipped is not None:
-            inner, target, path = self.package(shipped.package, where), shipped.path, ""
+            package, target = shipped
+            inner, path = self.package(package, where), ""
         else:
             path = posixpath.normpath(includes.path_of(href, where))
             target = posixpath.normpath(posixpath.join(key[1], path))

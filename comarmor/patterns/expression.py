@@ -43,12 +43,9 @@ def literal(expression: str) -> str | None:
     """
     if not SPECIAL.search(expression):
         return expression
-    text: list[str] = []
-    for token in parse(expression):
-        if not isinstance(token, str):
-            return None
-        text.append(token)
-    return "".join(text)
+    tokens = parse(expression)
+    texts = [token for token in tokens if isinstance(token, str)]
+    return "".join(texts) if len(texts) == len(tokens) else None
 
 
 def beginning(expression: str) -> str:

@@ -9,7 +9,6 @@ from urllib.parse import unquote, urlsplit
 from comarmor.errors import ComArmorError, Origin
 from comarmor.regex import lazy_regex
 from comarmor.text import quoted
-from comarmor.values import dataclass
 
 PACKAGE = "package://"
 """Begin of an ``href`` that names a file of a ROS package, as in URDF and in ``resource_retriever``."""
@@ -18,16 +17,10 @@ _PACKAGE_NAME = lazy_regex(r"[A-Za-z0-9][A-Za-z0-9_-]{0,254}")
 _SEGMENT = lazy_regex(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,254}")
 
 
-@dataclass(frozen=True, slots=True)
-class PackagePath:
-    """A file that a package ships: name of the package, and path below its folder of profiles."""
+def package_path(href: str, where: Origin) -> tuple[str, str] | None:
+    """Return the package of the file that the ``href`` of an include names, and the path below its folder of profiles.
 
-    package: str
-    path: str
-
-
-def package_path(href: str, where: Origin) -> PackagePath | None:
-    """Return the file of a package that the ``href`` of an include names; None if it begins in another way.
+    None if it begins in another way.
 
     Args:
         href: the attribute: ``package://PACKAGE/PATH``.
@@ -54,7 +47,7 @@ def package_path(href: str, where: Origin) -> PackagePath | None:
             help=f"write {PACKAGE}{package}/FILE.xml; 'keymint plugins' lists the files that packages ship",
             code="include-href",
         )
-    return PackagePath(package, checked_path(path_of(rest, where), where))
+    return package, checked_path(path_of(rest, where), where)
 
 
 def is_package_name(name: str) -> bool:

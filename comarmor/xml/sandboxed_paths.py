@@ -130,14 +130,13 @@ def similar_file(folder: SandboxedFolder, relative: str, including: str = "") ->
         relative: path of the missing file.
         including: the including file as messages name it; it is not suggested.
     """
-    beside = folder.real / posixpath.dirname(relative)
+    parent, missing = posixpath.split(relative)
     try:
-        names = [entry.name for entry in beside.iterdir()]
+        names = [entry.name for entry in (folder.real / parent).iterdir()]
     except OSError:
         return ""
-    parent = posixpath.dirname(relative)
     names = [name for name in names if folder.name(posixpath.join(parent, name)) != including]
-    return did_you_mean(posixpath.basename(relative), names)
+    return did_you_mean(missing, names)
 
 
 def unreadable(error: Exception, what: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property, lru_cache, partial
-from typing import overload
+from typing import Any
 
 import comarmor
 from keymint.api import PolicyStructure, WrittenProfile, WrittenRule
@@ -50,11 +50,7 @@ class _Clauses(Sequence[WrittenRule]):
             for rule in profile.rules
         )
 
-    @overload
-    def __getitem__(self, index: int) -> WrittenRule: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[WrittenRule]: ...
-    def __getitem__(self, index: int | slice) -> WrittenRule | Sequence[WrittenRule]:
+    def __getitem__(self, index: Any) -> Any:
         return self._made[index]
 
     def __len__(self) -> int:
