@@ -16,7 +16,7 @@ from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint.api import Authority, PolicySource, WorkspaceProfile
 from keymint.errors import KeymintError
-from keymint.source_documents import Reader, domains, file_in, place, text
+from keymint.source_documents import Reader, domains, file_in, place, require_new, text
 from keymint_ros import (
     authority_issuance,
     bootstrap,
@@ -100,10 +100,8 @@ def _exports(root: etree._Element) -> Mapping[str, str]:
     exports: dict[str, str] = {}
     for part in root.iterfind("export/*"):
         tag = str(part.tag)
-        if tag in exports and tag != "build_type":
-            raise KeymintError(
-                f"there are two elements <{tag}>", where=place(part), help="remove one of them", code="schema"
-            )
+        if tag != "build_type":
+            require_new(tag, exports, part, f"there are two elements <{tag}>", "remove one of them", "schema")
         exports[tag] = text(part) or ""
     return exports
 

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 
 from comarmor.errors import Defects, Diagnostic, Severity
 from keymint.api import BuildOptions, BuildResult, Package
-from keymint.errors import KeymintError
 from keymint_ros2_zenoh import emission, key_limits
 from keymint_ros2_zenoh.documents.write import write
 from keymint_ros2_zenoh.enclave_layout import ROUTER, SESSION
@@ -47,8 +46,7 @@ def build(package: Package, options: BuildOptions) -> BuildResult:  # noqa: ARG0
         found += lower_package(package).diagnostics
     with defects:
         emission.common_name(package)
-    if defects.found:
-        raise KeymintError.of(dict.fromkeys(defects.found))
+    defects.require_none()
     return BuildResult(documents, tuple(found))
 
 

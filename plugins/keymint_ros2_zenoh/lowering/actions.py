@@ -13,7 +13,7 @@ from keymint.graph import Edge
 from keymint_ros2_zenoh.keyexpr.key_expr import literal
 from keymint_ros2_zenoh.lowering.name_rules import KINDS
 from keymint_ros2_zenoh.lowering.names import advanced_key, check_distro, data_key
-from keymint_ros2_zenoh.lowering.slots import SLOTS, Place, Slot
+from keymint_ros2_zenoh.lowering.slots import SLOTS, Place, Slot, action
 
 
 def actions(distro: str, edge: Edge) -> tuple[Endpoint, ...]:
@@ -54,4 +54,4 @@ def _endpoints(edge: Edge, slots: tuple[tuple[Slot, str], ...]) -> Iterator[Endp
             return
         data = data_key(edge.domain, name)
         key = data if slot.place is Place.DATA else advanced_key(data)
-        yield Endpoint(edge.subject, slot.action, key.text, domain=edge.domain)
+        yield Endpoint(edge.subject, action(slot.message, slot.flow), key.text, domain=edge.domain)

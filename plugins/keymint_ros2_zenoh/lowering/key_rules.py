@@ -23,7 +23,7 @@ from keymint_ros2_zenoh.lowering.deny_wildcards import deny_wildcards
 from keymint_ros2_zenoh.lowering.key_rule import KeyRule
 from keymint_ros2_zenoh.lowering.name_rules import NameRules, name_rules
 from keymint_ros2_zenoh.lowering.names import advanced_key, data_key, graph_key, own_tokens_key
-from keymint_ros2_zenoh.lowering.slots import SLOTS, USERS, Place, Slot, graph_slots
+from keymint_ros2_zenoh.lowering.slots import GRAPH_SLOTS, SLOTS, USERS, Place, Slot
 from keymint_ros2_zenoh.messages import Flow, Message
 
 MAX_DOMAINS = 32
@@ -156,4 +156,4 @@ def _graph(subject: str, domains: tuple[int, ...], origin: Origin) -> Iterator[K
     """Yield what lets a node announce itself and read the graph. No enclave can announce the nodes of another one."""
     own = [own_tokens_key(domain, subject) for domain in domains]
     yield from _by_flow(Effect.ALLOW, {(Message.LIVELINESS_TOKEN, Flow.INGRESS)}, own, origin)
-    yield from _by_flow(Effect.ALLOW, set(graph_slots()), [graph_key(domain) for domain in domains], origin)
+    yield from _by_flow(Effect.ALLOW, GRAPH_SLOTS, [graph_key(domain) for domain in domains], origin)

@@ -6,7 +6,7 @@ Measured with Zenoh 1.10.2, by leaving out each of them. Ingress is from the sub
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from enum import StrEnum
 from itertools import product, starmap
 
@@ -28,11 +28,6 @@ class Slot:
     message: Message
     flow: Flow
     place: Place = Place.DATA
-
-    @property
-    def action(self) -> str:
-        """Message and flow in words: ``put in``."""
-        return action(self.message, self.flow)
 
 
 def action(message: Message, flow: Flow) -> str:
@@ -93,10 +88,7 @@ USERS: Mapping[Slot, frozenset[str]] = {
     for slot in starmap(Slot, product(Message, Flow, Place))
 }
 """The permissions that need a slot; for every slot, also for those that no permission needs."""
-
-
-def graph_slots() -> Iterator[tuple[Message, Flow]]:
-    """Yield what a node needs to read the graph, besides announcing its own tokens."""
-    yield Message.LIVELINESS_QUERY, _IN
-    yield Message.DECLARE_LIVELINESS_SUBSCRIBER, _IN
-    yield Message.LIVELINESS_TOKEN, _OUT
+GRAPH_SLOTS = frozenset(
+    ((Message.LIVELINESS_QUERY, _IN), (Message.DECLARE_LIVELINESS_SUBSCRIBER, _IN), (Message.LIVELINESS_TOKEN, _OUT))
+)
+"""What a node needs to read the graph, besides announcing its own tokens."""

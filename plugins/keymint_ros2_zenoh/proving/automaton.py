@@ -57,10 +57,10 @@ class Automaton:
     """
 
     def __init__(self) -> None:
-        self._nodes: list[_Node] = [_Node({}, (), accepts=True)]
+        self.everything = END + 1
+        self._nodes = [_Node({}, (), accepts=True), _Node({}, ((_EVERY, self.everything),), accepts=True)]
         self._known: dict[object, int] = {}
         self._steps: dict[tuple[int, str], tuple[int, ...]] = {}
-        self.everything = self._loop("everything", _EVERY)
 
     def key_expr(self, expression: KeyExpr) -> int:
         """Return the node of a key expression."""
@@ -119,7 +119,7 @@ class Automaton:
         """Return the node of a chunk with text."""
         first, *parts = chunk.split(ANY_CHARACTERS)
         if parts and chunk.startswith(VERBATIM):
-            return self._nothing()  # compared as it is, and no literal key has a "$*"
+            return self._sets(())  # compared as it is, and no literal key has a "$*"
         for part in reversed(parts):
             rest = self._repeat(IN_CHUNK, rest) if not part else self._repeat(IN_CHUNK, self._text(part, rest))
         return self._text(first, rest) if first else self._not_verbatim(rest)
@@ -150,14 +150,6 @@ class Automaton:
         if key not in self._known:
             self._known[key] = self._add(_Node({}, sets, accepts=False))
         return self._known[key]
-
-    def _nothing(self) -> int:
-        return self._sets(())
-
-    def _loop(self, name: str, members: Charset) -> int:
-        node = len(self._nodes)
-        self._known[name] = node
-        return self._add(_Node({}, ((members, node),), accepts=True))
 
     def _repeat(self, members: Charset, rest: int) -> int:
         """Return the node of any characters of a set, and the rest."""

@@ -19,7 +19,7 @@ from keymint.ir import Rule, SubjectRules
 from keymint_ros2_zenoh.keyexpr.expansion import ALPHABET
 from keymint_ros2_zenoh.keyexpr.key_expr import VERBATIM
 from keymint_ros2_zenoh.lowering.names import ADVANCED, GRAPH, TOKEN_ENCLAVE, TYPE_AND_HASH
-from keymint_ros2_zenoh.lowering.slots import USERS, Place, Slot, graph_slots
+from keymint_ros2_zenoh.lowering.slots import GRAPH_SLOTS, USERS, Place, Slot
 from keymint_ros2_zenoh.messages import Flow, Message
 
 _KIND = {
@@ -106,7 +106,7 @@ def _of_graph(subject: str, domains: tuple[int, ...], key: str, message: Message
     """Decide about a token of the graph: an enclave reads all of its domains, and announces its own nodes."""
     chunks = key.split("/")
     known = chunks[1] in map(str, domains) and not any(chunk.startswith(VERBATIM) for chunk in chunks[1:])
-    reads = (message, flow) in set(graph_slots())
+    reads = (message, flow) in GRAPH_SLOTS
     announces = (message, flow) == (Message.LIVELINESS_TOKEN, Flow.INGRESS)
     own = chunks[TOKEN_ENCLAVE : TOKEN_ENCLAVE + 1] == [subject.replace("/", "%")]
     allowed = known and (reads or (announces and own))

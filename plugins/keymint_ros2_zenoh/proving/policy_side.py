@@ -15,7 +15,7 @@ from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr
 from keymint_ros2_zenoh.lowering.key_rules import slot_rules
 from keymint_ros2_zenoh.lowering.name_rules import NameRules
 from keymint_ros2_zenoh.lowering.names import advanced_key, data_key, graph_key, own_tokens_key
-from keymint_ros2_zenoh.lowering.slots import USERS, Place, Slot, graph_slots
+from keymint_ros2_zenoh.lowering.slots import GRAPH_SLOTS, USERS, Place, Slot
 from keymint_ros2_zenoh.messages import Flow, Message
 from keymint_ros2_zenoh.proving.expansion_proof import proven_exact
 
@@ -86,5 +86,5 @@ class PolicySide:
         for domain in self.domains:
             if (message, flow) == (Message.LIVELINESS_TOKEN, Flow.INGRESS):
                 yield own_tokens_key(domain, self.names.subject)
-            if (message, flow) in set(graph_slots()):
+            if (message, flow) in GRAPH_SLOTS:
                 yield graph_key(domain)

@@ -64,19 +64,13 @@ def exchange(network: Network, models: InstalledModels, edges: Iterable[Edge]) -
     """
 
     def verdicts(session: LoggedSession, subject: str, needed: Sequence[Sequence[Operation]]) -> Iterator[Verdict]:
-        trials = _trials(session, models, subject, chain.from_iterable(needed))
+        found = dict.fromkeys(chain.from_iterable(needed))
+        session.declare(found)
+        trials = {each: _Trial(each, session.verdict([each]), _peer(models, subject, each)) for each in found}
         _try(network, models, models.of(subject), list(trials.values()))
         return (_verdict([trials[each] for each in own]) for own in needed)
 
     return in_sessions(network, models, edges, BATCH, verdicts)
-
-
-def _trials(
-    session: LoggedSession, models: InstalledModels, subject: str, needed: Iterable[Operation]
-) -> dict[Operation, _Trial]:
-    found = dict.fromkeys(needed)
-    session.declare(found)
-    return {each: _Trial(each, session.verdict([each]), _peer(models, subject, each)) for each in found}
 
 
 def _peer(models: InstalledModels, subject: str, operation: Operation) -> str:
@@ -147,7 +141,11 @@ class _Run:
         self._sender, self._receiver = (self._own, self._other) if active else (self._other, self._own)
         self._is_topic = permission in {PUBLISH, SUBSCRIBE}
         self._by_querier = conforming and not self._is_topic
-        self._declare()
+        if self._is_topic:
+            boxes = {self._name(trial): trial.operation.key for trial in trials}
+            self._process.ask("subscribe", session=self._receiver, keys=boxes)
+        else:
+            self._process.ask("answer", session=self._receiver, keys=self._keys, text=self._receiver)
 
     def deliver(self) -> None:
         """Send until every permitted sample has arrived, and once more if there are denied ones; then end."""
@@ -198,13 +196,6 @@ class _Run:
     @property
     def _keys(self) -> list[str]:
         return [trial.operation.key for trial in self._trials]
-
-    def _declare(self) -> None:
-        if self._is_topic:
-            boxes = {self._name(trial): trial.operation.key for trial in self._trials}
-            self._process.ask("subscribe", session=self._receiver, keys=boxes)
-        else:
-            self._process.ask("answer", session=self._receiver, keys=self._keys, text=self._receiver)
 
     def _name(self, trial: _Trial) -> str:
         """Return a mailbox of this run, and the text of its sample."""
