@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import argparse
 import os
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterable
 from datetime import UTC, datetime
 from itertools import chain, cycle, islice
 from pathlib import Path
+
+from fleet import KEYMINT, spent
 
 from comarmor.errors import Origin
 from keymint.api import Enclave, Environment, PolicySource, Tier
@@ -50,8 +50,7 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         workspace = Path(scratch) / "ws"
-        command = [sys.executable, "-m", "keymint", "provision", str(options.policy), "-w", str(workspace), "-q"]
-        subprocess.run(command, check=True)
+        spent(*KEYMINT, "provision", str(options.policy), "-w", str(workspace), "-q")
         root = workspace / "install" / "enclaves"
         enclaves = [
             Enclave(f"/{path.parent.relative_to(root)}", path.parent, "humble", root) for path in root.rglob("cert.pem")

@@ -73,7 +73,8 @@ def _edited(files: Mapping[str, bytes], path: str, shown: str, edit: _Edit, help
         KeymintError: there is no such file, or it is written in another way than Keymint writes it.
     """
     text = _text(files.get(path, b""))
-    place = edit(_COMMENT.sub(_blank, text))
+    # Nothing is found in a comment, and all other places stay.
+    place = edit(_COMMENT.sub(lambda comment: re.sub(r"[^\n]", " ", comment[0]), text))
     if place is None:
         raise KeymintError(
             "is written in a way that Keymint does not edit", where=Origin(shown), help=help_, code="harden-by-hand"
@@ -88,8 +89,3 @@ def _text(content: bytes) -> str:
         return content.decode()
     except UnicodeDecodeError:
         return ""
-
-
-def _blank(comment: re.Match[str]) -> str:
-    """Return blanks in place of a comment, so that nothing is found in it and all other places stay."""
-    return re.sub(r"[^\n]", " ", comment[0])

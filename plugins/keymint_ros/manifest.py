@@ -108,7 +108,7 @@ def _parts(root: etree._Element) -> Mapping[str, PackagePart]:
     for name, group, item in _OLDER:
         if (element := root.find(group)) is not None:
             for tag in ("issuer_name", item):
-                _check_single(element, tag, group)
+                _check_single(element, tag)
             path, defaults = element.find(f"{item}/{item}_path"), element.find(f"{item}/defaults_path")
             parts[name] = _part(element, path, defaults, f"{name}.xml")
     for element in root.iterfind("parts/part"):
@@ -119,12 +119,12 @@ def _parts(root: etree._Element) -> Mapping[str, PackagePart]:
     return parts
 
 
-def _check_single(element: etree._Element, tag: str, group: str) -> None:
+def _check_single(element: etree._Element, tag: str) -> None:
     """Check that an element occurs once; documents of 2018 could have several, and each package several documents."""
     others = element.findall(tag)[1:]
     if others:
         raise KeymintError(
-            f"there are two elements <{tag}> in <{group}>",
+            f"there are two elements <{tag}> in <{element.tag}>",
             where=place(others[0]),
             help="a package has one authority that signs them; remove one of the elements"
             if tag == "issuer_name"
