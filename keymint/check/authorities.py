@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Generator, Iterator, Mapping
 from dataclasses import replace
 from datetime import timedelta
@@ -15,18 +14,16 @@ from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import authority_files, token_keys
 from keymint.plan.authority_files import AuthorityFiles
-from keymint.plan.enclaves import deployed_authorities
 from keymint.plan.private_keys import key_defects
 from keymint.session import Inputs, Session
 
 
 def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
     """Yield the findings on the keys and certificates of all authorities."""
-    deployed = functools.partial(deployed_authorities, session)
     issuers: dict[str, x509.Certificate] = {}
     fingerprints: dict[str, str] = {}
     for authority in authority_files.in_order(session.profile.authorities):
-        files = authority_files.read_files(session, authority, deployed)
+        files = authority_files.read_files(session, authority)
         key = yield from _key(session, files)
         if key is not None:
             fingerprints[authority.name] = keys.fingerprint(key)
@@ -78,7 +75,7 @@ def _key(inputs: Inputs, files: AuthorityFiles) -> Generator[Diagnostic, None, k
         except KeymintError as error:
             yield from key_defects(error)
     elif files.content is not None:
-        message = f"the private key of {files.authority.name!r} is not here"
+        message = f"the private key of {files.name!r} is not here"
         where, help_ = files.certificate_file, "restore it to sign anything"
         yield Diagnostic.note("authority-key-missing", message, where, help_)
     return None
@@ -114,7 +111,7 @@ def _certificate(
     if not defects.found and not authority_files.satisfies(content, spec, public, issuer):
         yield Diagnostic.error(
             "authority-drift",
-            f"the certificate of {files.authority.name!r} is not the one that the profile specifies",
+            f"the certificate of {files.name!r} is not the one that the profile specifies",
             files.certificate_file,
             "run 'keymint install', which reissues it for the same key, and redeploy all enclaves",
         )
@@ -123,7 +120,7 @@ def _certificate(
 def _validity(
     inputs: Inputs, files: AuthorityFiles, certificate: x509.Certificate, within: timedelta
 ) -> Iterator[Diagnostic]:
-    name, where, end = files.authority.name, files.certificate_file, certificate.not_valid_after_utc
+    name, where, end = files.name, files.certificate_file, certificate.not_valid_after_utc
     help_ = f"'keymint authority renew {name}' issues it again for the same key, as long as before"
     if end < inputs.now:
         message = f"the certificate of {name!r} expired on {end:%Y-%m-%d %H:%M} UTC"

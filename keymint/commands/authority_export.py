@@ -74,7 +74,7 @@ def _export_key(run: Run, files: authority_files.AuthorityFiles, key_file: Path)
         raise token_keys.only_in_token(files.authority, "it returns none")
     if files.key is None:
         raise KeymintError(
-            f"the private key of the authority {files.authority.name!r} is not here",
+            f"the private key of the authority {files.name!r} is not here",
             where=files.key_file,
             help="export it where it is",
             code="authority-key-missing",

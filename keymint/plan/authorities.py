@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field, replace
 
@@ -18,7 +17,6 @@ from keymint.pki import certificates, keys
 from keymint.plan import authority_files, key_record, token_keys
 from keymint.plan.authority_files import AuthorityFiles
 from keymint.plan.authority_issuance import STAGE, authority_named
-from keymint.plan.enclaves import deployed_authorities
 from keymint.plan.private_keys import password
 from keymint.session import Inputs, Session
 
@@ -85,7 +83,6 @@ def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, M
     """
     for name in new:
         authority_named(session, name)
-    deployed = functools.partial(deployed_authorities, session)
     minted: dict[str, MintedAuthority] = {}
     steps: list[Step] = []
     warnings: list[Diagnostic] = []
@@ -93,7 +90,7 @@ def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, M
     for authority in authority_files.in_order(session.profile.authorities):
         if authority.certificate.issuer and authority.certificate.issuer not in minted:
             continue  # its issuer has a defect
-        files = authority_files.read_files(session, authority, deployed).as_adopted()
+        files = authority_files.read_files(session, authority).as_adopted()
         with defects:
             result, changes, diagnostics = _plan_authority(session, files, minted, renew=authority.name in new)
             minted[authority.name] = result
@@ -110,7 +107,7 @@ def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, M
 def _plan_authority(
     inputs: Inputs, files: AuthorityFiles, minted: Mapping[str, MintedAuthority], *, renew: bool
 ) -> tuple[MintedAuthority, tuple[FolderChange, ...], Sequence[Diagnostic]]:
-    spec, name = files.authority.certificate, files.authority.name
+    spec, name = files.authority.certificate, files.name
     above = minted[spec.issuer] if spec.issuer else None
     if renew:
         _require_replaceable(files)
@@ -179,7 +176,7 @@ def _require_replaceable(files: AuthorityFiles) -> None:
     Raises:
         KeymintError: its certificate is from elsewhere, or its replacement is under way.
     """
-    issuance, name = files.authority.issuance, files.authority.name
+    issuance, name = files.authority.issuance, files.name
     if issuance.rollover or issuance.adopted:
         why = "its replacement is under way" if issuance.rollover else "its certificate was imported"
         raise KeymintError(
@@ -197,7 +194,7 @@ def _new_certificate(
     issued = certificates.issue_authority(files.authority.certificate, key, above.issuer if above else None)
     if not files.known():
         return issued.pem, issued.diagnostics
-    message = f"{files.authority.name!r} is a new authority: {authority_files.COST}"
+    message = f"{files.name!r} is a new authority: {authority_files.COST}"
     new = Diagnostic.warning("authority-new", message, files.certificate_file)
     return issued.pem, (*issued.diagnostics, new)
 
@@ -213,7 +210,7 @@ def _certificate(
             return pem, ()
     if spec.adopted:
         raise KeymintError(
-            f"the certificate that the profile adopts for {files.authority.name!r} was not issued by "
+            f"the certificate that the profile adopts for {files.name!r} was not issued by "
             f"{repr(spec.issuer) if spec.issuer else 'itself'}",
             where=spec.origin,
             help="correct <issuer_name>, or import the certificate of its issuer first",
@@ -224,7 +221,7 @@ def _certificate(
         return issued.pem, issued.diagnostics
     again = Diagnostic.warning(
         "authority-reissued",
-        f"the certificate of the authority {files.authority.name!r} is reissued for the same key",
+        f"the certificate of the authority {files.name!r} is reissued for the same key",
         files.certificate_file,
         "deploy all enclaves together: if it signs rights, some vendors let subjects that hold different certificates "
         "of it not communicate",
@@ -240,7 +237,7 @@ def _candidates(files: AuthorityFiles) -> Iterator[x509.Certificate]:
 
 def _signing_error(inputs: Inputs, files: AuthorityFiles) -> KeymintError | None:
     """Return the error to raise if this CA must sign, or None; an offline root is no defect."""
-    spec, name = files.authority.certificate, files.authority.name
+    spec, name = files.authority.certificate, files.name
     if files.key is None:
         return KeymintError(
             f"the private key of the authority {name!r} is not here, and is needed to sign",

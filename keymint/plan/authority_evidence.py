@@ -10,8 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 
-from cryptography import x509
-
 from comarmor.errors import Diagnostic
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
@@ -30,7 +28,7 @@ def contradictions(session: Session) -> Contradictions:
     """
     by_authority: dict[str, tuple[Diagnostic, ...]] = {}
     for authority in authority_files.in_order(session.profile.authorities):
-        files = authority_files.read_files(session, authority)
+        files = authority_files.read_files(session, authority, deployed=False)
         own = () if files.content is None else tuple(_against(session, files, files.content))
         if all_ := (*own, *by_authority.get(authority.certificate.issuer, ())):
             by_authority[authority.name] = all_
@@ -47,11 +45,10 @@ def _against(inputs: Inputs, files: AuthorityFiles, content: bytes) -> Iterator[
     try:
         # Transports differ in what they read of a file with several blocks: some trust each certificate in it.
         certificates.load(content, where)
-        certificate = certificates.load_first(content, where)
-        public = certificates.public_key(certificate, where)
+        public = certificates.public_key(certificates.load_first(content, where), where)
         authority_files.require_name(files)
         _require_adopted(files, content)
-        _require_key(inputs, files, certificate)
+        _require_key(inputs, files)
         authority_files.require_known(files, public)
     except KeymintError as error:
         yield from error.diagnostics
@@ -63,29 +60,27 @@ def _require_adopted(files: AuthorityFiles, content: bytes) -> None:
     Raises:
         KeymintError: it is not.
     """
-    adopted, name = files.authority.certificate.adopted, files.authority.name
+    adopted = files.authority.certificate.adopted
     if adopted and content != adopted:
         raise KeymintError(
-            f"is not the certificate that was imported for the authority {name!r}",
+            f"is not the certificate that was imported for the authority {files.name!r}",
             where=files.certificate_file,
             help="'keymint install' restores it; 'keymint authority import' takes another one",
             code="authority-drift",
         )
 
 
-def _require_key(inputs: Inputs, files: AuthorityFiles, certificate: x509.Certificate) -> None:
+def _require_key(inputs: Inputs, files: AuthorityFiles) -> None:
     """Require that the private key matches the certificate; a key that cannot be read is no evidence.
 
     Raises:
         KeymintError: it does not match.
     """
-    authority = files.authority
+    if files.authority.certificate.key.uri:
+        return
     try:
-        stored = (
-            None if authority.certificate.key.uri else authority_files.stored_key(inputs, authority, authority.name)
-        )
+        stored = authority_files.stored_key(inputs, files.authority, files.name)
     except KeymintError:
         return
-    key = stored[1].public_key() if stored else None
-    if key and not key_record.was_under_way(inputs.state, keys.fingerprint(key)) and certificate == files.certificate:
-        authority_files.require_fit(files, key)
+    if stored and not key_record.was_under_way(inputs.state, keys.fingerprint(stored[1])):
+        authority_files.require_fit(files, stored[1].public_key())

@@ -6,6 +6,7 @@ A replaced key or certificate is an error here: only a person can know which of 
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
 
@@ -17,7 +18,7 @@ from keymint.api import Authority, CertificateSpec, Phase, Rollover
 from keymint.errors import KeymintError
 from keymint.pki import certificates, distinguished_names, keys
 from keymint.plan import key_record
-from keymint.plan.enclaves import INSTALLED
+from keymint.plan.enclaves import INSTALLED, deployed_authorities
 from keymint.plan.private_keys import load_key, password
 from keymint.session import Inputs, Session, once
 
@@ -52,6 +53,11 @@ class AuthorityFiles:
     deployed: Callable[[], Sequence[x509.Certificate]] = field(repr=False)
 
     @property
+    def name(self) -> str:
+        """The name of the authority."""
+        return self.authority.name
+
+    @property
     def subject(self) -> x509.Name:
         """The subject name that the profile specifies."""
         spec = self.authority.certificate
@@ -76,31 +82,28 @@ class AuthorityFiles:
         return replace(self, content=pem, certificate=certificates.load(pem)) if pem else self
 
 
-def read_files(
-    inputs: Inputs, authority: Authority, deployed: Callable[[], Sequence[x509.Certificate]] = tuple
-) -> AuthorityFiles:
+def read_files(session: Session, authority: Authority, *, deployed: bool = True) -> AuthorityFiles:
     """Read the files of an authority.
 
     Args:
-        inputs: the workspace.
+        session: the workspace and its profile.
         authority: the authority.
-        deployed: returns the authorities' certificates in installed enclaves; by default they are no evidence.
+        deployed: installed enclaves are evidence of its certificate.
     """
-    workspace = inputs.workspace
+    workspace, tree, state = session.workspace, session.tree, session.state
     key_path, path = workspace.authority_key(authority.name), workspace.authority_certificate(authority.name)
-    content = inputs.tree.read(path)
+    content = tree.read(path)
+    # Before anything is installed nobody trusts the authority, so the user may replace it with their own.
+    is_trusted = state.stamps.get(INSTALLED)
     return AuthorityFiles(
         authority=authority,
-        key_file=inputs.workspace.origin(key_path),
-        certificate_file=inputs.workspace.origin(path),
-        key=inputs.tree.read(key_path),
+        key_file=workspace.origin(key_path),
+        certificate_file=workspace.origin(path),
+        key=tree.read(key_path),
         content=content,
         certificate=_readable(content),
-        # Before anything is installed nobody trusts the authority, so the user may replace it with their own.
-        recorded=key_record.recorded(inputs.state, key_record.AUTHORITIES, authority.name)
-        if inputs.state.stamps.get(INSTALLED)
-        else "",
-        deployed=deployed,
+        recorded=key_record.recorded(state, key_record.AUTHORITIES, authority.name) if is_trusted else "",
+        deployed=functools.partial(deployed_authorities, session) if deployed else tuple,
     )
 
 
@@ -242,7 +245,7 @@ def satisfies(pem: bytes, spec: CertificateSpec, key: keys.PublicKey, issuer: x5
 def load_private_key(inputs: Inputs, files: AuthorityFiles) -> keys.PrivateKey:
     """Load the private key of an authority that has one; errors as :func:`keymint.plan.private_keys.load_key`."""
     spec = files.authority.certificate
-    remedy = f"restore it from a backup; {new_authority_help(files.authority.name)}"
+    remedy = f"restore it from a backup; {new_authority_help(files.name)}"
     return load_key(inputs, keys.from_pem, files.key or b"", spec, files.key_file, remedy)
 
 
@@ -276,11 +279,11 @@ def require_unused(files: AuthorityFiles) -> None:
         KeymintError: one does, so the files were lost.
     """
     if files.in_use():
-        name = files.authority.name
         raise KeymintError(
-            f"the authority {name!r} has neither key nor certificate here, but enclaves that are installed trust it",
+            f"the authority {files.name!r} has neither key nor certificate here, but enclaves that are installed trust "
+            "it",
             where=files.certificate_file,
-            help=f"restore them, or the certificate alone from an enclave; {new_authority_help(name)}",
+            help=f"restore them, or the certificate alone from an enclave; {new_authority_help(files.name)}",
             code="authority-lost",
         )
 
@@ -293,18 +296,17 @@ def require_fit(files: AuthorityFiles, key: keys.PublicKey) -> None:
     """
     if files.certificate is None or certificates.public_key(files.certificate) == key:
         return
-    name = files.authority.name
     if keys.fingerprint(key) in files.known():
         raise KeymintError(
-            f"is the certificate of another key than {files.key_file}, which is the key of {name!r}",
+            f"is the certificate of another key than {files.key_file}, which is the key of {files.name!r}",
             where=files.certificate_file,
-            help=f"restore it, or remove it and run 'keymint install'; {new_authority_help(name)}",
+            help=f"restore it, or remove it and run 'keymint install'; {new_authority_help(files.name)}",
             code="authority-key-mismatch",
         )
     raise KeymintError(
         f"is not the private key of {files.certificate_file}",
         where=files.key_file,
-        help=f"restore the file that is wrong; {new_authority_help(name)}",
+        help=f"restore the file that is wrong; {new_authority_help(files.name)}",
         code="authority-key-mismatch",
     )
 
@@ -317,12 +319,12 @@ def require_name(files: AuthorityFiles) -> None:
     """
     if files.certificate is None or files.certificate.subject == files.subject:
         return
-    spec, name = files.authority.certificate, files.authority.name
+    spec = files.authority.certificate
     raise KeymintError(
         f"is for {distinguished_names.to_text(files.certificate.subject)!r}, but {spec.origin} asks for "
         f"{distinguished_names.to_text(files.subject)!r}",
         where=files.certificate_file,
-        help=f"restore the file or the subject_name; {new_authority_help(name)}",
+        help=f"restore the file or the subject_name; {new_authority_help(files.name)}",
         code="authority-renamed",
     )
 
@@ -336,11 +338,10 @@ def require_known(files: AuthorityFiles, key: keys.PublicKey) -> None:
     known = files.known()
     if not known or keys.fingerprint(key) in known:
         return
-    name = files.authority.name
     raise KeymintError(
-        f"the key of the authority {name!r} was replaced: the deployed enclaves trust another one",
+        f"the key of the authority {files.name!r} was replaced: the deployed enclaves trust another one",
         where=files.certificate_file if files.key is None else files.key_file,
-        help=f"restore {files.key_file} and {files.certificate_file}; {new_authority_help(name)}",
+        help=f"restore {files.key_file} and {files.certificate_file}; {new_authority_help(files.name)}",
         code="authority-replaced",
     )
 
@@ -353,11 +354,10 @@ def require_rollover(files: AuthorityFiles, key: keys.PublicKey) -> None:
     """
     rollover = files.authority.issuance.rollover
     if rollover and certificates.public_key(certificates.load(rollover.certificate)) == key:
-        name = files.authority.name
         raise KeymintError(
-            f"the replacement of the key of {name!r} was interrupted",
+            f"the replacement of the key of {files.name!r} was interrupted",
             where=files.key_file,
-            help=f"'keymint authority replace {name}' goes on",
+            help=f"'keymint authority replace {files.name}' goes on",
             code="rollover-interrupted",
         )
 

@@ -17,7 +17,6 @@ from keymint.plan import authority_files, key_record
 from keymint.plan.authorities import MintedAuthority, plan_authorities
 from keymint.plan.authority_files import AuthorityFiles
 from keymint.plan.authority_issuance import STAGE, authority_named, plan_authority_issuance
-from keymint.plan.enclaves import deployed_authorities
 from keymint.plan.given_authority import GivenAuthority, checked
 from keymint.session import Session
 
@@ -139,7 +138,7 @@ def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
     require_no_rollover(session, name)
     certificate, key = checked(session, authority, given)
     public = certificates.public_key(certificate, given.where)
-    files = authority_files.read_files(session, authority, lambda: deployed_authorities(session))
+    files = authority_files.read_files(session, authority)
     _require_same_key(files, public, given.where)
     changes: list[FolderChange] = []
     key_path, stored = session.workspace.authority_key(name), authority_files.stored_key(session, authority, name)
@@ -162,10 +161,9 @@ def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
 def _require_same_key(files: AuthorityFiles, public: keys.PublicKey, where: Origin) -> None:
     known = files.known()
     if known and keys.fingerprint(public) not in known:
-        name = files.authority.name
         raise KeymintError(
-            f"has another key than the authority {name!r}, which installed enclaves trust",
+            f"has another key than the authority {files.name!r}, which installed enclaves trust",
             where=where,
-            help=f"'keymint authority replace {name} --certificate {where.file}' replaces it step by step",
+            help=f"'keymint authority replace {files.name} --certificate {where.file}' replaces it step by step",
             code="authority-replaced",
         )

@@ -26,7 +26,6 @@ from keymint.plan.authorities import plan_authorities
 from keymint.plan.authority_files import FORMER, NEXT
 from keymint.plan.authority_issuance import STAGE, authority_named, plan_authority_issuance
 from keymint.plan.authority_renewal import begin_of, issued_like, issuer_of
-from keymint.plan.enclaves import deployed_authorities
 from keymint.plan.given_authority import GivenAuthority, checked
 from keymint.plan.private_keys import password
 from keymint.session import Session
@@ -238,7 +237,7 @@ def _former(session: Session, authority: Authority, present: x509.Certificate, f
     """
     if present != following:
         return certificates.to_pem(present)
-    files = authority_files.read_files(session, authority, lambda: deployed_authorities(session))
+    files = authority_files.read_files(session, authority)
     for each in files.in_use():
         if each != following:
             return certificates.to_pem(each)

@@ -29,7 +29,7 @@ def load(inputs: Inputs, files: AuthorityFiles, *, renew: bool) -> keys.PrivateK
         KeymintError: enclaves trust an authority whose certificate is missing; the key is not of the specified kind, or
             for a new authority still the old one; or those of :class:`keymint.pki.tokens.Tokens`.
     """
-    spec, name = files.authority.certificate, files.authority.name
+    spec, name = files.authority.certificate, files.name
     present = files.certificate
     if present is not None and not renew:
         public, where = certificates.public_key(present), files.certificate_file
@@ -60,7 +60,7 @@ def left_over(files: AuthorityFiles) -> Iterator[Diagnostic]:
     if files.key is not None:
         yield Diagnostic.warning(
             "authority-key-copy",
-            f"is a private key of the authority {files.authority.name!r}, whose key is to lie in a token only",
+            f"is a private key of the authority {files.name!r}, whose key is to lie in a token only",
             files.key_file,
             "move it to a safe place that is no computer's disk, or destroy it",
         )
