@@ -244,15 +244,13 @@ def _outputs(digests: Mapping[str, str]) -> dict[str, str]:
 
 
 def _nothing_applies(name: str, policy: LoadedPolicy, *, known: bool) -> Diagnostic:
+    subject = subject_of(name)
+    message = f"no profile of the policy applies to {subject}"
     if known:
-        return Diagnostic.warning(
-            "subject-unnamed",
-            f"no profile of the policy applies to {subject_of(name)} any more: it is left without permissions",
-            None,
+        message, help_ = (
+            f"{message} any more: it is left without permissions",
             f"remove src/{name}, or name it in the policy",
-            subject_of(name),
         )
-    hint = did_you_mean(subject_of(name), policy.subjects(), "attach a profile to it")
-    return Diagnostic.error(
-        "subject-unknown", f"no profile of the policy applies to {subject_of(name)}", None, hint, subject_of(name)
-    )
+        return Diagnostic.warning("subject-unnamed", message, None, help_, subject)
+    hint = did_you_mean(subject, policy.subjects(), "attach a profile to it")
+    return Diagnostic.error("subject-unknown", message, None, hint, subject)

@@ -6,6 +6,7 @@ A kind with several members is compiled here: the document of the others is that
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
@@ -43,13 +44,11 @@ def compile_elsewhere(pool: Pool, session: Session, names: Sequence[str], option
 
 def _alone(session: Session, names: Sequence[str]) -> Iterator[Package]:
     """Yield the packages to build that are the only one of their kind."""
-    stale = [name for name in names if not is_current(session, name)]
-    packages = []
-    for name in stale:
-        try:
-            packages.append(session.package(name))
-        except KeymintError:
-            continue  # the build reports it
+    packages: list[Package] = []
+    for name in names:
+        if not is_current(session, name):
+            with contextlib.suppress(KeymintError):  # the build reports it
+                packages.append(session.package(name))
     kinds = [(kind_of(each.grant.rules.rules)[0], each.distro, each.grant.domains) for each in packages]
     members = Counter(kinds)
     yield from (package for package, kind in zip(packages, kinds, strict=True) if members[kind] == 1)

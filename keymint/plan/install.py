@@ -269,21 +269,17 @@ def _awaiting(session: Session, package: Package) -> PackagePlan:
     return PackagePlan(package.name, kept, diagnostics=diagnostics, lifetimes=lifetimes.lifetimes(package))
 
 
-def _outdated(inputs: Inputs, names: Sequence[str]) -> Sequence[Diagnostic]:
-    """Return one warning for all packages whose build is stale; they often have one cause."""
-    if not names:
-        return ()
-    name = names[0]
+def _outdated(inputs: Inputs, names: Sequence[str]) -> Iterator[Diagnostic]:
+    """Yield one warning for all packages whose build is stale; they often have one cause."""
     one = len(names) == 1
-    return (
-        Diagnostic.warning(
+    for name in names[:1]:
+        yield Diagnostic.warning(
             OUTDATED,
             "is stale; signing the existing build" + ("" if one else f" [{len(names)} packages]"),
             inputs.workspace.origin(inputs.workspace.build / name),
             f"'keymint build {name}' rebuilds it" if one else "'keymint build' rebuilds all stale packages",
             subject_of(name) if one else "",
-        ),
-    )
+        )
 
 
 def is_current(session: Session, name: str, chains: Mapping[str, bytes]) -> bool:
@@ -294,9 +290,10 @@ def is_current(session: Session, name: str, chains: Mapping[str, bytes]) -> bool
         name: the package.
         chains: certificates of the authorities by name.
     """
-    stamp = session.state.stamp(STAGE, name)
-    is_same = stamp is not None and stamp.inputs == inputs_of(session, name, chains)
-    return stamp is not None and is_same and has_outputs(session, session.enclave_folder(name), stamp)
+    stamp, folder = session.state.stamp(STAGE, name), session.enclave_folder(name)
+    return (
+        stamp is not None and stamp.inputs == inputs_of(session, name, chains) and has_outputs(session, folder, stamp)
+    )
 
 
 def inputs_of(session: Session, name: str, chains: Mapping[str, bytes]) -> str | None:

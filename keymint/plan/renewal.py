@@ -119,16 +119,11 @@ def enclave_terms(session: Session, name: str, period: tuple[datetime, datetime]
         end = ends.get(each.issuer)
         if each.what == "certificate":
             terms.append(_term(CERTIFICATE, *period, each.issuer, end))
-            terms += _lists(session, each.issuer, end)
+            if listed := list_of(session, each.issuer):
+                terms.append(_term(LIST, listed.this_update, listed.next_update, each.issuer, end))
         else:
             terms.append(_term(PERMISSIONS, each.first, each.last, each.issuer, end))
     return EnclaveTerms(name, tuple(sorted(terms, key=lambda each: each.what)))
-
-
-def _lists(session: Session, authority: str, end: datetime | None) -> Iterator[Term]:
-    found = list_of(session, authority)
-    if found is not None:
-        yield _term(LIST, found.this_update, found.next_update, authority, end)
 
 
 def _term(what: str, first: datetime, last: datetime, authority: str, end: datetime | None) -> Term:

@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Diagnostic
 from comarmor.text import counted, did_you_mean
 from comarmor.values import dataclass
 from keymint.api import RevocationReader
@@ -101,55 +101,42 @@ def _require_known(session: Session, register: Register, name: str) -> None:
 
 def _nothing_to_revoke(last: IssuedCertificate) -> Diagnostic:
     """Return the warning that a subject has no certificate to revoke, whose last one this is."""
+    subject, why = subject_of(last.name), f"expired on {last.not_after:%Y-%m-%d}"
     if last.revoked:
-        message = f"was revoked on {last.revoked:%Y-%m-%d} already ({last.reason})"
-    else:
-        message = f"expired on {last.not_after:%Y-%m-%d}"
-    subject = subject_of(last.name)
-    return Diagnostic.warning(
-        "nothing-to-revoke",
-        f"the last certificate of {subject} {message}",
-        None,
-        "'keymint issued' lists the certificates",
-        subject,
-    )
+        why = f"was revoked on {last.revoked:%Y-%m-%d} already ({last.reason})"
+    message, help_ = f"the last certificate of {subject} {why}", "'keymint issued' lists the certificates"
+    return Diagnostic.warning("nothing-to-revoke", message, None, help_, subject)
 
 
 def _limits(
     session: Session, certificates: Sequence[IssuedCertificate], packages: Sequence[str], reason: str
-) -> list[Diagnostic]:
-    """Return what stays possible although the certificates are revoked."""
-    found: list[Diagnostic] = []
+) -> Iterator[Diagnostic]:
+    """Yield what stays possible although the certificates are revoked."""
     profile = session.profile
     of_lists = [each for each in session.build_types.values() if isinstance(each, RevocationReader)]
     if of_lists and not any(each.revocation_files(profile.distro, profile.layout, b"list") for each in of_lists):
         end = max((each.not_after for each in certificates), default=None)
         until = f" until {end:%Y-%m-%d}" if end else ""
-        found.append(
-            Diagnostic.warning(
-                "revocation-unread",
-                f"nodes of {profile.distro} with the layout {profile.layout!r} read no revocation list: whoever has "
-                f"the revoked key is accepted{until}",
-                session.profile_marker(),
-                "replace the identity authority ('keymint authority replace'), or use Humble or later",
-            )
+        yield Diagnostic.warning(
+            "revocation-unread",
+            f"nodes of {profile.distro} with the layout {profile.layout!r} read no revocation list: whoever has the "
+            f"revoked key is accepted{until}",
+            session.profile_marker(),
+            "replace the identity authority ('keymint authority replace'), or use Humble or later",
         )
     same = [name for name in packages if not _has_generation(session, name)]
     if same:
         fit = "still fit the new certificate" if reason == SUPERSEDED else "would fit a later certificate as well"
         package = session.package(same[0])
-        found.append(
-            Diagnostic.warning(
-                "generation-none",
-                f"the subject name has no generation: permissions that were signed before {fit}"
-                + (f" [{counted(len(same), 'package')}]" if len(same) > 1 else ""),
-                package.grant.defaults_origin or Origin(session.package_marker(same[0]).file),
-                "write {unique} into both subject names (--subject-format unique), or renew with --rekey and another "
-                "identity authority",
-                package.subject,
-            )
+        yield Diagnostic.warning(
+            "generation-none",
+            f"the subject name has no generation: permissions that were signed before {fit}"
+            + (f" [{counted(len(same), 'package')}]" if len(same) > 1 else ""),
+            package.grant.defaults_origin or session.package_marker(same[0]),
+            "write {unique} into both subject names (--subject-format unique), or renew with --rekey and another "
+            "identity authority",
+            package.subject,
         )
-    return found
 
 
 def _has_generation(session: Session, name: str) -> bool:
