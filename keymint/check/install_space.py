@@ -106,10 +106,9 @@ def _copies(session: Session, names: Iterable[str], outside: Iterable[str]) -> M
     left: dict[str, dict[str, Artifact]] = {}
     if withdrawn(session):
         left[""] = {path.rpartition("/")[2]: Artifact(session.tree.try_read(path) or b"") for path in outside}
-    for info in session.plugins.infos:
-        if info.group == "keymint.build_types" and (artifacts or left):
-            build_type = session.plugins.build_type(info.name)
-            if session.profile.layout in build_type.LAYOUTS:
-                copies = copies_of(session, build_type, artifacts) or copies_of(session, build_type, left)
-                expected |= {path: artifact.content for path, artifact in copies.items()}
+    for name in session.plugins.names("keymint.build_types") if artifacts or left else ():
+        build_type = session.plugins.build_type(name)
+        if session.profile.layout in build_type.LAYOUTS:
+            copies = copies_of(session, build_type, artifacts) or copies_of(session, build_type, left)
+            expected |= {path: artifact.content for path, artifact in copies.items()}
     return expected

@@ -28,18 +28,14 @@ def lists_in_force(session: Session) -> Iterator[Diagnostic]:
         revoked = {each.serial for each in register.revoked(issuer_of(issuer))}
         content = session.tree.read(path)
         try:
-            found = frozenset[int]() if content is None else _serials(content, where)
+            listed = () if content is None else revocation_lists.load(content, where).revocations
         except KeymintError as error:
             yield from error.diagnostics
             continue
-        if lacking := revoked - found:
+        if lacking := revoked.difference(each.serial for each in listed):
             what = "is missing" if content is None else "is not the latest revocation list"
             message = f"{what}: {counted(len(lacking), 'revoked certificate')} would be accepted"
             yield Diagnostic.error("revocation-list-outdated", message, where, _INSTALL)
-
-
-def _serials(content: bytes, where: Origin) -> frozenset[int]:
-    return frozenset(each.serial for each in revocation_lists.load(content, where).revocations)
 
 
 def of_enclave(session: Session, package: Package, files: Mapping[str, bytes]) -> Iterator[Diagnostic]:

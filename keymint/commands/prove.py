@@ -68,7 +68,7 @@ def prove(
         policy = lazy_policy(session)  # loaded only if something is to be proven
         results = find(
             session, chosen, policy, effort_of(run, states, seconds),
-            lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), standard_only=allow_vendor_specific, pool=pool,
+            lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), pool, standard_only=allow_vendor_specific,
         )  # fmt: skip
     unknown = () if names else (*unaccounted(session), *uncreated(session, policy, chosen))
     # What a cluster says is a result to show, but nothing that a later run may rely on.

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from comarmor.text import did_you_mean
 from keymint.api import Authority, AuthorityIssuance, AuthorityIssuanceFiles
 from keymint.changes import Action, Plan, Step, changed_below
@@ -31,12 +29,13 @@ def authority_named(session: Session, name: str) -> Authority:
     return known[name]
 
 
-def plan_authority_issuance(session: Session, new: Mapping[str, AuthorityIssuance], detail: str) -> Plan:
-    """Plan what was decided about some authorities; of the others it stays.
+def plan_authority_issuance(session: Session, name: str, new: AuthorityIssuance, detail: str) -> Plan:
+    """Plan what was decided about an authority; of the others it stays.
 
     Args:
         session: the workspace and its profile.
-        new: what was decided, by authority.
+        name: the authority.
+        new: what was decided.
         detail: a few words for the user.
 
     Raises:
@@ -51,7 +50,7 @@ def plan_authority_issuance(session: Session, new: Mapping[str, AuthorityIssuanc
             help="change the dates in the profile instead, and run 'keymint install'",
             code="profile-without-issuance",
         )
-    issuance = {**{each.name: each.issuance for each in profile.authorities}, **new}
+    issuance = {**{each.name: each.issuance for each in profile.authorities}, name: new}
     changes = changed_below(session.tree, session.workspace.profile, plugin.with_authority_issuance(issuance))
     if not changes:
         return Plan((), session.state)

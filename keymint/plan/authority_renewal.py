@@ -42,7 +42,7 @@ def plan_renewal(session: Session, name: str) -> Plan:
     issuance = replace(authority.issuance, renewed=start)
     if authority.issuance.adopted:
         issuance = replace(issuance, adopted=_adopted_again(session, authority, minted))
-    plan = plan_authority_issuance(session, {name: issuance}, f"{name} renewed on {session.now:%Y-%m-%d}")
+    plan = plan_authority_issuance(session, name, issuance, f"{name} renewed on {session.now:%Y-%m-%d}")
     after = authority_named(session.after(plan).session(), name).certificate
     if (after.validity, after.adopted) == (authority.certificate.validity, authority.certificate.adopted):
         return Plan((), session.state)  # it would not end later
@@ -149,7 +149,7 @@ def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
         # Nobody trusts the key that was minted: the enclaves, if there are any, trust the new one.
         changes.append(FolderChange(key_path.parent, removed=(key_path.name,), private=True))
     decided = AuthorityIssuance(adopted=certificates.to_pem(certificate))
-    plan = plan_authority_issuance(session, {name: decided}, f"{name} imported from {given.where}")
+    plan = plan_authority_issuance(session, name, decided, f"{name} imported from {given.where}")
     path = session.workspace.authority_certificate(name)
     changes += changed(session.tree, path.parent, {path.name: File(decided.adopted)})
     files_step = Step(STAGE, name, Action.UPDATED, tuple(changes), "certificate authority")

@@ -48,16 +48,8 @@ def uses(session: Session) -> dict[str, tuple[Use, ...]]:
                 for name in with_issuers(role.name, issuers):
                     found.add((name, build_type, role.role, role.signs and name == role.name))
             counts.update(found)
-    return {
-        authority: tuple(
-            sorted(
-                Use(build_type, role, signs, number)
-                for (name, build_type, role, signs), number in counts.items()
-                if name == authority
-            )
-        )
-        for authority in issuers
-    }
+    every = [(name, Use(build_type, role, signs, number)) for (name, build_type, role, signs), number in counts.items()]
+    return {authority: tuple(sorted(use for name, use in every if name == authority)) for authority in issuers}
 
 
 def implementations(session: Session, chosen: Collection[str] = ()) -> dict[str, Sequence[Implementation]]:

@@ -73,8 +73,7 @@ class BuildStage:
         except KeymintError as error:
             raise KeymintError.of(self._places.in_policy(error.diagnostics)) from error
         diagnostics |= dict.fromkeys(self._places.in_policy(shared.diagnostics))
-        state = built.state.updated(STAGE, shared.stamps, shared.removed)
-        return Plan((*steps, *shared.steps), state, tuple(diagnostics))
+        return Plan((*steps, *shared.steps), shared.state, tuple(diagnostics))
 
 
 def is_current(session: Session, name: str) -> bool:

@@ -95,8 +95,7 @@ class InstallStage:
         diagnostics += shared.diagnostics
         diagnostics += lifetimes.findings({each.name: each.lifetimes for each in planned}, session)
         diagnostics += [each for each in unaccounted(session) if not prune or each.code != "enclave-orphaned"]
-        state = recorded(session.state, STAGE, planned, (*removed, *shared.removed, *withdrawn))
-        state = state.updated(STAGE, shared.stamps)
+        state = recorded(shared.state, STAGE, planned, (*removed, *withdrawn))
         steps += [withdraw(session, name, reason, changes) for name, reason in withdrawn.items()]
         if prune:
             require_sources(session)

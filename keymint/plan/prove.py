@@ -51,11 +51,10 @@ def prove(
     names: Sequence[str],
     policy: LoadedPolicy,
     effort: ProofEffort,
-    on_enclave: Callable[[str], None] = lambda _name: None,
+    on_enclave: Callable[[str], None],
+    pool: Pool,
     *,
-    standard_only: bool = False,
-    unsigned: bool = False,
-    pool: Pool | None = None,
+    standard_only: bool,
 ) -> ProofResults:
     """Prove or refute the claims about the enclaves of some packages.
 
@@ -65,22 +64,21 @@ def prove(
         policy: the policy that the enclaves are compared with.
         effort: limits of the search.
         on_enclave: called with each name after its proof.
+        pool: where else to prove.
         standard_only: accept differences between vendors and claim only what the standard says; nothing is recorded.
-        unsigned: the documents are about to be signed: messages cite the unsigned ones in the build space.
-        pool: where else to prove; None if only here.
 
     Raises:
         KeymintError: a package has defects, or the pool is lost.
     """
-    stage = ProofStage(session, policy, effort, standard_only=standard_only, unsigned=unsigned)
+    stage = ProofStage(session, policy, effort, standard_only=standard_only, unsigned=False)
     proven: list[PackageProof] = []
     parts: Iterable[Sequence[str]] = ([name] for name in names)
     results: Iterable[list[PackageProof]] = ([stage.package(name)] for name in names)
-    if pool is not None and pool.shares_memory and len(divided := pool.parts(names, LEAST)) > 1:
+    if not pool.shares_memory:
+        stage.ask(pool, names)
+    elif len(divided := pool.parts(names, LEAST)) > 1:
         parts = divided
         results = pool.map(lambda _plugins, part: [stage.package(name) for name in part], parts)
-    if pool is not None and not pool.shares_memory:
-        stage.ask(pool, names)
     for part, proofs in zip(parts, results, strict=True):
         proven += proofs
         for name in part:

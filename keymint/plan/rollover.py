@@ -66,7 +66,7 @@ def plan_begin(session: Session, name: str, phase: Phase, given: GivenAuthority 
     if key and session.tree.read(key_path) != key:
         made = (Step(STAGE, name, Action.CREATED, (secret_file(key_path, key),), "next key"),)
     issuance = replace(authority.issuance, rollover=Rollover(phase, pem))
-    decided = plan_authority_issuance(session, {name: issuance}, f"{name}: phase {phase}")
+    decided = plan_authority_issuance(session, name, issuance, f"{name}: phase {phase}")
     return replace(decided, steps=(*made, *decided.steps))
 
 
@@ -104,7 +104,7 @@ def plan_switch(session: Session, name: str) -> Plan:
         former = _former(session, authority, authority_files.stored_certificate(session, name), following)
         issuance = replace(issuance, rollover=Rollover(Phase.REISSUE, former))
     shown = f"{name}: {f'phase {Phase.REISSUE}' if issuance.rollover else 'replaced'}"
-    decided = plan_authority_issuance(session, {name: issuance}, shown)
+    decided = plan_authority_issuance(session, name, issuance, shown)
     public = session.workspace.authority_certificate(name)
     changes = (
         FolderChange(key_path.parent, files, removed, private=True),
@@ -119,7 +119,7 @@ def plan_switch(session: Session, name: str) -> Plan:
 def plan_end(session: Session, name: str) -> Plan:
     """Plan that enclaves no longer trust the former authority, whose private key is removed (:attr:`Phase.REISSUE`)."""
     issuance = replace(authority_named(session, name).issuance, rollover=None)
-    decided = plan_authority_issuance(session, {name: issuance}, f"{name}: replaced")
+    decided = plan_authority_issuance(session, name, issuance, f"{name}: replaced")
     return replace(decided, steps=(*decided.steps, *_without_key(session, name, FORMER)))
 
 
@@ -137,7 +137,7 @@ def plan_cancel(session: Session, name: str) -> Plan:
             help=f"end it with 'keymint authority replace {name} --phase end'; then replace the key once more",
             code="rollover-too-late",
         )
-    decided = plan_authority_issuance(session, {name: replace(authority.issuance, rollover=None)}, f"{name}: cancelled")
+    decided = plan_authority_issuance(session, name, replace(authority.issuance, rollover=None), f"{name}: cancelled")
     return replace(decided, steps=(*decided.steps, *_without_key(session, name, NEXT)))
 
 
@@ -179,7 +179,7 @@ def _made(session: Session, authority: Authority) -> tuple[bytes, bytes]:
             code="serial-taken",
         )
     renewed = replace(authority.issuance, renewed=begin_of(session.now))
-    after = session.after(plan_authority_issuance(session, {name: renewed}, "")).session()
+    after = session.after(plan_authority_issuance(session, name, renewed, "")).session()
     issuer = issuer_of(session, authority)
     return certificates.issue_authority(authority_named(after, name).certificate, key, issuer).pem, pem
 
@@ -241,10 +241,9 @@ def _former(session: Session, authority: Authority, present: x509.Certificate, f
     for each in files.in_use():
         if each != following:
             return certificates.to_pem(each)
-    name = authority.name
     raise KeymintError(
-        f"the former certificate of {name!r} is neither here nor in an enclave",
-        where=session.workspace.origin(session.workspace.authority_certificate(name)),
+        f"the former certificate of {authority.name!r} is neither here nor in an enclave",
+        where=files.certificate_file,
         help="restore it from a backup",
         code="authority-lost",
     )
@@ -259,7 +258,7 @@ def _issuance_of(session: Session, name: str, pem: bytes) -> AuthorityIssuance:
         period = present.certificate.validity
         base = period.not_after - max(present.issuance.renewed or period.not_before, period.not_before)
         plain = AuthorityIssuance(renewed=certificate.not_valid_after_utc - base)
-        after = session.after(plan_authority_issuance(session, {name: plain}, "")).session()
+        after = session.after(plan_authority_issuance(session, name, plain, "")).session()
         spec = authority_named(after, name).certificate
         issuer = authority_files.stored_certificate(after, spec.issuer) if spec.issuer else None
         if authority_files.satisfies(pem, spec, certificates.public_key(certificate), issuer):

@@ -13,9 +13,8 @@ from typing import cast
 
 from comarmor.errors import Defects, Diagnostic
 from comarmor.regex import lazy_regex
-from comarmor.values import dataclass
 from keymint.api import BuildOptions, BuildResult, BuildType, Package, SharedDocuments
-from keymint.changes import Action, File, FolderChange, Step, by_folder
+from keymint.changes import Action, File, FolderChange, Plan, Step, by_folder
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.plan.build_types import BUILD, build_types_of, inputs_digest, shared_builder
@@ -30,23 +29,6 @@ _PATH = lazy_regex(r"[A-Za-z0-9_][A-Za-z0-9_.-]*(?:/[A-Za-z0-9_][A-Za-z0-9_.-]*)
 
 Users = Mapping[str, tuple[str, ...]]
 """Names of the packages that each build type with shared documents has, sorted."""
-
-
-@dataclass(frozen=True, slots=True)
-class SharedPlan:
-    """The plan for the shared documents of all build types.
-
-    Attributes:
-        steps: what is written and removed.
-        stamps: the records that change, by their key.
-        removed: keys of records to remove.
-        diagnostics: findings on the documents.
-    """
-
-    steps: tuple[Step, ...]
-    stamps: Mapping[str, Stamp]
-    removed: tuple[str, ...]
-    diagnostics: tuple[Diagnostic, ...]
 
 
 def record_key(build_type: str) -> str:
@@ -166,7 +148,7 @@ def build_shared(session: Session, name: str, loaded: Sequence[Package], options
     return result
 
 
-def plan_shared_build(session: Session, options: BuildOptions, *, force: bool) -> SharedPlan:
+def plan_shared_build(session: Session, options: BuildOptions, *, force: bool) -> Plan:
     """Plan the unsigned shared documents of all build types.
 
     Args:
@@ -198,7 +180,8 @@ def plan_shared_build(session: Session, options: BuildOptions, *, force: bool) -
                     code="file-conflict",
                 )
     gone = obsolete(session, STAGE, shared_folder(session), of_types)
-    return SharedPlan((*steps, *gone.values()), stamps, tuple(gone), tuple(dict.fromkeys(diagnostics)))
+    state = session.state.updated(STAGE, stamps, gone)
+    return Plan((*steps, *gone.values()), state, tuple(dict.fromkeys(diagnostics)))
 
 
 def obsolete(session: Session, stage: str, folder: Path, of_types: Users) -> dict[str, Step]:

@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import cast
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Diagnostic
 from keymint.api import AuthorityRole, BuildOptions, BuildType, Package, SharedCredentials, SharedDocuments
-from keymint.changes import Action, File, Step
+from keymint.changes import Action, File, Plan, Step
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.plan.authorities import MintedAuthority, chains_of
@@ -20,7 +20,6 @@ from keymint.plan.built_documents import OUTDATED, edits
 from keymint.plan.enclaves import INSTALLED, differing, has_outputs
 from keymint.plan.shared_documents import (
     STAGE,
-    SharedPlan,
     build_shared,
     built_shared,
     is_current,
@@ -45,7 +44,7 @@ def plan_shared_install(
     chosen: Collection[str],
     authorities: Mapping[str, MintedAuthority],
     orphans: Sequence[str],
-) -> SharedPlan:
+) -> Plan:
     """Plan the installed shared documents of all build types.
 
     Args:
@@ -65,12 +64,25 @@ def plan_shared_install(
         documents = built_shared(session, name)
         if documents is None:
             if not set(chosen).isdisjoint(names):
-                raise _not_built(session, name)
+                raise KeymintError(
+                    f"the shared documents of {name} are not built",
+                    where=session.workspace.origin(shared_folder(session)),
+                    help="run 'keymint build'",
+                    code="not-built",
+                )
             continue
         if not is_current(session, name, names):
+            where = next((session.workspace.origin(shared_folder(session) / path) for path in documents), None)
             if orphans:
-                raise _outdated_removal(session, documents, orphans)
-            diagnostics.append(_outdated(session, documents))
+                raise KeymintError(
+                    f"is stale, and may still have the rights of {subject_of(orphans[0])}, whose enclave is to be "
+                    "removed",
+                    where=where,
+                    help="run 'keymint build' first",
+                    code=OUTDATED,
+                )
+            message, help_ = "is stale; signing the existing build", "'keymint build' rebuilds it"
+            diagnostics.append(Diagnostic.warning(OUTDATED, message, where, help_))
         if is_installed(session, name, names, chains_of(authorities)):
             continue
         step, stamp = _plan_documents(session, name, names, documents, authorities)
@@ -78,7 +90,8 @@ def plan_shared_install(
         stamps[record_key(name)] = stamp
         diagnostics += edits(session, record_key(name), shared_folder(session), documents)
     gone = obsolete(session, INSTALLED, session.workspace.install, of_types)
-    return SharedPlan((*steps, *gone.values()), stamps, tuple(gone), tuple(diagnostics))
+    state = session.state.updated(INSTALLED, stamps, gone)
+    return Plan((*steps, *gone.values()), state, tuple(diagnostics))
 
 
 def is_installed(session: Session, build_type: str, names: Sequence[str], chains: Mapping[str, bytes]) -> bool:
@@ -208,33 +221,6 @@ def _plan_documents(
         build_types=(name,),
     )
     return Step(INSTALLED, "", action, changes, f"{', '.join(documents)}, for all enclaves"), made
-
-
-def _not_built(session: Session, name: str) -> KeymintError:
-    return KeymintError(
-        f"the shared documents of {name} are not built",
-        where=session.workspace.origin(shared_folder(session)),
-        help="run 'keymint build'",
-        code="not-built",
-    )
-
-
-def _first(session: Session, documents: Iterable[str]) -> Origin | None:
-    return next((session.workspace.origin(shared_folder(session) / path) for path in documents), None)
-
-
-def _outdated(session: Session, documents: Iterable[str]) -> Diagnostic:
-    where, message = _first(session, documents), "is stale; signing the existing build"
-    return Diagnostic.warning(OUTDATED, message, where, "'keymint build' rebuilds it")
-
-
-def _outdated_removal(session: Session, documents: Iterable[str], orphans: Sequence[str]) -> KeymintError:
-    return KeymintError(
-        f"is stale, and may still have the rights of {subject_of(orphans[0])}, whose enclave is to be removed",
-        where=_first(session, documents),
-        help="run 'keymint build' first",
-        code=OUTDATED,
-    )
 
 
 def _inputs_digest(
