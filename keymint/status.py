@@ -101,18 +101,18 @@ def shared_rows(session: Session) -> tuple[SharedRow, ...]:
     except KeymintError as error:
         return (SharedRow("", (), "source", "", str(error.diagnostics[0])),)
     chains = trusted_chains(session)
-    return tuple(_shared_row(session, build_type, names, chains) for build_type, names in of_types.items())
+    return tuple(_shared_row(session, build_type, chains) for build_type in of_types)
 
 
-def _shared_row(session: Session, build_type: str, names: Sequence[str], chains: Mapping[str, bytes]) -> SharedRow:
+def _shared_row(session: Session, build_type: str, chains: Mapping[str, bytes]) -> SharedRow:
     try:
         built = built_shared(session, build_type)
         there = built is not None and installed_shared(session, built)
-        current = is_installed(session, build_type, names, chains)
+        current = built is not None and is_installed(session, build_type, built, chains)
     except KeymintError as error:  # a file that is no file, or too large
         return SharedRow(build_type, (), "source", "", str(error.diagnostics[0]))
     stage = "source" if built is None else "installed" if there else "built"
-    is_stale = built is None or not is_current(session, build_type, names)
+    is_stale = built is None or not is_current(session, build_type)
     stale = "build" if is_stale else "" if current else "install"
     return SharedRow(build_type, tuple(built or ()), stage, stale)
 

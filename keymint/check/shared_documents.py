@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from datetime import timedelta
 
 from comarmor.errors import Diagnostic
@@ -34,10 +34,10 @@ def check_shared(session: Session, within: timedelta) -> tuple[Iterable[Diagnost
         of_types = users(session)
     except KeymintError as error:
         return error.diagnostics, files
-    for name, names in of_types.items():
+    for name in of_types:
         stamp = session.state.stamp(INSTALLED, record_key(name))
         try:
-            inspection = _inspection(session, name, names, within)
+            inspection = _inspection(session, name, within)
         except KeymintError as error:
             diagnostics += error.diagnostics
             files |= set(stamp.outputs if stamp else ())
@@ -50,8 +50,8 @@ def check_shared(session: Session, within: timedelta) -> tuple[Iterable[Diagnost
     return dict.fromkeys(diagnostics), files
 
 
-def _inspection(session: Session, name: str, names: Sequence[str], within: timedelta) -> SharedInspection:
-    packages = load_packages(session, name, names)
+def _inspection(session: Session, name: str, within: timedelta) -> SharedInspection:
+    packages = load_packages(session, name)
     # What the options of a build accept was reported and accepted when the documents were built.
     built = build_shared(session, name, packages, BuildOptions(allow_vendor_specific=True))
     stamp, chains = session.state.stamp(INSTALLED, record_key(name)), trusted_chains(session)

@@ -12,7 +12,6 @@ import click
 from keymint.commands.options import PATH, usage_error
 from keymint.commands.run import Run
 from keymint.commands.user_files import is_folder, show_written, write_outputs
-from keymint.names import subject_of
 from keymint.output.report import members
 from keymint.plan.bundles import MadeBundle
 
@@ -46,12 +45,12 @@ def write_bundles(run: Run, output: Path | None, made: Sequence[MadeBundle]) -> 
     """
     documents = []
     for each in made:
-        file = f"{each.name.replace('/', '.')}.bundle"
+        file = f"{each.manifest.name.replace('/', '.')}.bundle"
         target = Path(file) if output is None else output / file if is_folder(run, output) else output
         show_written(run, target, write_outputs(run, target, each.content, secret=each.secret))
         if each.secret:
             run.console.line(
-                f"  it has the private key of {subject_of(each.name)}: whoever reads it can act as this enclave"
+                f"  it has the private key of {each.manifest.enclave}: whoever reads it can act as this enclave"
             )
         documents.append(
             {

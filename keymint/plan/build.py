@@ -122,14 +122,7 @@ def options_of(options: BuildOptions, subject: str) -> BuildOptions:
     return replace(options, hints=tuple(each for each in options.hints if each.edge.subject == subject))
 
 
-def _plan_package(
-    session: Session,
-    name: str,
-    options: BuildOptions,
-    *,
-    force: bool,
-    renew: bool,
-) -> PackagePlan:
+def _plan_package(session: Session, name: str, options: BuildOptions, *, force: bool, renew: bool) -> PackagePlan:
     folder = session.workspace.build / name
     options = options_of(options, subject_of(name))
     options_digest = digest(repr(options))

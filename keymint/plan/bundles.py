@@ -31,7 +31,6 @@ from keymint.session import Session
 class MadeBundle:
     """A bundle, its manifest, and whether it has the private key of its enclave."""
 
-    name: str
     manifest: Manifest
     content: bytes = field(repr=False)
     secret: bool
@@ -132,7 +131,7 @@ def _bundle(
             help=f"run 'keymint install {name}', which issues its certificate by the authority in force",
             code="bundle-unusable",
         ) from None
-    return MadeBundle(name, manifest, content, KEY in files)
+    return MadeBundle(manifest, content, KEY in files)
 
 
 def _in_force(package: Package, certificate: x509.Certificate, files: Mapping[str, bytes]) -> tuple[datetime, datetime]:

@@ -198,7 +198,7 @@ class ProofStage:
             return PackageProof(key, proof, stamp=self._of_policy(stamp, subjects))
         rules = {subject: self._rules(subject) for subject in subjects}
         try:
-            packages = load_packages(session, name, names)
+            packages = load_packages(session, name)
             task = SharedProofTask(
                 packages,
                 rules,

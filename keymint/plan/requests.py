@@ -129,10 +129,8 @@ def _package(session: Session, given: Given, fingerprints: Mapping[str, str]) ->
 
 def _vouches(session: Session, name: str, request: Request) -> bool:
     """Tell whether the key that a package has signed a request, for itself or for another key."""
-    current = current_fingerprint(session, name)
-    return (
-        bool(current) and current in {request.fingerprint, request.signer} and not register_of(session).barred(current)
-    )
+    current, vouching = current_fingerprint(session, name), {request.fingerprint, request.signer}
+    return bool(current) and current in vouching and not register_of(session).barred(current)
 
 
 def current_fingerprint(session: Session, name: str) -> str:

@@ -37,7 +37,7 @@ def phase_of(session: Session, name: str) -> Phase | None:
     return rollover.phase if rollover else None
 
 
-def plan_begin(session: Session, name: str, phase: Phase, given: GivenAuthority | None = None) -> Plan:
+def plan_begin(session: Session, name: str, phase: Phase, given: GivenAuthority | None) -> Plan:
     """Plan the next authority: its private key, and its certificate in the profile.
 
     Args:

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from cryptography import x509
-
 from keymint.api import Authority, SigningAuthority
 from keymint.changes import Action, FolderChange, Step
 from keymint.errors import KeymintError
@@ -42,25 +40,19 @@ def outdated(session: Session, stage: str) -> Iterator[Step]:
 
 
 def _other(session: Session, authority: Authority, pem: bytes) -> MintedAuthority:
-    certificate = certificates.load(pem)
+    certificate, name = certificates.load(pem), authority_files.other(authority)
     try:
-        stored, key = _key(session, authority, certificate)
-        signer = SigningAuthority(authority.name, pem, stored, password(session, authority.certificate))
+        found = authority_files.stored_key(session, authority, name)
     except KeymintError as error:
         return MintedAuthority(certificate, b"", error)
-    return MintedAuthority(certificate, b"", (certificates.Issuer(certificate, key), signer))
-
-
-def _key(session: Session, authority: Authority, certificate: x509.Certificate) -> tuple[bytes, keys.PrivateKey]:
-    """Return the private key of an authority that is not in force, as it is stored, and loaded."""
-    name = authority_files.other(authority)
-    found = authority_files.stored_key(session, authority, name)
-    if found is None or not keys.matches(found[1], certificate):
-        raise KeymintError(
-            f"the private key that the one of the authority {authority.name!r} is exchanged with is not here, and is "
-            "needed to sign its revocation list",
-            where=session.workspace.origin(session.workspace.authority_key(name)),
-            help="restore it",
-            code="authority-key-missing",
-        )
-    return found
+    if found and keys.matches(found[1], certificate):
+        signer = SigningAuthority(authority.name, pem, found[0], password(session, authority.certificate))
+        return MintedAuthority(certificate, b"", (certificates.Issuer(certificate, found[1]), signer))
+    missing = KeymintError(
+        f"the private key that the one of the authority {authority.name!r} is exchanged with is not here, and is "
+        "needed to sign its revocation list",
+        where=session.workspace.origin(session.workspace.authority_key(name)),
+        help="restore it",
+        code="authority-key-missing",
+    )
+    return MintedAuthority(certificate, b"", missing)

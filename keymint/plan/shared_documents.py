@@ -70,7 +70,7 @@ def _shared(session: Session, build_types: Mapping[str, Sequence[str]]) -> list[
     return sorted(build_type for build_type in known if shared_builder(session, build_type))
 
 
-def load_packages(session: Session, build_type: str, names: Iterable[str]) -> tuple[Package, ...]:
+def load_packages(session: Session, build_type: str) -> tuple[Package, ...]:
     """Return the packages of a build type.
 
     Raises:
@@ -78,7 +78,7 @@ def load_packages(session: Session, build_type: str, names: Iterable[str]) -> tu
     """
     loaded: list[Package] = []
     defects = Defects()
-    for name in names:
+    for name in users(session)[build_type]:
         with defects, _blocking(session, [build_type], name):
             loaded.append(session.package(name))
     defects.require_none()
@@ -100,15 +100,16 @@ def _blocking(session: Session, build_types: Iterable[str], name: str) -> Iterat
         raise KeymintError.of((blocked, *error.diagnostics)) from None
 
 
-def sources_digest(session: Session, names: Iterable[str]) -> str:
-    """Return the digest of everything that shared documents are built from, except the options."""
+def sources_digest(session: Session, build_type: str) -> str:
+    """Return the digest of everything that the shared documents of a build type are built from, except the options."""
+    names = users(session)[build_type]
     return digest(session.profile.layout, *(part for name in names for part in (name, inputs_digest(session, name))))
 
 
-def is_current(session: Session, build_type: str, names: Sequence[str]) -> bool:
+def is_current(session: Session, build_type: str) -> bool:
     """Tell whether the shared documents of a build type were built from the present sources, with any options."""
     stamp = session.state.stamp(STAGE, record_key(build_type))
-    return stamp is not None and stamp.inputs == sources_digest(session, names)
+    return stamp is not None and stamp.inputs == sources_digest(session, build_type)
 
 
 def built_shared(session: Session, build_type: str) -> dict[str, bytes] | None:
@@ -164,8 +165,8 @@ def plan_shared_build(session: Session, options: BuildOptions, *, force: bool) -
     stamps: dict[str, Stamp] = {}
     diagnostics: list[Diagnostic] = []
     written: dict[str, str] = {}
-    for name, names in of_types.items():
-        step, stamp, findings = _plan_documents(session, name, names, options, force=force)
+    for name in of_types:
+        step, stamp, findings = _plan_documents(session, name, options, force=force)
         steps.append(step)
         diagnostics += findings
         if stamp is not None:
@@ -215,15 +216,15 @@ def written(folder: Path, files: Mapping[str, File]) -> tuple[FolderChange, ...]
 
 
 def _plan_documents(
-    session: Session, name: str, names: Sequence[str], options: BuildOptions, *, force: bool
+    session: Session, name: str, options: BuildOptions, *, force: bool
 ) -> tuple[Step, Stamp | None, Sequence[Diagnostic]]:
     key, folder = record_key(name), shared_folder(session)
     stamp = session.state.stamp(STAGE, key)
-    inputs, context = sources_digest(session, names), digest(repr(options))
+    inputs, context = sources_digest(session, name), digest(repr(options))
     is_same = stamp is not None and (stamp.inputs, stamp.context) == (inputs, context) and not force
     if stamp and is_same and (step := kept(session, stamp, folder, "", ", ".join(stamp.outputs))):
         return step, None, ()
-    built = build_shared(session, name, load_packages(session, name, names), options)
+    built = build_shared(session, name, load_packages(session, name), options)
     left_over = set(stamp.outputs if stamp else ()) - set(built.documents)
     existing = {path: session.tree.read(folder / path) for path in (*built.documents, *left_over)}
     different = {path: File(content) for path, content in built.documents.items() if existing[path] != content}

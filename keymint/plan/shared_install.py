@@ -71,7 +71,7 @@ def plan_shared_install(
                     code="not-built",
                 )
             continue
-        if not is_current(session, name, names):
+        if not is_current(session, name):
             where = next((session.workspace.origin(shared_folder(session) / path) for path in documents), None)
             if orphans:
                 raise KeymintError(
@@ -83,9 +83,9 @@ def plan_shared_install(
                 )
             message, help_ = "is stale; signing the existing build", "'keymint build' rebuilds it"
             diagnostics.append(Diagnostic.warning(OUTDATED, message, where, help_))
-        if is_installed(session, name, names, chains_of(authorities)):
+        if is_installed(session, name, documents, chains_of(authorities)):
             continue
-        step, stamp = _plan_documents(session, name, names, documents, authorities)
+        step, stamp = _plan_documents(session, name, documents, authorities)
         steps += [step] if step.changes else []
         stamps[record_key(name)] = stamp
         diagnostics += edits(session, record_key(name), shared_folder(session), documents)
@@ -94,20 +94,19 @@ def plan_shared_install(
     return Plan((*steps, *gone.values()), state, tuple(diagnostics))
 
 
-def is_installed(session: Session, build_type: str, names: Sequence[str], chains: Mapping[str, bytes]) -> bool:
+def is_installed(session: Session, name: str, documents: Mapping[str, bytes], chains: Mapping[str, bytes]) -> bool:
     """Tell whether installing the shared documents of a build type again would change no byte and no mode.
 
     Args:
         session: the workspace and its profile.
-        build_type: name of the build type.
-        names: its packages.
+        name: name of the build type.
+        documents: the unsigned documents.
         chains: certificates of the authorities by name.
     """
-    stamp, documents = session.state.stamp(INSTALLED, record_key(build_type)), built_shared(session, build_type)
+    stamp = session.state.stamp(INSTALLED, record_key(name))
     return (
         stamp is not None
-        and documents is not None
-        and stamp.inputs == _inputs_digest(session, names, documents, chains)
+        and stamp.inputs == _inputs_digest(session, name, documents, chains)
         and has_outputs(session, str(session.workspace.install), stamp)
     )
 
@@ -134,13 +133,12 @@ def installed_shared(session: Session, documents: Iterable[str]) -> dict[str, by
     return found
 
 
-def shared_files(session: Session, build_type: str, names: Sequence[str]) -> dict[str, bytes]:
+def shared_files(session: Session, build_type: str) -> dict[str, bytes]:
     """Return the installed files that belong to the shared documents of a build type, by path.
 
     Args:
         session: the workspace and its profile.
         build_type: name of the build type.
-        names: its packages.
 
     Raises:
         KeymintError: a file cannot be read; or there is no record of the documents, and a package has defects.
@@ -150,7 +148,7 @@ def shared_files(session: Session, build_type: str, names: Sequence[str]) -> dic
     if recorded is not None:
         return installed_shared(session, recorded.outputs)
     accepting = BuildOptions(allow_vendor_specific=True)
-    built = build_shared(session, build_type, load_packages(session, build_type, names), accepting)
+    built = build_shared(session, build_type, load_packages(session, build_type), accepting)
     return installed_shared(session, built.documents)
 
 
@@ -185,12 +183,11 @@ def shared_roles(loaded: Iterable[Package], build_type: BuildType) -> Mapping[st
 def _plan_documents(
     session: Session,
     name: str,
-    names: Sequence[str],
     documents: Mapping[str, bytes],
     authorities: Mapping[str, MintedAuthority],
 ) -> tuple[Step, Stamp]:
     build_type = session.plugins.build_type(name)
-    loaded = load_packages(session, name, names)
+    loaded = load_packages(session, name)
     roles = {
         role: [(each, authority_of(authorities, each.name, each.origin)) for each in of_role]
         for role, of_role in shared_roles(loaded, build_type).items()
@@ -215,7 +212,7 @@ def _plan_documents(
     changes = (*removals(session, install, left_over), *written(install, differing(session, install, existing, files)))
     action = Action.UPDATED if existing else Action.CREATED
     made = Stamp(
-        _inputs_digest(session, names, documents, chains_of(authorities)),
+        _inputs_digest(session, name, documents, chains_of(authorities)),
         {path: file.digest for path, file in files.items()},
         tuple(path for path, file in files.items() if file.secret),
         build_types=(name,),
@@ -223,7 +220,5 @@ def _plan_documents(
     return Step(INSTALLED, "", action, changes, f"{', '.join(documents)}, for all enclaves"), made
 
 
-def _inputs_digest(
-    session: Session, names: Sequence[str], documents: Mapping[str, bytes], chains: Mapping[str, bytes]
-) -> str:
-    return digest(sources_digest(session, names), digest_files(documents), digest_files(chains))
+def _inputs_digest(session: Session, name: str, documents: Mapping[str, bytes], chains: Mapping[str, bytes]) -> str:
+    return digest(sources_digest(session, name), digest_files(documents), digest_files(chains))

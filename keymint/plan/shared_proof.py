@@ -19,7 +19,7 @@ from keymint.state import digest, digest_files
 def _read(session: Session, build_type: str) -> Mapping[str, bytes] | KeymintError:
     """Return the installed shared documents of a build type, or why they cannot be read."""
     try:
-        return shared_files(session, build_type, users(session)[build_type])
+        return shared_files(session, build_type)
     except KeymintError as error:
         return error
 
@@ -66,7 +66,7 @@ def inputs_digest(session: Session, build_type: str, enclaves: Mapping[str, Mapp
         chains: digest of the certificates of the authorities.
     """
     of_enclaves = (part for subject, files in enclaves.items() for part in (subject, digest_files(files)))
-    sources = sources_digest(session, users(session)[build_type])
+    sources = sources_digest(session, build_type)
     return digest(sources, documents_digest(session, build_type), chains, __version__, *of_enclaves)
 
 

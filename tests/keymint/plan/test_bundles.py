@@ -31,7 +31,7 @@ def test_the_register_has_the_number_first(ws: Path) -> None:
     session = session_of(ws)
     _, authorities = plan_authorities(session)
     plan, bundles = plan_bundles(session, dict.fromkeys(["robot1/listener", "talker"]), authorities)
-    assert [each.name for each in bundles] == ["robot1/listener", "talker"]
+    assert [each.manifest.name for each in bundles] == ["robot1/listener", "talker"]
     [change] = plan.first
     register = database.load(change.files["register.sqlite3"].content, Origin("register"))
     assert register.bundles == {"robot1/listener": NOW, "talker": NOW}
