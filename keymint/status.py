@@ -64,9 +64,8 @@ def package_rows(session: Session, policy: LoadedPolicy | None) -> tuple[Package
     """
     names = session.packages()
     enclaves = set(installed(session))
-    chains = trusted_chains(session)
     stale = _differing(session, policy, names)
-    rows = [_row(session, stale, name, chains, installed=name in enclaves) for name in names]
+    rows = [_row(session, stale, name, installed=name in enclaves) for name in names]
     rows += [
         PackageRow(name, "orphaned", "install --prune", _certificate_end(session, name), None)
         for name in orphans(session)
@@ -100,15 +99,14 @@ def shared_rows(session: Session) -> tuple[SharedRow, ...]:
         of_types = users(session)
     except KeymintError as error:
         return (SharedRow("", (), "source", "", str(error.diagnostics[0])),)
-    chains = trusted_chains(session)
-    return tuple(_shared_row(session, build_type, chains) for build_type in of_types)
+    return tuple(_shared_row(session, build_type) for build_type in of_types)
 
 
-def _shared_row(session: Session, build_type: str, chains: Mapping[str, bytes]) -> SharedRow:
+def _shared_row(session: Session, build_type: str) -> SharedRow:
     try:
         built = built_shared(session, build_type)
         there = built is not None and installed_shared(session, built)
-        current = built is not None and is_installed(session, build_type, built, chains)
+        current = built is not None and is_installed(session, build_type, built)
     except KeymintError as error:  # a file that is no file, or too large
         return SharedRow(build_type, (), "source", "", str(error.diagnostics[0]))
     stage = "source" if built is None else "installed" if there else "built"
@@ -122,14 +120,15 @@ def _certificate_end(session: Session, name: str) -> datetime | None:
     return certificate.not_valid_after_utc if certificate else None
 
 
-def _recorded_period(session: Session, name: str, chains: Mapping[str, bytes]) -> tuple[datetime, datetime] | None:
+def _recorded_period(session: Session, name: str) -> tuple[datetime, datetime] | None:
     """Return the validity of the certificate of an enclave that is as it was installed, without reading it.
 
     It is cut to its issuer's, and in whole seconds.
     """
     for each in lifetimes.recalled(session, name, session.state.stamp(install.STAGE, name)):
         if each.what == "certificate":
-            period = forms.cut(Validity(each.first, each.last), certificates.load_bundle(chains[each.issuer])[0])
+            issuer = certificates.load_bundle(trusted_chains(session)[each.issuer])[0]
+            period = forms.cut(Validity(each.first, each.last), issuer)
             return period.not_before, period.not_after
     return None
 
@@ -141,14 +140,7 @@ def _terms(session: Session, name: str, period: tuple[datetime, datetime] | None
         return None  # the package has defects, which are its problem
 
 
-def _row(
-    session: Session,
-    differing: Mapping[str, str],
-    name: str,
-    chains: Mapping[str, bytes],
-    *,
-    installed: bool,
-) -> PackageRow:
+def _row(session: Session, differing: Mapping[str, str], name: str, *, installed: bool) -> PackageRow:
     try:
         built = build.is_built(session, name)
         session.file_digests(name)
@@ -171,8 +163,8 @@ def _row(
     if not stale and stage == "revoked":
         return PackageRow(name, stage, "", None, permissions_end, problem)
     period = None
-    if not stale and installed and install.is_current(session, name, chains):
-        period = _recorded_period(session, name, chains)
+    if not stale and installed and install.is_current(session, name):
+        period = _recorded_period(session, name)
     else:
         stale = stale or "install"
     end = period[1] if period else _certificate_end(session, name)

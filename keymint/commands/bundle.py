@@ -70,7 +70,6 @@ def _in_force(session: Session, names: Iterable[str]) -> Mapping[str, MintedAuth
     """
     plan, authorities = plan_authorities(session)
     after = session.after(plan)
-    chains = {name: each.chain for name, each in authorities.items()}
     install = InstallStage(after, authorities, prune=False)
     for name in names:
         if reason := withdrawn(session).get(name):
@@ -79,7 +78,7 @@ def _in_force(session: Session, names: Iterable[str]) -> Mapping[str, MintedAuth
                 help=f"'keymint renew --rekey {name}' makes a new key, or 'keymint sign' certifies one of its robot",
                 code="identity-revoked",
             )
-        if plan.writes() or not (is_current(after, name, chains) or _would_stay(install.package(name))):
+        if plan.writes() or not (is_current(after, name) or _would_stay(install.package(name))):
             raise KeymintError(
                 f"the enclave {subject_of(name)} is not installed as its sources and authorities are now",
                 where=session.workspace.origin(session.enclave_folder(name)),

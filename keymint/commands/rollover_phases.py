@@ -19,7 +19,6 @@ from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.pki import certificates
 from keymint.plan import install, rollover
-from keymint.plan.authority_files import trusted_chains
 from keymint.plan.authority_issuance import authority_named
 from keymint.plan.authority_uses import refusing
 from keymint.plan.enclaves import with_sources
@@ -173,8 +172,7 @@ def _require_current(session: Session, names: Sequence[str], what: str, help_: s
     Raises:
         KeymintError: one is not, so a phase would begin before the one before it is complete.
     """
-    chains = trusted_chains(session)
-    stale = [each for each in names if not install.is_current(session, each, chains)]
+    stale = [each for each in names if not install.is_current(session, each)]
     if stale:
         raise KeymintError(
             f"{what} is not complete: {counted(len(stale), 'enclave')} not up to date, e.g. {subject_of(stale[0])}",

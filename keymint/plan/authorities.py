@@ -20,7 +20,7 @@ from keymint.plan.authority_issuance import STAGE, authority_named
 from keymint.plan.private_keys import password
 from keymint.session import Inputs, Session
 
-__all__ = ["STAGE", "MintedAuthority", "chains_of", "plan_authorities"]
+__all__ = ["STAGE", "MintedAuthority", "plan_authorities"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,11 +29,9 @@ class MintedAuthority:
 
     Attributes:
         certificate: its certificate.
-        chain: PEM of its certificate and of the certificates above it, up to the root.
     """
 
     certificate: x509.Certificate
-    chain: bytes
     _keyed: tuple[certificates.Issuer, SigningAuthority] | KeymintError = field(repr=False)
 
     @property
@@ -55,11 +53,6 @@ class MintedAuthority:
         if isinstance(self._keyed, KeymintError):
             raise KeymintError.of(self._keyed.diagnostics)
         return self._keyed
-
-
-def chains_of(authorities: Mapping[str, MintedAuthority]) -> dict[str, bytes]:
-    """Return the chains of some authorities by name."""
-    return {name: minted.chain for name, minted in authorities.items()}
 
 
 def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, Mapping[str, MintedAuthority]]:
@@ -113,7 +106,7 @@ def _plan_authority(
         _require_replaceable(files)
     signing_error = None if spec.key.uri else _signing_error(inputs, files)
     if signing_error is not None and files.content is not None and not renew:
-        return _without_key(inputs, files, above, signing_error), _stored(inputs, name, files.content), ()
+        return _without_key(files, above, signing_error), _stored(inputs, name, files.content), ()
     secret = password(inputs, spec)
     changes: tuple[FolderChange, ...] = ()
     pem, is_new = files.key or b"", renew
@@ -133,9 +126,9 @@ def _plan_authority(
         certificate, warnings = _certificate(_in_use(inputs, files, key.public_key()), key, above)
     changes += _stored(inputs, name, certificate)
     signer = SigningAuthority(name, certificate, pem, secret, token_key=key if spec.key.uri else None)
-    keyed = certificates.Issuer(certificates.load(certificate), key), signer
+    issuer = certificates.Issuer(certificates.load(certificate), key)
     left_over = token_keys.left_over(files) if spec.key.uri else ()
-    return _minted(inputs, files, certificate, above, keyed), changes, (*warnings, *left_over)
+    return MintedAuthority(issuer.certificate, (issuer, signer)), changes, (*warnings, *left_over)
 
 
 def _in_use(inputs: Inputs, files: AuthorityFiles, key: keys.PublicKey) -> AuthorityFiles:
@@ -157,17 +150,6 @@ def _in_use(inputs: Inputs, files: AuthorityFiles, key: keys.PublicKey) -> Autho
 def _stored(inputs: Inputs, name: str, certificate: bytes) -> tuple[FolderChange, ...]:
     path = inputs.workspace.authority_certificate(name)
     return changed(inputs.tree, path.parent, {path.name: File(certificate)})
-
-
-def _minted(
-    inputs: Inputs,
-    files: AuthorityFiles,
-    certificate: bytes,
-    above: MintedAuthority | None,
-    keyed: tuple[certificates.Issuer, SigningAuthority] | KeymintError,
-) -> MintedAuthority:
-    trusted = authority_files.chain(inputs, files.authority, certificate, above.chain if above else b"")
-    return MintedAuthority(certificates.load(certificate), trusted, keyed)
 
 
 def _require_replaceable(files: AuthorityFiles) -> None:
@@ -252,9 +234,7 @@ def _signing_error(inputs: Inputs, files: AuthorityFiles) -> KeymintError | None
     return None
 
 
-def _without_key(
-    inputs: Inputs, files: AuthorityFiles, above: MintedAuthority | None, signing_error: KeymintError
-) -> MintedAuthority:
+def _without_key(files: AuthorityFiles, above: MintedAuthority | None, signing_error: KeymintError) -> MintedAuthority:
     """Return an authority whose private key cannot be used here.
 
     Raises:
@@ -271,4 +251,4 @@ def _without_key(
         content, spec, public_key, above.certificate if above else None
     ):
         raise signing_error
-    return _minted(inputs, files, content, above, signing_error)
+    return MintedAuthority(certificate, signing_error)

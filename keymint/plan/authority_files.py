@@ -21,6 +21,7 @@ from keymint.plan import key_record
 from keymint.plan.enclaves import INSTALLED, deployed_authorities
 from keymint.plan.private_keys import load_key, password
 from keymint.session import Inputs, Session, once
+from keymint.state import digest_files
 
 COST = "no deployed enclave trusts it until all are redeployed"
 """The consequence of a new authority, for messages."""
@@ -161,12 +162,25 @@ def in_order(authorities: Sequence[Authority]) -> tuple[Authority, ...]:
 
 @once
 def trusted_chains(session: Session) -> Mapping[str, bytes]:
-    """Return the certificate chain (PEM) of each authority from the disk; see :func:`chain`."""
+    """Return what enclaves trust for each authority, PEM: the authority in force comes first, then those above it.
+
+    While they trust two authorities, the other one follows, and then the revocation lists of both, if there are any.
+    """
     chains: dict[str, bytes] = {}
     for authority in in_order(session.profile.authorities):
-        own = session.tree.read(session.workspace.authority_certificate(authority.name)) or b""
-        chains[authority.name] = chain(session, authority, own, chains.get(authority.certificate.issuer, b""))
+        name, rollover = authority.name, bundled(authority)
+        own = session.tree.read(session.workspace.authority_certificate(name)) or b""
+        chains[name] = own + chains.get(authority.certificate.issuer, b"")
+        if rollover and own:
+            paths = (session.workspace.revocation_list(each) for each in (name, other(authority)))
+            chains[name] += rollover.certificate + b"".join(session.tree.read(path) or b"" for path in paths)
     return chains
+
+
+@once
+def chains_digest(session: Session) -> str:
+    """Return the digest of :func:`trusted_chains`."""
+    return digest_files(trusted_chains(session))
 
 
 def issuers(session: Session) -> Iterator[tuple[str, str, x509.Certificate]]:
@@ -181,25 +195,6 @@ def issuers(session: Session) -> Iterator[tuple[str, str, x509.Certificate]]:
             yield name, name, certificate
         if rollover := bundled(authority):
             yield other(authority), name, certificates.load(rollover.certificate)
-
-
-def chain(inputs: Inputs, authority: Authority, certificate: bytes, above: bytes) -> bytes:
-    """Return what enclaves trust for an authority: the authority in force comes first.
-
-    While they trust two authorities, the revocation lists of both follow, if there are any.
-
-    Args:
-        inputs: the workspace.
-        authority: the authority.
-        certificate: PEM of its certificate; empty if there is none.
-        above: PEM of the chain of its issuer.
-    """
-    rollover, name = bundled(authority), authority.name
-    if rollover is None or not certificate:
-        return certificate + above
-    paths = (inputs.workspace.revocation_list(each) for each in (name, other(authority)))
-    lists = b"".join(inputs.tree.read(path) or b"" for path in paths)
-    return certificate + above + rollover.certificate + lists
 
 
 def bundled(authority: Authority) -> Rollover | None:

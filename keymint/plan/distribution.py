@@ -35,9 +35,7 @@ def plan_distribution(before: Session, session: Session, omitted: Collection[str
     in_force = enclave_lists(session)
     if not in_force:
         return Plan((), session.state)
-    chains = trusted_chains(session)
-    old_chains = trusted_chains(before)
-    issuers = {name: certificates.load_bundle(chain)[0] for name, chain in chains.items() if chain}
+    issuers = {name: certificates.load_bundle(chain)[0] for name, chain in trusted_chains(session).items() if chain}
     steps: list[Step] = []
     stamps: dict[str, Stamp] = {}
     for name in installed(session):
@@ -63,8 +61,8 @@ def plan_distribution(before: Session, session: Session, omitted: Collection[str
         stamp = session.state.stamp(INSTALLED, name)
         if stamp is not None:
             outputs = {**stamp.outputs, **{file: item.digest for file, item in files.items()}}
-            current = install.is_current(before, name, old_chains)
-            inputs = install.inputs_of(session, name, chains) if current else None
+            current = install.is_current(before, name)
+            inputs = install.inputs_of(session, name) if current else None
             stamps[name] = replace(stamp, outputs=outputs, inputs=inputs or stamp.inputs)
     return Plan(tuple(steps), session.state.updated(INSTALLED, stamps))
 

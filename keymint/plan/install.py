@@ -14,8 +14,9 @@ from keymint.api import Artifact, Package, Succession
 from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
 from keymint.names import ROOT, subject_of
-from keymint.plan import authority_files, build, identity_keys, key_record, lifetimes, revocation
-from keymint.plan.authorities import MintedAuthority, chains_of
+from keymint.plan import build, identity_keys, key_record, lifetimes, revocation
+from keymint.plan.authorities import MintedAuthority
+from keymint.plan.authority_files import chains_digest
 from keymint.plan.build_types import build_types_of, inputs_digest
 from keymint.plan.built_documents import OUTDATED, edits
 from keymint.plan.enclaves import (
@@ -59,9 +60,6 @@ class InstallStage:
 
     def __init__(self, session: Session, authorities: Mapping[str, MintedAuthority], *, prune: bool) -> None:
         self._session = session
-        if any(map(authority_files.bundled, session.profile.authorities)):  # the chains have revocation lists
-            chains = authority_files.trusted_chains(session)
-            authorities = {name: replace(minted, chain=chains[name]) for name, minted in authorities.items()}
         self._authorities = authorities
         self._prune = prune
         self._keyring = Keyring(session)
@@ -138,7 +136,7 @@ def _plan_enclave(
     session: Session, name: str, authorities: Mapping[str, MintedAuthority], keyring: Keyring
 ) -> PackagePlan:
     workspace = session.workspace
-    inputs = inputs_of(session, name, chains_of(authorities))
+    inputs = inputs_of(session, name)
     if inputs is None and build.is_built(session, name) and identity_keys.is_awaited(session.package(name)):
         return _awaiting(session, session.package(name))
     if inputs is None:
@@ -281,28 +279,14 @@ def _outdated(inputs: Inputs, names: Sequence[str]) -> Iterator[Diagnostic]:
         )
 
 
-def is_current(session: Session, name: str, chains: Mapping[str, bytes]) -> bool:
-    """Tell whether installing a package again would change no byte and no mode of its enclave.
-
-    Args:
-        session: the workspace and its profile.
-        name: the package.
-        chains: certificates of the authorities by name.
-    """
+def is_current(session: Session, name: str) -> bool:
+    """Tell whether installing a package again would change no byte and no mode of its enclave."""
     stamp, folder = session.state.stamp(STAGE, name), session.enclave_folder(name)
-    return (
-        stamp is not None and stamp.inputs == inputs_of(session, name, chains) and has_outputs(session, folder, stamp)
-    )
+    return stamp is not None and stamp.inputs == inputs_of(session, name) and has_outputs(session, folder, stamp)
 
 
-def inputs_of(session: Session, name: str, chains: Mapping[str, bytes]) -> str | None:
-    """Return the digest of all that an enclave is made from, or None if its package is not built.
-
-    Args:
-        session: the workspace and its profile.
-        name: the package.
-        chains: certificates of the authorities by name.
-    """
+def inputs_of(session: Session, name: str) -> str | None:
+    """Return the digest of all that the enclave of a package is made from, or None if that is not built."""
     documents = build.document_digests(session, name)
     key = identity_keys.key_digest(session, name)
     if documents is None or key is None:
@@ -310,7 +294,7 @@ def inputs_of(session: Session, name: str, chains: Mapping[str, bytes]) -> str |
     built = (part for item in sorted(documents.items()) for part in item)
     revoked = revocation.lists(session)
     more = (digest_files(revoked),) if revoked else ()
-    return digest(inputs_digest(session, name), key, digest_files(chains), session.profile.layout, *built, *more)
+    return digest(inputs_digest(session, name), key, chains_digest(session), session.profile.layout, *built, *more)
 
 
 def withdraw(session: Session, name: str, reason: str, changes: EnclaveChanges) -> Step:

@@ -30,14 +30,14 @@ from keymint.executors import Pool
 from keymint.ir import SubjectRules
 from keymint.names import name_of, subject_of
 from keymint.plan import authority_evidence, proof_record, shared_proof, terms
-from keymint.plan.authority_files import trusted_chains
+from keymint.plan.authority_files import chains_digest
 from keymint.plan.build_types import build_types_of, inputs_digest, issuers_of, prover_of, suffixes_read
 from keymint.plan.enclaves import INSTALLED, enclave_digests, enclave_files, not_installed
 from keymint.plan.proof_results import EnclaveProof, PackageProof, ProofEffort, ProofResults
 from keymint.plan.shared_documents import load_packages, record_key, shared_folder, users
 from keymint.plan.trust_anchors import anchors_of, shared_anchors
 from keymint.session import Session
-from keymint.state import Stamp, digest, digest_files
+from keymint.state import Stamp, digest
 
 STAGE = "prove"
 LEAST = 50
@@ -107,10 +107,9 @@ class ProofStage:
         self._effort = effort
         self._standard_only = standard_only
         self._unsigned = unsigned
-        self._chains = trusted_chains(session)
         self._contradictions = authority_evidence.contradictions(session)
         self._policy_digest = digest(*(f"{path} {value.hex()}" for path, value in sorted(policy.seen.items())))
-        self._chains_digest = digest_files(self._chains)
+        self._chains_digest = chains_digest(session)
         self._digested = policy if isinstance(policy, DigestedPolicy) else None
         workspace = session.workspace
         self._shared_folder = workspace.shown(shared_folder(session) if unsigned else workspace.install)
@@ -190,7 +189,7 @@ class ProofStage:
     def _prove_across(self, name: str, names: Sequence[str], prover: SharedProver) -> PackageProof:
         session, key, folder = self._session, record_key(name), self._shared_folder
         enclaves = shared_proof.enclaves_of(session, name)
-        inputs = shared_proof.inputs_digest(session, name, enclaves, self._chains_digest)
+        inputs = shared_proof.inputs_digest(session, name, enclaves)
         stamp, subjects = session.state.stamp(STAGE, key), [subject_of(each) for each in names]
         cached = proof_record.load(stamp, folder) if stamp and stamp.inputs == inputs else None
         if stamp and cached and self._same_rules(stamp, subjects):
@@ -206,7 +205,7 @@ class ProofStage:
                 session.workspace.shown(session.workspace.build if self._unsigned else session.enclaves),
                 shared_proof.installed_documents(session, name),
                 folder,
-                shared_anchors(session, packages, session.plugins.build_type(name), self._chains),
+                shared_anchors(session, packages, session.plugins.build_type(name)),
                 self._effort.states,
                 self._effort.deadline(),
                 self._unsigned,
@@ -286,7 +285,7 @@ class ProofStage:
                     rules,
                     files,
                     folder,
-                    anchors_of(self._session, package, build_types[name], self._chains),
+                    anchors_of(self._session, package, build_types[name]),
                     self._effort.states,
                     self._effort.deadline(),
                     self._standard_only,

@@ -57,7 +57,8 @@ def loaded_lists(session: Session) -> Mapping[str, RevocationList]:
 def enclave_lists(session: Session) -> Mapping[str, bytes]:
     """Return the revocation lists that enclaves have as files of their own, PEM, by authority.
 
-    Where they trust two authorities, the file of these has the lists; see :func:`keymint.plan.authority_files.chain`.
+    Where they trust two authorities, the file of these has the lists; see
+    :func:`keymint.plan.authority_files.trusted_chains`.
     """
     own = {each.name for each in session.profile.authorities if not authority_files.bundled(each)}
     return {name: content for name, content in lists(session).items() if name in own}

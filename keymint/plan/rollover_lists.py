@@ -44,10 +44,10 @@ def _other(session: Session, authority: Authority, pem: bytes) -> MintedAuthorit
     try:
         found = authority_files.stored_key(session, authority, name)
     except KeymintError as error:
-        return MintedAuthority(certificate, b"", error)
+        return MintedAuthority(certificate, error)
     if found and keys.matches(found[1], certificate):
         signer = SigningAuthority(authority.name, pem, found[0], password(session, authority.certificate))
-        return MintedAuthority(certificate, b"", (certificates.Issuer(certificate, found[1]), signer))
+        return MintedAuthority(certificate, (certificates.Issuer(certificate, found[1]), signer))
     missing = KeymintError(
         f"the private key that the one of the authority {authority.name!r} is exchanged with is not here, and is "
         "needed to sign its revocation list",
@@ -55,4 +55,4 @@ def _other(session: Session, authority: Authority, pem: bytes) -> MintedAuthorit
         help="restore it",
         code="authority-key-missing",
     )
-    return MintedAuthority(certificate, b"", missing)
+    return MintedAuthority(certificate, missing)

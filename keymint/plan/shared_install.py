@@ -15,7 +15,8 @@ from keymint.api import AuthorityRole, BuildOptions, BuildType, Package, SharedC
 from keymint.changes import Action, File, Plan, Step
 from keymint.errors import KeymintError
 from keymint.names import subject_of
-from keymint.plan.authorities import MintedAuthority, chains_of
+from keymint.plan.authorities import MintedAuthority
+from keymint.plan.authority_files import chains_digest, trusted_chains
 from keymint.plan.built_documents import OUTDATED, edits
 from keymint.plan.enclaves import INSTALLED, differing, has_outputs
 from keymint.plan.shared_documents import (
@@ -83,7 +84,7 @@ def plan_shared_install(
                 )
             message, help_ = "is stale; signing the existing build", "'keymint build' rebuilds it"
             diagnostics.append(Diagnostic.warning(OUTDATED, message, where, help_))
-        if is_installed(session, name, documents, chains_of(authorities)):
+        if is_installed(session, name, documents):
             continue
         step, stamp = _plan_documents(session, name, documents, authorities)
         steps += [step] if step.changes else []
@@ -94,19 +95,18 @@ def plan_shared_install(
     return Plan((*steps, *gone.values()), state, tuple(diagnostics))
 
 
-def is_installed(session: Session, name: str, documents: Mapping[str, bytes], chains: Mapping[str, bytes]) -> bool:
+def is_installed(session: Session, name: str, documents: Mapping[str, bytes]) -> bool:
     """Tell whether installing the shared documents of a build type again would change no byte and no mode.
 
     Args:
         session: the workspace and its profile.
         name: name of the build type.
         documents: the unsigned documents.
-        chains: certificates of the authorities by name.
     """
     stamp = session.state.stamp(INSTALLED, record_key(name))
     return (
         stamp is not None
-        and stamp.inputs == _inputs_digest(session, name, documents, chains)
+        and stamp.inputs == _inputs_digest(session, name, documents)
         and has_outputs(session, str(session.workspace.install), stamp)
     )
 
@@ -187,13 +187,13 @@ def _plan_documents(
     authorities: Mapping[str, MintedAuthority],
 ) -> tuple[Step, Stamp]:
     build_type = session.plugins.build_type(name)
-    loaded = load_packages(session, name)
+    loaded, chains = load_packages(session, name), trusted_chains(session)
     roles = {
         role: [(each, authority_of(authorities, each.name, each.origin)) for each in of_role]
         for role, of_role in shared_roles(loaded, build_type).items()
     }
     credentials = SharedCredentials(
-        {role: b"".join(dict.fromkeys(minted.chain for _, minted in each)) for role, each in roles.items()},
+        {role: b"".join(dict.fromkeys(chains[wanted.name] for wanted, _ in each)) for role, each in roles.items()},
         Signers({role: minted for role, each in roles.items() for wanted, minted in each if wanted.signs}),
     )
     existing = installed_shared(session, documents)
@@ -212,7 +212,7 @@ def _plan_documents(
     changes = (*removals(session, install, left_over), *written(install, differing(session, install, existing, files)))
     action = Action.UPDATED if existing else Action.CREATED
     made = Stamp(
-        _inputs_digest(session, name, documents, chains_of(authorities)),
+        _inputs_digest(session, name, documents),
         {path: file.digest for path, file in files.items()},
         tuple(path for path, file in files.items() if file.secret),
         build_types=(name,),
@@ -220,5 +220,5 @@ def _plan_documents(
     return Step(INSTALLED, "", action, changes, f"{', '.join(documents)}, for all enclaves"), made
 
 
-def _inputs_digest(session: Session, name: str, documents: Mapping[str, bytes], chains: Mapping[str, bytes]) -> str:
-    return digest(sources_digest(session, name), digest_files(documents), digest_files(chains))
+def _inputs_digest(session: Session, name: str, documents: Mapping[str, bytes]) -> str:
+    return digest(sources_digest(session, name), digest_files(documents), chains_digest(session))

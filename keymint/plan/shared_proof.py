@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from keymint import __version__
 from keymint.errors import KeymintError
 from keymint.names import subject_of
+from keymint.plan.authority_files import chains_digest
 from keymint.plan.enclaves import INSTALLED, enclave_files, installed
 from keymint.plan.shared_documents import record_key, sources_digest, users
 from keymint.plan.shared_install import shared_files
@@ -56,18 +57,17 @@ def enclaves_of(session: Session, build_type: str) -> Mapping[str, Mapping[str, 
     return found
 
 
-def inputs_digest(session: Session, build_type: str, enclaves: Mapping[str, Mapping[str, bytes]], chains: str) -> str:
+def inputs_digest(session: Session, build_type: str, enclaves: Mapping[str, Mapping[str, bytes]]) -> str:
     """Return the digest of everything that claims across subjects depend on, except the policy.
 
     Args:
         session: the workspace and its profile.
         build_type: name of the build type.
         enclaves: files of its enclaves.
-        chains: digest of the certificates of the authorities.
     """
     of_enclaves = (part for subject, files in enclaves.items() for part in (subject, digest_files(files)))
     sources = sources_digest(session, build_type)
-    return digest(sources, documents_digest(session, build_type), chains, __version__, *of_enclaves)
+    return digest(sources, documents_digest(session, build_type), chains_digest(session), __version__, *of_enclaves)
 
 
 def affected(before: Session, after: Session) -> tuple[str, ...]:

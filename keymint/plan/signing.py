@@ -14,6 +14,7 @@ from keymint.api import Artifact, EnclaveCredentials, Package
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan.authorities import MintedAuthority
+from keymint.plan.authority_files import trusted_chains
 from keymint.plan.build_types import build_types_of, roles_of, two_writers
 from keymint.plan.enclaves import CERTIFICATE
 from keymint.plan.issuance import place_of
@@ -72,7 +73,7 @@ def sign(
         credentials = EnclaveCredentials(
             certificate=certificate,
             key=pem,
-            chains={role.role: authority.chain for role, authority in roles[name]},
+            chains={role.role: trusted_chains(session)[role.name] for role, _ in roles[name]},
             signers=Signers({role.role: authority for role, authority in roles[name] if role.signs}),
             revocations=enclave_lists(session).get(package.identity.issuer, b""),
         )

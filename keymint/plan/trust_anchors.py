@@ -17,49 +17,44 @@ from keymint.plan.shared_proof import installed_documents
 from keymint.session import Session, once
 
 
-def anchors_of(session: Session, package: Package, build_type: BuildType, chains: Mapping[str, bytes]) -> TrustAnchors:
+def anchors_of(session: Session, package: Package, build_type: BuildType) -> TrustAnchors:
     """Return the trust anchors that the enclave of a package must rest on.
 
     Args:
         session: the workspace and its profile.
         package: the package.
         build_type: one of its build types.
-        chains: certificates of the authorities by name; see :func:`keymint.plan.authority_files.trusted_chains`.
     """
     roles = build_type.authorities(package)
-    authorities = {role.role: _anchor(session, ((role.name, chains.get(role.name, b"")),)) for role in roles}
+    authorities = {role.role: _anchor(session, (role.name,)) for role in roles}
     subject_name, public_key = package.identity.subject_name, package.issuance.public_key
     uri = package.identity.key.uri
     return TrustAnchors(authorities, subject_name, session.profile.layout, public_key, uri, package.distro)
 
 
-def shared_anchors(
-    session: Session, packages: Iterable[Package], build_type: BuildType, chains: Mapping[str, bytes]
-) -> Mapping[str, TrustAnchor]:
+def shared_anchors(session: Session, packages: Iterable[Package], build_type: BuildType) -> Mapping[str, TrustAnchor]:
     """Return the trust anchors by role that the shared documents of a build type must rest on.
 
     Args:
         session: the workspace and its profile.
         packages: the packages of the build type.
         build_type: the build type.
-        chains: certificates of the authorities by name.
 
     Raises:
         KeymintError: two packages have different authorities in a role that signs.
     """
     return {
-        role: _anchor(session, tuple((each.name, chains.get(each.name, b"")) for each in of_role))
+        role: _anchor(session, tuple(each.name for each in of_role))
         for role, of_role in shared_roles(packages, build_type).items()
     }
 
 
 @once
-def _anchor(session: Session, authorities: tuple[tuple[str, bytes], ...]) -> TrustAnchor:
-    """Return the trust anchor of some authorities, given by name with their certificates."""
-    workspace = session.workspace
-    files = ", ".join(workspace.shown(workspace.authority_certificate(name)) for name, _ in authorities)
-    names = ", ".join(name for name, _ in authorities)
-    return TrustAnchor(names, files, b"".join(dict.fromkeys(content for _, content in authorities)))
+def _anchor(session: Session, names: tuple[str, ...]) -> TrustAnchor:
+    """Return the trust anchor of some authorities."""
+    workspace, chains = session.workspace, trusted_chains(session)
+    files = ", ".join(workspace.shown(workspace.authority_certificate(name)) for name in names)
+    return TrustAnchor(", ".join(names), files, b"".join(dict.fromkeys(chains.get(name, b"") for name in names)))
 
 
 def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...]:
@@ -71,7 +66,7 @@ def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...
         KeymintError: a package has defects.
     """
     findings: list[Diagnostic] = []
-    chains, contradictions = trusted_chains(session), authority_evidence.contradictions(session)
+    contradictions = authority_evidence.contradictions(session)
     for name in names:
         files, unread = enclave_files(session, name)
         if not (files or unread):
@@ -86,7 +81,7 @@ def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...
         folder = session.workspace.shown(session.enclave_folder(name))
         for build_type, plugin in build_types_of(session, package).items():
             if prover := prover_of(session, build_type):
-                anchors = anchors_of(session, package, plugin, chains)
+                anchors = anchors_of(session, package, plugin)
                 shared = installed_documents(session, build_type)
                 shown = session.workspace.shown(session.workspace.install)
                 found = prover.differences(files, folder, anchors, shared, shown)
