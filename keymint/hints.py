@@ -15,7 +15,7 @@ import csv
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Defects, Diagnostic, Origin
 from comarmor.rules import KIND_OF
 from comarmor.text import counted, did_you_mean
 from keymint import graph_json
@@ -44,21 +44,16 @@ def load_hints(content: bytes, name: str) -> tuple[Hint, ...]:
         return tuple(Hint(edge, 1) for edge in graph_json.load(content, name).edges)
     rows = csv.reader(graph_json.decoded(content, name, _INVALID).splitlines(), strict=True)
     counts: Counter[Edge] = Counter()
-    problems: list[Diagnostic] = []
+    defects = Defects()
     try:
         columns = _columns(next(rows, []), name)
-        for row in rows:
-            if row:
-                try:
-                    edge, times = _counted(columns, row, name, rows.line_num)
-                except KeymintError as error:
-                    problems += error.diagnostics
-                else:
-                    counts[edge] += times
+        for row in filter(None, rows):
+            with defects:
+                edge, times = _counted(columns, row, name, rows.line_num)
+                counts[edge] += times
     except csv.Error as error:
         raise _error(name, rows.line_num, f"not CSV: {error}") from None
-    if problems:
-        raise KeymintError.of(problems)
+    defects.require_none()
     return tuple(Hint(edge, times) for edge, times in sorted(counts.items()))
 
 
