@@ -38,8 +38,4 @@ class LazyTransport:
 
     def __init__(self, build_type: str, make: Callable[[Environment], Transport]) -> None:
         self.BUILD_TYPE = build_type
-        self._make = make
-
-    def open(self, environment: Environment) -> Transport:
-        """Return the transport; ask it then whether it is usable."""
-        return self._make(environment)
+        self.open = make
