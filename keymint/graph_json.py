@@ -251,22 +251,17 @@ def _unique(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _line(text: str, path: Path) -> int:
-    """Return the line of the value at a path in JSON text, or of its innermost existing parent."""
+    """Return the line of the value at a path in JSON text."""
     decoder = json.JSONDecoder()
     at = _skip(text, text.find("{"))
     for step in path:
-        start = next((start for name, start in _inside(decoder, text, at) if name == step), None)
-        if start is None:
-            break
-        at = start
+        at = next(start for name, start in _inside(decoder, text, at) if name == step)
     return text.count("\n", 0, at) + 1
 
 
 def _inside(decoder: json.JSONDecoder, text: str, at: int) -> Iterator[tuple[str | int, int]]:
     """Yield name or index, and position, of the members of the object or array at a position in JSON text."""
     opening = text[at]
-    if opening not in "{[":
-        return
     at = _skip(text, at + 1)
     number = 0
     while text[at] not in "}]":
