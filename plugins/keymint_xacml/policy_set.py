@@ -104,8 +104,12 @@ def _unsayable(rule: Rule, reason: str, subject: str, *, lossy: bool) -> Diagnos
 
 
 def _document(subjects: Iterable[tuple[str, Sequence[_XacmlRule]]]) -> bytes:
-    outer = _policy_set(None, "policies", ids.DENY_UNLESS_PERMIT)
-    inner = _policy_set(outer, "subjects", ids.POLICIES_DENY_OVERRIDES)
+    attributes = _of_policy_set("policies", ids.DENY_UNLESS_PERMIT)
+    outer = etree.Element(f"{{{ids.NAMESPACE}}}PolicySet", attributes, nsmap={None: ids.NAMESPACE})  # type: ignore[dict-item]
+    _child(outer, "Description", _DESCRIPTION)
+    _child(outer, "Target")
+    inner = _child(outer, "PolicySet", **_of_policy_set("subjects", ids.POLICIES_DENY_OVERRIDES))
+    _child(inner, "Target")
     _guard(inner)
     for subject, rules in subjects:
         if not rules:
@@ -125,16 +129,9 @@ def _child(parent: etree._Element, tag: str, text: str = "", **attributes: str) 
     return element
 
 
-def _policy_set(parent: etree._Element | None, name: str, algorithm: str) -> etree._Element:
-    attributes = {"PolicySetId": f"{ids.OWN}{name}", "Version": "1.0", "PolicyCombiningAlgId": algorithm}
-    tag = f"{{{ids.NAMESPACE}}}PolicySet"
-    if parent is not None:
-        element = etree.SubElement(parent, tag, attributes)
-    else:
-        element = etree.Element(tag, attributes, nsmap={None: ids.NAMESPACE})  # type: ignore[dict-item]
-        _child(element, "Description", _DESCRIPTION)
-    _child(element, "Target")
-    return element
+def _of_policy_set(name: str, algorithm: str) -> dict[str, str]:
+    """Return the attributes of a policy set."""
+    return {"PolicySetId": f"{ids.OWN}{name}", "Version": "1.0", "PolicyCombiningAlgId": algorithm}
 
 
 def _policy(parent: etree._Element, name: str, description: str) -> etree._Element:
