@@ -138,7 +138,9 @@ def plan_cancel(session: Session, name: str) -> Plan:
             code="rollover-too-late",
         )
     decided = plan_authority_issuance(session, name, replace(authority.issuance, rollover=None), f"{name}: cancelled")
-    return replace(decided, steps=(*decided.steps, *_without_key(session, name, NEXT)))
+    key, former = (session.tree.read(session.workspace.authority_key(each)) for each in (name, f"{name}.{FORMER}"))
+    copied = _without_key(session, name, FORMER) if key == former else ()  # by a run that was killed
+    return replace(decided, steps=(*decided.steps, *_without_key(session, name, NEXT), *copied))
 
 
 def left_over(session: Session, name: str) -> tuple[Step, ...]:

@@ -74,6 +74,20 @@ def test_a_run_that_was_killed_between_two_keys_keeps_the_former_one(keymint, be
     assert keymint("check", cwd=ws).code == 0
 
 
+def test_no_copy_of_the_key_in_force_is_left_if_it_is_cancelled(keymint, begun: Callable) -> None:
+    ws = begun(*BUNDLES)
+    key = (ws / AUTHORITY_KEYS[0]).read_bytes()
+    shutil.copy(ws / AUTHORITY_KEYS[0], ws / FORMER)  # as a run that was killed before it exchanged the keys
+    assert keymint("authority", "replace", IDENTITY, "--cancel", cwd=ws).code == 0
+    assert (ws / AUTHORITY_KEYS[0]).read_bytes() == key
+    assert not (ws / NEXT).exists()
+    assert not (ws / FORMER).exists()
+    begun(*BUNDLES)
+    (ws / AUTHORITY_KEYS[0]).rename(ws / FORMER)  # as one that was killed where the next key is elsewhere
+    assert keymint("authority", "replace", IDENTITY, "--cancel", cwd=ws).code == 0
+    assert (ws / FORMER).read_bytes() == key
+
+
 def test_a_next_key_that_a_killed_run_left_is_used(keymint, begun: Callable) -> None:
     ws = begun(*BUNDLES)
     key = (ws / NEXT).read_bytes()
