@@ -102,11 +102,10 @@ def _require_key(name: str, minted: MintedAuthority) -> None:
             f"run this where the key is, then 'keymint authority export {name}' there and "
             f"'keymint authority import {name} FILE' here"
         )
-        found = [
+        raise KeymintError.of(
             replace(each, help=elsewhere if each.code == "authority-key-missing" else each.help)
             for each in error.diagnostics
-        ]
-        raise KeymintError.of(found) from None
+        ) from None
 
 
 def require_no_rollover(session: Session, name: str) -> None:

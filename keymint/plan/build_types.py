@@ -160,6 +160,6 @@ def may_share(session: Session, names: Iterable[str]) -> bool:
     if not sharing.isdisjoint(session.profile.build_types) or session.infrastructure():
         return True
     texts = [name.encode() for name in sharing]
-    marker = session.plugins.package_type(session.profile.package_type, session.profile_marker()).MARKER
+    marker = session.package_type.MARKER
     manifests = {session.tree.try_read(session.workspace.src / name / marker) or b"" for name in names}
     return any(text in manifest for manifest in manifests for text in texts)

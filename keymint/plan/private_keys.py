@@ -73,8 +73,7 @@ def load_key(
     try:
         key = read(pem, password(inputs, spec), shown)
     except KeymintError as error:
-        diagnostics = [replace(each, help=_help(each, spec, remedy)) for each in error.diagnostics]
-        raise KeymintError.of(diagnostics) from None
+        raise KeymintError.of(replace(each, help=_help(each, spec, remedy)) for each in error.diagnostics) from None
     if not keys.fits(key, spec.key):
         message = f"is not {keys.described(spec.key)}, which {spec.origin} asks for"
         raise KeymintError(message, where=shown, help=remedy, code="key-kind")

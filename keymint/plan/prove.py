@@ -216,14 +216,13 @@ class ProofStage:
         return self._kept(key, proof, rules.values(), Stamp(inputs, {}, build_types=(name,)), folder)
 
     def _kept(
-        self, key: str, proof: EnclaveProof, rules: Iterable[SubjectRules], stamp: Stamp, folder: str
+        self, key: str, proof: EnclaveProof, rules: Collection[SubjectRules], stamp: Stamp, folder: str
     ) -> PackageProof:
         """Return a proof with its record if all its claims are proven."""
         if self._standard_only:
             return PackageProof(key, proof, stamp.build_types)
         if proof.diagnostics or any(claim.proof is not Proof.PROVEN for claim in proof.claims):
             return PackageProof(key, proof, stamp.build_types, refuted=True)
-        rules = tuple(rules)
         stamp = replace(stamp, outputs=proof_record.dump(proof.claims, proof.terms, rules, folder))
         return PackageProof(key, proof, stamp.build_types, self._of_policy(stamp, [each.subject for each in rules]))
 

@@ -205,7 +205,7 @@ class Schedule:
     following: Due | None
 
 
-def schedule(session: Session, terms: Iterable[EnclaveTerms], threshold: Threshold) -> Schedule:
+def schedule(session: Session, terms: Sequence[EnclaveTerms], threshold: Threshold) -> Schedule:
     """Return what is due.
 
     Args:
@@ -213,11 +213,10 @@ def schedule(session: Session, terms: Iterable[EnclaveTerms], threshold: Thresho
         terms: the enclaves to look at.
         threshold: when something is due.
     """
-    of_enclaves = tuple(terms)
     enclaves: list[Due] = []
     due_lists: dict[str, Due] = {}
     later: list[Due] = []
-    for each in of_enclaves:
+    for each in terms:
         for term in each.terms:
             after = term.renew_after(threshold)
             if term.what == LIST and not term.is_cut and after <= session.now:
@@ -227,7 +226,7 @@ def schedule(session: Session, terms: Iterable[EnclaveTerms], threshold: Thresho
             moment = first.renew_after(threshold)
             (enclaves if moment <= session.now else later).append(Due(each.name, first, moment))
     following = min(later, key=lambda each: (each.after or session.now, each.name), default=None)
-    authorities = tuple(_authorities(session, of_enclaves, threshold))
+    authorities = tuple(_authorities(session, terms, threshold))
     return Schedule(tuple(enclaves), tuple(due_lists.values()), authorities, following)
 
 

@@ -78,21 +78,19 @@ class PlanStage(PackageStage[PackagePlan], Protocol):
         """
 
 
-def steps_of(planned: Iterable[PackagePlan]) -> tuple[Step, ...]:
+def steps_of(planned: Sequence[PackagePlan]) -> tuple[Step, ...]:
     """Return the steps of some plans.
 
     Raises:
         KeymintError: the errors of all packages.
     """
-    planned = tuple(planned)
     if errors := [error for each in planned for error in each.errors]:
         raise KeymintError.of(errors)
     return tuple(each.step for each in planned if each.step)
 
 
-def recorded(state: State, stage: str, planned: Iterable[PackagePlan], removed: Iterable[str] = ()) -> State:
+def recorded(state: State, stage: str, planned: Sequence[PackagePlan], removed: Iterable[str] = ()) -> State:
     """Return the state with the stamps and the keys of some plans, and without the stamps of removed packages."""
-    planned = tuple(planned)
     state = state.updated(stage, {each.name: each.stamp for each in planned if each.stamp}, removed)
     fingerprints = {each.name: each.fingerprint for each in planned if each.fingerprint}
     return key_record.record(state, key_record.IDENTITIES, fingerprints)
