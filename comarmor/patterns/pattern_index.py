@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
+from functools import cached_property
 from itertools import chain
 from typing import Generic, TypeVar
 
@@ -37,7 +38,6 @@ class PatternIndex(Generic[_T]):
     def __init__(self, items: Iterable[tuple[Glob, _T]]) -> None:
         self._items = tuple(items)
         self._literals = _PrefixMap[tuple[Glob, _T]]()
-        self._reversed_literals = _PrefixMap[tuple[Glob, _T]]()
         self._wild = _PrefixMap[_PrefixMap[_IndexEntry[_T]]]()
         """Patterns with wildcards by their prefix, then by their reversed suffix."""
         by_prefix: dict[str, _PrefixMap[_IndexEntry[_T]]] = {}
@@ -46,13 +46,21 @@ class PatternIndex(Generic[_T]):
             text = literal(pattern)
             if text is not None:
                 self._literals.add(text, item)
-                self._reversed_literals.add(text[::-1], item)
                 continue
             head = prefix(pattern)
             if head not in by_prefix:
                 by_prefix[head] = _PrefixMap()
                 self._wild.add(head, by_prefix[head])
             by_prefix[head].add(suffix(pattern)[::-1], _IndexEntry(item))
+
+    @cached_property
+    def _reversed_literals(self) -> _PrefixMap[tuple[Glob, _T]]:
+        """The patterns without wildcards by their reversed text; few questions need them."""
+        found = _PrefixMap[tuple[Glob, _T]]()
+        for item in self._items:
+            if (text := literal(item[0])) is not None:
+                found.add(text[::-1], item)
+        return found
 
     def __iter__(self) -> Iterator[tuple[Glob, _T]]:
         """Yield all patterns with their values, in the order in which they were given."""
