@@ -37,6 +37,7 @@ from keymint.plan.authorities import plan_authorities
 from keymint.plan.authority_renewal import plan_import
 from keymint.plan.bootstrap import plan_init, refuse_unsupported
 from keymint.plan.build import BuildStage
+from keymint.plan.create import marker_last
 from keymint.plan.given_authority import GivenAuthority
 from keymint.plan.install import InstallStage
 from keymint.plan.register import complete_register, register_change
@@ -154,7 +155,7 @@ def _sources(session: Session, adoption: Adoption) -> Plan:
             **issuance_files.with_issuance(decided),
             **package_type.adopted_sources(session.profile, sources),
         }
-        changes = [FolderChange(session.workspace.src / name, {file: File(each) for file, each in files.items()})]
+        changes = [FolderChange(session.workspace.src / name, marker_last(session.package_type, files))]
         if enclave.key:
             changes.append(secret_file(session.workspace.identity_key(name), enclave.key))
         steps.append(Step(STAGE, name, Action.CREATED, tuple(changes)))

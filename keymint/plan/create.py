@@ -16,6 +16,7 @@ from keymint.api import (
     IssuanceFiles,
     LoadedPolicy,
     OwnValidity,
+    PackageType,
     Role,
 )
 from keymint.changes import Action, File, Plan, Step, changed
@@ -169,7 +170,7 @@ class CreateStage:
         except KeymintError as error:
             in_the_way = (placed(diagnostic, session.workspace.src) for diagnostic in error.diagnostics)
             return PackagePlan(name, None, None, unnamed if known else (), (*errors, *in_the_way))
-        written = self._ordered(new)
+        written = marker_last(self._package_type, new)
         changes = changed(session.tree, folder, written)
         action = (Action.UPDATED if known else Action.CREATED) if changes else Action.UNCHANGED
         step = Step(STAGE, name, action, changes)
@@ -228,15 +229,17 @@ class CreateStage:
             where = session.package_marker(name)
             return PackagePlan(name, errors=(Diagnostic.error("infrastructure-taken", message, where, help_),))
         files = session.package_files(name)
-        written = self._ordered(self._package_type.create_infrastructure(session.profile, name, build_type, files))
+        new = self._package_type.create_infrastructure(session.profile, name, build_type, files)
+        written = marker_last(self._package_type, new)
         outputs = {**session.file_digests(name), **{file: new.digest for file, new in written.items()}}
         step = Step(STAGE, name, Action.CREATED, changed(session.tree, folder, written))
         return PackagePlan(name, step, Stamp(self._inputs, _outputs(outputs)))
 
-    def _ordered(self, new: Mapping[str, bytes]) -> dict[str, File]:
-        """Return the files of a new package; the marker goes last: until then a later run sees no package."""
-        ordered = sorted(new.items(), key=lambda item: item[0] == self._package_type.MARKER)
-        return {file: File(content) for file, content in ordered}
+
+def marker_last(package_type: PackageType, new: Mapping[str, bytes]) -> dict[str, File]:
+    """Return the files of a new package; the marker goes last: until then a later run sees no package."""
+    ordered = sorted(new.items(), key=lambda item: item[0] == package_type.MARKER)
+    return {file: File(content) for file, content in ordered}
 
 
 def _outputs(digests: Mapping[str, str]) -> dict[str, str]:

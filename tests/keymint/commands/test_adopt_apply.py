@@ -335,3 +335,12 @@ def test_files_of_openssl(keymint, tmp_path: Path) -> None:
     assert files(tmp_path / "ws/install") == after
     assert "canonical" not in keymint("check", "-w", "ws").err
     complete(keymint("harden", "names", "--apply", "-w", "ws"))
+
+
+def test_the_marker_of_a_package_is_written_last(keymint, tmp_path: Path) -> None:
+    made(tmp_path / "ks")
+    document = keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws", "--json").document
+    written = [path for step in document["steps"] if step["stage"] == "adopt" for path in step["written"]]
+    sources = [path for path in written if path.startswith("ws/src/talker/")]
+    assert len(sources) > 3
+    assert sources[-1] == "ws/src/talker/keymint_package.xml"
