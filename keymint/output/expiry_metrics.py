@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from datetime import datetime
 
 from keymint.names import subject_of
-from keymint.output.openmetrics import Gauge, Sample, moments
+from keymint.output.openmetrics import Gauge, moments
 from keymint.plan.renewal import CERTIFICATE, LIST, PERMISSIONS, authority_ends, authority_renewals
 from keymint.session import Session
 from keymint.status import PackageRow
@@ -34,9 +34,7 @@ def gauges(session: Session, rows: Sequence[PackageRow]) -> tuple[Gauge, ...]:
             if term.what == what
         ]
 
-    stale = tuple(
-        Sample(float(bool(row.stale)), {"subject": f"/{row.package}"}) for row in rows if row.terms is not None
-    )
+    stale = tuple(({"subject": f"/{row.package}"}, float(bool(row.stale))) for row in rows if row.terms is not None)
     return (
         moments("keymint_certificate_expiry", "End of the certificate of an enclave.", of_enclaves(CERTIFICATE)),
         moments("keymint_permissions_expiry", "End of the permissions of an enclave.", of_enclaves(PERMISSIONS)),

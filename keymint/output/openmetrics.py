@@ -4,20 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import field
 from datetime import datetime
 
 from comarmor.values import dataclass
 
 _ESCAPED = str.maketrans({"\\": "\\\\", '"': '\\"', "\n": "\\n"})
-
-
-@dataclass(frozen=True, slots=True)
-class Sample:
-    """One value of a gauge, with its labels by name."""
-
-    value: float
-    labels: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,19 +18,19 @@ class Gauge:
     Attributes:
         name: its name, which ends with its unit if it has one.
         help: what it says, one sentence.
-        samples: its values; their labels differ.
+        samples: its values, each with labels by name, which differ.
         unit: the unit, e.g. ``seconds``; or empty.
     """
 
     name: str
     help: str
-    samples: tuple[Sample, ...]
+    samples: tuple[tuple[Mapping[str, str], float], ...]
     unit: str = ""
 
 
 def moments(name: str, help_: str, by_label: Iterable[tuple[Mapping[str, str], datetime | None]]) -> Gauge:
     """Return a gauge of moments, in seconds since 1970; what has no moment has no sample."""
-    samples = tuple(Sample(moment.timestamp(), labels) for labels, moment in by_label if moment is not None)
+    samples = tuple((labels, moment.timestamp()) for labels, moment in by_label if moment is not None)
     return Gauge(f"{name}_timestamp_seconds", help_, samples, "seconds")
 
 
@@ -50,7 +41,7 @@ def openmetrics(gauges: Iterable[Gauge]) -> Iterator[str]:
         if gauge.unit:
             yield f"# UNIT {gauge.name} {gauge.unit}"
         yield f"# HELP {gauge.name} {gauge.help.translate(_ESCAPED)}"
-        for sample in gauge.samples:
-            labels = ",".join(f'{name}="{value.translate(_ESCAPED)}"' for name, value in sample.labels.items())
-            yield f"{gauge.name}{{{labels}}} {sample.value:.15g}" if labels else f"{gauge.name} {sample.value:.15g}"
+        for by_name, value in gauge.samples:
+            labels = ",".join(f'{name}="{text.translate(_ESCAPED)}"' for name, text in by_name.items())
+            yield f"{gauge.name}{{{labels}}} {value:.15g}" if labels else f"{gauge.name} {value:.15g}"
     yield "# EOF"

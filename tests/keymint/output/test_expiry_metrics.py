@@ -17,10 +17,8 @@ def test_an_enclave_that_ends_with_its_authority_has_no_moment_of_renewal(keymin
     assert keymint("renew", "talker", cwd=ws, env={"SOURCE_DATE_EPOCH": str(late)}).code == 3
     session = session_of(ws, late)
     found = {each.name: each.samples for each in gauges(session, package_rows(session, None))}
-    assert [dict(each.labels) for each in found["keymint_renew_after_timestamp_seconds"]] == [
-        {"subject": "/robot1/listener"}
-    ]
-    [due] = {each.value for each in found["keymint_authority_renew_after_timestamp_seconds"]}
+    assert [labels for labels, _ in found["keymint_renew_after_timestamp_seconds"]] == [{"subject": "/robot1/listener"}]
+    [due] = {value for _, value in found["keymint_authority_renew_after_timestamp_seconds"]}
     assert due <= late
 
 
@@ -29,7 +27,7 @@ def test_what_is_not_installed_has_no_gauge(ws: Path) -> None:
     (ws / "install/enclaves/talker/key.pem").unlink()
     session = session_of(ws)
     for gauge in gauges(session, package_rows(session, None)):
-        assert {"subject": "/talker"} not in [dict(each.labels) for each in gauge.samples]
+        assert {"subject": "/talker"} not in [labels for labels, _ in gauge.samples]
 
 
 def test_a_stale_enclave_is_one(ws: Path) -> None:
@@ -37,4 +35,4 @@ def test_a_stale_enclave_is_one(ws: Path) -> None:
     path.write_text(path.read_text().replace("/chatter", "/chatter2"))
     session = session_of(ws)
     [stale] = [each for each in gauges(session, package_rows(session, None)) if each.name == "keymint_enclave_stale"]
-    assert {each.labels["subject"]: each.value for each in stale.samples} == {"/talker": 1, "/robot1/listener": 0}
+    assert {labels["subject"]: value for labels, value in stale.samples} == {"/talker": 1, "/robot1/listener": 0}

@@ -9,15 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from prometheus_client.openmetrics.parser import text_string_to_metric_families
 
-from keymint.output.openmetrics import Gauge, Sample, moments, openmetrics
+from keymint.output.openmetrics import Gauge, moments, openmetrics
 
 TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\r"), max_size=20)
 
 
 @given(st.dictionaries(TEXT, st.floats(-1e12, 1e12).map(round), max_size=5), TEXT.map(str.strip))
 def test_a_parser_reads_what_is_written(values: dict[str, float], help_: str) -> None:
-    samples = tuple(Sample(value, {"subject": name}) for name, value in values.items())
-    gauges = [Gauge("a_seconds", help_, samples, "seconds"), Gauge("b", "B.", (Sample(1),))]
+    samples = tuple(({"subject": name}, value) for name, value in values.items())
+    gauges = [Gauge("a_seconds", help_, samples, "seconds"), Gauge("b", "B.", (({}, 1),))]
     text = "".join(f"{line}\n" for line in openmetrics(gauges))
     first, second = text_string_to_metric_families(text)
     assert (first.name, first.type, first.unit, first.documentation) == ("a_seconds", "gauge", "seconds", help_)
@@ -28,4 +28,4 @@ def test_a_parser_reads_what_is_written(values: dict[str, float], help_: str) ->
 def test_what_has_no_moment_has_no_sample() -> None:
     moment = datetime(2027, 1, 15, 8, tzinfo=UTC)
     gauge = moments("x", "X.", [({"subject": "/a"}, moment), ({"subject": "/b"}, None)])
-    assert gauge == Gauge("x_timestamp_seconds", "X.", (Sample(1_800_000_000, {"subject": "/a"}),), "seconds")
+    assert gauge == Gauge("x_timestamp_seconds", "X.", (({"subject": "/a"}, 1_800_000_000),), "seconds")
