@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
 from difflib import unified_diff
 
-_CONTEXT = 3
 _NO_NEWLINE = "\\ No newline at end of file\n"
 
 
@@ -19,7 +18,7 @@ def file_diff(name: str, before: bytes, after: bytes) -> bytes:
         after: its new content.
     """
     old, new = f"a/{name.lstrip('/')}", f"b/{name.lstrip('/')}"
-    lines = unified_diff(_lines(before), _lines(after), old, new, n=_CONTEXT)
+    lines = unified_diff(_lines(before), _lines(after), old, new)
     return "".join(line if line.endswith("\n") else f"{line}\n{_NO_NEWLINE}" for line in lines).encode(
         errors="surrogateescape"
     )
@@ -37,12 +36,5 @@ def first_difference(before: bytes, after: bytes) -> int:
 
 
 def _lines(content: bytes) -> list[str]:
-    return list(_split(content.decode(errors="surrogateescape")))
-
-
-def _split(text: str) -> Iterator[str]:
-    """Yield lines with their line feeds; other characters that Python takes for line ends are part of a line."""
-    *lines, last = text.split("\n")
-    yield from (f"{line}\n" for line in lines)
-    if last:
-        yield last
+    """Return lines with their line feeds; other characters that Python takes for line ends are part of a line."""
+    return re.findall(r"[^\n]*\n|[^\n]+", content.decode(errors="surrogateescape"))
