@@ -51,11 +51,15 @@ class Policies:
         Raises:
             KeymintError: the policy is missing, or has defects.
         """
-        if path is None:
-            return self._of_workspace(self._run.workspace(), as_accepted)
-        folder = self._run.setting.cwd / path
-        workspace = Workspace.at(folder, {}, self._run.setting.cwd)
-        return self._of_workspace(workspace, as_accepted) if workspace.exists() else self.at(folder, str(path))
+        cwd = self._run.setting.cwd
+        workspace = self._run.workspace() if path is None else Workspace.at(cwd / path, {}, cwd)
+        if path is not None and not workspace.exists():
+            return self.at(cwd / path, str(path))
+        session = self._run.inputs(workspace).session()
+        if self._options.distro is None:
+            self.distro = session.profile.distro
+        self.build_types = session.profile.build_types
+        return accepted_policy(session) if as_accepted else load_policy(session, trust_links=self._options.trust_links)
 
     def shipped(self) -> Path:
         """Return the directory of the policy library that ships with Keymint.
@@ -88,13 +92,6 @@ class Policies:
             if found.path != path or not foreign:
                 raise found.refusal(self._run.typed(str(found.path))) from error
         return plugins.policy_type(found.policy_type).load([source], self.shipped(), library_shown)
-
-    def _of_workspace(self, workspace: Workspace, as_accepted: bool) -> LoadedPolicy:
-        session = self._run.inputs(workspace).session()
-        if self._options.distro is None:
-            self.distro = session.profile.distro
-        self.build_types = session.profile.build_types
-        return accepted_policy(session) if as_accepted else load_policy(session, trust_links=self._options.trust_links)
 
     def library(self, path: Path | None) -> Callable[[str], str | None]:
         """Return a function that names a file of the shipped library, or of an unchanged copy; None for other files."""
