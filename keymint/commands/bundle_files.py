@@ -60,8 +60,8 @@ def write_bundles(run: Run, output: Path | None, made: Sequence[MadeBundle]) -> 
                 **members(each.manifest, "key", "authority", "generation", "issue", "revocations", "not_after"),
             }
         )
-    for authority in dict.fromkeys(each.manifest.authority for each in made):
-        run.console.line(
-            f"on a robot that has nothing of this authority yet: keymint accept --authority-fingerprint {authority}"
-        )
+    run.console.lines(
+        f"on a robot that has nothing of this authority yet: keymint accept --authority-fingerprint {authority}"
+        for authority in dict.fromkeys(each.manifest.authority for each in made)
+    )
     return documents

@@ -41,8 +41,7 @@ def harden(run: Run, step: str | None, names: tuple[str, ...], applied: bool, fl
     session = run.session()
     steps = open_steps(session)
     chosen = [each for each in steps if step in {None, str(each.step)}]
-    for each in chosen:
-        run.console.line(f"{each.step}: {first_few(each.concerns)}: {each.cost}")
+    run.console.lines(f"{each.step}: {first_few(each.concerns)}: {each.cost}" for each in chosen)
     if not chosen:
         run.console.line(f"{step}: nothing to do" if step else "nothing to do: no step is open")
     result = {"steps": [asdict(each) for each in steps]}

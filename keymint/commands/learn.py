@@ -139,10 +139,8 @@ def _tell(run: Run, learned: LearnedPolicy, output: Path | None, written: list[s
         run.console.document(learned.document)
         return
     if against:
-        for edge in learned.missing:
-            run.console.line(f"missing  {edge.subject} {edge.permission} {edge.object.name}")
-        for rule in learned.unused:
-            run.console.line(f"unused   {_place(rule)['place'] or rule.subject}: {rule.message}")
+        run.console.lines(f"missing  {each.subject} {each.permission} {each.object.name}" for each in learned.missing)
+        run.console.lines(f"unused   {rule.where or rule.subject}: {rule.message}" for rule in learned.unused)
     if learned.document:
         show_written(run, output, written)
     else:

@@ -25,8 +25,7 @@ def transports(run: Run) -> Report:
     named = [name for name, usable in listed if usable.usable and not usable.by_default]
     if named:
         run.console.line(f"used only when named by -t: {', '.join(named)}")
-    for name, usable in listed:
-        if not usable.usable:
-            run.console.line(f"{name}: {usable.reason}" + (f" ({usable.help})" if usable.help else ""))
+    others = [(name, usable) for name, usable in listed if not usable.usable]
+    run.console.lines(f"{name}: {each.reason}" + (f" ({each.help})" if each.help else "") for name, each in others)
     result = {"transports": [{"name": name, "build_type": reads[name], **asdict(usable)} for name, usable in listed]}
     return run.report(result)

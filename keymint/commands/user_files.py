@@ -95,8 +95,7 @@ def replace_inputs(run: Run, changed: Mapping[Path, tuple[bytes, bytes]]) -> Non
 
 def show_written(run: Run, path: Path, written: list[str]) -> None:
     """Show which files :func:`write_outputs` wrote, or that the file at the path is up to date."""
-    for file in written:
-        run.console.line(f"{file} {'would be written' if run.dry_run else 'written'}")
+    run.console.lines(f"{file} {'would be written' if run.dry_run else 'written'}" for file in written)
     if not written:
         run.console.line(f"{path} is up to date")
 

@@ -123,10 +123,8 @@ def verify(
             for each in verified:
                 title = f"{graph.stem if graph else session.profile.name} on {', '.join(groups[each.build_type])}"
                 folder = report / run.plugins.build_type(each.build_type).TRANSPORT if len(verified) > 1 else report
-                for file in write_report(
-                    run, folder, labelled_edges(title, each, run.typed, workspace_library_rules(session))
-                ):
-                    run.console.line(f"{file} written")
+                labelled = labelled_edges(title, each, run.typed, workspace_library_rules(session))
+                run.console.lines(f"{file} written" for file in write_report(run, folder, labelled))
     wrong = any(outcome.confusion.errors for outcome in outcomes)
     return run.report(
         comparisons_json(outcomes, subjects, edges, run.typed),

@@ -161,14 +161,13 @@ class Console:
         """Show a table as aligned text, one line per row."""
         if self._json or self._verbosity < 0:
             return
-        columns, rows = [printable(cell) for cell in columns], [[printable(cell) for cell in row] for row in rows]
-        widths = [max(len(row[at]) for row in [columns, *rows]) for at in range(len(columns))]
-        for index, row in enumerate([columns, *rows]):
-            text = "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        lines = [[printable(cell) for cell in row] for row in (columns, *rows)]
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        for index, line in enumerate(lines):
+            text = "  ".join(map(str.ljust, line, widths)).rstrip()
             self._line(text, "1" if index == 0 else "")
 
     def _steps(self, report: Report) -> None:
-        would = "would be " if report.dry_run else ""
         for step in report.steps:
             if step.action is Action.UNCHANGED and self._verbosity < 1:
                 continue
@@ -187,7 +186,8 @@ class Console:
                 self.line(f"nothing to do: {_counted(report.steps)} up to date")
             else:
                 counts = Counter(str(step.action) for step in report.steps)
-                self.line(f"{would}" + ", ".join(f"{counts[a]} {a}" for a in map(str, Action) if counts[a]))
+                would = "would be " if report.dry_run else ""
+                self.line(would + ", ".join(f"{counts[a]} {a}" for a in map(str, Action) if counts[a]))
             built = [step for step in report.steps if step.action is not Action.UNCHANGED]
             if line := _gain([size for step in built for size in step.sizes]):
                 self.line(line)
