@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from comarmor.errors import Diagnostic, Origin
-from keymint.api import AppliedProfile, DomainRange, Tier, Verdict
+from keymint.api import DomainRange, Tier, Verdict
 from keymint.commands.options import transport_option
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
@@ -121,9 +121,11 @@ def _lines(explanation: Explanation, place: Place) -> Iterator[str]:
         decides = "decides: " if each.where == explanation.policy.where else ""
         return f"{decides}{rule_text(each.rule)} ({place(each.where)})"
 
-    layers: dict[str, list[str]] = {"profiles": [_profile(each, place) for each in explanation.profiles]}
-    if not explanation.profiles:
-        layers["profiles"] = [f"none applies to {explanation.edge.subject}, so it has no permission"]
+    applied = [
+        f"{each.name!r} applies ({place(each.where)}){' AUDIT' if each.audit else ''}" for each in explanation.profiles
+    ]
+    none = f"none applies to {explanation.edge.subject}, so it has no permission"
+    layers: dict[str, list[str]] = {"profiles": applied or [none]}
     if explanation.similar:
         layers["profiles"].append(f"did you mean {explanation.similar!r}?")
     layers["policy"] = [rule(each) for each in explanation.rules] or [str(explanation.policy.reason)]
@@ -149,10 +151,6 @@ def _need(need: Need) -> str:
     endpoint = need.endpoint
     partitions = "".join(f" in partition {name!r}" for name in endpoint.partitions)
     return f"{endpoint.action} on the {need.noun} {endpoint.name!r}{partitions}"
-
-
-def _profile(profile: AppliedProfile, place: Place) -> str:
-    return f"{profile.name!r} applies ({place(profile.where)}){' AUDIT' if profile.audit else ''}"
 
 
 def _labels(explanation: Explanation, place: Place) -> Iterator[str]:

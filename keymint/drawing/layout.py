@@ -12,6 +12,7 @@ from __future__ import annotations
 from bisect import bisect_right, insort
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from itertools import accumulate
 
 from comarmor.text import printable
 from comarmor.values import dataclass
@@ -263,12 +264,7 @@ def _tops(
 
 
 def _stacked(column: Sequence[NodeKey], heights: Mapping[NodeKey, float]) -> dict[NodeKey, float]:
-    tops: dict[NodeKey, float] = {}
-    y = 0.0
-    for key in column:
-        tops[key] = y
-        y += heights[key] + GAP
-    return tops
+    return dict(zip(column, accumulate((heights[key] + GAP for key in column), initial=0.0), strict=False))
 
 
 def _fitted(
