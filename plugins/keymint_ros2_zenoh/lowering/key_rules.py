@@ -123,9 +123,10 @@ def slot_rules(names: NameRules) -> Iterator[tuple[Effect, tuple[Slot, ...], Glo
             and any(not disjoint(allowed, pattern) for allowed in names.patterns(Effect.ALLOW, permission))
         }
         yield Effect.DENY, tuple(slot for slot, users in USERS.items() if not users & living), pattern, rule
-        for slot in dict.fromkeys(slot for permission in permissions for slot in SLOTS[permission]):
-            for both in _denied_too(names, pattern, USERS[slot] & living):
-                yield Effect.DENY, (slot,), both, rule
+        for slot, users in USERS.items():
+            if users & permissions:
+                for both in _denied_too(names, pattern, users & living):
+                    yield Effect.DENY, (slot,), both, rule
 
 
 def _denied_too(names: NameRules, pattern: Glob, permissions: Iterable[str]) -> Iterator[Glob]:

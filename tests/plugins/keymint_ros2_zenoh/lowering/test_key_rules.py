@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import pytest
 from hypothesis import given, settings
 from keymint_ros2_zenoh.lowering.key_rules import MAX_DOMAINS, Lowered, lower
@@ -14,6 +17,7 @@ from comarmor.rules import PARTS, Effect, Rule
 from keymint.api import DomainRange
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
+from tests.conftest import CHECKOUT
 from tests.effort import tries
 
 from .policies import KIND, NAMES, TYPED, matched, policies, policy_allows, router_permits, rule, subject_rules
@@ -165,6 +169,31 @@ def test_too_many_domains() -> None:
     with pytest.raises(KeymintError, match=rf"^package.xml:7: .*more than {MAX_DOMAINS} domains") as caught:
         lowered(subject_rules(), DomainRange(0, 10**9))
     assert caught.value.diagnostics[0].code == "zenoh-domains"
+
+
+def test_the_order_of_rules_is_the_same_in_every_process() -> None:
+    """Where a rule denies two permissions that share a reply each, which other rules allow on other names."""
+    script = (
+        "from tests.plugins.keymint_ros2_zenoh.lowering.test_key_rules import lowered, rule, subject_rules\n"
+        "print(lowered(subject_rules(\n"
+        "    rule('DENY', 'ros_topic', ['ros_publish', 'ros_subscribe'], '/a*', line=1),\n"
+        "    rule('ALLOW', 'ros_service', ['ros_call', 'ros_execute'], '/*', line=2),\n"
+        "    rule('DENY', 'ros_service', ['ros_call'], '/ab*', line=3),\n"
+        "    rule('DENY', 'ros_service', ['ros_execute'], '/ac*', line=4),\n"
+        ")).rules)\n"
+    )
+    printed = {
+        subprocess.run(
+            [sys.executable, "-c", script],
+            cwd=CHECKOUT,
+            env={"PYTHONHASHSEED": seed},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in "012"
+    }
+    assert len(printed) == 1
 
 
 def test_rules_cite_their_origin() -> None:
