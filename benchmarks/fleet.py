@@ -41,11 +41,11 @@ PROFILE = """  <profile name="robot{robot}_{role}">
 {more}  </profile>
 """
 OWN = """    <ros_topic qualifier="ALLOW">
-      <attachment>/data/{number}_*</attachment>
+      <attachment>/data/n{number}_*</attachment>
       <permissions><ros_publish/></permissions>
     </ros_topic>
     <ros_topic qualifier="DENY">
-      <attachment>/data/{number}_secret</attachment>
+      <attachment>/data/n{number}_secret</attachment>
       <permissions><ros_publish/><ros_subscribe/></permissions>
     </ros_topic>
 """
