@@ -11,7 +11,7 @@ from comarmor.values import dataclass
 from keymint.api import Counterexample, Endpoint, PolicyDecision, Verdict
 from keymint.ir import SubjectRules
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.decision import OMG, DocumentEvaluator, EndpointDecision, Variation
+from keymint_ros2_dds.decision import DocumentEvaluator, EndpointDecision, Variation
 from keymint_ros2_dds.decision.access import DomainAccess
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.proving import octets, policy_evaluator, protection
@@ -114,9 +114,7 @@ class Counterexamples:
             return outcome
 
         outcome = ask(self.variation)
-        deviation = ""
-        if self.variation.name != OMG.name and ask(OMG).allowed is not outcome.allowed:
-            deviation = "; ".join(map(str, decision.explain(lambda other: ask(other).allowed, self.variation)))
+        deviation = "; ".join(map(str, decision.explain(lambda other: ask(other).allowed, self.variation)))
         reason = outcome.reason
         if len(self.eras) > 1:
             reason += f" (by the grant in force from {era.begin:{_DATE}} to {era.end:{_DATE}})"
