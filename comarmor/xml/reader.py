@@ -105,7 +105,8 @@ def parse(content: bytes, name: str, *, limits: Limits = LIMITS, chain: tuple[Or
         raise ComArmorError("the file is not plain XML", where=file, code="xml-syntax")
     for element, place in zip(elements, places, strict=True):
         element.__dict__["at"] = place
-    root.__dict__["elements"] = elements  # keep the Python objects alive, because they store the places
+    # The Python objects store the places, so they live as long as the root; it is left out, since a cycle would stay.
+    root.__dict__["elements"] = elements[1:]
     for hint in _HINTS:
         root.attrib.pop(f"{{{XSI}}}{hint}", "")
     return root
@@ -167,6 +168,7 @@ class _Scanner:
                 help="save it as UTF-8",
                 code="xml-encoding",
             ) from None
+        del self.parser  # its handlers refer to this object: without the cycle, the places end with the tree
         return self.places
 
     def at(self, number: int) -> Origin:

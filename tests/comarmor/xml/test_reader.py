@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+
 import pytest
 
 from comarmor.errors import ComArmorError, Diagnostic
@@ -77,6 +80,18 @@ def test_limits() -> None:
 def test_places_are_exact_beyond_16_bits() -> None:
     root = parse(b"<a>" + b"\n" * 70_000 + b"  <b\n/></a>", "x")
     assert place(root[0]) == (70_001, 3)
+
+
+def test_a_tree_ends_with_its_last_use_without_a_search_for_cycles() -> None:
+    gc.disable()
+    try:
+        root = parse(b"<profiles><profile><attachment/></profile></profiles>", "p.xml")
+        element = weakref.ref(root[0])
+        assert element() is not None
+        del root
+        assert element() is None
+    finally:
+        gc.enable()
 
 
 def test_schema_locations_are_removed() -> None:
