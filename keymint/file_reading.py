@@ -7,6 +7,7 @@ import errno
 import os
 import stat
 from pathlib import Path
+from typing import NamedTuple
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError
@@ -74,12 +75,24 @@ def unreadable(path: Path | str, error: OSError) -> KeymintError:
     )
 
 
-def lstat(path: str) -> os.stat_result | None:
+class FileStatus(NamedTuple):
+    """What is asked of the status of a path: fields of :class:`os.stat_result`, which takes four times the memory."""
+
+    st_mode: int
+    st_uid: int
+    st_gid: int
+    st_nlink: int
+    st_size: int
+    st_ino: int
+
+
+def lstat(path: str) -> FileStatus | None:
     """Return the status of a path without following a link, or None if it does not exist."""
     try:
-        return os.lstat(path)
+        of = os.lstat(path)
     except (OSError, ValueError):
         return None
+    return FileStatus(of.st_mode, of.st_uid, of.st_gid, of.st_nlink, of.st_size, of.st_ino)
 
 
 def linked_file(path: str, folder: str) -> str:

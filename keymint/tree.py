@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeVar
 
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
-from keymint.file_reading import MAX_FILE, REGISTER, linked_file, lstat, read_file, unreadable
+from keymint.file_reading import MAX_FILE, REGISTER, FileStatus, linked_file, lstat, read_file, unreadable
 from keymint.state import digest
 
 __all__ = ["MAX_FILE", "REGISTER", "Content", "File", "HeldError", "HeldFile", "Tree", "read_file", "unreadable"]
@@ -37,8 +37,10 @@ class _Disk:
         self.known = known
         self.linked = linked
         self._contents: dict[str, bytes | KeymintError | None] = {}
+        self._equal: dict[bytes | None, bytes | None] = {}
+        """Contents that are held, each once: enclaves have many files in common."""
         self._entries: dict[str, dict[str, bool] | KeymintError] = {}
-        self._statuses: dict[str, os.stat_result | None] = {}
+        self._statuses: dict[str, FileStatus | None] = {}
         self._links: set[str] = set()
         """Symbolic links among the paths whose status is known."""
         self._held: tuple[str, ...] = ()
@@ -85,12 +87,12 @@ class _Disk:
     def entries(self, folder: str) -> Mapping[str, bool]:
         return self._once(self._entries, folder, self._scan, {})
 
-    def status(self, path: str) -> os.stat_result | None:
+    def status(self, path: str) -> FileStatus | None:
         if path not in self._statuses:
             self._statuses[path] = None if self._is_absent(path) else self._status(path)
         return self._statuses[path]
 
-    def _status(self, path: str) -> os.stat_result | None:
+    def _status(self, path: str) -> FileStatus | None:
         found = lstat(path)
         if found is None or not stat.S_ISLNK(found.st_mode):
             return found
@@ -120,7 +122,8 @@ class _Disk:
                     waiting += [path] if name != ".git" else []
                 elif name.endswith(suffix):
                     try:
-                        self._contents[path] = self._file(path)
+                        content = self._file(path)
+                        self._contents[path] = self._equal.setdefault(content, content)
                     except KeymintError as error:
                         self._contents[path] = error
         self._held = (*self._held, f"{folder}/")
@@ -274,7 +277,7 @@ class Tree:
         except KeymintError:
             return None
 
-    def status(self, path: Path | str) -> os.stat_result | None:
+    def status(self, path: Path | str) -> FileStatus | None:
         """Return the status of a path on the disk, or None if it does not exist.
 
         Links are not followed, except in the folder where :meth:`read` follows them.

@@ -16,13 +16,14 @@ from functools import lru_cache
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from keymint.file_reading import FileStatus
 from keymint.session import Inputs
 
 _GROUP, _OTHERS = stat.S_IWGRP, stat.S_IWOTH
 _PEM = ".pem"
 
 
-_Entry = tuple[str, os.stat_result]
+_Entry = tuple[str, FileStatus]
 """The path of a file or folder of a space, and its status (of a link: of the link itself)."""
 
 
@@ -163,7 +164,7 @@ def _owners(inputs: Inputs) -> frozenset[int]:
     return frozenset({0, os.geteuid()} | ({status.st_uid} if status else set()))
 
 
-def _writable_by_others(status: os.stat_result) -> bool:
+def _writable_by_others(status: FileStatus) -> bool:
     mode = status.st_mode
     return bool(mode & _OTHERS) or (bool(mode & _GROUP) and not _is_own_group(status.st_uid, status.st_gid))
 
