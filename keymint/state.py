@@ -116,8 +116,8 @@ class State:
 
 def sealed(document: Mapping[str, Any]) -> bytes:
     """Return a document as JSON that ends with its digest; equal documents give equal bytes."""
-    body = json.dumps(document, separators=(",", ":"), sort_keys=True).encode().removesuffix(b"}")
-    return body + _SEAL + digest(body).encode() + _END
+    body = json.dumps(document, separators=(",", ":"), sort_keys=True).removesuffix("}").encode()
+    return b"".join((body, _SEAL, digest(body).encode(), _END))
 
 
 def unsealed(content: bytes | None, version: int) -> Mapping[str, Any] | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import stat
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
@@ -172,7 +173,7 @@ class File:
     def digest(self) -> str:
         """The digest of the content; see :func:`keymint.state.digest`."""
         if not self._digest:
-            object.__setattr__(self, "_digest", digest(self.content))
+            object.__setattr__(self, "_digest", sys.intern(digest(self.content)))
         return self._digest
 
 
