@@ -18,7 +18,7 @@ from keymint.plan.shared_documents import build_shared, load_packages, record_ke
 from keymint.plan.shared_install import installed_shared, shared_roles
 from keymint.plan.shared_proof import enclaves_of
 from keymint.session import Session
-from keymint.state import digest
+from keymint.state import Stamp, digest
 
 
 def check_shared(session: Session, within: timedelta) -> tuple[Iterable[Diagnostic], set[str]]:
@@ -43,7 +43,7 @@ def check_shared(session: Session, within: timedelta) -> tuple[Iterable[Diagnost
             files |= set(stamp.outputs if stamp else ())
             continue
         files |= inspection.files.keys()
-        own, builder = list(_on_disk(session, name, inspection)), shared_builder(session, name)
+        own, builder = list(_on_disk(session, name, inspection, stamp)), shared_builder(session, name)
         missing = {each.where for each in own if each.code == "file-missing"}
         found = builder.check_shared(inspection) if builder else ()
         diagnostics += (*own, *(each for each in found if each.code != "file-missing" or each.where not in missing))
@@ -72,10 +72,9 @@ def _inspection(session: Session, name: str, within: timedelta) -> SharedInspect
     )
 
 
-def _on_disk(session: Session, name: str, inspection: SharedInspection) -> Iterator[Diagnostic]:
+def _on_disk(session: Session, name: str, inspection: SharedInspection, stamp: Stamp | None) -> Iterator[Diagnostic]:
     """Check that the files are there, their modes, and their recorded digests."""
     install, files = session.workspace.install, inspection.files
-    stamp = session.state.stamp(INSTALLED, record_key(name))
     for path in sorted({*inspection.documents, *(stamp.outputs if stamp else ())} - files.keys()):
         where, help_ = session.workspace.origin(install / path), "'keymint build' and 'keymint install' write it"
         yield Diagnostic.error("file-missing", "is missing", where, help_)

@@ -38,8 +38,7 @@ def plan_renewal(session: Session, name: str) -> Plan:
     require_no_rollover(session, name)
     minted = plan_authorities(session)[1][name]
     _require_key(name, minted)
-    start = begin_of(session.now)
-    issuance = replace(authority.issuance, renewed=start)
+    issuance = replace(authority.issuance, renewed=begin_of(session.now))
     if authority.issuance.adopted:
         issuance = replace(issuance, adopted=_adopted_again(session, authority, minted))
     plan = plan_authority_issuance(session, name, issuance, f"{name} renewed on {session.now:%Y-%m-%d}")

@@ -115,8 +115,7 @@ def _place(inputs: Inputs, name: str) -> Origin:
 
 def mint(inputs: Inputs, package: Package) -> tuple[FolderChange, str]:
     """Plan a new key for a package; returns the change, and the key's fingerprint."""
-    spec = package.identity.key
-    key = keys.generate(spec, package.identity.origin)
+    key = keys.generate(package.identity.key, package.identity.origin)
     pem = keys.to_pem(key, password(inputs, package.identity))
     return secret_file(inputs.workspace.identity_key(package.name), pem), keys.fingerprint(key)
 

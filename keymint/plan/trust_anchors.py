@@ -25,11 +25,9 @@ def anchors_of(session: Session, package: Package, build_type: BuildType) -> Tru
         package: the package.
         build_type: one of its build types.
     """
-    roles = build_type.authorities(package)
-    authorities = {role.role: _anchor(session, (role.name,)) for role in roles}
-    subject_name, public_key = package.identity.subject_name, package.issuance.public_key
-    uri = package.identity.key.uri
-    return TrustAnchors(authorities, subject_name, session.profile.layout, public_key, uri, package.distro)
+    authorities = {role.role: _anchor(session, (role.name,)) for role in build_type.authorities(package)}
+    identity, layout, public_key = package.identity, session.profile.layout, package.issuance.public_key
+    return TrustAnchors(authorities, identity.subject_name, layout, public_key, identity.key.uri, package.distro)
 
 
 def shared_anchors(session: Session, packages: Iterable[Package], build_type: BuildType) -> Mapping[str, TrustAnchor]:
