@@ -194,6 +194,18 @@ def test_keys_are_durable_before_anything_else_appears(
     assert ("ws/install", states[2]) in synchronised
 
 
+def test_a_key_is_durable_before_the_one_that_takes_the_place_of_its_original(
+    root: Path, store: Store, synchronised: list[tuple[str, frozenset[str]]]
+) -> None:
+    """Else a loss of power between the two would lose the key of an authority that is replaced."""
+    (root / "private").mkdir(parents=True)
+    store.change([FolderChange(root / "private", {"ca.former.key.pem": SECRET, "ca.key.pem": SECRET})])
+    states = list(dict.fromkeys(found for _, found in synchronised))
+    former = {"private/ca.former.key.pem"}
+    assert states == [frozenset(), former, {*former, "private/ca.key.pem"}]
+    assert ("ws/private", states[1]) in synchronised
+
+
 def test_a_file_of_a_profile_is_durable_before_what_is_recognised_by_it(
     root: Path, synchronised: list[tuple[str, frozenset[str]]]
 ) -> None:
