@@ -120,6 +120,7 @@ def test_any_text_is_a_plain_path_below_a_package_or_an_error(rest: str) -> None
     except ComArmorError:
         return
     assert found is not None
-    assert posixpath.normpath(f"/{found.package}/{found.path}") == f"/{found.package}/{found.path}"
-    assert set(f"{found.package}/{found.path}") <= set(f"{ascii_letters}{digits}-_.+/")
-    assert not any(part.startswith(".") for part in (found.package, *found.path.split("/")))
+    package, path = found
+    assert posixpath.normpath(f"/{package}/{path}") == f"/{package}/{path}"
+    assert set(f"{package}/{path}") <= set(f"{ascii_letters}{digits}-_.+/")
+    assert not any(part.startswith(".") for part in (package, *path.split("/")))
