@@ -14,6 +14,7 @@ from lxml import etree
 
 from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
+from comarmor.text import quoted
 from comarmor.xml.reader import line, parse
 from keymint.api import DiscoveredGraph
 from keymint.errors import KeymintError
@@ -21,6 +22,7 @@ from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, Disc
 from keymint_ros2_dds.discovery.to_graph import discovered
 
 MAX_DOMAIN = 232
+_NUMBER = lazy_regex(r"[0-9]{1,9}")
 _HEX = lazy_regex(r"[0-9a-f]{1,2}(?:,\s*[0-9a-f]{1,2})*\Z", re.IGNORECASE)
 _ENDPOINTS = {"publication_data": "publish", "subscription_data": "subscribe"}
 
@@ -71,9 +73,10 @@ class _AdminConsoleReader:
 
     def _participant(self, data: etree._Element) -> DiscoveredParticipant:
         above = data.getparent()
-        domain = data.findtext("domain_id") or (above.findtext("domain_id") if above is not None else None) or "0"
-        if not domain.strip().isdecimal() or int(domain) > MAX_DOMAIN:
-            raise self.error(data, f"domain_id is {domain.strip()!r}, expected a DDS domain id from 0 to {MAX_DOMAIN}")
+        found = data.findtext("domain_id") or (above.findtext("domain_id") if above is not None else None) or "0"
+        domain = found.strip()
+        if not _NUMBER.fullmatch(domain) or int(domain) > MAX_DOMAIN:
+            raise self.error(data, f"domain_id is {quoted(domain)}, expected a DDS domain id from 0 to {MAX_DOMAIN}")
         user_data = _octets(_text(data, "user_data/value"))
         return DiscoveredParticipant(
             self._guid(data, "key"), int(domain), _text(data, "participant_name/name"), user_data

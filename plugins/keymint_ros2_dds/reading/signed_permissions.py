@@ -16,6 +16,7 @@ from lxml import etree
 
 from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.regex import lazy_regex
+from comarmor.text import quoted
 from comarmor.values import dataclass
 from comarmor.xml.reader import line, parse
 from keymint.api import DomainRange
@@ -26,7 +27,7 @@ from keymint_ros2_dds.reading.quirks import BLANKS, CRASHES, PLAIN, REFUSES, UNM
 
 ACTIONS = ("publish", "subscribe", "relay")
 _RULES = frozenset(("allow_rule", "deny_rule"))
-_NUMBER = lazy_regex(r"[+-]?[0-9]+")
+_NUMBER = lazy_regex(r"[+-]?[0-9]{1,4000}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,7 +341,7 @@ def _number(element: etree._Element) -> int:
     text = _text(element).strip(BLANKS)
     if _NUMBER.fullmatch(text) is None:
         where = Origin("", line(element))
-        raise KeymintError(f"{text!r} is no domain id, expected a whole number", where=where, code="domains")
+        raise KeymintError(f"{quoted(text)} is no domain id, expected a whole number", where=where, code="domains")
     return int(text)
 
 

@@ -65,6 +65,12 @@ def test_the_capture_of_the_paper(reference) -> None:
         (system(participant("a", [], key="1, 2, 3")), b"<participant_data>", "expected four hexadecimal numbers"),
         (system(participant("a", [], key="1, 2, 3, -1")), b"<participant_data>", "expected four hexadecimal numbers"),
         (system(participant("a", [], domain=233)), b"<participant_data>", "from 0 to 232"),
+        pytest.param(
+            system(participant("a", [], domain=233)).replace(b"233", b"9" * 5000),
+            b"<participant_data>",
+            f"domain_id is '{'9' * 60}…', expected",
+            id="a domain of 5,000 digits",
+        ),
         (system(participant("a", [("publish", "", "", ())])), b"<publication_data>", "no <topic_name>"),
         (
             system(participant("a", []).replace("<publications>", endpoint(CHATTER, "7, 7, 7, 1c1"))

@@ -64,6 +64,11 @@ def test_a_domain_that_is_no_number_is_refused_with_its_line() -> None:
         read(document(grant(rule("allow", criteria("publish", "rt/x"), domains="<id>x</id>"))))
 
 
+def test_a_domain_with_more_digits_than_python_reads_is_refused_with_its_line() -> None:
+    with pytest.raises(KeymintError, match=r"permissions.xml:3: '9{60}…' is no domain id"):
+        read(document(grant(rule("allow", criteria("publish", "rt/x"), domains=f"<id>{'9' * 5000}</id>"))))
+
+
 def test_every_part_knows_its_line_and_place() -> None:
     found = read(b"\n\n" + PLAIN, "p.p7s", 10)
     lines = PLAIN.splitlines()
