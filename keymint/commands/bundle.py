@@ -42,7 +42,7 @@ from keymint.session import Session
     is_flag=True,
     help="Of the second keystore, which 'keymint authority replace' staged; accept it into a copy of the keystore.",
 )
-def bundle(run: Run, names: tuple[str, ...], output: Path | None, staged: bool) -> Report:
+def bundle(run: Run, names: tuple[str, ...], output: Path | None, staged: bool = False) -> Report:
     """Write installed enclaves into bundles, one for each, which robots take with 'keymint accept'.
 
     A bundle is signed by the authority of the enclave's certificate, and numbered, so that a robot never goes back. It
