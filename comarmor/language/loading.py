@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 from types import MappingProxyType
-from xml.sax.saxutils import quoteattr  # nosec - writes
 
 from comarmor.errors import Defects
 from comarmor.language.parse import parse
@@ -86,8 +85,10 @@ def load_included(href: str, name: str, library: Path, library_shown: Path | Non
     Raises:
         ComArmorError: the include or the file has defects.
     """
+    from comarmor.xml.layout import attribute_value  # noqa: PLC0415 - few policies need it
+
     document = (
         f'<profiles xmlns:xi="{XINCLUDE}"><profile name="p"><attachment>*</attachment>'
-        f'<xi:include href={quoteattr(href)} parse="xml"/></profile></profiles>'
+        f'<xi:include href="{attribute_value(href)}" parse="xml"/></profile></profiles>'
     )
     return parse(read_document(document.encode(), name, library, library_shown))

@@ -242,7 +242,9 @@ class _Printer:
 
     def start_tag(self, element: Element, indent: int) -> str:
         """Return a start tag without its delimiters."""
-        attributes = [f'{name}="{_quoted(value)}"' for name, value in sorted(element.attributes.items(), key=self.rank)]
+        attributes = [
+            f'{name}="{attribute_value(value)}"' for name, value in sorted(element.attributes.items(), key=self.rank)
+        ]
         tag = " ".join((element.name, *attributes))
         if indent + len(f"<{tag}/>") <= self.layout.width:
             return tag
@@ -275,8 +277,8 @@ def _escaped(text: str) -> str:
     return "".join(_REFERENCES.get(each) or _seen(each) for each in text)
 
 
-def _quoted(value: str) -> str:
-    """Return the value of an attribute, for double quotes."""
+def attribute_value(value: str) -> str:
+    """Return the value of an attribute as it stands between double quotes (XML 1.0, 2.3)."""
     return _escaped(value).replace('"', "&quot;")
 
 

@@ -17,16 +17,21 @@ from tests.keymint.plan.keystores import (
 )
 
 
+def refused(keymint, ws: Path, authority: str) -> None:
+    """Require that the key of an authority, put in the place of a subject's, is found without the record."""
+    (ws / ".keymint/state.json").unlink()
+    shutil.rmtree(ws / "install")
+    outcome = keymint("install", cwd=ws)
+    assert outcome.code == 1
+    assert f"is the private key of the authority '{authority}'" in outcome.err
+    assert not (ws / "install").exists()
+    assert "key-of-authority" in keymint("check", "--json", cwd=ws).codes()
+
+
 class TestIdentities:
     def test_an_authoritys_key_never_reaches_a_robot(self, keymint, ws: Path) -> None:
         shutil.copyfile(ws / AUTHORITY_KEYS[1], ws / IDENTITY_KEYS[0])
-        (ws / ".keymint/state.json").unlink()
-        shutil.rmtree(ws / "install")
-        outcome = keymint("install", cwd=ws)
-        assert outcome.code == 1
-        assert "is the private key of the authority 'permissions_ca'" in outcome.err
-        assert not (ws / "install").exists()
-        assert "key-of-authority" in keymint("check", "--json", cwd=ws).codes()
+        refused(keymint, ws, "permissions_ca")
 
     @pytest.mark.parametrize(
         ("words", "file"), [((), "next"), (("--vendor", "fastdds"), "next"), (("--phase", "reissue"), "former")]
@@ -36,13 +41,7 @@ class TestIdentities:
         for phase in (("--vendor", "fastdds"), words) if file == "former" else (words,):
             assert keymint(*replace, *phase, cwd=ws).code == 0
         shutil.copyfile(ws / f"private/identity_ca.{file}.key.pem", ws / IDENTITY_KEYS[0])
-        (ws / ".keymint/state.json").unlink()
-        shutil.rmtree(ws / "install")
-        outcome = keymint("install", cwd=ws)
-        assert outcome.code == 1
-        assert "is the private key of the authority 'identity_ca'" in outcome.err
-        assert not (ws / "install").exists()
-        assert "key-of-authority" in keymint("check", "--json", cwd=ws).codes()
+        refused(keymint, ws, "identity_ca")
 
     def test_two_subjects_with_one_key(self, keymint, ws: Path) -> None:
         shutil.copyfile(ws / IDENTITY_KEYS[1], ws / IDENTITY_KEYS[0])
