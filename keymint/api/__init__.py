@@ -128,7 +128,12 @@ from keymint.api.profiles import RuleLocator as RuleLocator
 from keymint.api.profiles import WorkspaceProfile as WorkspaceProfile
 from keymint.api.proving import Claim as Claim
 from keymint.api.proving import Counterexample as Counterexample
+from keymint.api.proving import ExcessRights as ExcessRights
+from keymint.api.proving import Holder as Holder
 from keymint.api.proving import OutlivingRights as OutlivingRights
+from keymint.api.proving import PresentableDocument as PresentableDocument
+from keymint.api.proving import Presentation as Presentation
+from keymint.api.proving import PresentationTask as PresentationTask
 from keymint.api.proving import Proof as Proof
 from keymint.api.proving import ProofTask as ProofTask
 from keymint.api.proving import Prover as Prover

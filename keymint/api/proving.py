@@ -225,6 +225,104 @@ class Succession(Protocol):
         """
 
 
+@dataclass(frozen=True, slots=True)
+class Holder:
+    """A certificate in force. Whoever has its key may present any document that is signed for its name.
+
+    Attributes:
+        subject: the subject that it is for; empty if no package has this name.
+        name: its distinguished name in certificate order, as :func:`keymint.pki.distinguished_names.parse` reads it.
+        until: its end, UTC.
+        rules: the policy's rules for the subject; none if no profile names it.
+        distro: ROS 2 distribution whose name mapping applies.
+        domains: the domains in which the rules apply.
+    """
+
+    subject: str
+    name: str
+    until: datetime
+    rules: SubjectRules
+    distro: str
+    domains: tuple[DomainRange, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PresentableDocument:
+    """A document that an authority of the workspace signed, so that a holder may present it.
+
+    Attributes:
+        content: what is signed.
+        where: its file, as the user would type it.
+        lines_before: number of lines before the content in that file.
+        proven_for: name of the certificate beside it, whose rights are proven apart; empty if there is none.
+    """
+
+    content: bytes = field(repr=False)
+    where: Origin
+    lines_before: int = 0
+    proven_for: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class PresentationTask:
+    """The question which holders are permitted something beyond the policy by a document that they may present.
+
+    Attributes:
+        holders: all certificates in force.
+        documents: all signed documents; of two with the same content the first one counts.
+        now: the time from which on documents count, UTC.
+        states: the most states that the search for one answer may visit.
+        go_on: polled; the search ends when it returns False.
+    """
+
+    holders: Sequence[Holder]
+    documents: Sequence[PresentableDocument]
+    now: datetime
+    states: int
+    go_on: Callable[[], bool]
+
+
+@dataclass(frozen=True, slots=True)
+class ExcessRights:
+    """A holder is permitted something beyond the policy, or may be, by a document that it may present.
+
+    Attributes:
+        holder: the holder.
+        document: the document.
+        claims: the claims that fail, by model.
+        until: the end of the document or of the certificate, UTC.
+    """
+
+    holder: Holder
+    document: PresentableDocument
+    claims: tuple[Claim, ...]
+    until: datetime
+
+
+@runtime_checkable
+class Presentation(Protocol):
+    """Optional capability of a build type whose participants present signed documents to each other."""
+
+    PRESENTED: str
+    """Name of the file of an enclave that its participants present."""
+
+    def presented_until(self, content: bytes) -> datetime | None:
+        """Return the end of the rights that a signed document grants, UTC; None if it grants none to anybody.
+
+        Args:
+            content: what is signed.
+        """
+
+    def choosers(self) -> Sequence[str]:
+        """Return the models that choose the rights in a document, each by its own comparison of names."""
+
+    def trusting_any_signer(self) -> Sequence[str]:
+        """Return the models that take a document whose signer the right authority certified as anybody at all."""
+
+    def excess(self, task: PresentationTask) -> Sequence[ExcessRights]:
+        """Return every holder and document by which an implementation permits more than the policy."""
+
+
 @runtime_checkable
 class Prover(Protocol):
     """Optional capability of a build type: proofs about installed documents."""

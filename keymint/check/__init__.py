@@ -16,7 +16,6 @@ from typing import Any
 from comarmor.errors import Diagnostic
 from comarmor.regex import lazy_regex
 from keymint.api import Inspection
-from keymint.check import revocations
 from keymint.check.authorities import authorities, in_defect
 from keymint.check.enclaves import Examined, LoadedEnclave, examine, load
 from keymint.check.file_status import file_status
@@ -24,10 +23,12 @@ from keymint.check.git_exposure import git_exposure
 from keymint.check.install_space import outside_enclaves
 from keymint.check.shared_documents import check_shared
 from keymint.errors import KeymintError
+from keymint.examine.keystore import deciding, staged
 from keymint.executors import Pool
 from keymint.plan import identity_keys
-from keymint.plan.enclaves import unaccounted
+from keymint.plan.enclaves import unaccounted, with_sources
 from keymint.plan.identity_keys import Keyring
+from keymint.plan.trust_anchors import differences
 from keymint.plugins import Plugins
 from keymint.session import Session
 
@@ -56,12 +57,41 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
     findings = [finding for each in enclaves for finding in each.findings]
     findings += _of_several(session, [each for each in loaded if isinstance(each, LoadedEnclave)])
     findings += unaccounted(session)
-    findings += revocations.lists_in_force(session)
+    known = {(each.code, each.where) for each in findings}
+    named = [each.package.name for each in loaded if isinstance(each, LoadedEnclave)]
+    findings += (each for each in differences(session, named) if (each.code, each.where) not in known)
+    findings += _deciding(session)
     fingerprints = {each.name: each.fingerprint for each in enclaves if each.fingerprint}
     findings += identity_keys.shared_keys(session, fingerprints)
     findings += around
     later = _without_install_hints(findings, in_defect(of_authorities))
-    return (*of_authorities, *of_files, *later)
+    return (*of_authorities, *of_files, *later, *_of_second_keystore(session, names, within, pool))
+
+
+def _deciding(session: Session) -> tuple[Diagnostic, ...]:
+    try:
+        return tuple(deciding(session))
+    except KeymintError as error:  # a package has defects, or the register
+        return error.diagnostics
+
+
+def _of_second_keystore(
+    session: Session, names: Sequence[str], within: timedelta, pool: Pool
+) -> tuple[Diagnostic, ...]:
+    """Return the findings on a keystore that lies beside the one in force, judged as if it were that one."""
+    try:
+        ahead = staged(session)
+    except KeymintError as error:
+        return error.diagnostics
+    if ahead is None:
+        return ()
+    ready = frozenset(with_sources(ahead))
+    found = check(ahead, [name for name in names if name in ready], within, pool)
+    return tuple(each for each in found if each.code not in _OF_RECORD)
+
+
+_OF_RECORD = frozenset({"record-missing", "key-missing"})
+"""Codes of findings on what nobody records, or has, of a second keystore."""
 
 
 def _carry_out(_plugins: Plugins, task: Callable[[], Any]) -> Any:

@@ -11,7 +11,6 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, BuildType, Inspection, Package
 from keymint.changes import file_mode
-from keymint.check import revocations
 from keymint.check.file_status import link, linked_twice, modes
 from keymint.errors import KeymintError
 from keymint.names import subject_of
@@ -102,7 +101,6 @@ def examine(session: Session, loaded: LoadedEnclave, keyring: identity_keys.Keyr
         *loaded.unread,
         *_on_disk(session, package.name, files),
         *_unexpected(session, loaded),
-        *revocations.of_enclave(session, package, files),
         *(each for each in defects if each.code != "file-missing" or each.where not in unread_places),
     )
     return Examined(package.name, fingerprint, found)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 
@@ -13,17 +14,24 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted
 from keymint.check import check as find
 from keymint.commands.durations import period
-from keymint.commands.options import FILE, packages_argument
+from keymint.commands.options import FILE, packages_argument, standard_only_option, strict_option
+from keymint.commands.proof_diagnostics import dated_of, diagnostics_of, effort_of, merged_packages
 from keymint.commands.run import Run
 from keymint.commands.user_files import write_outputs
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
+from keymint.examine.keystore import proven_keystore
+from keymint.examine.rights import RIGHTS_OUTLIVE
+from keymint.executors import Pool
 from keymint.names import subject_of
-from keymint.output.report import Report, findings_exit, folded
+from keymint.output.report import Report, findings_exit, findings_if, folded
 from keymint.output.sarif import of_diagnostics
 from keymint.output.sarif import sarif as sarif_log
 from keymint.plan.policy import lazy_policy
 from keymint.plan.policy_drift import uncreated
+from keymint.plan.prove import STAGE
+from keymint.plan.register import with_enclaves
+from keymint.plan.terms import merged
 from keymint.session import Session
 
 
@@ -37,24 +45,75 @@ from keymint.session import Session
     metavar="PERIOD",
     help="Also report certificates and grants that expire within this time: 12h, 30d, 4w.",
 )
+@click.option(
+    "--no-prove", is_flag=True, help="Leave out the proof that installed documents permit what the policy says."
+)
+@click.option("--fresh", is_flag=True, help="Prove again what was proven before.")
+@standard_only_option
+@strict_option
 @click.option("--sarif", type=FILE, metavar="FILE", help="Write the findings as SARIF 2.1.0.")
-def check(run: Run, names: tuple[str, ...], within: timedelta, sarif: Path | None) -> Report:
-    """Compare installed enclaves with their expected state.
+def check(
+    run: Run,
+    names: tuple[str, ...],
+    within: timedelta,
+    no_prove: bool,
+    fresh: bool,
+    allow_vendor_specific: bool,
+    strict: bool,
+    sarif: Path | None,
+) -> Report:
+    """Compare the installed keystore with its expected state, and prove it.
 
-    Checks certificates, keys, signatures, schemas, dates, file modes, and whether the installed documents match the
-    sources. Exit code 3: there are findings. NAME is a package [all].
+    Checks certificates, keys, signatures, schemas, dates, file modes, revocation lists, and whether the installed
+    documents match the sources; proves that they permit exactly what the policy says, as 'keymint prove' does.
+    Exit code 3: there are findings. NAME is a package [all].
     """
     session = run.session()
     chosen = run.names(session, names)
     with run.pool() as pool:
         diagnostics = find(session, chosen, within, pool)
+        known = {(each.code, each.where and each.where.file) for each in diagnostics}
+        enclaves = () if no_prove else with_enclaves(session, chosen, names)
+        standard_only = allow_vendor_specific
+        proof = (
+            ()
+            if no_prove
+            else _proof(run, session, enclaves, pool, fresh=fresh, strict=strict, standard_only=standard_only)
+        )
+        diagnostics = (
+            *diagnostics,
+            *(each for each in proof if (each.code, each.where and each.where.file) not in known),
+        )
     findings = folded((*diagnostics, *(() if names else _uncreated(session, chosen))))
     if sarif is not None:
         write_outputs(run, sarif, sarif_log("keymint check", {}, of_diagnostics(findings), run.typed))
     number = sum(finding.severity is not Severity.NOTE for finding in findings)
-    run.console.line(f"checked {counted(len(chosen), 'enclave')}: {counted(number, 'finding')}")
-    result = {"checked": [subject_of(name) for name in chosen]}
-    return run.report(result, findings, findings_exit(findings), workspace=session.workspace)
+    unproven = "; not proven, because of --no-prove" if no_prove else ""
+    run.console.line(f"checked {counted(len(chosen), 'enclave')}: {counted(number, 'finding')}{unproven}")
+    result = {"checked": [subject_of(name) for name in chosen], "proven": not no_prove}
+    outlive = strict and any(each.code == RIGHTS_OUTLIVE for each in findings)
+    return run.report(result, findings, findings_if(outlive or findings_exit(findings)), workspace=session.workspace)
+
+
+def _proof(
+    run: Run, session: Session, names: Sequence[str], pool: Pool, *, fresh: bool, strict: bool, standard_only: bool
+) -> tuple[Diagnostic, ...]:
+    """Return the findings of the proof; a workspace without a policy has nothing to prove."""
+    if not session.profile.policies:
+        return ()
+    if fresh:
+        session = replace(session, state=session.state.updated(STAGE, {}, tuple(session.state.stamps.get(STAGE, ()))))
+    try:
+        proven = proven_keystore(
+            session, names, lazy_policy(session), effort_of(run), lambda _: None, pool, standard_only=standard_only
+        )
+    except KeymintError as error:
+        return error.diagnostics
+    found = merged_packages(
+        diagnostics_of(proven.results, strict=strict),
+        lambda name: session.workspace.shown(session.enclave_folder(name)),
+    )
+    return (*found, *merged(dated_of(proven.results)), *proven.findings, *proven.outliving)
 
 
 def _uncreated(session: Session, known: Sequence[str]) -> Sequence[Diagnostic]:

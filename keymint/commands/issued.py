@@ -3,25 +3,40 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import click
 
+from keymint.changes import Action, Plan, Step
 from keymint.commands.options import packages_argument
 from keymint.commands.revoke import document
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
+from keymint.errors import KeymintError
 from keymint.names import package_name, subject_of
 from keymint.output.report import Report
-from keymint.plan.register import complete_register
+from keymint.plan.register import complete_register, register_change
+from keymint.session import Session
+
+STAGE = "register"
 
 
-@verb()
+@verb(dry_run=True)
 @packages_argument
 @click.option("--revoked", is_flag=True, help="Only certificates that were revoked.")
-def issued(run: Run, names: tuple[str, ...], revoked: bool) -> Report:
+@click.option(
+    "--accept",
+    is_flag=True,
+    help="Accept that holders may present documents of NAME that were signed before and permit more than the policy, "
+    "until these end: 'check', 'prove' and 'status' mention them no more.",
+)
+def issued(run: Run, names: tuple[str, ...], revoked: bool, accept: bool) -> Report:
     """List the certificates that were issued: serial number, subject, generation, dates, and whether it is revoked.
 
     NAME is a package [all], also one whose sources are gone. --json has the fingerprints of the keys as well.
     """
+    if accept:
+        return run.change(partial(_accepted, names))
     session = run.session()
     register = complete_register(session)
     chosen = {package_name(name) for name in names}
@@ -48,3 +63,21 @@ def issued(run: Run, names: tuple[str, ...], revoked: bool) -> Report:
     if not cells:
         run.console.line("no certificates")
     return run.report({"certificates": [document(each) for each in entries]}, workspace=session.workspace)
+
+
+def _accepted(names: tuple[str, ...], session: Session) -> Plan:
+    """Plan that the documents of some packages that were signed before stay good with the owner's consent.
+
+    Raises:
+        KeymintError: no package is named, or no document of one is known.
+    """
+    chosen = tuple(dict.fromkeys(package_name(name) for name in names))
+    register = complete_register(session)
+    if missing := [name for name in chosen if name not in {each.name for each in register.rights}] or not chosen:
+        who = f"of {subject_of(missing[0])} is known" if isinstance(missing, list) else "is accepted unless you name it"
+        raise KeymintError(f"no document {who}", help="'keymint check' names the packages", code="package-unknown")
+    after = register.with_accepted(chosen, session.now)
+    writes = register_change(session, after)
+    action = Action.UPDATED if writes else Action.UNCHANGED
+    steps = tuple(Step(STAGE, name, action, detail="earlier documents are accepted") for name in chosen)
+    return Plan(steps, session.state, first=writes)

@@ -17,6 +17,7 @@ from keymint.commands.options import Number, complete_package, standard_only_opt
 from keymint.commands.proof_diagnostics import SECONDS, STATES, dated_of, diagnostics_of, effort_of, merged_packages
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
+from keymint.examine.keystore import UNKNOWN_HISTORY, KeystoreProof, proven_keystore
 from keymint.output.report import Report, findings_exit, findings_if
 from keymint.plan import terms
 from keymint.plan.enclaves import unaccounted
@@ -24,7 +25,6 @@ from keymint.plan.policy import lazy_policy
 from keymint.plan.policy_drift import uncreated
 from keymint.plan.proof_results import EnclaveProof, ProofResults
 from keymint.plan.prove import NO_PROVER, STAGE
-from keymint.plan.prove import prove as find
 from keymint.plan.register import with_enclaves
 
 SHOWN = 5
@@ -66,23 +66,25 @@ def prove(
     chosen = with_enclaves(session, run.names(session, names), names)
     with run.console.progress(len(chosen), run.setting.monotonic) as advance, run.pool() as pool:
         policy = lazy_policy(session)  # loaded only if something is to be proven
-        results = find(
+        proven = proven_keystore(
             session, chosen, policy, effort_of(run, states, seconds),
             lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), pool, standard_only=allow_vendor_specific,
         )  # fmt: skip
+    results = proven.results
     unknown = () if names else (*unaccounted(session), *uncreated(session, policy, chosen))
     # What a cluster says is a result to show, but nothing that a later run may rely on.
     unrecorded = run.keep(session, results.state) if pool.trusted else ()
 
     claims = [claim for enclave in results.all for claim in enclave.claims]
     _summary(run, results)
-    proven = all(claim.proof is Proof.PROVEN and not (strict and claim.excepted) for claim in claims)
+    is_proven = all(claim.proof is Proof.PROVEN and not (strict and claim.excepted) for claim in claims)
     unread = any(enclave.diagnostics for enclave in results.all)
     dated = tuple(terms.merged(dated_of(results)))
     found = merged_packages(
         diagnostics_of(results, strict=strict), lambda name: session.workspace.shown(session.enclave_folder(name))
     )
-    diagnostics = [*_assumptions(results), *found, *dated, *unknown, *unrecorded]
+    more = (*proven.findings, *proven.outliving)
+    diagnostics = [*_assumptions(proven), *found, *dated, *more, *unknown, *unrecorded]
     result = {
         "at": terms.shown(results.now),
         "until": _shown(_until(results)),
@@ -90,7 +92,9 @@ def prove(
         "enclaves": [_enclave(enclave, results.now, run) for enclave in results.enclaves],
         "shared": [_across(each, results.now, run) for each in results.shared],
     }
-    exit_code = findings_if(unread or dated or findings_exit(unknown) or not proven)
+    exit_code = findings_if(
+        unread or dated or findings_exit((*unknown, *more)) or not is_proven or (strict and proven.outliving)
+    )
     return run.report(result, diagnostics, exit_code, workspace=session.workspace)
 
 
@@ -150,10 +154,12 @@ def _taken(results: ProofResults) -> Mapping[str, Sequence[str]]:
     return {model: lines for model, lines in results.assumptions.items() if model in claimed or not claimed}
 
 
-def _assumptions(results: ProofResults) -> Iterator[Diagnostic]:
+def _assumptions(proven: KeystoreProof) -> Iterator[Diagnostic]:
     """Yield each assumption once, with the models that make it."""
     lines: dict[str, list[str]] = {}
-    for model, assumed in _taken(results).items():
+    if not proven.is_whole:
+        yield Diagnostic.note("assumption", f"assumption: {UNKNOWN_HISTORY}")
+    for model, assumed in _taken(proven.results).items():
         for line in assumed:
             lines.setdefault(line, []).append(model)
     for line, models in lines.items():

@@ -25,7 +25,7 @@ from keymint.plan.gitignore import NAME as GITIGNORE
 from keymint.plan.install import InstallStage
 from keymint.plan.policy import lazy_policy
 from keymint.plan.revocation import plan_lists
-from keymint.plan.rollover import plan_switch
+from keymint.plan.rollover import plan_switch, staged_session
 from keymint.session import Session
 
 STAGE = "install.next"
@@ -73,11 +73,7 @@ def session_ahead(session: Session, name: str) -> tuple[Session, Mapping[str, Mi
     Raises:
         KeymintError: an authority cannot be used; as :func:`keymint.plan.authorities.plan_authorities`.
     """
-    ahead = session.after(plan_switch(session, name)).session()
-    ahead = replace(ahead, workspace=replace(session.workspace, install=session.workspace.next_install))
-    own, beside = _lists(session, name)
-    present = session.tree.read(beside)
-    ahead = replace(ahead, tree=ahead.tree.overlaid([(own, None if present is None else File(present))]))
+    ahead = staged_session(session, name)
     minted, authorities = plan_authorities(ahead)
     ahead = ahead.after(minted)
     listed = plan_lists(ahead, authorities)

@@ -14,6 +14,8 @@ from keymint.api import Artifact, Package, Succession
 from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
 from keymint.names import ROOT, subject_of
+from keymint.pki import certificates
+from keymint.pki.distinguished_names import to_text
 from keymint.plan import build, identity_keys, key_record, lifetimes, revocation
 from keymint.plan.authorities import MintedAuthority
 from keymint.plan.authority_files import chains_digest
@@ -33,12 +35,19 @@ from keymint.plan.enclaves import (
 )
 from keymint.plan.environment import plan_scripts
 from keymint.plan.identity_keys import Keyring
-from keymint.plan.register import complete_register, register_change, register_of, require_free_serials
+from keymint.plan.register import (
+    complete_register,
+    register_change,
+    register_of,
+    require_free_serials,
+    rights_of,
+)
 from keymint.plan.shared_files import EnclaveChanges, build_types_in_use, shared_copies, shared_steps
 from keymint.plan.shared_install import plan_shared_install
 from keymint.plan.signing import sign
 from keymint.plan.stage import PackagePlan, recorded, steps_of
 from keymint.plan.terms import shown
+from keymint.register.register import SignedRights
 from keymint.session import Inputs, Session
 from keymint.state import Stamp, digest, digest_files
 
@@ -129,7 +138,8 @@ def _register(session: Session, planned: Sequence[PackagePlan]) -> tuple[FolderC
         return ()
     register = complete_register(session)
     require_free_serials(register, issued)
-    return register_change(session, register.with_issued(issued))
+    signed = (each for plan in planned for each in plan.signed)
+    return register_change(session, register.with_issued(issued).with_rights(signed, session.now))
 
 
 def _plan_enclave(
@@ -215,7 +225,15 @@ def _plan_enclave(
         artifacts={file: artifacts[file] for file in copied if file in artifacts},
         outdated=is_recorded and not build.is_current(session, name),
         issued=issued,
+        signed=_signed(session, package, artifacts),
     )
+
+
+def _signed(session: Session, package: Package, artifacts: Mapping[str, Artifact]) -> tuple[SignedRights, ...]:
+    """Return the documents of an enclave that its holder presents, for the register."""
+    files = {file: artifact.content for file, artifact in artifacts.items()}
+    subject = to_text(certificates.load(files[CERTIFICATE]).subject)
+    return tuple(rights_of(package, build_types_of(session, package).values(), files, subject))
 
 
 def _obsolete(

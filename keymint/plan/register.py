@@ -3,21 +3,24 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 
 from cryptography import x509
 
 from comarmor.errors import Origin
+from keymint.api import BuildType, Package, Presentation
 from keymint.changes import FolderChange, secret_file
 from keymint.errors import KeymintError
 from keymint.names import subject_of
-from keymint.pki import certificates, revocation_lists
+from keymint.pki import certificates, revocation_lists, smime
+from keymint.pki.distinguished_names import to_text
 from keymint.plan import authority_files
-from keymint.plan.build_types import revocation_files
-from keymint.plan.enclaves import installed, installed_certificate
+from keymint.plan.build_types import build_types_of, revocation_files
+from keymint.plan.enclaves import enclave_files, installed, installed_certificate
 from keymint.register import database
-from keymint.register.register import IssuedCertificate, Register
+from keymint.register.register import IssuedCertificate, Register, SignedRights
 from keymint.session import Session, once
 
 
@@ -76,9 +79,42 @@ def complete_register(session: Session, names: Collection[str] = (), *, lossy: b
     if session.tree.read(session.workspace.register) is None:
         return _restored(session, lossy=lossy)
     register = register_of(session)
+    if not (register.rights or register.is_whole):
+        register = register.with_rights(_rights_found(session), session.now)
     found = _found(session, names) if names else ()
     missing = [each for each in found if (each.issuer, each.serial) not in register.certificates]
     return register.with_issued(missing) if missing else register
+
+
+def rights_of(
+    package: Package, build_types: Iterable[BuildType], files: Mapping[str, bytes], subject: str
+) -> Iterator[SignedRights]:
+    """Yield the signed documents of an enclave that its holder presents.
+
+    Args:
+        package: the package.
+        build_types: its build types.
+        files: the files of the enclave by name.
+        subject: distinguished name of its certificate, in certificate order.
+    """
+    for each in build_types:
+        if isinstance(each, Presentation) and each.PRESENTED in files:
+            with contextlib.suppress(KeymintError):  # nobody accepts what has no signature
+                content = smime.signed_content(files[each.PRESENTED])
+                validity = None if package.kept else package.grant.validity
+                if end := validity.not_after if validity else each.presented_until(content):
+                    yield SignedRights.of(package.name, package.issuance.generation, subject, end, content)
+
+
+def _rights_found(session: Session) -> Iterator[SignedRights]:
+    """Yield the signed documents of the installed enclaves."""
+    for name in set(installed(session)).intersection(session.packages()):
+        certificate = installed_certificate(session, name)
+        with contextlib.suppress(KeymintError):  # reported with the package
+            package, files = session.package(name), enclave_files(session, name)[0]
+            if certificate is not None:
+                subject = to_text(certificate.subject)
+                yield from rights_of(package, build_types_of(session, package).values(), files, subject)
 
 
 def register_change(session: Session, register: Register) -> tuple[FolderChange, ...]:
@@ -132,7 +168,8 @@ def _restored(session: Session, *, lossy: bool) -> Register:
         KeymintError: a package was revoked, but no list has a serial number of it, or the certificate with this number
             is not known; then it is not known which key must not be certified again.
     """
-    register = Register().with_issued(_found(session, installed(session)))
+    register = Register(is_whole=not installed(session)).with_issued(_found(session, installed(session)))
+    register = register.with_rights(_rights_found(session), session.now)
     generations = {name: session.issuance(name).generation for name in session.packages()}
     lost = [name for name, generation in generations.items() if generation]
     for file, name, authority in authority_files.issuers(session):

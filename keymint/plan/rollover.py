@@ -116,6 +116,24 @@ def plan_switch(session: Session, name: str) -> Plan:
     return replace(decided, steps=(exchanged, *decided.steps), state=state)
 
 
+def staged_session(session: Session, name: str) -> Session:
+    """Return the session as it will be once the next authority is in force, with the second keystore as that one.
+
+    Args:
+        session: the workspace in the phase :attr:`Phase.STAGE`, and its profile.
+        name: the authority.
+
+    Raises:
+        KeymintError: as :func:`plan_switch`.
+    """
+    workspace = session.workspace
+    ahead = session.after(plan_switch(session, name)).session()
+    ahead = replace(ahead, workspace=replace(workspace, install=workspace.next_install))
+    present = session.tree.read(workspace.revocation_list(f"{name}.{NEXT}"))
+    own = None if present is None else File(present)
+    return replace(ahead, tree=ahead.tree.overlaid([(workspace.revocation_list(name), own)]))
+
+
 def plan_end(session: Session, name: str) -> Plan:
     """Plan that enclaves no longer trust the former authority, whose private key is removed (:attr:`Phase.REISSUE`)."""
     issuance = replace(authority_named(session, name).issuance, rollover=None)

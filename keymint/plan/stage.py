@@ -17,7 +17,7 @@ from keymint.changes import Plan, Step
 from keymint.errors import KeymintError
 from keymint.plan import key_record
 from keymint.plan.lifetimes import Lifetime
-from keymint.register.register import IssuedCertificate
+from keymint.register.register import IssuedCertificate, SignedRights
 from keymint.session import Session
 from keymint.state import Stamp, State
 
@@ -40,6 +40,7 @@ class PackagePlan:
         artifacts: the files of its enclave that may be copied for all enclaves, if it changes.
         outdated: the package's sources changed after its documents were built.
         issued: the certificate of its enclave and the rights that were signed for it, if its enclave changes.
+        signed: the documents that its holder presents, if its enclave changes.
         withdrawn: why no certificate is issued to it, although it is built; see
             :meth:`keymint.register.register.Register.barred`.
     """
@@ -55,6 +56,7 @@ class PackagePlan:
     artifacts: Mapping[str, Artifact] = field(default_factory=dict)
     outdated: bool = False
     issued: IssuedCertificate | None = None
+    signed: tuple[SignedRights, ...] = ()
     withdrawn: str = ""
 
 

@@ -10,6 +10,7 @@ from comarmor.errors import Diagnostic
 from keymint.api import BuildType, Package, TrustAnchor, TrustAnchors
 from keymint.plan import authority_evidence
 from keymint.plan.authority_files import trusted_chains
+from keymint.plan.build import is_current
 from keymint.plan.build_types import build_types_of, issuers_of, prover_of, suffixes_read
 from keymint.plan.enclaves import enclave_files
 from keymint.plan.shared_install import shared_roles
@@ -69,7 +70,7 @@ def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...
         files, unread = enclave_files(session, name)
         if not (files or unread):
             continue
-        package = session.package(name)
+        package = session.package(name, built=is_current(session, name))
         suffixes = suffixes_read(session, package)
         findings += (each for each in unread if each.where is not None and each.where.file.endswith(suffixes))
         if not files:

@@ -13,10 +13,12 @@ from typing import Any
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError
-from keymint.register.register import REASONS, IssuedCertificate, Register
+from keymint.register.register import REASONS, IssuedCertificate, Register, SignedRights
 
 _APPLICATION = 0x4B594D54  # "KYMT", for file(1)
-_VERSION = 1
+_VERSION = 2
+_WITHOUT_RIGHTS = 1
+"""The version that had no signed documents."""
 _MAX_NUMBER = 1 << 62
 _WAL = b"\2\2"
 """The header's versions of a database in write-ahead mode (SQLite file format, 1.3.3)."""
@@ -40,7 +42,18 @@ CREATE TABLE certificates (
 );
 CREATE TABLE lists (issuer TEXT PRIMARY KEY, number INTEGER NOT NULL);
 CREATE TABLE bundles (name TEXT PRIMARY KEY, number INTEGER NOT NULL);
+CREATE TABLE rights (
+    number INTEGER PRIMARY KEY,
+    name TEXT NOT NULL,
+    generation INTEGER NOT NULL,
+    subject TEXT NOT NULL,
+    not_after TEXT NOT NULL,
+    compressed BLOB NOT NULL,
+    accepted TEXT
+);
+CREATE TABLE history (is_whole INTEGER NOT NULL);
 """
+_RIGHTS = "name, generation, subject, not_after, compressed, accepted"
 _FIELDS = tuple(field.name for field in fields(IssuedCertificate))
 _COLUMNS = ", ".join(_FIELDS)
 
@@ -65,7 +78,7 @@ def load(content: bytes, where: Origin) -> Register:
                 content = content[:18] + b"\1\1" + content[20:]
             database.deserialize(content)
             (version,) = database.execute("PRAGMA user_version").fetchone()
-            if version != _VERSION:
+            if version not in (_WITHOUT_RIGHTS, _VERSION):
                 raise KeymintError(
                     f"is a register of version {version}, expected {_VERSION}",
                     where=where,
@@ -77,9 +90,30 @@ def load(content: bytes, where: Origin) -> Register:
             rows = database.execute(f"SELECT {_COLUMNS} FROM certificates ORDER BY number")  # noqa: S608 - constant
             issued = [_certificate(row) for row in rows]
             numbers, bundles = (dict(map(_numbered, database.execute(f"SELECT * FROM {name}"))) for name in _NUMBERED)  # noqa: S608 - constants
+            signed, is_whole = _signed(database) if version == _VERSION else ((), False)
     except (sqlite3.Error, ValueError, TypeError, OverflowError):
         raise _damaged(where) from None
-    return Register({(each.issuer, each.serial): each for each in issued}, numbers, bundles)
+    known = {(each.issuer, each.serial): each for each in issued}
+    return Register(known, numbers, bundles, signed, is_whole)
+
+
+def _signed(database: Any) -> tuple[tuple[SignedRights, ...], bool]:
+    """Return the signed documents of a database, and whether it has all that were ever signed.
+
+    Raises:
+        ValueError: a value is not one that :func:`dump` writes.
+    """
+    ((is_whole,),) = database.execute("SELECT is_whole FROM history").fetchall()
+    rows = database.execute(f"SELECT {_RIGHTS} FROM rights ORDER BY number")  # noqa: S608 - constant
+    return tuple(map(_rights, rows)), is_whole == 1
+
+
+def _rights(row: tuple[Any, ...]) -> SignedRights:
+    name, generation, subject, end, compressed, accepted = row
+    kinds = (name, str), (subject, str), (end, str), (generation, int), (compressed, bytes)
+    if not all(isinstance(value, kind) for value, kind in kinds):
+        raise ValueError
+    return SignedRights(name, generation, subject, _moment(end), compressed, _moment(accepted) if accepted else None)
 
 
 _NUMBERED = ("lists", "bundles")
@@ -97,6 +131,15 @@ def dump(register: Register) -> bytes:
         )
         database.executemany("INSERT INTO lists VALUES (?, ?)", sorted(register.numbers.items()))
         database.executemany("INSERT INTO bundles VALUES (?, ?)", sorted(register.bundles.items()))
+        database.executemany(
+            f"INSERT INTO rights ({_RIGHTS}) VALUES (?, ?, ?, ?, ?, ?)",  # noqa: S608 - constant
+            (
+                (each.name, each.generation, each.subject, each.not_after.isoformat(), each.compressed,
+                 each.accepted and each.accepted.isoformat())
+                for each in register.rights
+            ),
+        )  # fmt: skip
+        database.execute("INSERT INTO history VALUES (?)", (int(register.is_whole),))
         database.commit()
         return database.serialize()
 

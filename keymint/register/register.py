@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import functools
+import zlib
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import field, replace
 from datetime import datetime
@@ -47,6 +48,49 @@ class IssuedCertificate:
     reason: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class SignedRights:
+    """A document that was signed: whoever has a certificate for its name may present it until it ends.
+
+    Attributes:
+        name: the package.
+        generation: generation of the subject name, see ADR 0029.
+        subject: distinguished name of the certificate, in certificate order.
+        not_after: end of the rights, UTC.
+        compressed: what was signed, as :func:`zlib.compress` makes it.
+        accepted: when the owner accepted that it stays good beside later ones, UTC; None if that was not said.
+    """
+
+    name: str
+    generation: int
+    subject: str
+    not_after: datetime
+    compressed: bytes = field(repr=False)
+    accepted: datetime | None = None
+
+    @classmethod
+    def of(cls, name: str, generation: int, subject: str, not_after: datetime, content: bytes) -> SignedRights:
+        """Return the entry of a document for the register; the arguments are as the attributes."""
+        return cls(name, generation, subject, not_after, zlib.compress(content, 1))
+
+    @property
+    def content(self) -> bytes:
+        """What was signed.
+
+        Raises:
+            ValueError: the entry is damaged.
+        """
+        inflated = zlib.decompressobj()
+        content = inflated.decompress(self.compressed, _MOST)
+        if not inflated.eof:
+            raise ValueError
+        return content
+
+
+_MOST = 64 << 20
+"""Largest signed document in bytes that is read."""
+
+
 @dataclass(frozen=True)
 class Register:
     """All issued certificates in the order of their issue, and the number of the last revocation list of each issuer.
@@ -55,11 +99,15 @@ class Register:
         certificates: by issuer and serial number.
         numbers: the last number of a revocation list, by issuer (RFC 5280, 5.2.3).
         bundles: the last issue number of a bundle, by package.
+        rights: the signed documents that have not ended, in the order of their issue.
+        is_whole: it has all documents that were ever signed; else some may be missing.
     """
 
     certificates: Mapping[tuple[str, int], IssuedCertificate] = field(default_factory=dict)
     numbers: Mapping[str, int] = field(default_factory=dict)
     bundles: Mapping[str, int] = field(default_factory=dict)
+    rights: tuple[SignedRights, ...] = ()
+    is_whole: bool = True
 
     # -- questions -----------------------------------------------------------------------------------------------
 
@@ -134,6 +182,29 @@ class Register:
             if each.revoked is None:
                 certificates[each.issuer, each.serial] = replace(each, revoked=at, reason=reason)
         return replace(self, certificates=certificates)
+
+    def with_rights(self, signed: Iterable[SignedRights], at: datetime) -> Register:
+        """Return the register with more signed documents, and without those that have ended.
+
+        Args:
+            signed: the documents.
+            at: the clock, UTC.
+        """
+        known = {each.compressed: each for each in self.rights}
+        rights = (*self.rights, *(each for each in signed if each.compressed not in known))
+        return replace(self, rights=tuple(each for each in rights if each.not_after >= at))
+
+    def with_accepted(self, names: Collection[str], at: datetime) -> Register:
+        """Return the register after its owner accepted that earlier rights of some packages stay good.
+
+        Args:
+            names: the packages.
+            at: when, UTC.
+        """
+        rights = (
+            replace(each, accepted=at) if each.name in names and not each.accepted else each for each in self.rights
+        )
+        return replace(self, rights=tuple(rights))
 
     def with_number(self, issuer: str, number: int) -> Register:
         """Return the register after the issue of a revocation list; a number never goes back."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 from comarmor.rules import PERMISSIONS
 from keymint.api import API_VERSION
 from keymint.api.lazy import lazy
-from keymint_ros2_dds.enclave_layout import COPIED, LAYOUTS, READS, files
+from keymint_ros2_dds.enclave_layout import COPIED, LAYOUTS, PERMISSIONS_P7S, READS, files
 
 __all__ = ["DdsSecurity", "build_type"]
 
@@ -20,7 +20,7 @@ class DdsSecurity:
     :class:`keymint.api.RevocationReader`, :class:`keymint.api.AuthorityChanges`,
     :class:`keymint.api.RemoteCompiler`, :class:`keymint.api.ProcessEnvironment`,
     :class:`keymint.api.KeystoreReader`, :class:`keymint.api.KeptDocuments`,
-    :class:`keymint.api.Prover` and :class:`keymint.api.RemoteProver`.
+    :class:`keymint.api.Prover`, :class:`keymint.api.RemoteProver` and :class:`keymint.api.Presentation`.
     """
 
     API = API_VERSION
@@ -64,6 +64,11 @@ class DdsSecurity:
     prove = lazy("keymint_ros2_dds.proving:prove")
     terms = lazy("keymint_ros2_dds.proving:terms")
     outliving = lazy("keymint_ros2_dds.proving.succession:outliving")
+    PRESENTED = PERMISSIONS_P7S
+    presented_until = lazy("keymint_ros2_dds.proving.presented:presented_until")
+    choosers = lazy("keymint_ros2_dds.proving.presented:choosers")
+    trusting_any_signer = lazy("keymint_ros2_dds.proving.presented:trusting_any_signer")
+    excess = lazy("keymint_ros2_dds.proving.presented:excess")
 
     is_remote = lazy("keymint_ros2_dds.kinds.elsewhere:is_remote")
     receive = lazy("keymint_ros2_dds.kinds.elsewhere:receive")

@@ -249,7 +249,15 @@ FAST_DEVIATIONS = (
 OMG = Variation("omg")
 CYCLONEDDS_0_10 = Variation("cyclonedds-0.10", CYCLONE_DEVIATIONS)
 FASTDDS_2_9 = Variation("fastdds-2.9", FAST_DEVIATIONS)
+FASTDDS_2_11 = Variation("fastdds-2.11", (
+    _on("1", "subject-attributes", "names are compared by their attributes in any order, blanks and quotes aside",
+        selects=subject_names.same_attributes),
+    *FAST_DEVIATIONS[1:],
+))  # fmt: skip
+"""How Fast DDS from 2.11 on (Jazzy has 2.14) chooses a grant; all else is as in 2.9."""
 VARIATIONS: Mapping[str, Variation] = {variation.name: variation for variation in (OMG, CYCLONEDDS_0_10, FASTDDS_2_9)}
+CHOOSERS: Mapping[str, Variation] = {**VARIATIONS, FASTDDS_2_11.name: FASTDDS_2_11}
+"""All that choose a grant by another comparison of names."""
 
 
 def explain(ask: Callable[[Variation], bool], variation: Variation) -> tuple[Deviation, ...]:

@@ -45,3 +45,26 @@ def _parts(name: str) -> list[str]:
 def same_text(grant: str, identity: str) -> bool:
     """Compare as Fast DDS 2.9: split at ``,``; the parts must be equal, ignoring blanks around them."""
     return [part.strip(" ") for part in grant.split(",")] == [part.strip(" ") for part in identity.split(",")]
+
+
+def same_attributes(grant: str, identity: str) -> bool:
+    """Compare as Fast DDS from 2.11: the attributes in any order; blanks, quotes and backslashes do not count.
+
+    Both have equally many, and the identity has each of the grant's (``operator==`` in its ``DistinguishedName.cpp``).
+    """
+    own, other = _attributes(grant), _attributes(identity)
+    return len(own) == len(other) and set(own) <= set(other)
+
+
+def _attributes(name: str) -> list[str]:
+    """Return the attributes of a name, each as ``TYPE=VALUE``; a ``+`` separates them as a ``,`` does."""
+    parts = re.split(r"(?<!\\)[,+]", name)
+    return ["=".join(side.strip(" ") for side in re.sub(r'["\\]', "", part).split("=", 1)) for part in parts]
+
+
+def tokens(name: str) -> frozenset[str]:
+    """Return the words of a name. An identity matches a grant only if the grant's name has all words of the identity's.
+
+    That holds for every comparison in this module, unless the identity has two attributes of a type.
+    """
+    return frozenset(filter(None, re.split(r"""[\s,/|=+"\\]+""", name)))

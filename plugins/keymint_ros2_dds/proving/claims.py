@@ -10,7 +10,7 @@ from types import MappingProxyType
 from comarmor.patterns.decision_lists import Unknown, Witness
 from comarmor.patterns.tokens import PatternError
 from keymint.api import Claim, DomainRange, Proof
-from keymint_ros2_dds.decision import VARIATIONS
+from keymint_ros2_dds.decision import CHOOSERS
 from keymint_ros2_dds.decision.access import DomainAccess
 from keymint_ros2_dds.domains import merged
 from keymint_ros2_dds.proving import octets, protection
@@ -67,7 +67,7 @@ def prove_document(question: ProofQuestion, *, models: Sequence[str] | None = No
 
     Args:
         question: the document, and what it must permit.
-        models: names of the models, of :data:`ASSUMPTIONS`; None: all.
+        models: names of :data:`keymint_ros2_dds.decision.CHOOSERS`; None: those of :data:`ASSUMPTIONS`.
     """
     compare = Comparator(question)
     names = ASSUMPTIONS if models is None else models
@@ -80,7 +80,7 @@ class _Model:
     def __init__(self, question: ProofQuestion, comparison: Comparator, name: str) -> None:
         self._question = question
         self._comparison = comparison
-        self._variation = VARIATIONS[name]
+        self._variation = CHOOSERS[name]
         self._semantics = semantics = self._variation.semantics
         self._governance = governance = question.governance
         self._refused = semantics.refusal(question.document)
@@ -91,7 +91,7 @@ class _Model:
                 odd = semantics.unmodelled(governance.document) or unread_topic(governance.document, semantics)
                 self._unmodelled = self._unmodelled or odd
         eras = () if self._refused else grant_periods(question.document, question.task.subject_name, semantics)
-        self._eras = tuple(eras)
+        self._eras = tuple(era for era in eras if question.since is None or era.end >= question.since)
         self._by_locale = ""
         if not comparison.independent:
             grants = [era.grant for era in self._eras]

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from comarmor.patterns.decision_lists import ProofResult
+from comarmor.patterns.decision_lists import DecisionList, ProofResult, Witness
+from comarmor.patterns.proofs import escapes
 from keymint_ros2_dds.proving import octets, permission_lists
 from keymint_ros2_dds.proving.counterexamples import Situation
 from keymint_ros2_dds.proving.enclave_governance import ACTIONS
@@ -38,5 +39,12 @@ class Comparator:
         key = (policy, permitted)
         result = self._known.get(key)
         if result is None:
-            result = self._known[key] = difference(policy, permitted, self._universe, self._question.budget())
+            result = self._known[key] = self._compared(policy, permitted)
         return result
+
+    def _compared(self, policy: DecisionList, permitted: Permitted) -> ProofResult:
+        budget = self._question.budget()
+        if self._question.since is None:
+            return difference(policy, permitted, self._universe, budget)
+        found = escapes(permitted.lists, policy, self._universe, budget)
+        return Witness(found.word, left=False) if isinstance(found, Witness) else found

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from datetime import datetime
 
 from comarmor.patterns.decision_lists import SearchBudget
 from comarmor.values import dataclass
@@ -23,12 +24,14 @@ class ProofQuestion:
         task: its bytes, and what it must permit.
         lowered: its rules in terms of DDS, from :func:`keymint_ros2_dds.lowering.lower.lower`.
         governance: the governance beside it; None puts every topic, and joining, under access control.
+        since: the document must permit no more than the policy from this time on, UTC; None: exactly it, at any time.
     """
 
     document: PermissionsDocument
     task: ComparisonTask
     lowered: Lowered
     governance: EnclaveGovernance | None = None
+    since: datetime | None = None
 
     def domains(
         self, rules: Collection[DocumentRule], semantics: Semantics

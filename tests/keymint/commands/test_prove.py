@@ -25,7 +25,7 @@ def resign(workspace: Path, name: str, old: str, new: str) -> None:
 def test_what_was_provisioned_is_proven(keymint: Callable, provisioned: Path):
     outcome = keymint("prove", "-w", provisioned)
     assert outcome.code == 0
-    assert "12 of 12 claims proven" in outcome.out
+    assert "16 of 16 claims proven" in outcome.out
     document = keymint("prove", "-w", provisioned, "--json").document
     assert set(document["result"]["assumptions"]) == {"omg", "cyclonedds-0.10", "fastdds-2.9"}
     assert [one["proof"] for one in document["result"]["enclaves"]] == ["proven", "proven"]
@@ -142,4 +142,4 @@ def test_what_vendors_decide_differently_can_be_accepted(keymint: Callable, tmp_
     assert keymint("prove", "-w", "ws").code == 3
     accepted = keymint("prove", "-w", "ws", "--allow-vendor-specific")
     assert accepted.code == 0
-    assert accepted.out.startswith("proved 1 enclave for omg: 2 of 2 claims proven; in force at 2027-01-15T08:00:00Z")
+    assert accepted.out.startswith("proved 1 enclave for omg: 3 of 3 claims proven; in force at 2027-01-15T08:00:00Z")

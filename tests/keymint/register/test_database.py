@@ -95,8 +95,8 @@ def test_a_tool_that_looked_into_it_may_leave_its_mode(tmp_path: Path) -> None:
 
 
 def test_a_later_version() -> None:
-    with pytest.raises(KeymintError, match="version 2, expected 1"):
-        database.load(changed("PRAGMA user_version = 2"), WHERE)
+    with pytest.raises(KeymintError, match="version 3, expected 2"):
+        database.load(changed("PRAGMA user_version = 3"), WHERE)
 
 
 @given(st.integers(0, len(FILE) - 1), st.integers(1, 255))

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Judge installed certificates: the register has each as it is, it is not revoked, and has the dates of its sources."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from comarmor.errors import Diagnostic
+from keymint.pki import certificates, forms
+from keymint.plan.authority_files import issuers
+from keymint.plan.build import is_current
+from keymint.plan.enclaves import CERTIFICATE, installed_certificate, with_sources
+from keymint.plan.register import issuer_of, register_of
+from keymint.plan.terms import shown
+from keymint.session import Session
+
+
+def registered(session: Session) -> Iterator[Diagnostic]:
+    """Yield a finding for each installed certificate of our authorities that is not as it was issued.
+
+    Without a register nothing is known of what was issued.
+
+    Raises:
+        KeymintError: the register or a package has defects.
+    """
+    if session.tree.read(session.workspace.register) is None:
+        return
+    register = register_of(session)
+    authorities = [(issuer_of(issuer), issuer) for _, _, issuer in issuers(session)]
+    for name in with_sources(session):
+        certificate = installed_certificate(session, name)
+        found = next((each for each in authorities if certificate and certificate.issuer == each[1].subject), None)
+        if certificate is None or found is None:
+            continue  # reported with the chain
+        known = register.certificates.get((found[0], certificate.serial_number))
+        package = session.package(name, built=is_current(session, name))
+        where = session.workspace.origin(f"{session.enclave_folder(name)}/{CERTIFICATE}")
+        issue = f"'keymint install {name}' issues another one"
+        first, last = certificates.period(certificate)
+        if known is None:
+            message = f"is a certificate with the serial number {certificate.serial_number:x} that nobody registered"
+            help_ = f"find out who issued it: the key of {package.identity.issuer!r} did; then {issue}"
+            yield Diagnostic.error("certificate-unregistered", message, where, help_, package.subject)
+        elif (known.name, known.key, known.not_before, known.not_after) != (
+            name, certificates.fingerprint(certificate), first, last,
+        ):  # fmt: skip
+            message = f"differs from the certificate that was issued with the serial number {known.serial:x}"
+            yield Diagnostic.error("certificate-unregistered", message, where, issue, package.subject)
+        elif known.revoked is not None:
+            message = f"was revoked on {shown(known.revoked)} ({known.reason})"
+            help_ = f"remove the enclave; 'keymint renew --rekey {name}' makes a new key and certificate"
+            yield Diagnostic.error("certificate-revoked", message, where, help_, package.subject)
+        else:
+            wanted = forms.cut(package.identity.validity, found[1])
+            if (first, last) != (wanted.not_before, wanted.not_after):
+                message = f"is in force from {shown(first)} to {shown(last)}, which is not what the sources ask for"
+                yield Diagnostic.warning("certificate-drift", message, where, issue, package.subject)

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ask every rule about a keystore, and about a second one that lies beside it: what ``check`` and ``prove`` share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+from comarmor.errors import Diagnostic
+from comarmor.values import dataclass
+from keymint.api import LoadedPolicy, Phase
+from keymint.examine.issued import registered
+from keymint.examine.lists import lists_in_force, of_enclaves
+from keymint.examine.rights import presented_rights
+from keymint.executors import Pool
+from keymint.plan.enclaves import INSTALLED, with_sources
+from keymint.plan.proof_results import ProofEffort, ProofResults
+from keymint.plan.prove import prove
+from keymint.plan.rollover import staged_session
+from keymint.session import Session
+
+UNKNOWN_HISTORY = "nothing wider was signed before the register began to keep signed documents"
+
+
+@dataclass(frozen=True, slots=True)
+class KeystoreProof:
+    """What is proven about a keystore.
+
+    Attributes:
+        results: the claims about each enclave, about what subjects share, and about all certificates and documents.
+        findings: what else decides, and contradicts the workspace: revocation lists, certificates nobody registered.
+        outliving: a note for each earlier document that permits more than the policy and was not accepted.
+        is_whole: all documents that were ever signed are known.
+    """
+
+    results: ProofResults
+    findings: tuple[Diagnostic, ...]
+    outliving: tuple[Diagnostic, ...]
+    is_whole: bool
+
+
+def proven_keystore(
+    session: Session,
+    names: Sequence[str],
+    policy: LoadedPolicy,
+    effort: ProofEffort,
+    on_enclave: Callable[[str], None],
+    pool: Pool,
+    *,
+    standard_only: bool = False,
+) -> KeystoreProof:
+    """Prove the claims about the enclaves of some packages, and about all that their certificates may present.
+
+    Args:
+        session: the workspace and its profile.
+        names: names of packages.
+        policy: the policy that the enclaves are compared with.
+        effort: limits of the search.
+        on_enclave: called with each name after its proof.
+        pool: where else to prove.
+        standard_only: accept differences between vendors and claim only what the standard says; nothing is recorded.
+
+    Raises:
+        KeymintError: a package has defects, or the pool is lost.
+    """
+    results = prove(session, names, policy, effort, on_enclave, pool, standard_only=standard_only)
+    presented = presented_rights(session, policy, effort, standard_only=standard_only)
+    findings = tuple(dict.fromkeys(deciding(session)))
+    results = replace(results, shared=(*results.shared, *presented.proofs))
+    if (ahead := staged(session)) is not None:
+        ready = tuple(name for name in with_sources(ahead) if name in names)
+        second = prove(ahead, ready, policy, effort, lambda _: None, pool, standard_only=standard_only)
+        results = replace(
+            results, enclaves=(*results.enclaves, *second.enclaves), shared=(*results.shared, *second.shared)
+        )
+        findings = (*findings, *deciding(ahead))
+    return KeystoreProof(results, findings, presented.outliving, presented.is_whole)
+
+
+def deciding(session: Session) -> Iterator[Diagnostic]:
+    """Yield the findings that may change what a transport decides, beside claims and trust anchors.
+
+    Raises:
+        KeymintError: the register or a package has defects.
+    """
+    yield from lists_in_force(session)
+    yield from of_enclaves(session)
+    yield from registered(session)
+
+
+def staged(session: Session) -> Session | None:
+    """Return the session of the second keystore as if it were in force; None if there is none.
+
+    Raises:
+        KeymintError: the next key is damaged.
+    """
+    for authority in session.profile.authorities:
+        rollover = authority.issuance.rollover
+        if rollover and rollover.phase is Phase.STAGE and session.tree.names(session.workspace.next_install):
+            ahead = staged_session(session, authority.name)
+            return replace(
+                ahead, state=ahead.state.updated(INSTALLED, {}, tuple(ahead.state.stamps.get(INSTALLED, ())))
+            )
+    return None

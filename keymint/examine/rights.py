@@ -1,0 +1,302 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compare what every certificate in force may present with the policy of its subject.
+
+A participant chooses the documents that it presents. So the claim is about every certificate that is neither expired
+nor revoked, and every document that an authority signed, wherever the two lie; the register remembers those that are
+no longer here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from datetime import datetime
+from functools import partial
+
+from cryptography import x509
+
+from comarmor.errors import Diagnostic, Origin
+from comarmor.values import dataclass
+from keymint.api import (
+    Claim,
+    ExcessRights,
+    Holder,
+    LoadedPolicy,
+    Package,
+    PresentableDocument,
+    Presentation,
+    PresentationTask,
+    Proof,
+    Role,
+)
+from keymint.bundles import container
+from keymint.errors import KeymintError
+from keymint.ir import DeferredRules, Rule, SubjectRules
+from keymint.names import package_name, subject_of
+from keymint.pki import certificates, distinguished_names, smime
+from keymint.pki.distinguished_names import to_text
+from keymint.plan import authority_files
+from keymint.plan.build import is_current
+from keymint.plan.build_types import build_types_of
+from keymint.plan.proof_results import EnclaveProof, ProofEffort
+from keymint.plan.register import issuer_of, register_of
+from keymint.plan.terms import shown
+from keymint.register.register import SignedRights
+from keymint.session import Session, once
+
+RIGHTS_OUTLIVE = "rights-outlive"
+"""Code of the finding on earlier rights that are wider than the present ones, and stay good."""
+_MOST = 1 << 20
+"""Largest file in bytes in which a certificate or a signed document is looked for."""
+_SIGNED, _CERTIFICATE = b"pkcs7-", b"-----BEGIN CERTIFICATE-----"
+_ACTION = "use of any signed document"
+
+
+@dataclass(frozen=True, slots=True)
+class PresentedRights:
+    """The claims that no certificate in force permits more than the policy, by any signed document.
+
+    Attributes:
+        proofs: the claims of each build type.
+        outliving: a note for each earlier document that permits more than the policy and was not accepted.
+        is_whole: all documents that were ever signed are known.
+    """
+
+    proofs: tuple[EnclaveProof, ...] = ()
+    outliving: tuple[Diagnostic, ...] = ()
+    is_whole: bool = True
+
+
+def presented_rights(
+    session: Session, policy: LoadedPolicy, effort: ProofEffort, *, standard_only: bool
+) -> PresentedRights:
+    """Return the claims about all certificates in force and all signed documents of a workspace.
+
+    Args:
+        session: the workspace and its profile.
+        policy: its policy.
+        effort: limits of the search.
+        standard_only: claim only what the standard says.
+
+    Raises:
+        KeymintError: the register or a package has defects.
+    """
+    register = register_of(session)
+    proofs: list[EnclaveProof] = []
+    outliving: dict[str, Diagnostic] = {}
+    for name in session.plugins.names("keymint.build_types"):
+        build_type: object = session.plugins.build_type(name)
+        packages = _packages(session, name) if isinstance(build_type, Presentation) else {}
+        if not packages or not isinstance(build_type, Presentation):
+            continue
+        found = _files(session)
+        holders = tuple(_holders(session, policy, packages, found))
+        earlier = {each.content: each for each in register.rights if each.name}
+        present = tuple(_documents(session, build_type.PRESENTED, found))
+        remembered = tuple(_remembered(session, each, content) for content, each in earlier.items())
+        own = tuple(each for each in present if each.proven_for)
+        task = PresentationTask(holders, (*own, *remembered, *present), session.now, effort.states, effort.deadline())
+        models = build_type.choosers()[:1] if standard_only else build_type.choosers()
+        claims: list[Claim] = []
+        for each in build_type.excess(task):
+            excess = replace(each, claims=tuple(claim for claim in each.claims if claim.model in models))
+            known = None if excess.document.proven_for else earlier.get(excess.document.content)
+            if known is None:
+                claims += excess.claims
+            elif excess.claims and known.accepted is None:
+                note = outlives(session, known.name, excess)
+                outliving.setdefault(note.subject, note)
+        failed = {claim.model for claim in claims}
+        signers = tuple(_signers(session, packages, found))
+        excepted = dict.fromkeys(build_type.trusting_any_signer(), signers)
+        claims += (
+            Claim(each, _ACTION, (), _universe(holders, task.documents), Proof.PROVEN, excepted=excepted.get(each, ()))
+            for each in models
+            if each not in failed
+        )
+        proofs.append(EnclaveProof("", tuple(claims), build_type=name))
+    return PresentedRights(tuple(proofs), tuple(outliving.values()), register.is_whole or not proofs)
+
+
+def _universe(holders: Sequence[Holder], documents: Sequence[PresentableDocument]) -> str:
+    return f"{len(holders)} certificates and {len({each.content for each in documents})} signed documents"
+
+
+def outlives(session: Session, name: str, excess: ExcessRights) -> Diagnostic:
+    """Return the note on an earlier document of a package by which a holder is permitted more than the policy."""
+    claim = excess.claims[0]
+    example = claim.counterexample
+    what = f"e.g. to {example.endpoint.action} {example.endpoint.name!r}" if example else f"perhaps: {claim.reason}"
+    return Diagnostic.note(
+        RIGHTS_OUTLIVE,
+        f"rights that were signed before allow {excess.holder.subject} more than the policy, {what}; whoever has its "
+        f"key may present them until {shown(excess.until)}",
+        session.package_marker(name),
+        f"'keymint revoke {name} --reason superseded' ends them; 'keymint issued {name} --accept' accepts them",
+        excess.holder.subject,
+    )
+
+
+def _packages(session: Session, build_type: str) -> Mapping[str, Package]:
+    """Return the packages of subjects that a build type builds, by name."""
+    names = (name for name in session.packages() if session.role(name) is Role.SUBJECT)
+    found = (session.package(name, built=is_current(session, name)) for name in names)
+    return {each.name: each for each in found if build_type in each.build_types}
+
+
+# -- what lies in the spaces ---------------------------------------------------------------------------------------
+
+
+@once
+def _files(session: Session) -> Mapping[str, bytes]:
+    """Return the files of the workspace that may have certificates or signed documents, by path; and of bundles."""
+    workspace, tree = session.workspace, session.tree
+    spaces = (workspace.install, workspace.next_install, workspace.build, workspace.src, workspace.profile)
+    paths = [path for space in (*spaces, workspace.public) for path, is_folder in tree.walk(space) if not is_folder]
+    paths += [f"{workspace.root}/{name}" for name, is_folder in tree.names(workspace.root) if not is_folder]
+    found: dict[str, bytes] = {}
+    for path in paths:
+        if path.endswith(".xml"):
+            continue
+        status = tree.status(path)
+        if status is None or status.st_size > container.MAX_BYTES:
+            continue
+        content = tree.try_read(path) or b""
+        if content[257:262] == b"ustar":
+            try:
+                found |= {f"{path}:{name}": each for name, each in container.unpack(content, Origin(path)).items()}
+            except KeymintError:
+                continue
+        elif len(content) <= _MOST and (_SIGNED in content or _CERTIFICATE in content):
+            found[path] = content
+    return found
+
+
+def _authorities(session: Session) -> tuple[x509.Certificate, ...]:
+    """Return the certificates of all authorities, also of those that take the place of another one."""
+    found = [certificate for _, _, certificate in authority_files.issuers(session)]
+    rollovers = (each.issuance.rollover for each in session.profile.authorities)
+    found += (certificates.load(each.certificate) for each in rollovers if each)
+    return tuple(dict.fromkeys(found))
+
+
+def _documents(session: Session, presented: str, found: Mapping[str, bytes]) -> Iterator[PresentableDocument]:
+    """Yield the signed documents among some files; that beside a certificate is known to be proven for its name."""
+    signers = [certificates.to_pem(each) for each in _authorities(session)]
+    workspace, in_place = session.workspace, session.enclaves.relative_to(session.workspace.install)
+    enclaves = tuple(f"{space / in_place}/" for space in (workspace.install, workspace.next_install))
+    for path, content in found.items():
+        folder, _, name = path.rpartition("/")
+        is_own = name == presented and f"{folder}/".startswith(enclaves)
+        beside = found.get(f"{folder}/cert.pem", b"") if is_own else b""
+        for signer in signers:
+            try:
+                signed = smime.read(content, signer)
+            except KeymintError:
+                continue
+            own = _names(beside)
+            where = Origin(session.workspace.shown(path))
+            yield PresentableDocument(signed.content, where, signed.lines_before, own[0] if len(own) == 1 else "")
+            break
+
+
+def _names(pem: bytes) -> tuple[str, ...]:
+    try:
+        return tuple(to_text(each.subject) for each in certificates.load_bundle(pem)) if pem else ()
+    except KeymintError:
+        return ()
+
+
+def _remembered(session: Session, rights: SignedRights, content: bytes) -> PresentableDocument:
+    where = Origin(f"{session.workspace.shown(session.workspace.register)} ({subject_of(rights.name)})")
+    return PresentableDocument(content, where)
+
+
+# -- whose certificates are in force ---------------------------------------------------------------------------------
+
+
+def _holders(
+    session: Session, policy: LoadedPolicy, packages: Mapping[str, Package], found: Mapping[str, bytes]
+) -> Iterator[Holder]:
+    """Yield the certificates in force: those among some files, and those of the register that are not here."""
+    register, now = register_of(session), session.now
+    ends: dict[str, datetime] = {}
+    issuers = [(issuer_of(each), each) for each in _authorities(session)]
+    seen: set[tuple[str, int]] = set()
+    for certificate in _certificates(found.values()):
+        issuer = next((key for key, each in issuers if _is_issued(certificate, each)), None)
+        if issuer is None:
+            continue
+        seen.add((issuer, certificate.serial_number))
+        if certificate.not_valid_after_utc >= now and not register.is_revoked(issuer, certificate.serial_number):
+            name = to_text(certificate.subject)
+            ends[name] = max(ends.get(name, now), certificate.not_valid_after_utc)
+    names = {(each.name, each.generation): each.subject for each in register.rights}
+    for key, each in register.certificates.items():
+        if key not in seen and each.revoked is None and each.not_after >= now:
+            name = names.get((each.name, each.generation), "")
+            package = packages.get(each.name)
+            if not name and package and package.issuance.generation == each.generation:
+                name = to_text(distinguished_names.parse(package.identity.subject_name))
+            if name:
+                ends[name] = max(ends.get(name, now), each.not_after)
+    by_name = {to_text(distinguished_names.parse(each.identity.subject_name)): each for each in packages.values()}
+    by_name |= {subject: packages[name] for (name, _), subject in names.items() if name in packages}
+    for name, end in sorted(ends.items()):
+        yield _holder(session, policy, name, end, by_name.get(name))
+
+
+def _holder(session: Session, policy: LoadedPolicy, name: str, end: datetime, package: Package | None) -> Holder:
+    subject = package.subject if package else _common_name(name)
+    distro = package.distro if package else session.profile.distro
+    rules = DeferredRules(subject, partial(_rules, policy, subject))
+    return Holder(subject, name, end, rules, distro, package.grant.domains if package else ())
+
+
+def _rules(policy: LoadedPolicy, subject: str) -> tuple[Rule, ...]:
+    return (policy.rules(subject) or SubjectRules(subject, ())).rules
+
+
+def _common_name(name: str) -> str:
+    """Return the subject that the common name of a certificate stands for, or the name as it is."""
+    parts = dict(distinguished_names.attributes(distinguished_names.parse(name)))
+    try:
+        return subject_of(package_name(parts.get("CN", "")))
+    except KeymintError:
+        return name
+
+
+def _certificates(contents: Iterable[bytes]) -> Iterator[x509.Certificate]:
+    """Yield the certificates of identities in some files, each once."""
+    known: set[bytes] = set()
+    for content in contents:
+        if _CERTIFICATE not in content or content in known:
+            continue
+        known.add(content)
+        try:
+            bundle = certificates.load_bundle(content)
+        except KeymintError:
+            continue
+        yield from bundle
+
+
+def _is_issued(certificate: x509.Certificate, authority: x509.Certificate) -> bool:
+    return certificate != authority and certificates.is_issued_by(certificate, authority)
+
+
+def _signers(session: Session, packages: Mapping[str, Package], found: Mapping[str, bytes]) -> Iterator[str]:
+    """Yield an exception for each authority whose identities can sign documents as older releases verify them."""
+    for package in packages.values():
+        roles = [role for each in build_types_of(session, package).values() for role in each.authorities(package)]
+        if package.identity.issuer not in {role.name for role in roles if role.signs}:
+            continue
+        path = f"{session.enclave_folder(package.name)}/cert.pem"
+        own = list(_certificates([found.get(path, b"")]))
+        if own and certificates.can_sign_documents(own[0]) is None:
+            name = package.identity.issuer
+            yield (
+                f"holders sign their own permissions: the authority {name!r} issues identities and signs documents, "
+                "and releases before CVE-2023-24010 was mended accept what an identity signs; 'keymint harden' has "
+                "the step"
+            )
+            return

@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compare what every holder of a certificate may present with the policy.
+
+A participant chooses the permissions that it presents, and each implementation chooses the grant in them by its own
+comparison of names. So no document that is signed may have a grant by which another holder is permitted too much.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from datetime import datetime
+
+from comarmor.values import dataclass
+from keymint.api import Claim, ComparisonTask, ExcessRights, Holder, PresentableDocument, PresentationTask, Proof
+from keymint.errors import KeymintError
+from keymint.pki import distinguished_names
+from keymint_ros2_dds import subject_name_text
+from keymint_ros2_dds.decision import CHOOSERS, CYCLONEDDS_0_10, FASTDDS_2_9, FASTDDS_2_11, read
+from keymint_ros2_dds.decision.semantics import Semantics
+from keymint_ros2_dds.decision.subject_names import tokens
+from keymint_ros2_dds.documents import dds_xml
+from keymint_ros2_dds.lowering.lower import lower
+from keymint_ros2_dds.proving.claims import ASSUMPTIONS, prove_document
+from keymint_ros2_dds.proving.questions import ProofQuestion
+from keymint_ros2_dds.reading.signed_permissions import PermissionsDocument, is_plain
+
+_DATES = re.compile(rb"(<not_(?:before|after)>)[^<]*<")
+
+
+def presented_until(content: bytes) -> datetime | None:
+    """See :meth:`keymint.api.Presentation.presented_until`; the latest end that an implementation reads."""
+    try:
+        document = read(content)
+    except KeymintError:
+        return None
+    return _until(document, document.grants)
+
+
+def _until(document: PermissionsDocument, grants: Iterable[object]) -> datetime | None:
+    chosen = {id(each) for each in grants}
+    periods = [
+        period
+        for variation in CHOOSERS.values()
+        for grant in document.grants
+        if id(grant) in chosen and (period := variation.semantics.period(grant))
+    ]
+    return max((end for _, end in periods), default=None)
+
+
+def choosers() -> tuple[str, ...]:
+    """See :meth:`keymint.api.Presentation.choosers`."""
+    return tuple(CHOOSERS)
+
+
+def trusting_any_signer() -> tuple[str, ...]:
+    """See :meth:`keymint.api.Presentation.trusting_any_signer`; measured (docs/vendors.md)."""
+    return CYCLONEDDS_0_10.name, FASTDDS_2_9.name
+
+
+@dataclass(frozen=True, slots=True)
+class _Identity:
+    """A holder, and its name in the order in which grants have it."""
+
+    holder: Holder
+    name: str
+
+
+class _Identities:
+    """Finds the identities whose name a grant may match: by the rarest word of each, so that the cost is linear."""
+
+    def __init__(self, holders: Iterable[Holder]) -> None:
+        names = ((each, distinguished_names.parse(each.name)) for each in holders)
+        own = [(_Identity(each, subject_name_text.of_any(name)), name) for each, name in names]
+        words = [tokens(each.name) for each, _ in own]
+        frequent = Counter(word for of_name in words for word in of_name)
+        self._by_word: dict[str, list[_Identity]] = {}
+        self._odd: list[_Identity] = []
+        for (each, name), of_name in zip(own, words, strict=True):
+            kinds = [attribute.oid for attribute in name]
+            if len(set(kinds)) < len(kinds) or not of_name:
+                self._odd.append(each)
+            else:
+                rarest = min(of_name, key=lambda word: (frequent[word], word))
+                self._by_word.setdefault(rarest, []).append(each)
+
+    def of(self, names: Iterable[str]) -> list[_Identity]:
+        """Return the identities that one of some names of grants may match."""
+        words = {word for name in names for word in tokens(name)}
+        found = [each for word in sorted(words & self._by_word.keys()) for each in self._by_word[word]]
+        return [*found, *self._odd]
+
+
+def excess(task: PresentationTask) -> tuple[ExcessRights, ...]:
+    """See :meth:`keymint.api.Presentation.excess`."""
+    identities = _Identities(task.holders)
+    unique = {each.content: each for each in reversed(task.documents)}
+    proven = {_timeless(each.content): each.proven_for for each in unique.values() if each.proven_for}
+    found: list[ExcessRights] = []
+    for each in reversed(unique.values()):
+        known = each.proven_for or proven.get(_timeless(each.content), "")
+        found += _of_document(task, each, known, identities)
+    return tuple(found)
+
+
+def _timeless(content: bytes) -> bytes:
+    """Return a document without its dates, which are all that a renewal changes."""
+    return _DATES.sub(rb"\1<", content) if is_plain(content) else content
+
+
+def _of_document(
+    task: PresentationTask, given: PresentableDocument, known: str, identities: _Identities
+) -> Iterator[ExcessRights]:
+    if b"<permissions" not in given.content:
+        return
+    try:
+        document = read(given.content, given.where.file, given.lines_before)
+    except KeymintError as error:
+        yield from _unread(task, given, str(error.diagnostics[0]))
+        return
+    for identity in identities.of(_readings(document)):
+        chosen = {name: _chosen(document, identity, each.semantics) for name, each in CHOOSERS.items()}
+        ends = _until(document, (grant for grants in chosen.values() for grant in grants))
+        if ends is None or ends < task.now:
+            continue
+        claims = tuple(_claims(task, given, document, identity, _to_prove(chosen, identity, known), known))
+        if claims:
+            yield ExcessRights(identity.holder, given, claims, min(ends, identity.holder.until))
+
+
+def _readings(document: PermissionsDocument) -> set[str]:
+    """Return the names of the grants of a document, as each implementation reads them."""
+    readers = {each.semantics.reads_text for each in CHOOSERS.values()}
+    return {reads(grant.subject_name) for grant in document.grants for reads in readers}
+
+
+def _chosen(document: PermissionsDocument, identity: _Identity, semantics: Semantics) -> Sequence[object]:
+    return () if semantics.refusal(document) else semantics.grants(document, identity.name)
+
+
+def _to_prove(chosen: Mapping[str, Sequence[object]], identity: _Identity, known: str) -> list[str]:
+    """Return the models whose claims are not proven with the enclave itself."""
+    if identity.holder.name != known:
+        return [name for name, grants in chosen.items() if grants]
+    same = [*map(id, chosen[FASTDDS_2_9.name])] == [*map(id, chosen[FASTDDS_2_11.name])]
+    return [] if same else [name for name in chosen if name not in ASSUMPTIONS]
+
+
+def _claims(
+    task: PresentationTask,
+    given: PresentableDocument,
+    document: PermissionsDocument,
+    identity: _Identity,
+    models: Sequence[str],
+    known: str,
+) -> Iterator[Claim]:
+    """Yield the claims that fail: a holder's own document must permit its rights, all others at most these."""
+    if not models:
+        return
+    holder = identity.holder
+    place = given.where.file, given.lines_before
+    held = ComparisonTask(
+        given.content, *place, identity.name, holder.rules, holder.distro, holder.domains, task.states, task.go_on
+    )
+    since = None if holder.name == known else task.now
+    try:
+        question = ProofQuestion(document, held, lower(holder.rules, holder.distro), None, since)
+    except KeymintError as error:
+        reason = str(error.diagnostics[0])
+        yield from (Claim(name, "use", (), "", Proof.UNKNOWN, reason) for name in models)
+        return
+    if not document.defects:
+        dds_xml.know_valid(given.content, "permissions")
+    yield from (each for each in prove_document(question, models=models) if each.proof is not Proof.PROVEN)
+
+
+def _unread(task: PresentationTask, given: PresentableDocument, reason: str) -> Iterator[ExcessRights]:
+    """Yield what is not known about a document that cannot be read; that of an enclave is reported with it."""
+    if not given.proven_for:
+        claims = tuple(Claim(name, "use", (), "", Proof.UNKNOWN, reason) for name in CHOOSERS)
+        yield from (ExcessRights(each, given, claims, each.until) for each in task.holders[:1])
