@@ -271,6 +271,9 @@ class Session(Inputs):
             name: the package.
             built: it was built from these files; see :class:`keymint.api.BuiltPackageType`.
         """
+        return self.made(("package", name, built), lambda: self._whole(name, built=built))
+
+    def _whole(self, name: str, *, built: bool) -> Package:
         package = self._load(name, built=built)
         if package.role is Role.INFRASTRUCTURE:
             return package

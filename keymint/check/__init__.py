@@ -57,9 +57,6 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
     findings = [finding for each in enclaves for finding in each.findings]
     findings += _of_several(session, [each for each in loaded if isinstance(each, LoadedEnclave)])
     findings += unaccounted(session)
-    known = {(each.code, each.where) for each in findings}
-    named = [each.package.name for each in loaded if isinstance(each, LoadedEnclave)]
-    findings += (each for each in differences(session, named) if (each.code, each.where) not in known)
     findings += _deciding(session)
     fingerprints = {each.name: each.fingerprint for each in enclaves if each.fingerprint}
     findings += identity_keys.shared_keys(session, fingerprints)
@@ -120,7 +117,18 @@ def _loaded(session: Session, names: Sequence[str], within: timedelta) -> list[L
 
 
 def _examined(session: Session, keyring: Keyring, part: Sequence[LoadedEnclave | Examined]) -> list[Examined]:
-    return [each if isinstance(each, Examined) else examine(session, each, keyring) for each in part]
+    found = [each if isinstance(each, Examined) else examine(session, each, keyring) for each in part]
+    return [_with_anchors(session, each) for each in found]
+
+
+def _with_anchors(session: Session, examined: Examined) -> Examined:
+    """Return the findings on an enclave with those on what the authorities of the workspace do not vouch for."""
+    known = {(each.code, each.where) for each in examined.findings}
+    try:
+        more = tuple(each for each in differences(session, [examined.name]) if (each.code, each.where) not in known)
+    except KeymintError:  # a package has defects, which are reported
+        more = ()
+    return replace(examined, findings=(*examined.findings, *more))
 
 
 def _of_several(session: Session, loaded: Iterable[LoadedEnclave]) -> Iterator[Diagnostic]:

@@ -109,6 +109,7 @@ def _proof(
         )
     except KeymintError as error:
         return error.diagnostics
+    run.keep(session, proven.results.state)
     found = merged_packages(
         diagnostics_of(proven.results, strict=strict),
         lambda name: session.workspace.shown(session.enclave_folder(name)),

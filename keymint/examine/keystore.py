@@ -64,9 +64,9 @@ def proven_keystore(
         KeymintError: a package has defects, or the pool is lost.
     """
     results = prove(session, names, policy, effort, on_enclave, pool, standard_only=standard_only)
-    presented = presented_rights(session, policy, effort, standard_only=standard_only)
+    presented = presented_rights(session, results.state, policy, effort, standard_only=standard_only)
     findings = tuple(dict.fromkeys(deciding(session)))
-    results = replace(results, shared=(*results.shared, *presented.proofs))
+    results = replace(results, shared=(*results.shared, *presented.proofs), state=presented.state)
     if (ahead := staged(session)) is not None:
         ready = tuple(name for name in with_sources(ahead) if name in names)
         second = prove(ahead, ready, policy, effort, lambda _: None, pool, standard_only=standard_only)

@@ -8,8 +8,8 @@ no longer here.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from datetime import datetime
 from functools import partial
 
@@ -17,9 +17,9 @@ from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
+from keymint import __version__
 from keymint.api import (
     Claim,
-    ExcessRights,
     Holder,
     LoadedPolicy,
     Package,
@@ -35,14 +35,20 @@ from keymint.ir import DeferredRules, Rule, SubjectRules
 from keymint.names import package_name, subject_of
 from keymint.pki import certificates, distinguished_names, smime
 from keymint.pki.distinguished_names import to_text
+from keymint.pki.mime import SignedDocument
 from keymint.plan import authority_files
+from keymint.plan.authority_files import chains_digest
 from keymint.plan.build import is_current
-from keymint.plan.build_types import build_types_of
+from keymint.plan.build_types import build_types_of, inputs_digest
+from keymint.plan.proof_record import dump_claims, load_claims
 from keymint.plan.proof_results import EnclaveProof, ProofEffort
+from keymint.plan.prove import STAGE, policy_digest
 from keymint.plan.register import issuer_of, register_of
+from keymint.plan.shared_documents import FOLDER
 from keymint.plan.terms import shown
 from keymint.register.register import SignedRights
 from keymint.session import Session, once
+from keymint.state import Stamp, State, digest
 
 RIGHTS_OUTLIVE = "rights-outlive"
 """Code of the finding on earlier rights that are wider than the present ones, and stay good."""
@@ -60,20 +66,36 @@ class PresentedRights:
         proofs: the claims of each build type.
         outliving: a note for each earlier document that permits more than the policy and was not accepted.
         is_whole: all documents that were ever signed are known.
+        state: the record to keep: what is proven is not proven again until something changes.
     """
 
-    proofs: tuple[EnclaveProof, ...] = ()
-    outliving: tuple[Diagnostic, ...] = ()
-    is_whole: bool = True
+    proofs: tuple[EnclaveProof, ...]
+    outliving: tuple[Diagnostic, ...]
+    is_whole: bool
+    state: State
+
+
+@dataclass(frozen=True, slots=True)
+class _Outliving:
+    """An earlier document of a package that permits somebody more than the policy: in words, and until when."""
+
+    name: str
+    subject: str
+    message: str
+    until: datetime
+
+
+_Answer = tuple[tuple[Claim, ...], tuple[_Outliving, ...]]
 
 
 def presented_rights(
-    session: Session, policy: LoadedPolicy, effort: ProofEffort, *, standard_only: bool
+    session: Session, state: State, policy: LoadedPolicy, effort: ProofEffort, *, standard_only: bool
 ) -> PresentedRights:
     """Return the claims about all certificates in force and all signed documents of a workspace.
 
     Args:
         session: the workspace and its profile.
+        state: the record to go on with.
         policy: its policy.
         effort: limits of the search.
         standard_only: claim only what the standard says.
@@ -81,60 +103,121 @@ def presented_rights(
     Raises:
         KeymintError: the register or a package has defects.
     """
-    register = register_of(session)
     proofs: list[EnclaveProof] = []
     outliving: dict[str, Diagnostic] = {}
     for name in session.plugins.names("keymint.build_types"):
         build_type: object = session.plugins.build_type(name)
-        packages = _packages(session, name) if isinstance(build_type, Presentation) else {}
-        if not packages or not isinstance(build_type, Presentation):
+        if not isinstance(build_type, Presentation) or not (packages := _packages(session, name)):
             continue
+        question = _Question(session, policy, effort, build_type, packages, standard_only)
+        claims, found, state = question.recorded(state, f"{FOLDER}/presented/{name}")
+        for each in found:
+            if each.until >= session.now:
+                outliving.setdefault(each.name, _note(session, each))
+        proofs.append(EnclaveProof("", claims, build_type=name))
+    is_whole = register_of(session).is_whole or not proofs
+    return PresentedRights(tuple(proofs), tuple(outliving.values()), is_whole, state)
+
+
+def _note(session: Session, each: _Outliving) -> Diagnostic:
+    return Diagnostic.note(
+        RIGHTS_OUTLIVE,
+        f"{each.message}; whoever has its key may present them until {shown(each.until)}",
+        session.package_marker(each.name),
+        f"'keymint revoke {each.name} --reason superseded' ends them; 'keymint issued {each.name} --accept' keeps them",
+        each.subject,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Question:
+    """What is asked about the documents of a build type; the attributes are those of :func:`presented_rights`."""
+
+    session: Session
+    policy: LoadedPolicy
+    effort: ProofEffort
+    build_type: Presentation
+    packages: Mapping[str, Package]
+    standard_only: bool
+
+    def recorded(self, state: State, key: str) -> tuple[tuple[Claim, ...], tuple[_Outliving, ...], State]:
+        """Return the answer from the record if it depends on the same bytes, and the record to keep."""
+        session, stamp = self.session, state.stamp(STAGE, key)
+        inputs, context = self._inputs(), policy_digest(self.policy)
+        known = _load(stamp) if stamp and (stamp.inputs, stamp.context) == (inputs, context) else None
+        if known and known[0] <= session.now and not self.standard_only:  # earlier, documents may have been in force that are over by then
+            return *known[1], state
+        claims, outliving = self._answer()
+        if self.standard_only or any(claim.proof is not Proof.PROVEN for claim in claims):
+            return claims, outliving, state
+        outputs = {"claims": dump_claims(claims), "outliving": _dump(session.now, outliving)}
+        return claims, outliving, state.updated(STAGE, {key: Stamp(inputs, outputs, context=context)})
+
+    def _inputs(self) -> str:
+        session = self.session
+        files = (part for path in _files(session) for part in (path, session.tree.digest(path.partition(":")[0]) or ""))
+        sources = (inputs_digest(session, name) for name in self.packages)
+        register = session.tree.digest(session.workspace.register) or ""
+        return digest(__version__, chains_digest(session), register, *sources, *files)
+
+    def _answer(self) -> _Answer:
+        session, build_type = self.session, self.build_type
         found = _files(session)
-        holders = tuple(_holders(session, policy, packages, found))
-        earlier = {each.content: each for each in register.rights if each.name}
+        holders = tuple(_holders(session, self.policy, self.packages, found))
+        earlier = {each.content: each for each in register_of(session).rights if each.name}
         present = tuple(_documents(session, build_type.PRESENTED, found))
         remembered = tuple(_remembered(session, each, content) for content, each in earlier.items())
         own = tuple(each for each in present if each.proven_for)
-        task = PresentationTask(holders, (*own, *remembered, *present), session.now, effort.states, effort.deadline())
-        models = build_type.choosers()[:1] if standard_only else build_type.choosers()
+        documents = (*own, *remembered, *present)
+        task = PresentationTask(holders, documents, session.now, self.effort.states, self.effort.deadline())
+        models = build_type.choosers()[:1] if self.standard_only else build_type.choosers()
         claims: list[Claim] = []
+        outliving: list[_Outliving] = []
         for each in build_type.excess(task):
-            excess = replace(each, claims=tuple(claim for claim in each.claims if claim.model in models))
-            known = None if excess.document.proven_for else earlier.get(excess.document.content)
+            failing = [claim for claim in each.claims if claim.model in models]
+            known = None if each.document.proven_for else earlier.get(each.document.content)
             if known is None:
-                claims += excess.claims
-            elif excess.claims and known.accepted is None:
-                note = outlives(session, known.name, excess)
-                outliving.setdefault(note.subject, note)
+                claims += failing
+            elif failing and known.accepted is None:
+                message = _in_words(each.holder.subject, failing[0])
+                outliving.append(_Outliving(known.name, each.holder.subject, message, each.until))
         failed = {claim.model for claim in claims}
-        signers = tuple(_signers(session, packages, found))
-        excepted = dict.fromkeys(build_type.trusting_any_signer(), signers)
+        excepted = dict.fromkeys(build_type.trusting_any_signer(), tuple(_signers(session, self.packages, found)))
+        universe = _universe(holders, documents)
         claims += (
-            Claim(each, _ACTION, (), _universe(holders, task.documents), Proof.PROVEN, excepted=excepted.get(each, ()))
+            Claim(each, _ACTION, (), universe, Proof.PROVEN, excepted=excepted.get(each, ()))
             for each in models
             if each not in failed
         )
-        proofs.append(EnclaveProof("", tuple(claims), build_type=name))
-    return PresentedRights(tuple(proofs), tuple(outliving.values()), register.is_whole or not proofs)
+        return tuple(claims), tuple(outliving)
+
+
+def _in_words(subject: str, claim: Claim) -> str:
+    found = claim.counterexample
+    what = f"e.g. to {found.endpoint.action} {found.endpoint.name!r}" if found else f"perhaps: {claim.reason}"
+    return f"rights that were signed before allow {subject} more than the policy, {what}"
+
+
+def _dump(now: datetime, outliving: Iterable[_Outliving]) -> str:
+    rows = [(each.name, each.subject, each.message, each.until.isoformat()) for each in outliving]
+    return json.dumps([now.isoformat(), rows])
+
+
+def _load(stamp: Stamp) -> tuple[datetime, _Answer] | None:
+    """Return the recorded answer and its time, or None if it is not legible."""
+    try:
+        at, rows = json.loads(stamp.outputs["outliving"])
+        found = tuple(
+            _Outliving(str(name), str(subject), str(message), datetime.fromisoformat(end))
+            for name, subject, message, end in rows
+        )
+        return datetime.fromisoformat(at), (load_claims(stamp.outputs["claims"]), found)
+    except (ValueError, TypeError, KeyError, IndexError):
+        return None
 
 
 def _universe(holders: Sequence[Holder], documents: Sequence[PresentableDocument]) -> str:
     return f"{len(holders)} certificates and {len({each.content for each in documents})} signed documents"
-
-
-def outlives(session: Session, name: str, excess: ExcessRights) -> Diagnostic:
-    """Return the note on an earlier document of a package by which a holder is permitted more than the policy."""
-    claim = excess.claims[0]
-    example = claim.counterexample
-    what = f"e.g. to {example.endpoint.action} {example.endpoint.name!r}" if example else f"perhaps: {claim.reason}"
-    return Diagnostic.note(
-        RIGHTS_OUTLIVE,
-        f"rights that were signed before allow {excess.holder.subject} more than the policy, {what}; whoever has its "
-        f"key may present them until {shown(excess.until)}",
-        session.package_marker(name),
-        f"'keymint revoke {name} --reason superseded' ends them; 'keymint issued {name} --accept' accepts them",
-        excess.holder.subject,
-    )
 
 
 def _packages(session: Session, build_type: str) -> Mapping[str, Package]:
@@ -181,23 +264,33 @@ def _authorities(session: Session) -> tuple[x509.Certificate, ...]:
 
 
 def _documents(session: Session, presented: str, found: Mapping[str, bytes]) -> Iterator[PresentableDocument]:
-    """Yield the signed documents among some files; that beside a certificate is known to be proven for its name."""
+    """Yield the signed documents among some files; that beside a certificate is known to be proven for its name.
+
+    Its signature is verified with its enclave.
+    """
     signers = [certificates.to_pem(each) for each in _authorities(session)]
     workspace, in_place = session.workspace, session.enclaves.relative_to(session.workspace.install)
     enclaves = tuple(f"{space / in_place}/" for space in (workspace.install, workspace.next_install))
+    verified: dict[bytes, SignedDocument | None] = {}
     for path, content in found.items():
         folder, _, name = path.rpartition("/")
         is_own = name == presented and f"{folder}/".startswith(enclaves)
-        beside = found.get(f"{folder}/cert.pem", b"") if is_own else b""
-        for signer in signers:
-            try:
-                signed = smime.read(content, signer)
-            except KeymintError:
-                continue
-            own = _names(beside)
-            where = Origin(session.workspace.shown(path))
-            yield PresentableDocument(signed.content, where, signed.lines_before, own[0] if len(own) == 1 else "")
-            break
+        names = _names(found.get(f"{folder}/cert.pem", b"")) if is_own else ()
+        if content not in verified:
+            verified[content] = _signed(content, signers, verify=len(names) != 1)
+        if signed := verified[content]:
+            where = Origin(workspace.shown(path))
+            yield PresentableDocument(signed.content, where, signed.lines_before, names[0] if len(names) == 1 else "")
+
+
+def _signed(content: bytes, signers: Iterable[bytes], *, verify: bool) -> SignedDocument | None:
+    """Return a signed document, or None if it has not exactly one reading, or none of the signers signed it."""
+    for signer in signers:
+        try:
+            return smime.read(content, signer) if verify else smime.unverified(content)
+        except KeymintError:
+            continue
+    return None
 
 
 def _names(pem: bytes) -> tuple[str, ...]:

@@ -119,9 +119,9 @@ def load_first(pem: bytes, where: Origin | None = None, *, with_lists: bool = Fa
     )
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=1 << 12)
 def _parsed(pem: bytes) -> tuple[x509.Certificate, ...]:
-    """Parse certificates completely; cached, because a workspace uses the same few for every document."""
+    """Parse certificates completely; cached, because several rules ask about one."""
     certificates = tuple(x509.load_pem_x509_certificates(pem))
     for certificate in certificates:
         # The library parses lazily: touch every part, so that damage is detected here.

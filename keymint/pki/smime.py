@@ -157,7 +157,12 @@ def signed_content(signed: bytes, where: Origin | None = None) -> bytes:
     Raises:
         KeymintError: the file does not have exactly one reading (code ``smime-form``).
     """
-    return mime.unwrap(signed, where).content
+    return unverified(signed, where).content
+
+
+def unverified(signed: bytes, where: Origin | None = None) -> SignedDocument:
+    """Return a signed document without verifying the signature; errors as :func:`signed_content`."""
+    return mime.unwrap(signed, where)
 
 
 def is_current(signed: bytes, content: bytes, certificate: x509.Certificate) -> bool:

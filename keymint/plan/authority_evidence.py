@@ -15,12 +15,13 @@ from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import authority_files, key_record
 from keymint.plan.authority_files import AuthorityFiles
-from keymint.session import Inputs, Session
+from keymint.session import Inputs, Session, once
 
 Contradictions = Mapping[str, tuple[Diagnostic, ...]]
 """Contradicting evidence by authority; contradictions of an issuer count for the authorities below it."""
 
 
+@once
 def contradictions(session: Session) -> Contradictions:
     """Return the contradictions of all authorities of a workspace that have any.
 

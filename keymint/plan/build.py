@@ -16,7 +16,7 @@ from keymint.plan.build_types import BUILD, build_types_of, inputs_digest, two_w
 from keymint.plan.built_documents import kept, refuse_edits
 from keymint.plan.rule_places import RulePlaces
 from keymint.plan.stage import PackagePlan, recorded, steps_of
-from keymint.session import Inputs, Session
+from keymint.session import Inputs, Session, once
 from keymint.state import Stamp, digest
 
 STAGE = BUILD
@@ -76,6 +76,7 @@ class BuildStage:
         return Plan((*steps, *shared.steps), shared.state, tuple(diagnostics))
 
 
+@once
 def is_current(session: Session, name: str) -> bool:
     """Tell whether the documents of a package were built from its present sources, with any options."""
     stamp = session.state.stamp(STAGE, name)

@@ -40,7 +40,7 @@ def dump(
         )
         for term in terms
     ]
-    return {_CLAIMS: _dump_claims(tuple(claims)), _RULES: _rules_digest(rules), _TERMS: _json(rows)}
+    return {_CLAIMS: dump_claims(tuple(claims)), _RULES: _rules_digest(rules), _TERMS: _json(rows)}
 
 
 _json = json.JSONEncoder(separators=(",", ":")).encode
@@ -50,7 +50,8 @@ _moment = lru_cache(maxsize=64)(datetime.fromisoformat)
 
 # The claims about most enclaves are the same.
 @lru_cache(maxsize=64)
-def _dump_claims(claims: tuple[Claim, ...]) -> str:
+def dump_claims(claims: tuple[Claim, ...]) -> str:
+    """Return proven claims as text."""
     return _json(
         [
             (each.model, each.action, [(of.first, of.last) for of in each.domains], each.universe, each.excepted)
@@ -62,7 +63,7 @@ def _dump_claims(claims: tuple[Claim, ...]) -> str:
 def load(stamp: Stamp, folder: str) -> tuple[tuple[Claim, ...], tuple[ValidityTerm, ...]] | None:
     """Return the recorded claims and terms, or None if the stamp has no legible ones."""
     try:
-        return _load_claims(stamp.outputs.get(_CLAIMS, "")), _load_terms(stamp.outputs.get(_TERMS, ""), folder)
+        return load_claims(stamp.outputs.get(_CLAIMS, "")), _load_terms(stamp.outputs.get(_TERMS, ""), folder)
     except (ValueError, TypeError):
         return None
 
@@ -100,7 +101,12 @@ def _kind_digest(kind: Kind) -> str:
 
 
 @lru_cache(maxsize=64)
-def _load_claims(text: str) -> tuple[Claim, ...]:
+def load_claims(text: str) -> tuple[Claim, ...]:
+    """Return the claims of :func:`dump_claims`.
+
+    Raises:
+        ValueError, TypeError: the text was not written by it.
+    """
     return tuple(
         Claim(
             str(model),

@@ -86,6 +86,11 @@ def prove(
     return stage.results(proven)
 
 
+def policy_digest(policy: LoadedPolicy) -> str:
+    """Return the digest of the files that a policy was read from."""
+    return digest(*(f"{path} {value.hex()}" for path, value in sorted(policy.seen.items())))
+
+
 class ProofStage:
     """The stage ``prove``: proves enclaves one by one, and then the claims across them.
 
@@ -108,7 +113,7 @@ class ProofStage:
         self._standard_only = standard_only
         self._unsigned = unsigned
         self._contradictions = authority_evidence.contradictions(session)
-        self._policy_digest = digest(*(f"{path} {value.hex()}" for path, value in sorted(policy.seen.items())))
+        self._policy_digest = policy_digest(policy)
         self._chains_digest = chains_digest(session)
         self._digested = policy if isinstance(policy, DigestedPolicy) else None
         workspace = session.workspace

@@ -8,26 +8,22 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Severity
 from keymint.api import Inspection
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, smime
-from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds import check_governance, subject_name_text, token_key, vendor_limits
 from keymint_ros2_dds.credentials import CredentialCheck, revocation_period, subject_of
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import in_words, uncovered
 from keymint_ros2_dds.emission import is_form_of
 from keymint_ros2_dds.enclave_layout import (
-    CA,
     CERTIFICATE,
     CRL,
     GOVERNANCE,
-    IDENTITY_CA,
     KEY,
     KEY_URI,
     PERMISSIONS,
-    PERMISSIONS_CA,
     PERMISSIONS_P7S,
     PERMISSIONS_XML,
     enclave_files,
@@ -66,14 +62,12 @@ class _EnclaveCheck(CredentialCheck):
         restore = f"'keymint install {package.name}' writes it again"
         super().__init__(inspection.files, inspection.folder, restore, package.subject)
         self._inspection = inspection
-        self._issuer, self._signer = (inspection.chains[role] for role in (roles.IDENTITY, roles.PERMISSIONS))
         self._names = enclave_files(inspection.layout, package.distro)
 
     def findings(self) -> Iterator[Diagnostic]:
         yield from self._inventory()
         yield from self._identity()
         yield from self._revocations()
-        yield from self._authorities()
         content = yield from self._signed(PERMISSIONS)
         governance = yield from self._signed(GOVERNANCE)
         if content is not None:
@@ -104,29 +98,20 @@ class _EnclaveCheck(CredentialCheck):
                 yield self._error("file-missing", name, "is missing")
 
     def _revocations(self) -> Iterator[Diagnostic]:
-        """Check the revocation list, which Keymint does not write."""
-        problems = [*self._revocation_list(self._issuer, "install a valid list, or remove it")]
-        yield from problems
-        if not problems and (period := revocation_period(self._files.get(CRL, b""))):
+        if period := revocation_period(self._files.get(CRL, b"")):
             yield from self._validity("revocation list", CRL, *period, slack=timedelta(0))
 
     def _identity(self) -> Iterator[Diagnostic]:
-        pem, now = self._files.get(CERTIFICATE), self._inspection.now
-        if pem is None:
-            return
-        identity, public_key = self._inspection.package.identity, self._inspection.package.issuance.public_key
-        certificate = yield from self._certificate(self._issuer, identity.subject_name, now)
-        if certificate is None:
-            return
+        pem = self._files.get(CERTIFICATE, b"")
+        try:
+            period = certificates.period(certificates.load(pem))
+        except KeymintError:
+            return  # reported with the chain
         if not certificates.is_canonical(pem):
             yield self._altered(CERTIFICATE, "is not the canonical encoding of its certificate")
-        begin, end = certificates.period(certificate)
-        if begin <= now <= end:  # else it is reported already
-            yield from self._validity("certificate", CERTIFICATE, begin, end, slack=timedelta(0))
+        yield from self._validity("certificate", CERTIFICATE, *period, slack=timedelta(0))
         if KEY in self._files and not keys.is_canonical(self._files[KEY]):
             yield self._altered(KEY, "is not the canonical encoding of a private key")
-        if public_key or not identity.key.password_env:  # else it cannot be read
-            yield from self._key(certificate, public_key)
 
     def _altered(self, name: str, message: str) -> Diagnostic:
         """Return the finding on a file in another form than Keymint writes; other tools write other forms."""
@@ -135,18 +120,6 @@ class _EnclaveCheck(CredentialCheck):
             return found
         return replace(found, severity=Severity.NOTE, help="another tool wrote it, and it is kept as it is")
 
-    def _authorities(self) -> Iterator[Diagnostic]:
-        for name, chain in ((IDENTITY_CA, self._issuer), (PERMISSIONS_CA, self._signer), (CA, self._signer)):
-            if name in self._names and self._files.get(name, chain) != chain:
-                yield self._error("authority-differs", name, "is not the certificate of the workspace's authority")
-        try:
-            signer = certificates.load_bundle(self._signer)[0]
-            where = self._where(PERMISSIONS_CA if PERMISSIONS_CA in self._names else CA)
-            if problem := certificates.can_sign_documents(signer, where):
-                yield self._for_subject(problem)
-        except KeymintError as error:
-            yield from map(self._for_subject, error.diagnostics)
-
     def _content(self, kind: str) -> bytes | None:
         try:
             return smime.signed_content(self._files.get(f"{kind}.p7s", b""))
@@ -154,13 +127,13 @@ class _EnclaveCheck(CredentialCheck):
             return None
 
     def _signed(self, kind: str) -> Generator[Diagnostic, None, bytes | None]:
-        """Check a signed document; the generator returns its content if it is verified and valid, else None."""
+        """Check a document whose signature is verified apart; the generator returns its content if it is valid."""
         name = f"{kind}.p7s"
         signed = self._files.get(name)
         if signed is None:
             return None
         where = self._where(name)
-        content = yield from self._verified(signed, where)
+        content = self._content(kind)
         if content is None:
             return None
         yield from map(self._for_subject, vendor_limits.check_size(len(signed), kind, self._inspection.package))
@@ -192,17 +165,6 @@ class _EnclaveCheck(CredentialCheck):
         except KeymintError:
             return False
 
-    def _verified(self, signed: bytes, where: Origin) -> Generator[Diagnostic, None, bytes | None]:
-        """Check a signature; the generator returns the content, or None. An expired authority hides no other defect."""
-        for at in (self._inspection.now, None):
-            try:
-                return smime.verify(signed, self._signer, at=at, where=where)
-            except KeymintError as error:
-                yield from map(self._for_subject, error.diagnostics)
-                if error.diagnostics[0].code != "smime-authority-expired":
-                    return None
-        return None
-
     def _grants(self, document: PermissionsDocument) -> Iterator[Diagnostic]:
         if len(document.grants) != 1:
             message = f"has {len(document.grants)} grants; vendors choose among several in different ways"
@@ -233,9 +195,9 @@ class _EnclaveCheck(CredentialCheck):
         verb = "crl --refresh" if name == CRL else f"renew {self._inspection.package.name}"
         again = f"'keymint {verb}' issues it again"
         renew = again if name == CRL else f"{again}, with later dates"
-        if now >= end:
+        if now > end:
             yield self._error(f"{code}-expired", name, f"the {what} expired on {_shown(end)}", renew)
-        elif now <= begin:
+        elif now < begin:
             message = f"the {what} is not valid before {_shown(begin)}"
             later = f"compare the clock of this machine; if it is right, {again}"
             yield self._error(f"{code}-not-yet-valid", name, message, later)

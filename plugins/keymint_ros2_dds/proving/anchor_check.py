@@ -92,6 +92,8 @@ class _AnchorCheck(CredentialCheck):
             # An encrypted key cannot be read without its password, so it is not compared with the certificate.
             of_key = self._key(certificate, self._anchors.public_key)
             yield from (finding for finding in of_key if finding.code != "key-password")
+        if KEY not in self._files and not self._anchors.public_key and not self._anchors.key_uri:
+            yield self._error("file-missing", KEY, "is missing")
 
     def _signed(self, name: str) -> Iterator[Diagnostic]:
         try:

@@ -13,7 +13,7 @@ from keymint_ros2_dds.proving import prove
 
 from keymint.api import KeySpec, Proof, ProofTask
 from keymint.errors import KeymintError
-from keymint.pki import certificates, keys
+from keymint.pki import certificates, keys, public_keys
 from tests.plugins.keymint_ros2_dds.enclaves import NOW, anchors, authority, installed, revoking
 from tests.plugins.keymint_ros2_dds.packages import package, rule
 
@@ -86,7 +86,9 @@ def test_a_file_that_is_missing(missing):
 
 def test_a_key_that_is_kept_elsewhere_or_encrypted_is_no_part_of_the_claim():
     without = {name: content for name, content in OURS.items() if name != "key.pem"}
-    assert {claim.proof for claim in claims(without)} == {Proof.PROVEN}
+    assert refused(without) == {("file-missing", "key.pem")}
+    public = public_keys.to_pem(keys.from_pem(OURS["key.pem"]).public_key())
+    assert {claim.proof for claim in claims(without, replace(anchors(PLAIN), public_key=public))} == {Proof.PROVEN}
     encrypted = keys.to_pem(keys.from_pem(OURS["key.pem"]), b"secret")
     assert {claim.proof for claim in claims({**OURS, "key.pem": encrypted})} == {Proof.PROVEN}
     other = keys.to_pem(keys.generate(KeySpec("ec", "SECP256R1")))
