@@ -117,7 +117,7 @@ def _loaded(session: Session, names: Sequence[str], within: timedelta) -> list[L
 
 
 def _examined(session: Session, keyring: Keyring, part: Sequence[LoadedEnclave | Examined]) -> list[Examined]:
-    found = [each if isinstance(each, Examined) else examine(session, each, keyring) for each in part]
+    found = (each if isinstance(each, Examined) else examine(session, each, keyring) for each in part)
     return [_with_anchors(session, each) for each in found]
 
 

@@ -145,7 +145,9 @@ class _Question:
         session, stamp = self.session, state.stamp(STAGE, key)
         inputs, context = self._inputs(), policy_digest(self.policy)
         known = _load(stamp) if stamp and (stamp.inputs, stamp.context) == (inputs, context) else None
-        if known and known[0] <= session.now and not self.standard_only:  # earlier, documents may have been in force that are over by then
+        if (
+            known and known[0] <= session.now and not self.standard_only
+        ):  # earlier, documents may have been in force that are over by then
             return *known[1], state
         claims, outliving = self._answer()
         if self.standard_only or any(claim.proof is not Proof.PROVEN for claim in claims):

@@ -12,6 +12,7 @@ from comarmor.errors import Diagnostic, Severity
 from keymint.api import Inspection
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, smime
+from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds import check_governance, subject_name_text, token_key, vendor_limits
 from keymint_ros2_dds.credentials import CredentialCheck, revocation_period, subject_of
 from keymint_ros2_dds.documents import dds_xml
@@ -127,15 +128,16 @@ class _EnclaveCheck(CredentialCheck):
             return None
 
     def _signed(self, kind: str) -> Generator[Diagnostic, None, bytes | None]:
-        """Check a document whose signature is verified apart; the generator returns its content if it is valid."""
+        """Check a signed document; the generator returns its content if it is verified and valid, else None."""
         name = f"{kind}.p7s"
         signed = self._files.get(name)
         if signed is None:
             return None
         where = self._where(name)
-        content = self._content(kind)
-        if content is None:
-            return None
+        try:
+            content = smime.verify(signed, self._inspection.chains[roles.PERMISSIONS], where=where)
+        except KeymintError:
+            return None  # reported with the trust anchors
         yield from map(self._for_subject, vendor_limits.check_size(len(signed), kind, self._inspection.package))
         if not self._as_built(kind, content):
             package = self._inspection.package.name

@@ -11,14 +11,11 @@ from comarmor.text import quoted
 from keymint.api import Inspection, SharedInspection
 from keymint.errors import KeymintError
 from keymint.names import name_of
-from keymint.pki import certificates
-from keymint_ros2_zenoh import signature as signatures
-from keymint_ros2_zenoh.authority_roles import ACCESS
 from keymint_ros2_zenoh.credentials import check_credentials, first_common_name
 from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.documents.read import read
 from keymint_ros2_zenoh.emission import common_name, enclaves_of
-from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, ROUTER, SESSION, SIGNATURE
+from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, ROUTER, SESSION
 from keymint_ros2_zenoh.hazards import hazards
 from keymint_ros2_zenoh.settings import is_router
 
@@ -36,7 +33,7 @@ def check_all(inspections: Sequence[Inspection]) -> tuple[Diagnostic, ...]:  # n
 
 
 def check_shared(inspection: SharedInspection) -> tuple[Diagnostic, ...]:
-    """Return findings on the router's configuration and its signature; codes are stable."""
+    """Return findings on the router's configuration; its signature is one of the trust anchors. Codes are stable."""
     return tuple(_router(inspection))
 
 
@@ -93,7 +90,6 @@ def _router(inspection: SharedInspection) -> Iterator[Diagnostic]:
     file = f"{inspection.folder}/{ROUTER}"
     if found is None:
         return  # reported already
-    yield from _signature(inspection, found)
     if built is not None:
         yield from _drift(found, built, file, _INSTALL)
     try:
@@ -134,26 +130,3 @@ def _installed_name(files: Mapping[str, bytes]) -> str | None:
         return first_common_name(files[CERTIFICATE])
     except (KeyError, KeymintError):
         return None
-
-
-def _signature(inspection: SharedInspection, content: bytes) -> Iterator[Diagnostic]:
-    """Yield why the router's configuration is not what the workspace's authority signed."""
-    where = Origin(f"{inspection.folder}/{SIGNATURE}")
-    signature = inspection.files.get(SIGNATURE)
-    if signature is None:
-        yield Diagnostic.error("file-missing", "is missing", where, "'keymint install' writes it again")
-        return
-    try:
-        authority = certificates.load_first(inspection.chains[ACCESS], where, with_lists=True)
-    except KeymintError as error:
-        yield from error.diagnostics
-        return
-    if problem := certificates.can_sign_documents(authority, where):
-        yield problem
-    if defect := signatures.problem(content, signature, authority):
-        yield Diagnostic.error("zenoh-signature", defect, where, _INSTALL)
-    begin, end = certificates.period(authority)
-    if not begin <= inspection.now <= end:
-        message = f"the certificate of its signer is not valid at {inspection.now:%Y-%m-%d}"
-        help_ = "extend the validity of the authority in the profile, then install"
-        yield Diagnostic.error("smime-authority-expired", message, where, help_)

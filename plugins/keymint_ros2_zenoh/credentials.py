@@ -5,18 +5,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from datetime import UTC, timedelta
+from datetime import UTC, datetime, timedelta
 
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from comarmor.errors import Diagnostic, Severity
 from keymint.api import Inspection
+from keymint.errors import KeymintError
 from keymint.pki import certificates, extensions
 from keymint.pki.identity_check import IdentityCheck
-from keymint_ros2_zenoh.authority_roles import IDENTITY
 from keymint_ros2_zenoh.decision.admission import common_name, lacking_usage, names_host
-from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA
+from keymint_ros2_zenoh.enclave_layout import CERTIFICATE
 from keymint_ros2_zenoh.settings import is_router, settings_of
 
 
@@ -44,24 +44,25 @@ class _Credentials(IdentityCheck):
         self._inspection = inspection
 
     def findings(self) -> Iterator[Diagnostic]:
-        inspection, package = self._inspection, self._inspection.package
-        if IDENTITY_CA in self._files and self._files[IDENTITY_CA] != inspection.chains[IDENTITY]:
-            yield self._error("authority-differs", IDENTITY_CA, "is not the certificate of the workspace's authority")
-        if CERTIFICATE not in self._files:
-            return
-        identity, public_key = package.identity, package.issuance.public_key
-        certificate = yield from self._certificate(inspection.chains[IDENTITY], identity.subject_name, inspection.now)
-        if certificate is None:
-            return
-        begin, end = certificates.period(certificate)
-        # One that is not valid is reported already.
-        if begin <= inspection.now <= end <= inspection.now + timedelta(days=inspection.within_days):
-            message = f"the certificate expires on {end.astimezone(UTC):%Y-%m-%d %H:%M} UTC"
-            help_ = f"'keymint renew {package.name}' issues it again, with later dates"
-            yield replace(self._error("certificate-expires", CERTIFICATE, message, help_), severity=Severity.WARNING)
+        try:
+            certificate = certificates.load(self._files.get(CERTIFICATE, b""))
+        except KeymintError:
+            return  # reported with the chain
+        yield from self._dates(*certificates.period(certificate))
         yield from self._usage(certificate)
-        if public_key or not identity.key.password_env:  # else it cannot be read
-            yield from self._key(certificate, public_key)
+
+    def _dates(self, begin: datetime, end: datetime) -> Iterator[Diagnostic]:
+        """Yield why the certificate is not in force, or that it ends soon; both ends of its period count."""
+        now, within = self._inspection.now, timedelta(days=self._inspection.within_days)
+        help_ = f"'keymint renew {self._inspection.package.name}' issues it again, with later dates"
+        if now > end:
+            yield self._error("certificate-expired", CERTIFICATE, f"the certificate expired on {_shown(end)}", help_)
+        elif now < begin:
+            message = f"the certificate is not valid before {_shown(begin)}"
+            yield self._error("certificate-not-yet-valid", CERTIFICATE, message, "compare the clock of this machine")
+        elif end <= now + within:
+            found = self._error("certificate-expires", CERTIFICATE, f"the certificate expires on {_shown(end)}", help_)
+            yield replace(found, severity=Severity.WARNING)
 
     def _usage(self, certificate: x509.Certificate) -> Iterator[Diagnostic]:
         """Yield what a certificate lacks, or has too much: a router is a server of its host, all others are clients."""
@@ -78,3 +79,7 @@ class _Credentials(IdentityCheck):
         if is_server and not names_host(certificate, host):
             message = f"its subjectAltName lacks the router's host {host!r}, so that no session connects to it"
             yield self._error("zenoh-host-name", CERTIFICATE, message)
+
+
+def _shown(moment: datetime) -> str:
+    return f"{moment.astimezone(UTC):%Y-%m-%d %H:%M} UTC"

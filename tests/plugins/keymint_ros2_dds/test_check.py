@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type
 
-from comarmor.errors import Diagnostic, Severity
-from keymint.api import Inspection, KeySpec, TrustAnchor, TrustAnchors
+from comarmor.errors import Severity
+from keymint.api import KeySpec
 from keymint.pki import certificates, smime
 from tests.effort import tries
+from tests.plugins.examined import examined
 from tests.plugins.keymint_ros2_dds.builds import CHATTER
 
 from .enclaves import NOW, authority, inspection, installed, revoking
@@ -28,22 +29,8 @@ def files():
     return installed(TALKER)
 
 
-def examined(asked: Inspection) -> tuple[Diagnostic, ...]:
-    """Return what 'keymint check' asks a build type about an enclave: its own rules, and those on trust anchors."""
-    package = asked.package
-    authorities = {role: TrustAnchor(role, f"public/{role}.cert.pem", chain) for role, chain in asked.chains.items()}
-    identity, public_key = package.identity, package.issuance.public_key
-    anchors = TrustAnchors(
-        authorities, identity.subject_name, asked.layout, public_key, identity.key.uri, package.distro
-    )
-    own = build_type.check(asked)
-    known = {(each.code, each.where) for each in own}
-    more = build_type.differences(asked.files, asked.folder, anchors)
-    return (*own, *(each for each in more if (each.code, each.where) not in known))
-
-
 def codes(files, loaded=TALKER, **fields):
-    return sorted(found.code for found in examined(inspection(loaded, files, **fields)))
+    return sorted(found.code for found in examined(build_type, inspection(loaded, files, **fields)))
 
 
 def signed(content: bytes, name: str = "permissions_ca") -> bytes:
@@ -59,7 +46,7 @@ def edited(files, old: bytes, new: bytes):
 
 
 def test_what_was_just_installed_is_clean(files):
-    assert examined(inspection(TALKER, files)) == ()
+    assert examined(build_type, inspection(TALKER, files)) == ()
     assert build_type.check_all([inspection(TALKER, files)]) == ()
 
 
@@ -74,7 +61,7 @@ def test_any_flipped_bit_is_found(files, name):
     def law(at, bit):
         content = bytearray(files[name])
         content[at] ^= 1 << bit
-        found = examined(inspection(TALKER, {**files, name: bytes(content)}))
+        found = examined(build_type, inspection(TALKER, {**files, name: bytes(content)}))
         assert any(each.severity is Severity.ERROR and each.where for each in found)
         assert not any(b"PRIVATE" in str(each).encode() for each in found)
 

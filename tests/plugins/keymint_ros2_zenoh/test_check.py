@@ -13,12 +13,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_zenoh import build_type
 from keymint_ros2_zenoh import signature as signatures
+from keymint_ros2_zenoh.proving import trust
 
 from comarmor.errors import Severity
-from keymint.api import Extension, Package
+from keymint.api import Extension, Package, TrustAnchor
 from tests.effort import tries
+from tests.plugins.examined import examined
 
-from .enclaves import authority, inspection, installed, shared, shared_inspection
+from .enclaves import authority, inspection, installed, pem, shared, shared_inspection
 from .workspaces import HOST_ORIGIN, LISTENER, TALKER, VALIDITY, package, workspace
 
 PACKAGES = workspace(TALKER, LISTENER)
@@ -37,7 +39,7 @@ def router() -> dict[str, bytes]:
 
 
 def codes(files: Mapping[str, bytes], own: Package = OWN_TALKER, **fields: Any) -> list[str]:
-    return sorted(found.code for found in build_type.check(inspection(own, files, **fields)))
+    return sorted(found.code for found in examined(build_type, inspection(own, files, **fields)))
 
 
 def edited(files: Mapping[str, bytes], *changes: tuple[str, str]) -> dict[str, bytes]:
@@ -55,7 +57,7 @@ def _changed(content: bytes, *changes: tuple[str, str]) -> bytes:
 
 @pytest.mark.parametrize("own", PACKAGES, ids=lambda each: each.name)
 def test_what_was_just_installed_is_clean(own: Package) -> None:
-    assert build_type.check(inspection(own, installed(own))) == ()
+    assert examined(build_type, inspection(own, installed(own))) == ()
 
 
 def test_the_router_file_that_was_just_installed_is_clean(router: dict[str, bytes]) -> None:
@@ -99,7 +101,7 @@ def test_usage_of_certificates(subject: str, usage: str, code: str, severity: Se
     others = tuple(each for each in own.identity.extensions if each.name != "extendedKeyUsage")
     odd = replace(own.identity, extensions=(Extension("extendedKeyUsage", usage, False, HOST_ORIGIN), *others))
     wrong = _files_of(replace(own, identity=odd), own)
-    found = build_type.check(inspection(own, wrong))
+    found = examined(build_type, inspection(own, wrong))
     assert [(each.code, each.severity) for each in found if each.severity is severity] == [(code, severity)]
 
 
@@ -145,7 +147,7 @@ SESSION_FAULTS = [
 def test_faults_of_a_session(talker: dict[str, bytes], change: tuple[str, str], code: str) -> None:
     wrong = edited(talker, change)
     assert codes(wrong) == sorted(["drift", code])
-    [found] = [each for each in build_type.check(inspection(OWN_TALKER, wrong)) if each.code == code]
+    [found] = [each for each in examined(build_type, inspection(OWN_TALKER, wrong)) if each.code == code]
     assert found.where
     assert found.where.file == "install/enclaves/talker/session.json5"
     assert found.help
@@ -162,7 +164,10 @@ def test_a_session_that_zenoh_refuses(talker: dict[str, bytes]) -> None:
 
 
 def router_codes(files: Mapping[str, bytes], **fields: Any) -> list[str]:
-    return sorted(each.code for each in build_type.check_shared(shared_inspection(PACKAGES, files, **fields)))
+    access = TrustAnchor("access", "public/permissions_ca.cert.pem", pem("permissions_ca"))
+    anchored = trust.router_differences(files, "install", access)
+    own = build_type.check_shared(shared_inspection(PACKAGES, files, **fields))
+    return sorted(each.code for each in (*own, *anchored))
 
 
 def signed(content: bytes, by: str = "permissions_ca") -> dict[str, bytes]:
