@@ -8,6 +8,7 @@ keys: what a fault writes is what its writer meant, whatever Keymint thinks of i
 from __future__ import annotations
 
 import fnmatch
+import hashlib
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import deepcopy
@@ -403,6 +404,26 @@ def _adopted(bench: Bench, place: Path) -> None:
     bench.do(place, "adopt", place / "ks", place / "policy.xml", "--apply")
 
 
+def _requested(bench: Bench, place: Path) -> None:
+    """Robots made their keys: each is in ``robot/``, and none in the workspace."""
+    _provision(bench, place)
+    for subject in SUBJECTS:
+        file = place / f"{subject[1:].replace('/', '.')}.request.pem"
+        assert bench.run("request", subject, "--folder", place / "robot", "-o", file, "-q") == 0
+        key = x509.load_pem_x509_csr(file.read_bytes()).public_key()
+        fingerprint = hashlib.sha256(public(key)).hexdigest()
+        bench.do(place, "sign", file, "--fingerprint", f"{subject}={fingerprint}", "-o", place)
+
+
+def _zenoh_revoked(bench: Bench, place: Path) -> None:
+    """The camera was stolen; routers know its name no longer."""
+    _provision(bench, place, "--transport", "zenoh")
+    bench.keep(place, 0)
+    bench.do(place, "revoke", "robot1/camera", "--reason", "key-compromise")
+    bench.keep(place, 1)
+    bench.do(place, "revoke", "planner", "--reason", "superseded")
+
+
 IDENTITY, PERMISSIONS = "identity_ca", "permissions_ca"
 MAKERS: Mapping[str, Callable[[Bench, Path], None]] = {
     "dds": _provision,
@@ -417,6 +438,8 @@ MAKERS: Mapping[str, Callable[[Bench, Path], None]] = {
     "ended": _rollover([IDENTITY], [IDENTITY, "--phase", "end"]),
     "adopted": _adopted,
     "zenoh": lambda bench, place: _provision(bench, place, "--transport", "zenoh"),
+    "zenoh revoked": _zenoh_revoked,
+    "requested": _requested,
     "both": lambda bench, place: _provision(bench, place, "--transport", "dds", "--transport", "zenoh"),
 }
 """How the workspaces of each kind are made."""

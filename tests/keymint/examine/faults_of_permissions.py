@@ -91,11 +91,12 @@ CONTAINING: dict[str, Callable[[str, str], str]] = {
     "bars for slashes": lambda cn, ou: f"CN={cn.replace('/', '|')},OU={ou}",
     "doubled": lambda cn, ou: f"CN={cn},OU={ou},CN={cn},OU={ou}",
     "reversed path": lambda cn, ou: f"CN=/{'/'.join(reversed(cn[1:].split('/')))}/z,OU={ou}",
-    "two generations": lambda cn, ou: f"CN={cn},OU=0,OU={ou}",
+    "doubled generation": lambda cn, ou: f"CN={cn},OU={ou},OU={ou}",
     "one line": lambda cn, ou: f"/CN=/x{cn}/OU={ou}",
 }
 """Names with which every token of an identity's name occurs in the grant's, as Cyclone DDS splits both."""
 NEAR = {
+    "two generations": lambda cn, ou: f"CN={cn},OU=0,OU={ou}",
     "no generation": lambda cn, ou: f"CN={cn}/more",
     "letter case": lambda cn, ou: f"CN={cn.upper()}/more,OU={ou}",
     "longer word": lambda cn, ou: f"CN={cn}more,OU={ou}",
@@ -146,7 +147,7 @@ SPELLINGS: dict[str, tuple[Callable[[str, str], str], str]] = {
     "order and blanks": (lambda cn, ou: f"OU={ou}, CN={cn}", "fastdds-2.11"),
     "a plus sign": (lambda cn, ou: f"CN={cn}+OU={ou}", "fastdds-2.11"),
     "a backslash": (lambda cn, ou: f"CN=\\{cn},OU={ou}", "fastdds-2.11"),
-    "leading blank": (lambda cn, ou: f" CN={cn},OU={ou}", "fastdds-2.11"),
+    "leading blank": (lambda cn, ou: f" CN={cn},OU={ou}", "cyclonedds, fastdds-2.11"),
 }
 """Spellings of a name that Fast DDS takes for the same from 2.11 on, which compares attributes."""
 

@@ -118,7 +118,8 @@ def _others() -> Iterator[Fault]:
             for wider in (False, True):
                 apply = _trusting(subject, "permissions_ca", name, wider=wider)
                 label = "wider documents" if wider else "documents"
-                yield Fault(11, f"{subject} trusts {name} for {label}", "dds", apply)
+                vendors = "all" if wider else "peers, which do not trust it"
+                yield Fault(11, f"{subject} trusts {name} for {label}", "dds", apply, vendors=vendors)
         yield Fault(
             11, f"{subject} trusts a namesake for identities", "dds",
             _trusting(subject, "identity_ca", "namesake", wider=False),
@@ -325,7 +326,10 @@ def _adopted() -> Iterator[Fault]:
                 ):
                     what = f"{'wider ' * wider}{'permissions' if permissions else 'governance'}"
                     apply = _resigned(subject, signer, permissions=permissions, wider=wider)
-                    yield Fault(18, f"{subject} {what} by {label}", "adopted", apply, subjects=ADOPTED)
+                    # Vendors of today accept whoever the authority certified; newer ones do not start with it.
+                    vendors = "all" if wider or "namesake" in label else "newer vendors"
+                    name = f"{subject} {what} by {label}"
+                    yield Fault(18, name, "adopted", apply, vendors=vendors, subjects=ADOPTED)
         for label, edit in list(WIDENED.items())[::4]:
 
             def widened(keystore: Keystore, subject: str = subject, edit: Edit = edit) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import shutil
 from collections import Counter, defaultdict
 from datetime import UTC, datetime
-from pathlib import Path
 
 import pytest
 
@@ -19,16 +18,15 @@ from tests.effort import FULL
 
 from .fault import CLASSES, Fault
 from .fault_keystores import Bench, meaning
+from .faults_of_bundles import FAULTS as OF_BUNDLES
 from .faults_of_keystores import FAULTS as OF_KEYSTORES
 from .faults_of_permissions import FAULTS as OF_PERMISSIONS
 from .faults_of_signers import FAULTS as OF_SIGNERS
 from .faults_of_zenoh import FAULTS as OF_ZENOH
 
-TABLE: tuple[Fault, ...] = (*OF_PERMISSIONS, *OF_SIGNERS, *OF_KEYSTORES, *OF_ZENOH)
+TABLE: tuple[Fault, ...] = (*OF_PERMISSIONS, *OF_SIGNERS, *OF_KEYSTORES, *OF_BUNDLES, *OF_ZENOH)
 SAMPLE = 2
 """How many faults of each class are tried by default."""
-BUNDLES = 21
-"""The class that has a test of its own."""
 
 
 def sample(faults: tuple[Fault, ...] = TABLE) -> list[Fault]:
@@ -55,7 +53,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 
 def test_each_class_has_fifty_faults() -> None:
     counted = Counter(fault.kind for fault in TABLE)
-    assert {kind: counted[kind] for kind in CLASSES if kind != BUNDLES and counted[kind] < 50} == {}
+    assert {kind: counted[kind] for kind in CLASSES if counted[kind] < 50} == {}
     assert len({fault.id for fault in TABLE}) == len(TABLE)
 
 
@@ -88,12 +86,3 @@ def test_without_a_fault_nothing_is_found(keymint, bench: Bench, kind: str) -> N
             outcome = keymint(verb, "-w", keystore.ws)
             assert outcome.code == 0, (verb, outcome.out, outcome.err)
         shutil.rmtree(keystore.ws / ".keymint", ignore_errors=True)
-
-
-def test_a_copy_is_what_was_made(bench: Bench) -> None:
-    """A fault leaves nothing behind in the next copy."""
-    path = bench.copy("dds").enclave("/talker") / "cert.pem"
-    content = path.read_bytes()
-    path.write_bytes(b"")
-    assert (bench.copy("dds").enclave("/talker") / "cert.pem").read_bytes() == content
-    assert isinstance(path, Path)
