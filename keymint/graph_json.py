@@ -19,6 +19,8 @@ FORMAT = "keymint-graph"
 VERSION = 1
 MAX_BYTES = 16 * 2**20
 """Maximum size of a document in bytes."""
+MAX_VALUES = 1_200_000
+"""Maximum number of the characters ``,:[{`` in a document: each begins a value that takes more memory than its text."""
 MAX_NAME = 1024
 """Maximum length of a name."""
 MAX_DOMAIN = 232
@@ -130,6 +132,8 @@ class _GraphReader:
     def __init__(self, name: str, content: bytes) -> None:
         self._name = name
         self._text = decoded(content, name, "graph-invalid")
+        if sum(map(self._text.count, ",:[{")) > MAX_VALUES:
+            raise self._error(f"the file has more than the {MAX_VALUES:,} values allowed", 0)
         try:
             self._document: Any = json.loads(self._text, parse_constant=_refuse_constant, object_pairs_hook=_unique)
         except json.JSONDecodeError as error:
@@ -160,11 +164,11 @@ class _GraphReader:
         types = [self._type(path, item) for path, item in self._items((), document, "types")]
         return Graph.of(edges, subjects, types)
 
-    def _items(self, path: Path, entry: Mapping[str, Any], name: str) -> list[tuple[Path, Any]]:
+    def _items(self, path: Path, entry: Mapping[str, Any], name: str) -> Iterator[tuple[Path, Any]]:
         items = entry.get(name, [])
         if not isinstance(items, list):
             self._refuse((*path, name), f"is {_shown(items)}, expected an array")
-        return [((*path, name, at), item) for at, item in enumerate(items)]
+        return (((*path, name, at), item) for at, item in enumerate(items))
 
     def _one_of(self, path: Path, value: Any, known: Collection[str], noun: str) -> str:
         if not isinstance(value, str) or value not in known:
@@ -217,11 +221,10 @@ class _GraphReader:
 
     def _object(self, path: Path, entry: Mapping[str, Any], kind: str) -> Object:
         name = self._text_of((*path, "object"), entry["object"])
-        items = self._items(path, entry, "partitions")
-        names = {self._text_of(place, item, empty=True) for place, item in items}
+        names = {self._text_of(place, item, empty=True) for place, item in self._items(path, entry, "partitions")}
         if kind == "topic":
             return Object(kind, name, partitions(names))
-        if items:
+        if names:
             self._refuse((*path, "partitions"), f"a {kind} has no partitions", "only objects of kind topic have")
         if not name.startswith("/"):
             self._refuse((*path, "object"), f"{_shown(name)} does not begin with '/'", "write the absolute ROS name")
@@ -234,7 +237,7 @@ def partitions(names: set[str]) -> tuple[str, ...]:
 
 
 def _shown(value: Any) -> str:
-    text = repr(value) if isinstance(value, str) else json.dumps(value)
+    text = repr(value[:81]) if isinstance(value, str) else json.dumps(value)
     return text if len(text) <= 80 else f"{text[:80]}…"  # noqa: PLR2004 - what fits in a line
 
 

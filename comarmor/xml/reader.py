@@ -8,6 +8,7 @@ document that exceeds a limit never becomes a tree.
 from __future__ import annotations
 
 import re
+from array import array
 from typing import Any, NoReturn
 from xml.parsers import expat  # nosec - every DOCTYPE is refused, so there are no entities to expand
 
@@ -19,6 +20,10 @@ from comarmor.values import dataclass
 
 XINCLUDE = "http://www.w3.org/2001/XInclude"
 XSI = "http://www.w3.org/2001/XMLSchema-instance"
+_COLUMN = 1 << 32
+"""A place is a line times this, and a column."""
+_CHUNK = 1 << 16
+"""Bytes that are parsed at once."""
 _HINTS = ("schemaLocation", "noNamespaceSchemaLocation")
 
 
@@ -30,6 +35,8 @@ class Limits:
         file_bytes: bytes of one file.
         total_bytes: bytes of all files.
         depth: nesting depth of elements in one file.
+        tag_bytes: bytes of a tag or comment.
+        parts: elements and texts of one file, and its attributes, each of which takes twice the memory.
         nodes: elements of one file, and of all files with each inclusion counted that reads or copies them.
         include_depth: nesting depth of includes.
         inclusions: such inclusions, nested ones counted each time.
@@ -39,6 +46,8 @@ class Limits:
     file_bytes: int = 16 * 2**20
     total_bytes: int = 64 * 2**20
     depth: int = 64
+    tag_bytes: int = 2**20
+    parts: int = 1_200_000
     nodes: int = 1_000_000
     include_depth: int = 16
     inclusions: int = 50_000
@@ -52,7 +61,18 @@ _UNBOUND = expat.errors.codes[expat.errors.XML_ERROR_UNBOUND_PREFIX]
 
 
 class _Element(etree.ElementBase):
-    """An element with its exact place; libxml2 stores only 16 bits of the line, and of the start tag's end."""
+    """An element with its exact place; libxml2 stores only 16 bits of the line, and of the start tag's end.
+
+    Attributes:
+        at: line and column in one number, see :data:`_COLUMN`.
+        places: of the root: those of all elements in document order.
+        elements: of the root: all others, once a place is asked for; lxml drops elements that nothing refers to.
+    """
+
+    __slots__ = ("at", "elements", "places")
+    at: int
+    places: array[int]
+    elements: list[_Element]
 
     @property
     def sourceline(self) -> int:  # type: ignore[override]
@@ -62,8 +82,18 @@ class _Element(etree.ElementBase):
     @property
     def place(self) -> tuple[int, int]:
         """Line and column from 1, as expat counted them."""
-        place: tuple[int, int] = self.__dict__.get("at", (0, 0))
-        return place
+        if not hasattr(self, "at"):
+            self._number()
+        at = getattr(self, "at", 0)
+        return at // _COLUMN, at % _COLUMN
+
+    def _number(self) -> None:
+        """Give each element of the document its place."""
+        root: Any = self.getroottree().getroot()
+        elements: list[Any] = list(root.iter())
+        for element, at in zip(elements, getattr(root, "places", ()), strict=False):
+            element.at = at
+        root.elements = elements[1:]  # without the root, since a cycle would stay
 
 
 def parse(content: bytes, name: str, *, limits: Limits = LIMITS, chain: tuple[Origin, ...] = ()) -> etree._Element:
@@ -93,23 +123,20 @@ def parse(content: bytes, name: str, *, limits: Limits = LIMITS, chain: tuple[Or
     )
     parser.set_element_class_lookup(etree.ElementDefaultClassLookup(element=_Element))
     try:
-        root = etree.fromstring(content, parser)
+        root: Any = etree.fromstring(content, parser)
     except etree.XMLSyntaxError as error:
         raise ComArmorError(
             f"not well-formed XML: {error.msg}", where=Origin(name, error.lineno or 0, chain), code="xml-syntax"
         ) from None
-    elements = list(root.iter())
     docinfo: Any = root.getroottree().docinfo
-    if docinfo.doctype or len(elements) != len(places):
+    if docinfo.doctype or root.xpath("count(//*)") != len(places):
         # The two parsers read different documents: the file is crafted so that tools read it differently.
         raise ComArmorError("the file is not plain XML", where=file, code="xml-syntax")
-    for element, place in zip(elements, places, strict=True):
-        element.__dict__["at"] = place
-    # The Python objects store the places, so they live as long as the root; it is left out, since a cycle would stay.
-    root.__dict__["elements"] = elements[1:]
+    root.places = places
     for hint in _HINTS:
         root.attrib.pop(f"{{{XSI}}}{hint}", "")
-    return root
+    checked: etree._Element = root
+    return checked
 
 
 def looks_like_xml(content: bytes) -> bool:
@@ -121,6 +148,12 @@ def line(element: etree._Element) -> int:
     """Return the line on which an element of a parsed document begins, from 1."""
     sourceline = element.sourceline
     return sourceline if isinstance(sourceline, int) else 0
+
+
+def line_in(root: etree._Element, element: etree._Element) -> int:
+    """Return the line of an element of a document that is not read any further: others get no place."""
+    before: Any = element.xpath("count(preceding::*) + count(ancestor::*)")
+    return root.places[int(before)] // _COLUMN if isinstance(root, _Element) else line(element)
 
 
 def place(element: etree._Element) -> tuple[int, int]:
@@ -139,21 +172,27 @@ class _Scanner:
     def __init__(self, file: Origin, limits: Limits) -> None:
         self.file = file
         self.limits = limits
-        self.places: list[tuple[int, int]] = []
+        self.places = array("Q")
+        self.parts = 0
         self.open: list[tuple[str, int]] = []
         self.parser = expat.ParserCreate(namespace_separator="}")
         self.parser.StartElementHandler = self.start
         self.parser.EndElementHandler = self.end
         self.parser.StartDoctypeDeclHandler = self.doctype
 
-    def scan(self, content: bytes) -> list[tuple[int, int]]:
-        """Return line and column of each element, in document order.
+    def scan(self, content: bytes) -> array[int]:
+        """Return line and column of each element in one number, in document order.
 
         Raises:
             ComArmorError: not well-formed, too large, or with a DOCTYPE.
         """
         try:
-            self.parser.Parse(content, True)
+            self.parts = content.count(b">") - content.count(b"><")  # at most so many texts
+            for at in range(0, len(content), _CHUNK):
+                self.parser.Parse(content[at : at + _CHUNK], False)
+                if at + _CHUNK - self.parser.CurrentByteIndex > self.limits.tag_bytes:
+                    self.refuse(f"a tag or comment has more than {self.limits.tag_bytes:,} bytes", "xml-limit")
+            self.parser.Parse(b"", True)
         except expat.ExpatError as error:
             raise ComArmorError(
                 f"not well-formed XML: {self.explain(error)}",
@@ -201,11 +240,14 @@ class _Scanner:
         """Record the place of an element (expat's handler of start tags)."""
         current = self.parser.CurrentLineNumber
         self.open.append((tag, current))
-        self.places.append((current, self.parser.CurrentColumnNumber + 1))
+        self.places.append(current * _COLUMN + self.parser.CurrentColumnNumber + 1)
         if len(self.open) > self.limits.depth:
             self.refuse(f"elements are nested more than {self.limits.depth} deep", "xml-limit")
         if len(self.places) > self.limits.nodes:
             self.refuse(f"the file has more than the {self.limits.nodes:,} elements allowed", "xml-limit")
+        self.parts += 1 + 2 * len(attributes)
+        if self.parts > self.limits.parts:
+            self.refuse(f"the file has more than {self.limits.parts:,} elements, attributes and texts", "xml-limit")
         for attribute in attributes:
             space, _, local = attribute.rpartition("}")
             if space == XSI and (len(self.places) > 1 or local not in _HINTS):

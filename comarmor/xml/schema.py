@@ -14,7 +14,7 @@ from lxml import etree
 from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean, quoted
-from comarmor.xml.reader import XINCLUDE, line, parse
+from comarmor.xml.reader import XINCLUDE, line_in, parse
 from comarmor.xml.xsd import XS, SchemaVocabulary
 
 _PREFIXES = {XINCLUDE: "xi:", "http://www.w3.org/XML/1998/namespace": "xml:"}
@@ -61,7 +61,7 @@ def validate(root: etree._Element, schema: Path, file: str, chain: tuple[Origin,
     log: Any = compiled.error_log
     for entry in log:
         element = _element(root, entry.path)
-        where = Origin(file, entry.line if element is None else line(element), chain)
+        where = Origin(file, entry.line if element is None else line_in(root, element), chain)
         message, hint = _explain(entry.message, vocabulary, element)
         diagnostics[Diagnostic.error("schema", message, where, hint)] = None
         if len(diagnostics) == _MOST:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from keymint_comarmor import file_fingerprint
 
@@ -12,8 +13,8 @@ from keymint.api.lazy import lazy
 
 __all__ = ["Sros2PolicyType", "policy_type"]
 
-_MOST = 16 * 2**20
-"""Bytes of a file that may be a policy."""
+_BEGIN = 1 << 16
+"""Bytes at the begin of a file that tell what it is."""
 
 
 class Sros2PolicyType:
@@ -36,16 +37,21 @@ class Sros2PolicyType:
 
     def recognises(self, path: Path) -> bool:
         """Tell whether a file is an SROS2 policy, valid or not."""
-        from comarmor.errors import ComArmorError  # noqa: PLC0415 - few verbs need it
-        from comarmor.xml.reader import parse  # noqa: PLC0415
+        from lxml import etree  # noqa: PLC0415 - few verbs need it
+
         from comarmor.xml.sandboxed_paths import read_bounded  # noqa: PLC0415
 
+        parser: Any = etree.XMLPullParser(("start",), resolve_entities=False, load_dtd=False, no_network=True)
         try:
             real = path.resolve(strict=True)
-            root = parse(read_bounded(real.parent, real, _MOST + 1), path.name)
-        except (OSError, RuntimeError, ValueError, ComArmorError):
+            parser.feed(read_bounded(real.parent, real, _BEGIN))
+        except (OSError, RuntimeError, ValueError):
             return False
-        return root.tag == "policy" and (root.get("version") is not None or root.find("enclaves") is not None)
+        except etree.XMLSyntaxError:
+            pass  # what was read before is known
+        root, *inner = [*(element for _, element in parser.read_events()), etree.Element("none")][:2]
+        begins = root.get("version") is not None or any(each.tag == "enclaves" for each in inner)
+        return root.tag == "policy" and begins
 
 
 policy_type = Sros2PolicyType()

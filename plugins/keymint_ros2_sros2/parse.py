@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import posixpath
 from collections.abc import Iterator, Mapping
 from dataclasses import field, replace
 from pathlib import Path
@@ -35,17 +36,19 @@ class _Parser:
 
     Attributes:
         seen: every path that was looked at, with its fingerprint.
+        version: of the policy.
         lost: notes about what has no meaning for access control.
     """
 
     seen: Mapping[Path, bytes]
+    version: str = NEW
     lost: list[Diagnostic] = field(default_factory=list)
 
     def policy(self, root: Placed) -> SourcePolicy:
         """Return the policy of a root element."""
         if root.element.tag != "policy":
             raise _misplaced(root, "as the root", ("policy",))
-        version = root.element.get("version", "")
+        self.version = version = root.element.get("version", "")
         inner = "enclaves" if version == NEW else "profiles"
         enclaves: list[Enclave] = []
         comments: list[str] = [*root.before]
@@ -68,11 +71,6 @@ class _Parser:
         """Yield the enclaves of an ``<enclaves>`` element."""
         for child in self.children(item, ("enclave",), "in <enclaves>"):
             groups = tuple(self.group(each) for each in self.children(child, ("profiles",), "in <enclave>"))
-            if not groups:
-                raise ComArmorError(
-                    f"the enclave {quoted(child.element.get('path', ''))} has no <profiles>", where=child.where,
-                    help="add them, or remove the enclave", code="schema",
-                )  # fmt: skip
             yield Enclave(child.element.get("path", ""), groups, child.where, child.comments, child.closing)
 
     def nodes_of_old(self, item: Placed) -> Iterator[Enclave]:
@@ -84,8 +82,8 @@ class _Parser:
 
     def group(self, item: Placed) -> NodeGroup:
         """Return the nodes of a ``<profiles>`` element."""
-        if item.element.get("type"):
-            self.lose(f"the type {quoted(item.element.get('type', ''))} of <profiles>", item)
+        if (kind := item.element.get("type")) is not None:
+            self.lose(f"the type {quoted(kind)} of <profiles>", item)
         children = self.children(item, ("profile",), "in <profiles>")
         nodes = tuple(self.node(child) for child in children)
         return NodeGroup(nodes, item.where, item.comments, item.closing)
@@ -118,18 +116,49 @@ class _Parser:
         )
 
     def lose(self, what: str, item: Placed) -> None:
-        """Note something that no other policy language has."""
+        """Note something that no other policy language has, and that SROS2 has since version 0.2.0."""
+        if self.version != NEW:
+            raise _refused(f"version {self.version} of the policy forbids {what}", item, "remove it")
         self.lost.append(Diagnostic.note("sros2-lost", f"{what} is not taken over", item.where))
 
     def children(self, item: Placed, expected: tuple[str, ...], place: str) -> Iterator[Placed]:
-        """Yield the child elements, which includes may have put into the wrong place; ``<metadata>`` is left out."""
+        """Yield the child elements, which includes may have put into the wrong place; ``<metadata>`` is left out.
+
+        Raises:
+            ComArmorError: SROS2, which validates the policy after resolving its includes, refuses them.
+        """
+        parent, before, is_empty = str(item.element.tag), "", True
         for child in item.children():
-            if child.element.tag == "metadata":
+            tag = str(child.element.tag)
+            if before == "metadata" or (before and parent == "policy"):
+                raise _refused(f"<{tag}> is not expected after <{before}>", child, f"expected the end of <{parent}>")
+            if tag not in _WITH_BASE and _folder(child) != _folder(item):
+                message = f"XInclude adds xml:base to <{tag}>, which comes from another folder"
+                raise _refused(message, child, "move the file to the folder of the one that includes it")
+            if tag == "metadata" and parent == "profiles":
                 self.lose("<metadata>", child)
-            elif child.element.tag in expected:
+            elif tag in expected:
+                is_empty = False
                 yield child
             else:
                 raise _misplaced(child, place, expected)
+            before = tag
+        if is_empty and parent not in _MAY_BE_EMPTY:
+            raise _refused(f"<{parent}> has no <{expected[0]}>", item, f"add one, or remove the <{parent}>")
+
+
+_WITH_BASE = frozenset(("profile", *PERMISSIONS))
+"""The elements that may have ``xml:base``, which XInclude 1.0 (4.7.5) adds to what it includes from another folder."""
+_MAY_BE_EMPTY = frozenset(("profile", "policy", "enclaves"))
+"""A policy without enclaves has an error of its own."""
+
+
+def _folder(item: Placed) -> str:
+    return posixpath.dirname(item.file.name)
+
+
+def _refused(message: str, item: Placed, help_: str) -> ComArmorError:
+    return ComArmorError(f"{message}: SROS2 refuses that", where=item.where, help=help_, code="schema")
 
 
 def _misplaced(item: Placed, place: str, expected: tuple[str, ...]) -> ComArmorError:

@@ -27,7 +27,7 @@ from comarmor.xml.sandboxed_paths import path_text
 from keymint_ros2_sros2.comments import Comments, comments_of
 
 _DRAFT = "http://www.w3.org/2003/XInclude"
-_XPOINTER = lazy_regex(r"\s*(?:xpointer\(\s*)?((?:/(?:\w+|\*))+)(?:\s*\))?\s*")
+_XPOINTER = lazy_regex(r"\s*xpointer\(\s*((?:/(?:\w+|\*))+)\s*\)\s*")
 _BASE = "{http://www.w3.org/XML/1998/namespace}base"
 
 
@@ -163,6 +163,6 @@ def _steps(include: etree._Element, where: Origin) -> tuple[str, ...]:
     if match is None:
         raise ComArmorError(
             f"the xpointer {quoted(xpointer)} is not supported", where=where, code="include-xpointer",
-            help="write a path of elements, e.g. xpointer(/profile/*)",
+            help="write xpointer(PATH) with a path of elements, e.g. xpointer(/profile/*); SROS2 refuses a path alone",
         )  # fmt: skip
     return tuple(match[1][1:].split("/"))

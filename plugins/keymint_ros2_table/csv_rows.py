@@ -13,6 +13,8 @@ from comarmor.text import counted
 from keymint_ros2_table.rows import COLUMNS, MOST_ROWS, Row, column_order, placed
 
 _NAMES = frozenset(COLUMNS)
+_MOST_CHARACTERS = 1 << 20
+"""The most characters of a row."""
 _ENOUGH = 3
 """Names of columns by which a header is recognised, also if it has defects."""
 
@@ -66,24 +68,35 @@ def rows_of(content: bytes, file: str) -> Iterator[Row | ComArmorError]:
             yield error
 
 
-def _text(content: bytes, file: str) -> str:
+def _text(content: bytes, file: str) -> io.TextIOWrapper:
     try:
-        return content.decode("utf-8-sig")
+        content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         raise ComArmorError(
             "the table is not UTF-8", where=Origin(file, line), help="save it as CSV in UTF-8", code="table-encoding"
         ) from None
+    return io.TextIOWrapper(io.BytesIO(content), "utf-8-sig", newline="")  # a text of it may take four times the memory
 
 
-def _records(text: str, file: str) -> Iterator[tuple[int, list[str]]]:
+def _records(text: io.TextIOWrapper, file: str) -> Iterator[tuple[int, list[str]]]:
     """Yield each record, with its first line."""
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    size = 0
+
+    def lines() -> Iterator[str]:
+        nonlocal size
+        while each := text.readline(_MOST_CHARACTERS):
+            size += len(each)
+            if size >= _MOST_CHARACTERS:
+                raise csv.Error(f"more than {_MOST_CHARACTERS:,} characters")
+            yield each
+
+    reader = csv.reader(lines(), strict=True)
     line = 1
     try:
         for fields in reader:
             yield line, fields
-            line = reader.line_num + 1
+            line, size = reader.line_num + 1, 0
     except csv.Error as error:
         raise ComArmorError(
             f"the row is not valid CSV: {error}", where=Origin(file, line),

@@ -12,7 +12,7 @@ from comarmor.xml.sandboxed_paths import path_text, read_bounded, unreadable
 from keymint_ros2_table import csv_rows, sqlite_rows
 from keymint_ros2_table.rows import Row
 
-_MOST_CSV, _MOST_SQLITE = 16 * 2**20, 64 * 2**20
+_MOST_CSV, _MOST_SQLITE = 16 * 2**20, 32 * 2**20
 """Bytes of a file."""
 _CSV = ".csv"
 _LOG, _JOURNAL = "-wal", "-journal"

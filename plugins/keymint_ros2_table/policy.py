@@ -105,6 +105,7 @@ class _PolicyMaker:
             ):
                 raise
             self.diagnostics += error.diagnostics
+            self.parts.clear()  # there is no policy
 
     def policy(self) -> comarmor.Policy:
         """Return the policy.

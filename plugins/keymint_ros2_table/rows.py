@@ -12,7 +12,7 @@ from comarmor.values import dataclass
 REQUIRED = ("subject", "kind", "permission", "object", "qualifier")
 OPTIONAL = ("audit", "source")
 COLUMNS = (*REQUIRED, *OPTIONAL)
-MOST_ROWS = 500_000
+MOST_ROWS = 200_000
 """The most rows of a table."""
 _LONGEST_SOURCE = 500
 

@@ -8,7 +8,9 @@ code of others: they may only read and compute, must end, and must give the same
 from __future__ import annotations
 
 import contextlib
+import resource
 import sqlite3  # noqa: TID251 - in memory only: reads bytes
+import sys
 from collections.abc import Iterator, Sequence
 
 from comarmor.errors import ComArmorError, Origin
@@ -22,10 +24,15 @@ _WRITE_AHEAD, _ROLLBACK = b"\2\2", b"\1\1"
 """The bytes 18 and 19 of a file: versions of its format for writing and reading (SQLite, "Database File Format")."""
 _HIDDEN = 1
 """What ``PRAGMA table_xinfo`` says about a column of a virtual table that ``*`` does not name."""
-_STEPS_BETWEEN, _MOST_CHECKS = 100_000, 1_000
+_STEPS_BETWEEN, _MOST_CHECKS = 10_000, 10_000
 """Instructions of SQLite's machine between two checks, and the most checks: some seconds."""
-_MOST_MEMORY = 2**31
-"""Bytes that SQLite may use in this process: twice what the largest register of certificates needs."""
+_MOST_BYTES = 1 << 14
+"""The most bytes of a value that a query makes; so it takes little memory between two checks."""
+_MOST_GROWTH = 1 << 15
+"""How much the process may grow while a query runs, beside one for each row, in KiB.
+
+SQLite has limits of memory for all databases of a process together only, and the register of certificates needs more.
+"""
 _CHANGING = frozenset((
     "random", "randomblob", "date", "time", "datetime", "julianday", "strftime", "unixepoch", "timediff",
     "current_date", "current_time", "current_timestamp", "changes", "total_changes", "last_insert_rowid",
@@ -53,7 +60,7 @@ def rows_of(content: bytes, file: str) -> Iterator[Row | ComArmorError]:
     with contextlib.closing(sqlite3.connect(":memory:", isolation_level=None)) as database:
         try:
             database.deserialize(content)
-            database.execute(f"PRAGMA hard_heap_limit = {_MOST_MEMORY}")
+            del content
             database.execute("PRAGMA temp_store = MEMORY")  # nothing is written, also not what a query sorts
             database.text_factory = lambda data: data.decode("utf-8", "surrogateescape")
             database.execute("PRAGMA trusted_schema = OFF")
@@ -67,12 +74,15 @@ def rows_of(content: bytes, file: str) -> Iterator[Row | ComArmorError]:
             order = column_order(header, where)
             database.set_authorizer(guard.authorize)
             database.set_progress_handler(guard.progress, _STEPS_BETWEEN)
+            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MOST_BYTES)
+            guard.most_memory = _memory() + _MOST_GROWTH
             chosen = ", ".join(name if at >= 0 else "NULL" for name, at in zip(COLUMNS, order, strict=True))
             for number, values in enumerate(database.execute(f"SELECT {chosen} FROM {NAME}"), 1):  # noqa: S608 - constants
                 if number > MOST_ROWS:
                     raise ComArmorError(
                         f"{NAME} has more than the {MOST_ROWS:,} rows allowed", where=where, code="table-limit"
                     )
+                guard.most_memory += 1
                 yield _row(values, file, number)
         except MemoryError:
             raise _too_much("needs too much memory", where) from None
@@ -85,7 +95,9 @@ class _Guard:
 
     def __init__(self) -> None:
         self.refused = ""
+        self.is_large = False
         self.checks = 0
+        self.most_memory = 0
 
     def authorize(self, action: int, first: str | None, second: str | None, *_: object) -> int:
         """Allow reading and computing; see ``sqlite3_set_authorizer``."""
@@ -97,7 +109,8 @@ class _Guard:
     def progress(self) -> bool:
         """Return whether the query must end."""
         self.checks += 1
-        return self.checks > _MOST_CHECKS
+        self.is_large = _memory() > self.most_memory
+        return self.is_large or self.checks > _MOST_CHECKS
 
     def refusal(self, error: sqlite3.Error, where: Origin) -> ComArmorError:
         """Return the error for one of SQLite."""
@@ -106,9 +119,20 @@ class _Guard:
                 f"{NAME} uses {quoted(self.refused)}, which is not allowed: its rows must depend on the database alone",
                 where=where, help="write what it computes into a table", code="table-query",
             )  # fmt: skip
+        if self.is_large:
+            return _too_much("needs too much memory", where)
         if self.checks > _MOST_CHECKS:
             return _too_much("takes too long to compute", where)
         return ComArmorError(f"the database cannot be read: {error}", where=where, code="table-query")
+
+
+def _memory() -> int:
+    """Return the memory of the process in KiB; without ``/proc``, the most that it had."""
+    try:
+        with open("/proc/self/statm", "rb") as numbers:  # noqa: PTH123 - asked ten thousand times
+            return int(numbers.read().split()[1]) * resource.getpagesize() >> 10
+    except OSError:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> (10 if sys.platform == "darwin" else 0)
 
 
 def _too_much(what: str, where: Origin) -> ComArmorError:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import gc
-import weakref
 
 import pytest
 
@@ -82,14 +81,19 @@ def test_places_are_exact_beyond_16_bits() -> None:
     assert place(root[0]) == (70_001, 3)
 
 
+def is_element(thing: object) -> bool:
+    return type(thing).__name__ == "_Element"
+
+
 def test_a_tree_ends_with_its_last_use_without_a_search_for_cycles() -> None:
     gc.disable()
     try:
+        before = sum(map(is_element, gc.get_objects()))
         root = parse(b"<profiles><profile><attachment/></profile></profiles>", "p.xml")
-        element = weakref.ref(root[0])
-        assert element() is not None
+        assert place(root[0]) == (1, 11)
+        assert sum(map(is_element, gc.get_objects())) == before + 3
         del root
-        assert element() is None
+        assert sum(map(is_element, gc.get_objects())) == before
     finally:
         gc.enable()
 

@@ -103,3 +103,9 @@ def test_the_calls_for_an_enclave(write: Callable[..., Path]) -> None:
     path = write(policy(*(enclave(f"/a{number}", rules) for number in range(100))))
     _, calls = calls_of(lambda: load(path))
     assert calls < 100 * 10 * 120
+
+
+def test_a_policy_is_recognised_by_its_begin_alone(write) -> None:
+    assert policy_type.recognises(write('<policy version="9"><a></b>'))
+    assert policy_type.recognises(write("<policy><enclaves>"))
+    assert not policy_type.recognises(write("<policy><profiles>"))

@@ -138,7 +138,7 @@ def lists(draw: st.DrawFn) -> str:
     tag = draw(st.sampled_from(sorted(LISTS)))
     given = [(name, draw(QUALIFIERS)) for name in LISTS[tag]]
     element = etree.Element(tag, {name: value for name, value in given if value})
-    for name in draw(st.lists(NAMES, max_size=4)):
+    for name in draw(st.lists(NAMES, min_size=1, max_size=4)):
         etree.SubElement(element, tag.removesuffix("s")).text = name
     return etree.tostring(element, encoding="unicode")
 

@@ -129,15 +129,28 @@ def test_a_database_that_was_used_with_a_write_ahead_log(tmp_path: Path) -> None
     assert len(rows(path)) == 1
 
 
-def test_a_view_may_not_take_all_memory(tmp_path: Path) -> None:
-    """In a process of its own, because SQLite has one limit for a process."""
+@pytest.mark.parametrize("queried", ["{} FROM n ORDER BY 4", "* FROM ({0} FROM n) UNION {0} FROM n"])
+def test_a_view_may_not_take_all_memory(tmp_path: Path, queried: str) -> None:
+    """In a process of its own, because it is about the memory of a process."""
     endless = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n)"
-    path = database(tmp_path, f"{endless} {SELECT.format('zeroblob(1000000) || i')} FROM n ORDER BY 4")
+    select = SELECT.format("hex(zeroblob(1000)) || i")
+    path = database(tmp_path, f"{endless} {queried.replace('*', 'SELECT *').format(select)}")
     code = (
         "import sys; from pathlib import Path; from keymint_ros2_table import sqlite_rows as rows\n"
-        "rows._MOST_MEMORY = 2**25\n"
         "try:\n    list(rows.rows_of(Path(sys.argv[1]).read_bytes(), 't.db'))\n"
         "except Exception as error:\n    print(error)"
     )
     done = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, check=True)
     assert done.stdout.startswith("t.db: rule needs too much memory")
+
+
+@pytest.mark.parametrize("value", ["zeroblob(900000000)", "replace(hex(zeroblob(10000)), '0', hex(zeroblob(10000)))"])
+def test_a_view_may_not_make_a_large_value(tmp_path: Path, value: str) -> None:
+    assert message(database(tmp_path, SELECT.format(value))).endswith("cannot be read: string or blob too big")
+
+
+def test_a_large_value_that_no_row_shows_is_none_of_ours(tmp_path: Path) -> None:
+    made = "CREATE TABLE t (x, pad); INSERT INTO t VALUES ('/x', zeroblob(1000000))"
+    (row,) = rows(database(tmp_path, f"{SELECT.format('x')} FROM t ORDER BY 4", made))
+    assert isinstance(row, Row)
+    assert row.object == "/x"
