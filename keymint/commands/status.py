@@ -14,6 +14,7 @@ from comarmor.errors import Diagnostic
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
+from keymint.examine import keys
 from keymint.output.expiry_metrics import gauges
 from keymint.output.openmetrics import openmetrics
 from keymint.output.report import Report, members
@@ -66,7 +67,8 @@ def status(run: Run, kind: str) -> Report:
         "not_created": missing,
         "shared": [members(row, "build_type", "documents", "stage", "stale", "problem") for row in shared],
     }
-    return run.report(result, diagnostics, workspace=session.workspace)
+    diagnostics += (*keys.elsewhere(session), *keys.exposed(session))
+    return run.report(result, diagnostics, workspace=session.workspace, notes=True)
 
 
 def _show(run: Run, rows: Sequence[PackageRow], missing: Sequence[str], shared: Sequence[SharedRow]) -> None:

@@ -1,14 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Judge where the private keys of authorities are, and whether they are stored as the profile asks."""
+"""Judge the private keys: where those of authorities are, whether they are stored as asked, and who could read them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 
-from comarmor.errors import Diagnostic
-from keymint.pki import keys
-from keymint.plan.authority_files import other
+from comarmor.errors import Diagnostic, Origin
+from keymint.errors import KeymintError
+from keymint.names import subject_of
+from keymint.pki import certificates, keys
+from keymint.plan.authority_files import authority_keys, other
+from keymint.plan.enclaves import installed_certificate
+from keymint.plan.issuance import place_of
 from keymint.session import Session
+
+
+def findings(session: Session) -> Iterator[Diagnostic]:
+    """Yield all findings of this module."""
+    yield from elsewhere(session)
+    yield from encryption(session)
+    yield from exposed(session)
 
 
 def elsewhere(session: Session) -> Iterator[Diagnostic]:
@@ -38,3 +50,29 @@ def encryption(session: Session) -> Iterator[Diagnostic]:
                 message = f"is not encrypted, although {authority.certificate.origin} asks for that"
                 help_ = f"'keymint authority encrypt {authority.name}' encrypts it; backups still hold the plain key"
                 yield Diagnostic.warning("key-plain", message, session.workspace.origin(path), help_)
+
+
+def exposed(session: Session) -> Iterator[Diagnostic]:
+    """Yield a warning for each private key in use that others could read before it was taken over.
+
+    The sources remember its fingerprint. A new key has another one, which ends the finding.
+    """
+    trusted = authority_keys(session)
+    for authority in session.profile.authorities:
+        if authority.issuance.exposed in trusted:
+            where, what = session.workspace.authority_key(authority.name), f"the authority {authority.name!r}"
+            end = f"'keymint authority replace {authority.name}'"
+            yield _exposed(what, session.workspace.origin(where), end)
+    for name in session.packages():
+        fingerprint = ""
+        with suppress(KeymintError):  # reported with the package
+            fingerprint = session.issuance(name).exposed
+        certificate = installed_certificate(session, name) if fingerprint else None
+        if certificate and fingerprint == certificates.fingerprint(certificate):
+            subject = subject_of(name)
+            yield _exposed(subject, place_of(session, name), f"'keymint renew --rekey {name}'", subject)
+
+
+def _exposed(whose: str, where: Origin, end: str, subject: str = "") -> Diagnostic:
+    message = f"others could read the private key of {whose} before it was taken over: it counts as exposed"
+    return Diagnostic.warning("key-was-exposed", message, where, f"{end} ends it", subject)

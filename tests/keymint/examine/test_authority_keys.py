@@ -165,3 +165,19 @@ class TestIdentities:
         assert keymint("build", "--renew", "talker", cwd=provisioned).code == 0
         assert keymint("install", cwd=provisioned).code == 0
         assert keymint("check", cwd=provisioned).code == 0
+
+
+class TestElsewhere:
+    """The private key of an authority may be on another machine, or lost: a note."""
+
+    @pytest.mark.parametrize("verb", ["check", "status"])
+    def test_a_note(self, keymint, provisioned: Path, verb: str) -> None:
+        assert keymint(verb, "--json", cwd=provisioned).codes() == []
+        key(provisioned, NAMES[0]).unlink()
+        outcome = keymint(verb, "--json", cwd=provisioned)
+        assert outcome.code == 0
+        assert found(outcome) == [("note", "authority-key-missing", f"public/{NAMES[0]}.cert.pem")]
+
+    def test_status_shows_it_without_being_asked(self, keymint, provisioned: Path) -> None:
+        key(provisioned, NAMES[0]).unlink()
+        assert "note: the private key of 'identity_ca' is not here" in keymint("status", cwd=provisioned).err
