@@ -44,6 +44,7 @@ class _Disk:
         self._statuses: dict[str, FileStatus | None] = {}
         self._links: set[str] = set()
         """Symbolic links among the paths whose status is known."""
+        self.left_out: set[str] = set()
         self._held: tuple[str, ...] = ()
         """Folders that were read completely, with a slash."""
 
@@ -128,6 +129,19 @@ class _Disk:
                     except KeymintError as error:
                         self._contents[path] = error
         self._held = (*self._held, f"{folder}/")
+
+    def leave_out(self, folder: str) -> None:
+        """Let what the user may not read below a folder, which is held, count as absent."""
+        all_of_them = (each for known in (self._entries, self._contents) for each in known.items())
+        refused = {
+            path
+            for path, found in all_of_them
+            if isinstance(found, KeymintError) and isinstance(found.__cause__, PermissionError)
+            if f"{path}/".startswith(f"{folder}/")
+        }
+        self._entries |= {path: {} for path in refused & self._entries.keys()}
+        self._contents |= dict.fromkeys(refused & self._contents.keys())
+        self.left_out |= refused
 
     def _is_absent(self, path: str) -> bool:
         """Tell whether a path is known not to exist, because its folder was read completely."""
@@ -299,6 +313,20 @@ class Tree:
             suffix: only files with this suffix are read; of the others only their existence is known.
         """
         self._disk.hold(str(folder), suffix)
+
+    def leave_out(self, folder: Path) -> None:
+        """Let the files and folders that the user may not read below a folder, which is held, count as absent."""
+        self._disk.leave_out(str(folder))
+
+    @property
+    def left_out(self) -> Sequence[str]:
+        """The files and folders that were left out, sorted; nothing is known of what is in such a folder."""
+        return sorted(self._disk.left_out)
+
+    def is_left_out(self, path: Path | str) -> bool:
+        """Tell whether a file was left out, alone or with a folder around it."""
+        left_out = self._disk.left_out
+        return bool(left_out) and not left_out.isdisjoint(map(str, (path, *Path(path).parents)))
 
     def has_file(self, path: Path | str) -> bool:
         """Tell whether there is a regular file (no link, no folder), on the disk or planned."""

@@ -194,9 +194,17 @@ class Run:
                 break
         return inputs
 
-    def session(self) -> Session:
-        """Return a consistent snapshot of the workspace with its profile, for verbs that do not write."""
-        return self.snapshot(self.workspace()).session()
+    def session(self, *, auditing: bool = False) -> Session:
+        """Return a consistent snapshot of the workspace with its profile, for verbs that do not write.
+
+        Args:
+            auditing: what the user may not read of the private space counts as absent; the verb reports
+                :func:`keymint.examine.not_examined.not_examined`.
+        """
+        inputs = self.snapshot(self.workspace())
+        if auditing:
+            inputs.tree.leave_out(inputs.workspace.private)
+        return inputs.session()
 
     def names(self, inputs: Inputs, given: tuple[str, ...]) -> tuple[str, ...]:
         """Return the packages that a user named, or all packages.

@@ -28,7 +28,8 @@ def elsewhere(session: Session) -> Iterator[Diagnostic]:
     for authority in session.profile.authorities:
         workspace, name = session.workspace, authority.name
         certificate, key = workspace.authority_certificate(name), workspace.authority_key(name)
-        if authority.certificate.key.uri or session.tree.has_file(key) or not session.tree.has_file(certificate):
+        is_known = session.tree.has_file(key) or session.tree.is_left_out(key)
+        if authority.certificate.key.uri or is_known or not session.tree.has_file(certificate):
             continue
         message = f"the private key of {name!r} is not here"
         help_ = "restore it to sign anything"
