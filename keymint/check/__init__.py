@@ -60,7 +60,7 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
     findings += revocations.lists_in_force(session)
     fingerprints = {each.name: each.fingerprint for each in enclaves if each.fingerprint}
     findings += identity_keys.shared_keys(session, fingerprints)
-    findings += keys.findings(session)
+    findings += (*keys.elsewhere(session), *keys.encryption(session), *keys.exposed(session))
     findings += around
     later = _without_install_hints(findings, in_defect(of_authorities))
     return (*of_authorities, *of_files, *later)

@@ -132,12 +132,10 @@ def _when(results: ProofResults, *, with_register: bool) -> str:
         return ""
     until = _until(results)
     if until is not None:
-        at, end = terms.shown(results.now), terms.shown(until)
-        return (
-            f"; in force at {at}, until {end}"
-            if with_register
-            else (f"; dates valid at {at}, until {end}; whether they are in force is not known without the register")
-        )
+        known, limit = "in force", ""
+        if not with_register:
+            known, limit = "valid by their dates", " (whether they were revoked is not known without the register)"
+        return f"; {known} at {terms.shown(results.now)}, until {terms.shown(until)}{limit}"
     out = sum(terms.end(enclave.terms, results.now) is None for enclave in results.enclaves if enclave.terms)
     return f"; {counted(out, 'enclave')} {'is' if out == 1 else 'are'} not in force at {terms.shown(results.now)}"
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Diagnostic
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.pki import certificates, keys
@@ -14,13 +14,6 @@ from keymint.plan.authority_files import authority_keys, other
 from keymint.plan.enclaves import installed_certificate
 from keymint.plan.issuance import place_of
 from keymint.session import Session
-
-
-def findings(session: Session) -> Iterator[Diagnostic]:
-    """Yield all findings of this module."""
-    yield from elsewhere(session)
-    yield from encryption(session)
-    yield from exposed(session)
 
 
 def elsewhere(session: Session) -> Iterator[Diagnostic]:
@@ -58,22 +51,19 @@ def exposed(session: Session) -> Iterator[Diagnostic]:
 
     The sources remember its fingerprint. A new key has another one, which ends the finding.
     """
-    trusted = authority_keys(session)
-    for authority in session.profile.authorities:
-        if authority.issuance.exposed in trusted:
-            where, what = session.workspace.authority_key(authority.name), f"the authority {authority.name!r}"
-            end = f"'keymint authority replace {authority.name}'"
-            yield _exposed(what, session.workspace.origin(where), end)
+    workspace, trusted = session.workspace, authority_keys(session)
+    found = []
+    for each in session.profile.authorities:
+        if each.issuance.exposed in trusted:
+            where, verb = workspace.origin(workspace.authority_key(each.name)), f"authority replace {each.name}"
+            found.append((f"the authority {each.name!r}", where, verb, ""))
     for name in session.packages():
-        fingerprint = ""
         with suppress(KeymintError):  # reported with the package
             fingerprint = session.issuance(name).exposed
-        certificate = installed_certificate(session, name) if fingerprint else None
-        if certificate and fingerprint == certificates.fingerprint(certificate):
-            subject = subject_of(name)
-            yield _exposed(subject, place_of(session, name), f"'keymint renew --rekey {name}'", subject)
-
-
-def _exposed(whose: str, where: Origin, end: str, subject: str = "") -> Diagnostic:
-    message = f"others could read the private key of {whose} before it was taken over: it counts as exposed"
-    return Diagnostic.warning("key-was-exposed", message, where, f"{end} ends it", subject)
+            certificate = installed_certificate(session, name) if fingerprint else None
+            if certificate and fingerprint == certificates.fingerprint(certificate):
+                subject = subject_of(name)
+                found.append((subject, place_of(session, name), f"renew --rekey {name}", subject))
+    for whose, where, verb, subject in found:
+        message = f"others could read the private key of {whose} before it was taken over: it counts as exposed"
+        yield Diagnostic.warning("key-was-exposed", message, where, f"'keymint {verb}' ends it", subject)

@@ -14,16 +14,11 @@ _KEYS = "no private key here is compared with its certificate"
 
 def not_examined(inputs: Inputs) -> Iterator[Diagnostic]:
     """Yield a note for each entry of the private space that was left out, or has something in it that was."""
-    workspace = inputs.workspace
-    entries: dict[str, str] = {}
-    for path in inputs.tree.left_out:
-        below = path.removeprefix(f"{workspace.private}/").partition("/")[0]
-        whole = path == str(workspace.private)
-        entries[path if whole else f"{workspace.private}/{below}"] = f"{_KEYS}, and {_REGISTER}" if whole else _KEYS
-    entries |= {path: _REGISTER for path in entries if path == str(workspace.register)}
-    for path, reason in entries.items():
-        where, help_ = workspace.origin(path), "a user who may read it examines it as well"
-        yield Diagnostic.note("not-examined", f"not examined: {reason}", where, help_)
+    private, register = inputs.workspace.private, inputs.workspace.register
+    reasons = {str(private): f"{_KEYS}, and {_REGISTER}", str(register): _REGISTER}
+    for path in dict.fromkeys("/".join(each.split("/")[: len(private.parts) + 1]) for each in inputs.tree.left_out):
+        message, where = f"not examined: {reasons.get(path, _KEYS)}", inputs.workspace.origin(path)
+        yield Diagnostic.note("not-examined", message, where, "a user who may read it examines it as well")
 
 
 def has_register(inputs: Inputs) -> bool:

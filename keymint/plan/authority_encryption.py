@@ -7,7 +7,7 @@ from comarmor.errors import Diagnostic
 from keymint.changes import Action, Plan, Step, secret_file
 from keymint.errors import KeymintError
 from keymint.pki import keys
-from keymint.plan import authority_files, token_keys
+from keymint.plan import authority_files
 from keymint.plan.authority_issuance import STAGE, authority_named
 from keymint.plan.private_keys import password
 from keymint.session import Session
@@ -26,8 +26,6 @@ def plan_encryption(session: Session, name: str) -> Plan:
     """
     authority = authority_named(session, name)
     spec, files = authority.certificate, authority_files.read_files(session, authority)
-    if spec.key.uri:
-        raise token_keys.only_in_token(authority, "nothing is to be encrypted here")
     if not spec.key.password_env:
         raise KeymintError(
             f"the profile does not ask for an encrypted key of the authority {name!r}",
@@ -37,14 +35,15 @@ def plan_encryption(session: Session, name: str) -> Plan:
         )
     if files.key is None:
         raise authority_files.key_elsewhere(files, "encrypt it where it is")
-    changes, warnings = [], []
+    encrypted = []
     for file in filter(None, (name, authority_files.other(authority))):
         path, stored = session.workspace.authority_key(file), authority_files.stored_key(session, authority, file)
         if stored and not keys.is_encrypted(stored[0]):
-            changes.append(secret_file(path, keys.to_pem(stored[1], password(session, spec))))
-            help_ = f"delete them, or make a new key with 'keymint authority replace {name}'"
-            message, where = "backups and copies of this file still hold the plain key", session.workspace.origin(path)
-            warnings.append(Diagnostic.warning("key-copies", message, where, help_))
-    action = Action.UPDATED if changes else Action.UNCHANGED
-    step = Step(STAGE, name, action, tuple(changes), "private key encrypted" if changes else "")
-    return Plan((step,), session.state, tuple(warnings))
+            encrypted.append(secret_file(path, keys.to_pem(stored[1], password(session, spec))))
+    if not encrypted:
+        return Plan((Step(STAGE, name, Action.UNCHANGED),), session.state)
+    message, where = "backups and copies of this file still hold the plain key", files.key_file
+    help_ = f"delete them, or make a new key with 'keymint authority replace {name}'"
+    copies = Diagnostic.warning("key-copies", message, where, help_)
+    step = Step(STAGE, name, Action.UPDATED, tuple(encrypted), "private key encrypted")
+    return Plan((step,), session.state, (copies,))

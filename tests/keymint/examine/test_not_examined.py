@@ -94,7 +94,17 @@ def test_prove_does_not_claim_what_the_register_says(audited: Path, keymint: Cal
     assert found["result"]["in_force"] is None
     assert found["result"]["until"] == everything["until"]
     assert "12 of 12 claims proven" in shown.stdout
-    assert "whether they are in force is not known without the register" in shown.stdout
+    assert "in force" not in shown.stdout
+    assert "valid by their dates at " in shown.stdout
+    assert "(whether they were revoked is not known without the register)" in shown.stdout
+
+
+def test_prove_without_any_register(provisioned: Path, keymint: Callable) -> None:
+    """In a copy without ``private/``, too."""
+    (provisioned / "private/register.sqlite3").unlink()
+    outcome = keymint("prove", "--json", cwd=provisioned)
+    assert (outcome.code, outcome.document["result"]["in_force"]) == (0, None)
+    assert "in force" not in keymint("prove", cwd=provisioned).out
 
 
 @pytest.mark.parametrize("verb", ["check", "prove", "status"])
