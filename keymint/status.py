@@ -166,7 +166,8 @@ def _row(session: Session, differing: Mapping[str, str], name: str, *, installed
     if not stale and installed and install.is_current(session, name):
         period = _recorded_period(session, name)
     else:
-        stale = stale or "install"
+        is_unknown = session.tree.is_left_out(session.workspace.identity_key(name))
+        stale = stale or ("" if installed and is_unknown else "install")
     end = period[1] if period else _certificate_end(session, name)
     terms = _terms(session, name, period) if installed else None
     return PackageRow(name, stage, stale, end, permissions_end, problem, terms)

@@ -44,6 +44,7 @@ class _Disk:
         self._statuses: dict[str, FileStatus | None] = {}
         self._links: set[str] = set()
         """Symbolic links among the paths whose status is known."""
+        self.left_out: set[str] = set()
         self._held: tuple[str, ...] = ()
         """Folders that were read completely, with a slash."""
 
@@ -105,8 +106,8 @@ class _Disk:
             return ""
         return linked_file(path, self.linked)
 
-    def hold(self, folder: str, suffix: str) -> None:
-        """Read everything below a folder, so that the disk is not accessed again."""
+    def hold(self, folder: str, suffix: str, *, readable: bool) -> None:
+        """Read everything below a folder, so that the disk is not accessed again; see :meth:`Tree.hold`."""
         self._statuses[folder] = lstat(folder)
         waiting = [folder]
         while waiting:
@@ -114,7 +115,7 @@ class _Disk:
             try:
                 entries = self._entries[inner] = self._scan(inner)
             except KeymintError as error:
-                self._entries[inner] = error
+                self._entries[inner] = {} if self._leaves_out(inner, error, readable=readable) else error
                 continue
             for name, is_folder in entries.items():
                 path = f"{inner}/{name}"
@@ -126,8 +127,13 @@ class _Disk:
                         content = self._file(path)
                         self._contents[path] = self._equal.setdefault(content, content)
                     except KeymintError as error:
-                        self._contents[path] = error
+                        self._contents[path] = None if self._leaves_out(path, error, readable=readable) else error
         self._held = (*self._held, f"{folder}/")
+
+    def _leaves_out(self, path: str, error: KeymintError, *, readable: bool) -> bool:
+        is_left_out = not readable and isinstance(error.__cause__, PermissionError)
+        self.left_out |= {path} if is_left_out else set()
+        return is_left_out
 
     def _is_absent(self, path: str) -> bool:
         """Tell whether a path is known not to exist, because its folder was read completely."""
@@ -289,7 +295,7 @@ class Tree:
         """Return the file that a symbolic link leads to, if :meth:`read` follows it; else an empty text."""
         return self._disk.follows(str(path))
 
-    def hold(self, folder: Path, *, suffix: str = "") -> None:
+    def hold(self, folder: Path, *, suffix: str = "", readable: bool = True) -> None:
         """Read everything below a folder into memory, so that the disk is not accessed again.
 
         Errors are raised at the access to the file that cannot be read.
@@ -297,8 +303,19 @@ class Tree:
         Args:
             folder: absolute path; need not exist.
             suffix: only files with this suffix are read; of the others only their existence is known.
+            readable: the user must be permitted to read all of it; else the rest counts as absent, and is listed.
         """
-        self._disk.hold(str(folder), suffix)
+        self._disk.hold(str(folder), suffix, readable=readable)
+
+    @property
+    def left_out(self) -> Sequence[str]:
+        """What :meth:`hold` was not permitted to read, sorted; nothing is known of what is in such a folder."""
+        return sorted(self._disk.left_out)
+
+    def is_left_out(self, path: Path | str) -> bool:
+        """Tell whether a file is one of :attr:`left_out`, or in such a folder."""
+        left_out = self._disk.left_out
+        return bool(left_out) and not left_out.isdisjoint(map(str, (path, *Path(path).parents)))
 
     def has_file(self, path: Path | str) -> bool:
         """Tell whether there is a regular file (no link, no folder), on the disk or planned."""

@@ -84,7 +84,7 @@ def plan_adoption(inputs: Inputs, adoption: Adoption) -> Plan:
     for authority in adoption.found.authorities:
         place = Origin(f"{adoption.files.folder}/{authority.file}")
         key_place = Origin(f"{adoption.files.folder}/{next(iter(authority.key_files), '')}")
-        given = GivenAuthority(authority.certificate, place, authority.key, key_place)
+        given = GivenAuthority(authority.certificate, place, authority.key, key_place, authority.exposed)
         plan = plan.then(plan_import(session, authority.name, given))
         session = inputs.after(plan).session()  # whose profile has the certificate
 
@@ -150,7 +150,11 @@ def _sources(session: Session, adoption: Adoption) -> Plan:
         )
         certificate = certificates.load(enclave.certificate)
         public = b"" if enclave.key else public_keys.to_pem(certificates.public_key(certificate))
-        decided = Issuance(public_key=public, certificate=certificates.to_pem(certificate))
+        decided = Issuance(
+            public_key=public,
+            certificate=certificates.to_pem(certificate),
+            exposed=certificates.fingerprint(certificate) if enclave.exposed else "",
+        )
         files = {
             **issuance_files.with_issuance(decided),
             **package_type.adopted_sources(session.profile, sources),

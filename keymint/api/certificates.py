@@ -126,11 +126,13 @@ class AuthorityIssuance:
             None if it was never renewed.
         adopted: PEM of a certificate that somebody else issued, or that was issued after such a one; else empty.
         rollover: the replacement of its key, or None if none is under way.
+        exposed: as :attr:`Issuance.exposed`.
     """
 
     renewed: datetime | None = None
     adopted: bytes = b""
     rollover: Rollover | None = None
+    exposed: str = ""
 
 
 @dataclass(frozen=True, slots=True)

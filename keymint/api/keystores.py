@@ -58,6 +58,7 @@ class FoundAuthority:
         key: its private key in PEM; empty if it is elsewhere.
         key_files: paths of all files with the private key; the first one is the one that is used.
         facts: what a report says about it; values are those of JSON.
+        exposed: others could read its private key.
     """
 
     name: str
@@ -67,6 +68,7 @@ class FoundAuthority:
     key: bytes = field(repr=False)
     key_files: tuple[str, ...]
     facts: Mapping[str, Any]
+    exposed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +106,7 @@ class FoundEnclave:
             whose signature verifies.
         grant: its rights, if they verify and there is one grant.
         facts: what a report says about it; values are those of JSON.
+        exposed: others could read its private key.
     """
 
     subject: str
@@ -118,6 +121,7 @@ class FoundEnclave:
     documents: Mapping[str, bytes]
     grant: FoundGrant | None
     facts: Mapping[str, Any]
+    exposed: bool = False
 
 
 @dataclass(frozen=True, slots=True)

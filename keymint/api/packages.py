@@ -137,12 +137,15 @@ class Issuance:
             the subject's machine made it, and it never left that. Empty if the workspace has the key.
         certificate: PEM of a certificate that another tool issued. It is used as it is for as long as the sources ask
             for its subject name, validity and issuer, and it is for the subject's key. Empty if there is none.
+        exposed: fingerprint (SHA-256 of the public key, hexadecimal) of a private key that others could read before it
+            was taken over; empty if there is none.
     """
 
     generation: int = 0
     renewed: datetime | None = None
     public_key: bytes = b""
     certificate: bytes = b""
+    exposed: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,6 +23,7 @@ from keymint.check.git_exposure import git_exposure
 from keymint.check.install_space import outside_enclaves
 from keymint.check.shared_documents import check_shared
 from keymint.errors import KeymintError
+from keymint.examine import keys
 from keymint.examine.keystore import deciding, staged
 from keymint.executors import Pool
 from keymint.plan import identity_keys
@@ -60,6 +61,7 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
     findings += _deciding(session)
     fingerprints = {each.name: each.fingerprint for each in enclaves if each.fingerprint}
     findings += identity_keys.shared_keys(session, fingerprints)
+    findings += (*keys.elsewhere(session), *keys.encryption(session), *keys.exposed(session))
     findings += around
     later = _without_install_hints(findings, in_defect(of_authorities))
     return (*of_authorities, *of_files, *later, *_of_second_keystore(session, names, within, pool))

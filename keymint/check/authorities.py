@@ -74,10 +74,6 @@ def _key(inputs: Inputs, files: AuthorityFiles) -> Generator[Diagnostic, None, k
             return authority_files.load_private_key(inputs, files).public_key()
         except KeymintError as error:
             yield from key_defects(error)
-    elif files.content is not None:
-        message = f"the private key of {files.name!r} is not here"
-        where, help_ = files.certificate_file, "restore it to sign anything"
-        yield Diagnostic.note("authority-key-missing", message, where, help_)
     return None
 
 

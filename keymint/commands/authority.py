@@ -13,6 +13,7 @@ VERBS: Mapping[str, str] = {
     "show": "Show each authority: its certificate, where its key is, and whom it serves.",
     "renew": "Issue an authority's certificate again for the same key, with later dates.",
     "replace": "Replace an authority's key, phase by phase.",
+    "encrypt": "Encrypt an authority's stored private key, as the profile asks.",
     "import": "Use an authority's certificate that somebody else issued.",
     "export": "Write an authority's certificate, or its key, to a file.",
 }
@@ -28,7 +29,7 @@ class _Verbs(VerbGroup):
 
 @click.group(cls=_Verbs)
 def authority() -> None:
-    """Show, renew, replace, import or export the certificate authorities of a workspace.
+    """Show, renew, replace, encrypt, import or export the certificate authorities of a workspace.
 
     An authority signs with its private key in private/, or where that key is; enclaves only have its certificate.
     docs/keystore-life.md says what each change costs a running fleet.

@@ -73,10 +73,5 @@ def _export_key(run: Run, files: authority_files.AuthorityFiles, key_file: Path)
     if files.authority.certificate.key.uri:
         raise token_keys.only_in_token(files.authority, "it returns none")
     if files.key is None:
-        raise KeymintError(
-            f"the private key of the authority {files.name!r} is not here",
-            where=files.key_file,
-            help="export it where it is",
-            code="authority-key-missing",
-        )
+        raise authority_files.key_elsewhere(files, "export it where it is")
     return write_outputs(run, key_file, files.key, secret=True)

@@ -12,6 +12,7 @@ import click
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted
+from comarmor.values import dataclass
 from keymint.check import check as find
 from keymint.commands.durations import period
 from keymint.commands.options import FILE, packages_argument, standard_only_option, strict_option
@@ -20,11 +21,12 @@ from keymint.commands.run import Run
 from keymint.commands.user_files import write_outputs
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
-from keymint.examine.keystore import proven_keystore
+from keymint.examine.keystore import SHOWN_NOTES, proven_keystore
+from keymint.examine.not_examined import not_examined
 from keymint.examine.rights import RIGHTS_OUTLIVE
 from keymint.executors import Pool
 from keymint.names import subject_of
-from keymint.output.report import Report, findings_exit, findings_if, folded
+from keymint.output.report import Report, findings_if, folded
 from keymint.output.sarif import of_diagnostics
 from keymint.output.sarif import sarif as sarif_log
 from keymint.plan.policy import lazy_policy
@@ -52,6 +54,7 @@ from keymint.session import Session
 @standard_only_option
 @strict_option
 @click.option("--sarif", type=FILE, metavar="FILE", help="Write the findings as SARIF 2.1.0.")
+@click.option("--without-private", is_flag=True, help="Exit with 0 although you may not read all of private/.")
 def check(
     run: Run,
     names: tuple[str, ...],
@@ -61,60 +64,71 @@ def check(
     allow_vendor_specific: bool,
     strict: bool,
     sarif: Path | None,
+    without_private: bool,
 ) -> Report:
     """Compare the installed keystore with its expected state, and prove it.
 
     Checks certificates, keys, signatures, schemas, dates, file modes, revocation lists, and whether the installed
     documents match the sources; proves that they permit exactly what the policy says, as 'keymint prove' does.
-    Exit code 3: there are findings. NAME is a package [all].
+    Exit code 3: there are findings, or you may not read all of private/. NAME is a package [all].
     """
-    session = run.session()
+    session = run.session(auditing=True)
     chosen = run.names(session, names)
     with run.pool() as pool:
-        diagnostics = find(session, chosen, within, pool)
-        known = {(each.code, each.where and each.where.file) for each in diagnostics}
-        enclaves = () if no_prove else with_enclaves(session, chosen, names)
-        standard_only = allow_vendor_specific
-        proof = (
-            ()
-            if no_prove
-            else _proof(run, session, enclaves, pool, fresh=fresh, strict=strict, standard_only=standard_only)
-        )
-        diagnostics = (
-            *diagnostics,
-            *(each for each in proof if (each.code, each.where and each.where.file) not in known),
-        )
-    findings = folded((*diagnostics, *(() if names else _uncreated(session, chosen))))
+        findings = list(find(session, chosen, within, pool))
+        if not no_prove:
+            known = {(each.code, each.where and each.where.file) for each in findings}
+            proof = _Proof(run, pool, fresh=fresh, strict=strict, standard_only=allow_vendor_specific)
+            found = proof.findings(session, with_enclaves(session, chosen, names))
+            findings += (each for each in found if (each.code, each.where and each.where.file) not in known)
+    unexamined = tuple(not_examined(session))
+    shown = folded((*findings, *(() if names else _uncreated(session, chosen)), *unexamined))
     if sarif is not None:
-        write_outputs(run, sarif, sarif_log("keymint check", {}, of_diagnostics(findings), run.typed))
-    number = sum(finding.severity is not Severity.NOTE for finding in findings)
-    unproven = "; not proven, because of --no-prove" if no_prove else ""
-    run.console.line(f"checked {counted(len(chosen), 'enclave')}: {counted(number, 'finding')}{unproven}")
-    result = {"checked": [subject_of(name) for name in chosen], "proven": not no_prove}
-    outlive = strict and any(each.code == RIGHTS_OUTLIVE for each in findings)
-    return run.report(result, findings, findings_if(outlive or findings_exit(findings)), workspace=session.workspace)
+        write_outputs(run, sarif, sarif_log("keymint check", {}, of_diagnostics(shown), run.typed))
+    number = sum(finding.severity is not Severity.NOTE for finding in shown)
+    more = f"; {len(unexamined)} not examined" if unexamined else ""
+    more += "; not proven, because of --no-prove" if no_prove else ""
+    run.console.line(f"checked {counted(len(chosen), 'enclave')}: {counted(number, 'finding')}{more}")
+    result = {
+        "checked": [subject_of(name) for name in chosen],
+        "proven": not no_prove,
+        "not_examined": len(unexamined),
+    }
+    outlive = strict and any(each.code == RIGHTS_OUTLIVE for each in shown)
+    exit_code = findings_if(number or outlive or (unexamined and not without_private))
+    return run.report(result, shown, exit_code, workspace=session.workspace, notes=SHOWN_NOTES)
 
 
-def _proof(
-    run: Run, session: Session, names: Sequence[str], pool: Pool, *, fresh: bool, strict: bool, standard_only: bool
-) -> tuple[Diagnostic, ...]:
-    """Return the findings of the proof; a workspace without a policy has nothing to prove."""
-    if not session.profile.policies:
-        return ()
-    if fresh:
-        session = replace(session, state=session.state.updated(STAGE, {}, tuple(session.state.stamps.get(STAGE, ()))))
-    try:
-        proven = proven_keystore(
-            session, names, lazy_policy(session), effort_of(run), lambda _: None, pool, standard_only=standard_only
+@dataclass(frozen=True, slots=True)
+class _Proof:
+    """How 'check' proves; the options are those of the verb."""
+
+    run: Run
+    pool: Pool
+    fresh: bool
+    strict: bool
+    standard_only: bool
+
+    def findings(self, session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...]:
+        """Return the findings of the proof; a workspace without a policy has nothing to prove."""
+        if not session.profile.policies:
+            return ()
+        if self.fresh:
+            proven = tuple(session.state.stamps.get(STAGE, ()))
+            session = replace(session, state=session.state.updated(STAGE, {}, proven))
+        try:
+            policy, effort = lazy_policy(session), effort_of(self.run)
+            proof = proven_keystore(
+                session, names, policy, effort, lambda _: None, self.pool, standard_only=self.standard_only
+            )
+        except KeymintError as error:
+            return error.diagnostics
+        self.run.keep(session, proof.results.state)
+        found = merged_packages(
+            diagnostics_of(proof.results, strict=self.strict),
+            lambda name: session.workspace.shown(session.enclave_folder(name)),
         )
-    except KeymintError as error:
-        return error.diagnostics
-    run.keep(session, proven.results.state)
-    found = merged_packages(
-        diagnostics_of(proven.results, strict=strict),
-        lambda name: session.workspace.shown(session.enclave_folder(name)),
-    )
-    return (*found, *merged(dated_of(proven.results)), *proven.findings, *proven.outliving)
+        return (*found, *merged(dated_of(proof.results)), *proof.findings, *proof.outliving)
 
 
 def _uncreated(session: Session, known: Sequence[str]) -> Sequence[Diagnostic]:

@@ -17,7 +17,8 @@ from keymint.commands.options import Number, complete_package, standard_only_opt
 from keymint.commands.proof_diagnostics import SECONDS, STATES, dated_of, diagnostics_of, effort_of, merged_packages
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
-from keymint.examine.keystore import UNKNOWN_HISTORY, KeystoreProof, proven_keystore
+from keymint.examine.keystore import SHOWN_NOTES, UNKNOWN_HISTORY, KeystoreProof, proven_keystore
+from keymint.examine.not_examined import has_register, not_examined
 from keymint.output.report import Report, findings_exit, findings_if
 from keymint.plan import terms
 from keymint.plan.enclaves import unaccounted
@@ -62,7 +63,7 @@ def prove(
     Exit code 3: a claim is refuted or unknown, or with --strict has an exception; a certificate or grant is expired or
     not yet valid; an enclave does not trust the workspace's authorities; or an enclave has no source package.
     """
-    session = run.session()
+    session = run.session(auditing=True)
     chosen = with_enclaves(session, run.names(session, names), names)
     with run.console.progress(len(chosen), run.setting.monotonic) as advance, run.pool() as pool:
         policy = lazy_policy(session)  # loaded only if something is to be proven
@@ -76,7 +77,8 @@ def prove(
     unrecorded = run.keep(session, results.state) if pool.trusted else ()
 
     claims = [claim for enclave in results.all for claim in enclave.claims]
-    _summary(run, results)
+    unexamined, with_register = tuple(not_examined(session)), has_register(session)
+    _summary(run, results, with_register=with_register)
     is_proven = all(claim.proof is Proof.PROVEN and not (strict and claim.excepted) for claim in claims)
     unread = any(enclave.diagnostics for enclave in results.all)
     dated = tuple(terms.merged(dated_of(results)))
@@ -84,10 +86,12 @@ def prove(
         diagnostics_of(results, strict=strict), lambda name: session.workspace.shown(session.enclave_folder(name))
     )
     more = (*proven.findings, *proven.outliving)
-    diagnostics = [*_assumptions(proven), *found, *dated, *more, *unknown, *unrecorded]
+    diagnostics = [*_assumptions(proven), *found, *dated, *more, *unknown, *unrecorded, *unexamined]
     result = {
         "at": terms.shown(results.now),
         "until": _shown(_until(results)),
+        "in_force": _until(results) is not None and (with_register or None),
+        "not_examined": len(unexamined),
         "assumptions": _taken(results),
         "enclaves": [_enclave(enclave, results.now, run) for enclave in results.enclaves],
         "shared": [_across(each, results.now, run) for each in results.shared],
@@ -95,10 +99,10 @@ def prove(
     exit_code = findings_if(
         unread or dated or findings_exit((*unknown, *more)) or not is_proven or (strict and proven.outliving)
     )
-    return run.report(result, diagnostics, exit_code, workspace=session.workspace)
+    return run.report(result, diagnostics, exit_code, workspace=session.workspace, notes=SHOWN_NOTES)
 
 
-def _summary(run: Run, results: ProofResults) -> None:
+def _summary(run: Run, results: ProofResults, *, with_register: bool) -> None:
     count, say = len(results.enclaves), run.console.line
     total = sum(len(enclave.claims) for enclave in results.all)
     open_ = [claim for enclave in results.all for claim in enclave.claims if claim.proof is not Proof.PROVEN]
@@ -114,7 +118,7 @@ def _summary(run: Run, results: ProofResults) -> None:
     models = ", ".join(_taken(results))
     of_these = f" ({cached} cached)" if cached else ""
     enclaves = f"{counted(count, 'enclave')}{of_these}{f' for {models}' if models else ''}"
-    say(f"proved {enclaves}: {', '.join(parts)}{_when(results)}")
+    say(f"proved {enclaves}: {', '.join(parts)}{_when(results, with_register=with_register)}")
     if excepted := list(dict.fromkeys(_excepted(results))):
         left = len(excepted) - SHOWN
         more = f"; and {left} more (--json names them)" if left > 0 else ""
@@ -126,13 +130,16 @@ def _until(results: ProofResults) -> datetime | None:
     return terms.end([term for enclave in results.enclaves for term in enclave.terms], results.now)
 
 
-def _when(results: ProofResults) -> str:
-    """Return the validity of the claims, in words."""
+def _when(results: ProofResults, *, with_register: bool) -> str:
+    """Return the validity of the claims, in words; without the register revocations are not known."""
     if not any(enclave.terms for enclave in results.enclaves):
         return ""
     until = _until(results)
     if until is not None:
-        return f"; in force at {terms.shown(results.now)}, until {terms.shown(until)}"
+        known, limit = "in force", ""
+        if not with_register:
+            known, limit = "valid by their dates", " (whether they were revoked is not known without the register)"
+        return f"; {known} at {terms.shown(results.now)}, until {terms.shown(until)}{limit}"
     out = sum(terms.end(enclave.terms, results.now) is None for enclave in results.enclaves if enclave.terms)
     return f"; {counted(out, 'enclave')} {'is' if out == 1 else 'are'} not in force at {terms.shown(results.now)}"
 

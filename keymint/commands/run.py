@@ -173,10 +173,10 @@ class Run:
         tree = Tree(known=file_index.load(workspace, sight) if sight else {}, linked=workspace.install)
         return Inputs(workspace, tree, state, self.plugins, self.setting.environment, self.setting.now, self.tokens)
 
-    def snapshot(self, workspace: Workspace) -> Inputs:
+    def snapshot(self, workspace: Workspace, *, auditing: bool = False) -> Inputs:
         """Read a consistent snapshot of a workspace into memory, for verbs that do not write.
 
-        The workspace lock is held only while reading.
+        The workspace lock is held only while reading. Arguments as for :meth:`session`.
         """
         for _ in range(2):  # another run may create the lock meanwhile
             waiting = self.console.waiting
@@ -188,15 +188,21 @@ class Run:
                 for space in workspace.spaces():
                     # Other files beside the XML may be large, and are never read.
                     written = space in (workspace.profile, workspace.src)
-                    inputs.tree.hold(space, suffix=".xml" if written else "")
+                    readable = not auditing or space != workspace.private
+                    inputs.tree.hold(space, suffix=".xml" if written else "", readable=readable)
                 inputs.tree.hold(workspace.state, suffix="no content")
             if locked or not (workspace.state / LOCK).exists():
                 break
         return inputs
 
-    def session(self) -> Session:
-        """Return a consistent snapshot of the workspace with its profile, for verbs that do not write."""
-        return self.snapshot(self.workspace()).session()
+    def session(self, *, auditing: bool = False) -> Session:
+        """Return a consistent snapshot of the workspace with its profile, for verbs that do not write.
+
+        Args:
+            auditing: what the user may not read of the private space counts as absent; the verb reports
+                :func:`keymint.examine.not_examined.not_examined`.
+        """
+        return self.snapshot(self.workspace(), auditing=auditing).session()
 
     def names(self, inputs: Inputs, given: tuple[str, ...]) -> tuple[str, ...]:
         """Return the packages that a user named, or all packages.
@@ -347,7 +353,7 @@ class Run:
         *,
         workspace: Workspace | None = None,
         steps: Sequence[Step] = (),
-        notes: bool = False,
+        notes: bool | Collection[str] = False,
     ) -> Report:
         """Return the report of the verb; arguments as the fields of a report."""
         return Report(self.verb, workspace, steps, diagnostics, result or {}, exit_code, self.dry_run, notes)

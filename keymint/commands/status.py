@@ -14,6 +14,8 @@ from comarmor.errors import Diagnostic
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
+from keymint.examine import keys
+from keymint.examine.not_examined import not_examined
 from keymint.output.expiry_metrics import gauges
 from keymint.output.openmetrics import openmetrics
 from keymint.output.report import Report, members
@@ -40,7 +42,7 @@ def status(run: Run, kind: str) -> Report:
     RENEW AFTER is from when on 'keymint renew' takes it up; 'with CA' means that it ends with this authority, which
     must be renewed before.
     """
-    session = run.session()
+    session = run.session(auditing=True)
     diagnostics: list[Diagnostic] = []
     missing: list[str] = []
     try:
@@ -66,7 +68,10 @@ def status(run: Run, kind: str) -> Report:
         "not_created": missing,
         "shared": [members(row, "build_type", "documents", "stage", "stale", "problem") for row in shared],
     }
-    return run.report(result, diagnostics, workspace=session.workspace)
+    unexamined = tuple(not_examined(session))
+    diagnostics += (*keys.elsewhere(session), *keys.exposed(session), *unexamined)
+    result["not_examined"] = len(unexamined)
+    return run.report(result, diagnostics, workspace=session.workspace, notes=True)
 
 
 def _show(run: Run, rows: Sequence[PackageRow], missing: Sequence[str], shared: Sequence[SharedRow]) -> None:

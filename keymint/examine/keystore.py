@@ -11,7 +11,7 @@ from comarmor.values import dataclass
 from keymint.api import LoadedPolicy, Phase
 from keymint.examine.issued import registered
 from keymint.examine.lists import lists_in_force, of_enclaves
-from keymint.examine.rights import presented_rights
+from keymint.examine.rights import RIGHTS_OUTLIVE, presented_rights
 from keymint.executors import Pool
 from keymint.plan.enclaves import INSTALLED, with_sources
 from keymint.plan.proof_results import ProofEffort, ProofResults
@@ -19,6 +19,8 @@ from keymint.plan.prove import prove
 from keymint.plan.rollover import staged_session
 from keymint.session import Session
 
+SHOWN_NOTES = frozenset({RIGHTS_OUTLIVE, "authority-key-missing", "not-examined"})
+"""Codes of notes that are shown in any case: an owner must know of them."""
 UNKNOWN_HISTORY = "nothing wider was signed before the register began to keep signed documents"
 
 

@@ -31,6 +31,7 @@ from keymint.api import (
 )
 from keymint.bundles import container
 from keymint.errors import KeymintError
+from keymint.examine.not_examined import has_register
 from keymint.ir import DeferredRules, Rule, SubjectRules
 from keymint.names import package_name, subject_of
 from keymint.pki import certificates, distinguished_names, smime
@@ -115,7 +116,7 @@ def presented_rights(
             if each.until >= session.now:
                 outliving.setdefault(each.name, _note(session, each))
         proofs.append(EnclaveProof("", claims, build_type=name))
-    is_whole = register_of(session).is_whole or not proofs
+    is_whole = not proofs or (has_register(session) and register_of(session).is_whole)
     return PresentedRights(tuple(proofs), tuple(outliving.values()), is_whole, state)
 
 

@@ -102,7 +102,8 @@ class Console:
             self._streams.out.write(f"{document}\n")
             return
         for diagnostic in report.diagnostics:
-            self.diagnostic(diagnostic, notes=report.notes)
+            notes = report.notes if isinstance(report.notes, bool) else diagnostic.code in report.notes
+            self.diagnostic(diagnostic, notes=notes)
         if self._verbosity >= 0:
             self._steps(report)
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, field, replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,8 @@ class Report:
         result: further results; each verb has its own keys.
         exit_code: exit code of the process.
         dry_run: whether nothing was written.
-        notes: whether notes belong to the result, and are shown unless quiet; else only if verbose.
+        notes: whether notes belong to the result, and are shown unless quiet; else only if verbose. Or the codes of
+            those that do.
     """
 
     verb: str
@@ -41,7 +42,7 @@ class Report:
     result: Mapping[str, Any] = field(default_factory=dict)
     exit_code: ExitCode = ExitCode.DONE
     dry_run: bool = False
-    notes: bool = False
+    notes: bool | Collection[str] = False
 
 
 def folded(diagnostics: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:

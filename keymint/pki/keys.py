@@ -128,7 +128,7 @@ def from_pem(pem: bytes, password: bytes | None = None, where: Origin | None = N
     Raises:
         KeymintError: not a private key, an unsupported kind of key, or a missing or wrong password.
     """
-    encrypted = _is_encrypted(pem)
+    encrypted = is_encrypted(pem)
     if encrypted and not password:
         raise KeymintError(
             "the private key is encrypted and no password is given",
@@ -163,7 +163,7 @@ def public_of(pem: bytes, password: bytes | None = None, where: Origin | None = 
 
     It is remembered by the digest of the file, so that a file is parsed once and no private key is kept.
     """
-    if _is_encrypted(pem):
+    if is_encrypted(pem):
         return from_pem(pem, password, where).public_key()
     known = _KNOWN.get(hashlib.sha256(pem).digest())
     return cast("PublicKey", serialization.load_der_public_key(known[0])) if known else _read(pem, where)[0]
@@ -204,7 +204,7 @@ def is_canonical(pem: bytes) -> bool:
     encrypted key (its salt is random) the PEM frame is compared.
     """
     try:
-        if not _is_encrypted(pem):
+        if not is_encrypted(pem):
             known = _KNOWN.get(hashlib.sha256(pem).digest())
             return known[1] if known else _read(pem)[1]
         frame = _PEM.fullmatch(pem)
@@ -213,7 +213,8 @@ def is_canonical(pem: bytes) -> bool:
         return False
 
 
-def _is_encrypted(pem: bytes) -> bool:
+def is_encrypted(pem: bytes) -> bool:
+    """Return whether the private key in a PEM file is encrypted (RFC 7468, section 11; RFC 1421, 4.6.1.1)."""
     return b"-----BEGIN ENCRYPTED PRIVATE KEY-----" in pem or b"Proc-Type: 4,ENCRYPTED" in pem
 
 

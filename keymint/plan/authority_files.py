@@ -262,6 +262,17 @@ def stored_key(inputs: Inputs, authority: Authority, name: str) -> tuple[bytes, 
     return pem, keys.from_pem(pem, password(inputs, authority.certificate), inputs.workspace.origin(path))
 
 
+def key_elsewhere(files: AuthorityFiles, help_: str) -> KeymintError:
+    """Return the error on a request for the private key of an authority that is not here.
+
+    Args:
+        files: the files of the authority.
+        help_: what to do.
+    """
+    message = f"the private key of the authority {files.name!r} is not here"
+    return KeymintError(message, where=files.key_file, help=help_, code="authority-key-missing")
+
+
 def new_authority_help(name: str) -> str:
     """Return the hint that names the option for a new authority, and its consequence."""
     return f"'keymint install --new-authority {name}' makes a new authority ({COST})"

@@ -146,7 +146,8 @@ def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
     elif present is not None and present != public:
         # Nobody trusts the key that was minted: the enclaves, if there are any, trust the new one.
         changes.append(FolderChange(key_path.parent, removed=(key_path.name,), private=True))
-    decided = AuthorityIssuance(adopted=certificates.to_pem(certificate))
+    exposed = keys.fingerprint(public) if given.exposed else authority.issuance.exposed
+    decided = AuthorityIssuance(adopted=certificates.to_pem(certificate), exposed=exposed)
     plan = plan_authority_issuance(session, name, decided, f"{name} imported from {given.where}")
     path = session.workspace.authority_certificate(name)
     changes += changed(session.tree, path.parent, {path.name: File(decided.adopted)})

@@ -26,12 +26,14 @@ class GivenAuthority:
         where: this file, for messages.
         key: a file with its private key, encrypted with the authority's password or not; empty if none is given.
         key_file: this file, for messages; None if none is given.
+        exposed: others could read the private key.
     """
 
     certificate: bytes
     where: Origin
     key: bytes = field(default=b"", repr=False)
     key_file: Origin | None = None
+    exposed: bool = False
 
 
 def checked(session: Session, authority: Authority, given: GivenAuthority) -> tuple[x509.Certificate, bytes]:

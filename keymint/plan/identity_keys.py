@@ -20,7 +20,7 @@ from keymint.plan import key_record
 from keymint.plan.authority_files import authority_keys
 from keymint.plan.enclaves import INSTALLED, KEY, installed, installed_certificate
 from keymint.plan.issuance import place_of
-from keymint.plan.private_keys import load_key, password
+from keymint.plan.private_keys import load_key
 from keymint.session import Inputs, Session
 from keymint.state import digest
 
@@ -98,13 +98,15 @@ def public_key(session: Session, package: Package) -> keys.PublicKey:
     """Return the public key that a package's certificate is issued for.
 
     Raises:
-        KeymintError: the stored private key cannot be used, or the key lies in a token and is not known here.
+        KeymintError: the stored private key cannot be used, is or should be encrypted, or the key lies in a token and
+            is not known here.
     """
     if package.issuance.public_key:
         return public_keys.from_pem(package.issuance.public_key, place_of(session, package.name))
     if is_awaited(package):
         raise KeymintError.of([replace(awaited(package), severity=Severity.ERROR)])
     pem, place = private_key(session, package), _place(session, package.name)
+    _require_plain(session, package, pem)
     return load_key(session, keys.public_of, pem, package.identity, place, _remedy(package.name))
 
 
@@ -113,10 +115,38 @@ def _place(inputs: Inputs, name: str) -> Origin:
     return inputs.workspace.origin(inputs.workspace.identity_key(name))
 
 
+def _require_plain(inputs: Inputs, package: Package, pem: bytes = b"") -> None:
+    """Require that the key of an enclave needs no password, which no ROS 2 distribution passes to a node.
+
+    Args:
+        inputs: the workspace.
+        package: the package.
+        pem: its stored private key; empty if it has none yet.
+
+    Raises:
+        KeymintError: the sources ask for an encrypted key, or the stored one is encrypted.
+    """
+    why = "no ROS 2 distribution passes a password to a node, so a key in install/ is never encrypted"
+    if package.identity.key.password_env:
+        message, where = f"asks for an encrypted private key, but {why}", package.identity.origin
+        help_ = "write NoEncryption and an empty <password_env>, there or in the defaults of identities"
+    elif keys.is_encrypted(pem):
+        message, where = f"is encrypted, but {why}", _place(inputs, package.name)
+        help_ = f"make a new one with {_new(package.name)}"
+    else:
+        return
+    raise KeymintError(message, where=where, help=help_, code="identity-encrypted")
+
+
 def mint(inputs: Inputs, package: Package) -> tuple[FolderChange, str]:
-    """Plan a new key for a package; returns the change, and the key's fingerprint."""
+    """Plan a new key for a package; returns the change, and the key's fingerprint.
+
+    Raises:
+        KeymintError: the sources ask for an encrypted one.
+    """
+    _require_plain(inputs, package)
     key = keys.generate(package.identity.key, package.identity.origin)
-    pem = keys.to_pem(key, password(inputs, package.identity))
+    pem = keys.to_pem(key)
     return secret_file(inputs.workspace.identity_key(package.name), pem), keys.fingerprint(key)
 
 
@@ -124,15 +154,15 @@ def restore_or_mint(session: Session, package: Package) -> tuple[FolderChange, s
     """Plan the key of a package that has none: the one in its enclave, or a new one if it never had any.
 
     Raises:
-        KeymintError: it had a key, which is no longer in its enclave.
+        KeymintError: it had a key, which is no longer in its enclave; or the sources ask for an encrypted one.
     """
+    _require_plain(session, package)
     known = known_fingerprint(session, package.name)
     if not known:
         return mint(session, package)
     pem = session.tree.try_read(session.enclave(package.name) / KEY) or b""
     try:
-        secret = password(session, package.identity)
-        there = keys.fingerprint(keys.from_pem(pem, secret)) if pem else ""
+        there = keys.fingerprint(keys.from_pem(pem)) if pem else ""
     except KeymintError:
         there = ""
     if there != known:

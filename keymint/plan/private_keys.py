@@ -71,7 +71,7 @@ def load_key(
             keys are replaced only on request.
     """
     try:
-        key = read(pem, password(inputs, spec), shown)
+        key = read(pem, password(inputs, spec) if keys.is_encrypted(pem) else None, shown)
     except KeymintError as error:
         raise KeymintError.of(replace(each, help=_help(each, spec, remedy)) for each in error.diagnostics) from None
     if not keys.fits(key, spec.key):

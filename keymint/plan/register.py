@@ -47,10 +47,13 @@ def withdrawn(session: Session) -> Mapping[str, str]:
     """Return the packages whose certificate was revoked and whose enclave is gone, each with the reason.
 
     Raises:
-        KeymintError: the register is damaged.
+        KeymintError: the register is damaged; or it may not be read, and the sources of a package have defects.
     """
     register, there = register_of(session), frozenset(installed(session))
-    found = {name: register.withdrawn(name) for name in session.packages() if name not in there}
+    gone = [name for name in session.packages() if name not in there]
+    if session.tree.is_left_out(session.workspace.register):  # each revocation raises the generation in the sources
+        return {name: "for a reason that is not examined" for name in gone if session.issuance(name).generation}
+    found = {name: register.withdrawn(name) for name in gone}
     return {name: reason for name, reason in found.items() if reason}
 
 

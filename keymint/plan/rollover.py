@@ -273,17 +273,17 @@ def _issuance_of(session: Session, name: str, pem: bytes) -> AuthorityIssuance:
     """Return the decision that makes a certificate the one in force: its dates, or the certificate itself."""
     certificate = certificates.load(pem)
     present = authority_named(session, name)
-    plain = AuthorityIssuance(renewed=present.issuance.renewed)
+    plain = replace(present.issuance, adopted=b"", rollover=None)
     if not present.issuance.adopted:
         period = present.certificate.validity
         base = period.not_after - max(present.issuance.renewed or period.not_before, period.not_before)
-        plain = AuthorityIssuance(renewed=certificate.not_valid_after_utc - base)
+        plain = replace(plain, renewed=certificate.not_valid_after_utc - base)
         after = session.after(plan_authority_issuance(session, name, plain, "")).session()
         spec = authority_named(after, name).certificate
         issuer = authority_files.stored_certificate(after, spec.issuer) if spec.issuer else None
         if authority_files.satisfies(pem, spec, certificates.public_key(certificate), issuer):
             return plain
-    return AuthorityIssuance(renewed=plain.renewed, adopted=pem)
+    return replace(plain, adopted=pem)
 
 
 def _without_key(session: Session, name: str, suffix: str) -> tuple[Step, ...]:

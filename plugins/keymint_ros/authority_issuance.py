@@ -15,7 +15,7 @@ from comarmor.errors import Origin
 from comarmor.text import did_you_mean
 from keymint.api import AuthorityIssuance, CertificateSpec, Phase, Rollover
 from keymint.errors import KeymintError
-from keymint.source_documents import Reader, place, require_new
+from keymint.source_documents import Reader, place, require_new, text
 from keymint_ros import certificate, validity
 from keymint_ros.templates import filled
 
@@ -39,6 +39,7 @@ def _issuance(root: etree._Element) -> Mapping[str, tuple[AuthorityIssuance, int
             rollover=None
             if rollover is None
             else Rollover(Phase(rollover.get("phase", "").strip()), certificate.pem(rollover)),
+            exposed=text(element.find("exposed")) or "",
         )
         found[name] = issuance, place(element).line
     return MappingProxyType(found)
@@ -100,4 +101,6 @@ def _lines(name: str, issuance: AuthorityIssuance) -> Iterator[str]:
     if rollover := issuance.rollover:
         pem = rollover.certificate.decode("ascii").strip()
         yield f'    <rollover phase="{rollover.phase}">\n{pem}\n    </rollover>'
+    if issuance.exposed:
+        yield f"    <exposed>{issuance.exposed}</exposed>"
     yield "  </authority>"

@@ -28,6 +28,7 @@ def _issuance(root: etree._Element) -> Issuance:
         renewed=None if renewed is None else validity.date(renewed),
         public_key=b"" if public_key is None else _canonical((text(public_key) or "").encode(), place(public_key)),
         certificate=certificate.pem(root.find("certificate")),
+        exposed=text(root.find("exposed")) or "",
     )
 
 
@@ -61,6 +62,8 @@ def with_issuance(issued: Issuance) -> Mapping[str, bytes]:
         lines.append(f"  <public_key>\n{_canonical(issued.public_key).decode().strip()}\n  </public_key>")
     if issued.certificate:
         lines.append(f"  <certificate>\n{issued.certificate.decode().strip()}\n  </certificate>")
+    if issued.exposed:
+        lines.append(f"  <exposed>{issued.exposed}</exposed>")
     return {ISSUANCE: filled("decisions/issuance.xml", lines=tuple(lines))}
 
 

@@ -39,9 +39,6 @@ def _refused(package: Package) -> Iterator[_Defect]:
     if identity.key.uri:
         message = "the private key lies in a token, and Zenoh reads keys from files only"
         yield "zenoh-key-token", message, identity.origin, "leave out <pkcs11>"
-    if identity.key.password_env:
-        message = "the private key is encrypted, and Zenoh cannot read such a key"
-        yield "zenoh-key-encrypted", message, identity.origin, "leave out the password; the file has mode 0600"
     for authority in package.issuers:
         yield from _curve(authority.certificate, f"the key of the authority {authority.name!r}")
     yield from _signatures(package)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from keymint.pki import keys
 from tests.conftest import CHECKOUT
 
 EXAMPLES = ("talker_listener", "add_two_ints", "action", "fleet")
@@ -86,14 +87,10 @@ def test_revocation_lists_are_read_as_nodes_read_them(keymint, tmp_path: Path, t
 
 def test_participants_without_the_password_are_not_verified(keymint, tmp_path: Path, fastdds: object) -> None:
     """Fast DDS refuses the participant, which is not a decision about the enclave."""
-    keymint("init", "ws", "--policy", CHECKOUT / "examples/talker_listener")
-    defaults = tmp_path / "ws/profile/package.defaults/identities.xml"
-    text = defaults.read_text().replace("NoEncryption", "BestAvailableEncryption")
-    defaults.write_text(text.replace("<password_env></password_env>", "<password_env>NODE_PASSWORD</password_env>"))
-    env = {"NODE_PASSWORD": "secret word"}
-    for verb in (("create", "--all"), ("build",), ("install",)):
-        assert keymint(*verb, "-w", "ws", env=env).code == 0
-    outcome = keymint("verify", "-w", "ws", "-t", "fastdds", env=env)
+    assert keymint("provision", CHECKOUT / "examples/talker_listener", "-w", "ws").code == 0
+    path = tmp_path / "ws/install/enclaves/listener/key.pem"
+    path.write_bytes(keys.to_pem(keys.from_pem(path.read_bytes()), b"secret word"))
+    outcome = keymint("verify", "-w", "ws", "-t", "fastdds")
     assert outcome.code == 1
     assert "error: the private key of /listener is encrypted" in outcome.err
-    assert keymint("verify", "-w", "ws", "-t", "fastdds-2.9", env=env).code == 0
+    assert keymint("verify", "-w", "ws", "-t", "fastdds-2.9").code == 0

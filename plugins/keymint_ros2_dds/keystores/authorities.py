@@ -16,7 +16,7 @@ from keymint.pki.distinguished_names import to_text
 from keymint_ros2_dds.authority_roles import IDENTITY, PERMISSIONS
 from keymint_ros2_dds.enclave_layout import CA, IDENTITY_CA, PERMISSIONS_CA
 from keymint_ros2_dds.keystores.contents import Contents
-from keymint_ros2_dds.keystores.enclaves import dates_of, exposure
+from keymint_ros2_dds.keystores.enclaves import dates_of, exposure, is_exposed
 from keymint_ros2_dds.keystores.places import EnclavePlace
 
 _FILES = {IDENTITY: IDENTITY_CA, PERMISSIONS: PERMISSIONS_CA}
@@ -97,7 +97,8 @@ def _authority(contents: Contents, path: str, roles: tuple[str, ...]) -> tuple[F
         "key_file": str(contents.place(key_paths[0])) if key_paths else None,
     }
     key = key_files.pem_of(contents.read(key_paths[0]), public) if key_paths else b""
-    return FoundAuthority(name, roles, content, path, key, tuple(key_paths), facts), findings
+    exposed = any(is_exposed(contents, each) for each in key_paths)
+    return FoundAuthority(name, roles, content, path, key, tuple(key_paths), facts, exposed), findings
 
 
 def _about_key(contents: Contents, key_paths: Sequence[str], name: str, path: str) -> Iterator[Diagnostic]:

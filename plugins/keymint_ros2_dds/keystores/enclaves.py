@@ -77,6 +77,7 @@ class _Enclave:
             documents=self._documents,
             grant=self._found_grant,
             facts=self._facts,
+            exposed=self._facts["key"] == "matches" and is_exposed(self._contents, self._path(KEY)),
         )
 
     def findings(self) -> Iterator[Diagnostic]:
@@ -319,6 +320,11 @@ def dates_of(certificate: x509.Certificate) -> dict[str, str]:
     return {"not_before": begin, "not_after": end}
 
 
+def is_exposed(contents: Contents, path: str) -> bool:
+    """Tell whether others can read a private key."""
+    return bool(contents.keystore.files[path].mode & 0o077)
+
+
 def exposure(contents: Contents, path: str, subject: str) -> Iterator[Diagnostic]:
     """Yield a finding on a private key that others can read: it may have been copied.
 
@@ -327,8 +333,8 @@ def exposure(contents: Contents, path: str, subject: str) -> Iterator[Diagnostic
         path: path of the key.
         subject: whose key it is; empty for that of an authority.
     """
-    mode = contents.keystore.files[path].mode
-    if mode & 0o077:
+    if is_exposed(contents, path):
+        mode = contents.keystore.files[path].mode
         message = f"is a private key with mode {mode:04o}: others could read it, so it counts as exposed"
         end = f"'keymint renew --rekey {name_of(subject)}'" if subject else "'keymint authority replace'"
         help_ = f"chmod 600, here and on the robot; {end} ends it if someone may have copied it"

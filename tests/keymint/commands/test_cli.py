@@ -32,7 +32,7 @@ def test_help_lists_every_verb(keymint) -> None:
     assert all(verb in outcome.out for verb in VERBS)
 
 
-WRITING = {f"authority {verb}" for verb in ("renew", "replace", "import")}
+WRITING = {f"authority {verb}" for verb in ("renew", "replace", "encrypt", "import")}
 WRITING |= {"init", "create", "build", "install", "prove", "provision", "discover", "learn", "graph"}
 WRITING |= {"import", "fmt", "adopt", "harden", "export", "revoke", "renew", "crl", "sign", "bundle", "accept"}
 """Verbs that write files, so that they have ``--dry-run``."""

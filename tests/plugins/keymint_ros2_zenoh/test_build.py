@@ -202,7 +202,6 @@ def test_notes_about_rules_are_reported() -> None:
     ("changed", "code"),
     [
         ({"key": KeySpec("ec", "SECP521R1")}, "zenoh-key-curve"),
-        ({"key": KeySpec("ec", "SECP256R1", password_env="PW")}, "zenoh-key-encrypted"),
         ({"key": KeySpec("ec", "SECP256R1", uri="pkcs11:token=robot;id=%01")}, "zenoh-key-token"),
         ({"name": "OU=x1"}, "zenoh-common-name"),
         ({"extensions": (Extension("extendedKeyUsage", "serverAuth", False, HOST_ORIGIN),)}, "zenoh-key-usage"),
