@@ -82,7 +82,8 @@ def check(
             found = proof.findings(session, with_enclaves(session, chosen, names))
             findings += (each for each in found if (each.code, each.where and each.where.file) not in known)
     unexamined = tuple(not_examined(session))
-    shown = folded((*findings, *(() if names else _uncreated(session, chosen)), *unexamined))
+    findings += () if names else _uncreated(session, chosen)
+    shown = folded(tuple(dict.fromkeys((*findings, *unexamined))))
     if sarif is not None:
         write_outputs(run, sarif, sarif_log("keymint check", {}, of_diagnostics(shown), run.typed))
     number = sum(finding.severity is not Severity.NOTE for finding in shown)

@@ -17,7 +17,8 @@ from keymint.commands.options import Number, complete_package, standard_only_opt
 from keymint.commands.proof_diagnostics import SECONDS, STATES, dated_of, diagnostics_of, effort_of, merged_packages
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
-from keymint.examine.keystore import SHOWN_NOTES, UNKNOWN_HISTORY, KeystoreProof, proven_keystore
+from keymint.errors import ExitCode, KeymintError
+from keymint.examine.keystore import SHOWN_NOTES, UNKNOWN_HISTORY, KeystoreProof, deciding, proven_keystore
 from keymint.examine.not_examined import has_register, not_examined
 from keymint.output.report import Report, findings_exit, findings_if
 from keymint.plan import terms
@@ -27,6 +28,8 @@ from keymint.plan.policy_drift import uncreated
 from keymint.plan.proof_results import EnclaveProof, ProofResults
 from keymint.plan.prove import NO_PROVER, STAGE
 from keymint.plan.register import with_enclaves
+from keymint.plan.trust_anchors import differences
+from keymint.session import Session
 
 SHOWN = 5
 """Number of unprotected topics in the summary; ``--json`` lists all of them."""
@@ -65,8 +68,11 @@ def prove(
     """
     session = run.session(auditing=True)
     chosen = with_enclaves(session, run.names(session, names), names)
-    with run.console.progress(len(chosen), run.setting.monotonic) as advance, run.pool() as pool:
+    try:
         policy = lazy_policy(session)  # loaded only if something is to be proven
+    except KeymintError as error:
+        return _without_policy(run, session, chosen, error)
+    with run.console.progress(len(chosen), run.setting.monotonic) as advance, run.pool() as pool:
         proven = proven_keystore(
             session, chosen, policy, effort_of(run, states, seconds),
             lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), pool, standard_only=allow_vendor_specific,
@@ -100,6 +106,19 @@ def prove(
         unread or dated or findings_exit((*unknown, *more)) or not is_proven or (strict and proven.outliving)
     )
     return run.report(result, diagnostics, exit_code, workspace=session.workspace, notes=SHOWN_NOTES)
+
+
+def _without_policy(run: Run, session: Session, names: Sequence[str], error: KeymintError) -> Report:
+    """Return what can be told although the policy cannot be read: what the authorities do not vouch for."""
+    run.console.line(f"proved nothing about {counted(len(names), 'enclave')}: the policy cannot be read")
+    found = (*error.diagnostics, *differences(session, names), *deciding(session), *unaccounted(session))
+    unexamined = tuple(not_examined(session))
+    result: dict[str, Any] = {
+        "at": terms.shown(session.now), "until": None, "in_force": None, "not_examined": len(unexamined),
+        "assumptions": {}, "enclaves": [], "shared": [],
+    }  # fmt: skip
+    diagnostics = tuple(dict.fromkeys((*found, *unexamined)))
+    return run.report(result, diagnostics, ExitCode.FINDINGS, workspace=session.workspace, notes=SHOWN_NOTES)
 
 
 def _summary(run: Run, results: ProofResults, *, with_register: bool) -> None:

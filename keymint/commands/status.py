@@ -11,17 +11,22 @@ from typing import Any, TypeVar
 import click
 
 from comarmor.errors import Diagnostic
+from keymint.api import LoadedPolicy
+from keymint.commands.options import strict_option
+from keymint.commands.proof_diagnostics import effort_of
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.examine import keys
 from keymint.examine.not_examined import not_examined
+from keymint.examine.rights import presented_rights
 from keymint.output.expiry_metrics import gauges
 from keymint.output.openmetrics import openmetrics
-from keymint.output.report import Report, members
+from keymint.output.report import Report, findings_if, members
 from keymint.plan.create import packages_to_create
 from keymint.plan.policy import lazy_policy
 from keymint.plan.terms import days_left
+from keymint.session import Session
 from keymint.status import PackageRow, SharedRow, package_rows, shared_rows
 
 _Row = TypeVar("_Row", PackageRow, SharedRow)
@@ -36,7 +41,8 @@ _Row = TypeVar("_Row", PackageRow, SharedRow)
     show_default=True,
     help="openmetrics: dates in seconds since 1970, for a monitor such as Prometheus.",
 )
-def status(run: Run, kind: str) -> Report:
+@strict_option
+def status(run: Run, kind: str, strict: bool) -> Report:
     """Show a table of all packages: the stage, whether it is stale, when it expires, and when to renew it.
 
     RENEW AFTER is from when on 'keymint renew' takes it up; 'with CA' means that it ends with this authority, which
@@ -69,9 +75,19 @@ def status(run: Run, kind: str) -> Report:
         "shared": [members(row, "build_type", "documents", "stage", "stale", "problem") for row in shared],
     }
     unexamined = tuple(not_examined(session))
-    diagnostics += (*keys.elsewhere(session), *keys.exposed(session), *unexamined)
+    outliving = _outliving(run, session, policy) if policy else ()
+    diagnostics += (*keys.elsewhere(session), *keys.exposed(session), *outliving, *unexamined)
     result["not_examined"] = len(unexamined)
-    return run.report(result, diagnostics, workspace=session.workspace, notes=True)
+    exit_code = findings_if(strict and outliving)
+    return run.report(result, diagnostics, exit_code, workspace=session.workspace, notes=True)
+
+
+def _outliving(run: Run, session: Session, policy: LoadedPolicy) -> tuple[Diagnostic, ...]:
+    """Return the notes on documents that were signed before and permit more than the policy."""
+    try:
+        return presented_rights(session, session.state, policy, effort_of(run), standard_only=False).outliving
+    except KeymintError:  # a package has defects, which its row shows
+        return ()
 
 
 def _show(run: Run, rows: Sequence[PackageRow], missing: Sequence[str], shared: Sequence[SharedRow]) -> None:
