@@ -34,7 +34,7 @@ from keymint.plan.enclaves import (
 from keymint.plan.environment import plan_scripts
 from keymint.plan.identity_keys import Keyring
 from keymint.plan.register import complete_register, register_change, register_of, require_free_serials
-from keymint.plan.shared_files import EnclaveChanges, build_types_in_use, shared_copies, shared_steps
+from keymint.plan.shared_files import EnclaveChanges, build_types_in_use, obsolete_steps, shared_copies, shared_steps
 from keymint.plan.shared_install import plan_shared_install
 from keymint.plan.signing import sign
 from keymint.plan.stage import PackagePlan, recorded, steps_of
@@ -100,6 +100,7 @@ class InstallStage:
             diagnostics += _still_good(session, removed)
             steps += [_prune(session, name, changes) for name in removed]
             state = key_record.forget(state, key_record.IDENTITIES, removed)
+        steps += obsolete_steps(session, changes, steps)
         return Plan(tuple(steps), state, tuple(diagnostics), _register(session, planned))
 
 
