@@ -12,7 +12,7 @@ from comarmor.errors import Origin
 from keymint.api import Authority, AuthorityIssuance, Validity
 from keymint.changes import Action, File, FolderChange, Plan, Step, changed, secret_file
 from keymint.errors import KeymintError
-from keymint.pki import adoption, certificates, keys
+from keymint.pki import adoption, certificates, distinguished_names, keys
 from keymint.plan import authority_files, key_record
 from keymint.plan.authorities import MintedAuthority, plan_authorities
 from keymint.plan.authority_files import AuthorityFiles
@@ -38,6 +38,7 @@ def plan_renewal(session: Session, name: str) -> Plan:
     require_no_rollover(session, name)
     minted = plan_authorities(session)[1][name]
     _require_key(name, minted)
+    _require_order(authority, minted)
     issuance = replace(authority.issuance, renewed=begin_of(session.now))
     if authority.issuance.adopted:
         issuance = replace(issuance, adopted=_adopted_again(session, authority, minted))
@@ -105,6 +106,23 @@ def _require_key(name: str, minted: MintedAuthority) -> None:
             replace(each, help=elsewhere if each.code == "authority-key-missing" else each.help)
             for each in error.diagnostics
         ) from None
+
+
+def _require_order(authority: Authority, minted: MintedAuthority) -> None:
+    """Require that the RDNs of an authority's name stand in the order of the profile.
+
+    Raises:
+        KeymintError: they do not, so a certificate by the profile would be that of a new authority.
+    """
+    spec, certificate = authority.certificate, minted.certificate
+    if not spec.adopted and authority_files.is_reordered(certificates.to_pem(certificate), spec):
+        name = distinguished_names.to_text(certificate.subject)
+        raise KeymintError(
+            f"the RDNs of {name!r} stand in another order in the profile, so it is used as it is",
+            where=spec.origin,
+            help=f"write <subject_name>{name}</subject_name> for this authority, then renew it",
+            code="authority-reordered",
+        )
 
 
 def require_no_rollover(session: Session, name: str) -> None:

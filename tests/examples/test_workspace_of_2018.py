@@ -154,6 +154,73 @@ def edited(ws: Path, path: str, old: str, new: str) -> None:
     (ws / path).write_text(text.replace(old, new, 1))
 
 
+def authority_of_2018(ws: Path, name: str) -> bytes:
+    """Write an authority whose name has the RDNs of the profile in another order; return its certificate."""
+    subject = f"/C=US/ST=CA/O=Acme/emailAddress=acme@acme.acme/CN={name}"
+    key, file = ws / f"private/{name}.key.pem", ws / f"public/{name}.cert.pem"
+    for path in (key, file):
+        path.parent.mkdir(exist_ok=True)
+    subprocess.run(
+        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-keyout", key,
+         "-days", "5000", "-subj", subject, "-out", file],
+        check=True, capture_output=True,
+    )  # fmt: skip
+    key.chmod(0o600)
+    key.parent.chmod(0o700)
+    return file.read_bytes()
+
+
+def test_an_authority_whose_rdns_stand_in_another_order_is_used_as_it_is(keymint, tmp_path: Path) -> None:
+    ws = tmp_path / "ws"
+    write(ws)
+    made = {name: authority_of_2018(ws, name) for name in ("root_ca", "permissions_ca")}
+    provisioned(keymint, ws)
+    assert {name: (ws / f"public/{name}.cert.pem").read_bytes() for name in made} == made
+    verified(ws / "install/enclaves/talker")
+    identity = x509.load_pem_x509_certificate((ws / "public/identity_ca.cert.pem").read_bytes())
+    assert identity.issuer == x509.load_pem_x509_certificate(made["root_ca"]).subject
+    for verb in ("check", "prove"):
+        outcome = keymint(verb, "-w", ws)
+        assert outcome.code == 0, outcome.err
+    assert keymint("install", "-w", ws).out.startswith("nothing to do")
+    for key in (ws / "private").glob("*_ca.key.pem"):
+        key.rename(key.with_suffix(".away"))
+    assert keymint("install", "-w", ws).code == 0
+    (ws / "public/permissions_ca.cert.pem").unlink()  # restored from the enclaves
+    (ws / "private/permissions_ca.key.away").rename(ws / "private/permissions_ca.key.pem")
+    assert keymint("install", "-w", ws).code == 0
+    assert (ws / "public/permissions_ca.cert.pem").read_bytes() == made["permissions_ca"]
+
+
+def test_its_renewal_says_what_to_write_first(keymint, tmp_path: Path) -> None:
+    ws = tmp_path / "ws"
+    write(ws)
+    before = authority_of_2018(ws, "permissions_ca")
+    provisioned(keymint, ws)
+    outcome = keymint("authority", "renew", "permissions_ca", "--flag-day", "-w", ws)
+    name = "C=US,ST=CA,O=Acme,emailAddress=acme@acme.acme,CN=permissions_ca"
+    assert (outcome.code, f"write <subject_name>{name}</subject_name>" in outcome.err) == (1, True), outcome.err
+    assert (ws / "public/permissions_ca.cert.pem").read_bytes() == before
+    edited(ws, "profile/authorities.xml", "<serial_number>3<", f"<subject_name>{name}</subject_name><serial_number>3<")
+    assert keymint("authority", "renew", "permissions_ca", "--flag-day", "-w", ws).code == 0
+    after = x509.load_pem_x509_certificate((ws / "public/permissions_ca.cert.pem").read_bytes())
+    assert after.subject == x509.load_pem_x509_certificate(before).subject
+    assert after.public_key() == x509.load_pem_x509_certificate(before).public_key()
+    assert keymint("check", "-w", ws).code == 0
+
+
+def test_a_package_that_is_new_has_the_signer_of_then(keymint, tmp_path: Path) -> None:
+    """The template of 2018 named permissions_ca in each package."""
+    ws = tmp_path / "ws"
+    write(ws)
+    assert keymint("create", "/robot2/talker", "-w", ws).code == 0
+    provisioned(keymint, ws)
+    verified(ws / "install/enclaves/robot2/talker")
+    edited(ws, "profile/authorities.xml", 'name="permissions_ca"', 'name="other_ca"')
+    outcome = keymint("build", "robot2/talker", "-w", ws)
+    assert (outcome.code, "no <issuer_name> names the authority" in outcome.err) == (1, True)
+
+
 _DEFAULTS = "profile/profile.defaults/authorities.xml"
 _MANIFEST = "src/talker/keymint_package.xml"
 
