@@ -128,6 +128,7 @@ from keymint.api.profiles import RuleLocator as RuleLocator
 from keymint.api.profiles import WorkspaceProfile as WorkspaceProfile
 from keymint.api.proving import Claim as Claim
 from keymint.api.proving import Counterexample as Counterexample
+from keymint.api.proving import InstalledDistro as InstalledDistro
 from keymint.api.proving import OutlivingRights as OutlivingRights
 from keymint.api.proving import Proof as Proof
 from keymint.api.proving import ProofTask as ProofTask

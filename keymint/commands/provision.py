@@ -145,8 +145,6 @@ def _provisioned(
         return _provisioned(run, before, first.then(narrower), policy, names, request)
     if first.writes():
         installed = installed.then(plan_distribution(before, session.after(installed), every))
-    plan = first
-    for stage in (created, built, minted, installed):
-        plan = plan.then(stage)
+    plan = first.then(created).then(built).then(minted).then(installed)
     plan = plan.noting(*policy_slips(session, (*created.steps, *built.steps), policy))
     return proven(run, session, installed, every, proof, plan, request) if request.prove else plan

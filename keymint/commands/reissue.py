@@ -82,8 +82,8 @@ def reissued(
     vendor_specific = any(as_built[name].allow_vendor_specific for name in issued)
     request = replace(request, allow_vendor_specific=request.allow_vendor_specific or vendor_specific)
     in_force, warnings = (policy, ()) if policy else policy_in_force(session)
-    proof = proof_stage(run, in_force, request)
-    return proven(run, session, installed.then(others), issued, proof, plan.noting(*warnings), request)
+    plan, proof = plan.noting(*warnings), proof_stage(run, in_force, request)
+    return proven(run, session, installed.then(others), issued, proof, plan, request)
 
 
 def following(before: Session, session: Session, names: Sequence[str], revoked: Plan) -> tuple[str, ...]:

@@ -243,11 +243,7 @@ def satisfies(pem: bytes, spec: CertificateSpec, key: keys.PublicKey, issuer: x5
 
 def is_reordered(pem: bytes, spec: CertificateSpec) -> bool:
     """Tell whether a certificate has the subject name of a specification with its RDNs in another order."""
-    try:
-        name = certificates.load(pem).subject
-    except KeymintError:
-        return False
-    wanted = distinguished_names.parse(spec.subject_name, spec.origin)
+    name, wanted = certificates.load(pem).subject, distinguished_names.parse(spec.subject_name, spec.origin)
     return name != wanted and distinguished_names.has_same_rdns(name, wanted)
 
 

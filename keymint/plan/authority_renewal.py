@@ -32,13 +32,19 @@ def plan_renewal(session: Session, name: str) -> Plan:
     Only the profile changes: what rests on it must be planned afterwards.
 
     Raises:
-        KeymintError: there is no such authority, its key is elsewhere, or its key is being replaced.
+        KeymintError: there is no such authority, its key is elsewhere, its key is being replaced, or its name has its
+            RDNs in another order than the profile.
     """
     authority = authority_named(session, name)
     require_no_rollover(session, name)
     minted = plan_authorities(session)[1][name]
     _require_key(name, minted)
-    _require_order(authority, minted)
+    pem = certificates.to_pem(minted.certificate)
+    if not authority.issuance.adopted and authority_files.is_reordered(pem, authority.certificate):
+        own = distinguished_names.to_text(minted.certificate.subject)
+        message = f"the profile has the RDNs of {own!r} in another order, so its certificate is used as it is"
+        help_ = f"write <subject_name>{own}</subject_name> for this authority, then renew it"
+        raise KeymintError(message, where=authority.certificate.origin, help=help_, code="authority-reordered")
     issuance = replace(authority.issuance, renewed=begin_of(session.now))
     if authority.issuance.adopted:
         issuance = replace(issuance, adopted=_adopted_again(session, authority, minted))
@@ -106,23 +112,6 @@ def _require_key(name: str, minted: MintedAuthority) -> None:
             replace(each, help=elsewhere if each.code == "authority-key-missing" else each.help)
             for each in error.diagnostics
         ) from None
-
-
-def _require_order(authority: Authority, minted: MintedAuthority) -> None:
-    """Require that the RDNs of an authority's name stand in the order of the profile.
-
-    Raises:
-        KeymintError: they do not, so a certificate by the profile would be that of a new authority.
-    """
-    spec, certificate = authority.certificate, minted.certificate
-    if not spec.adopted and authority_files.is_reordered(certificates.to_pem(certificate), spec):
-        name = distinguished_names.to_text(certificate.subject)
-        raise KeymintError(
-            f"the RDNs of {name!r} stand in another order in the profile, so it is used as it is",
-            where=spec.origin,
-            help=f"write <subject_name>{name}</subject_name> for this authority, then renew it",
-            code="authority-reordered",
-        )
 
 
 def require_no_rollover(session: Session, name: str) -> None:

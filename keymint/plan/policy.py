@@ -24,9 +24,6 @@ from keymint.state import Stamp, State, digest
 _STAGE, _FILES, _SUBJECTS = "policy", "seen", "subjects"
 """Keys of the record of the policy: the paths that it was read from, and the subjects that it names."""
 
-_UNREAD = "00"
-"""In place of a fingerprint: no file has it."""
-
 
 def load_policy(session: Session, *, trust_links: bool = False) -> LoadedPolicy:
     """Load the policy that the profile names; errors as :meth:`keymint.api.PolicyType.load`.
@@ -156,7 +153,8 @@ def record_policy(session: Session, policy: LoadedPolicy) -> State:
 
 def record_unread(session: Session, subjects: Iterable[str]) -> State:
     """Return the state with the subjects of a policy that is not in its place yet: its files count as changed."""
-    return _recorded(session, {str(source.path): _UNREAD for source in session.profile.policies}, subjects)
+    # No file has this fingerprint.
+    return _recorded(session, {str(source.path): "00" for source in session.profile.policies}, subjects)
 
 
 def _recorded(session: Session, seen: Mapping[str, str], subjects: Iterable[str]) -> State:

@@ -74,19 +74,15 @@ def obsolete_steps(session: Session, changes: EnclaveChanges, steps: Iterable[St
     written = {f"{change.folder}/{file}" for each in steps for change in each.changes for file in change.written}
     copies = {str(install / path) for of_type in shared_copies(session, changes) for path in of_type}
     folders = {path.rpartition("/")[0] for path in copies} - {str(session.enclaves)} if written else ()
-    strays = [f"{folder}/{entry}" for folder in folders for entry, is_folder in tree.names(folder) if not is_folder]
-    strays = [path for path in strays if path not in copies]
-    if not strays:
+    strays = {f"{folder}/{entry}" for folder in folders for entry, is_folder in tree.names(folder) if not is_folder}
+    if not strays - copies:
         return []
-    former = {
-        str(install / path): each.content
-        for found in shared_copies(session, NO_CHANGES)
-        for path, each in found.items()
-    }
-    targets = {tree.follows(path) for path, _ in tree.walk(install) if path not in written}
-    gone = [path for path in strays if path in former or tree.try_read(path) in former.values()]
-    removed = [FolderChange(Path(path).parent, removed=(Path(path).name,)) for path in gone if path not in targets]
-    return [Step(INSTALLED, "", Action.REMOVED, tuple(removed), "shared by all enclaves before")] if removed else []
+    former = {str(install / path): each for found in shared_copies(session, NO_CHANGES) for path, each in found.items()}
+    strays -= copies | {tree.follows(path) for path, _ in tree.walk(install) if path not in written}
+    contents = {each.content for each in former.values()}
+    gone = [Path(path) for path in sorted(strays) if path in former or tree.try_read(path) in contents]
+    removed = tuple(FolderChange(path.parent, removed=(path.name,)) for path in gone)
+    return [Step(INSTALLED, "", Action.REMOVED, removed, "shared by all enclaves before")] if removed else []
 
 
 def shared_copies(session: Session, changes: EnclaveChanges) -> list[Mapping[str, Artifact]]:

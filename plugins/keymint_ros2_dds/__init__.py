@@ -64,6 +64,8 @@ class DdsSecurity:
     prove = lazy("keymint_ros2_dds.proving:prove")
     terms = lazy("keymint_ros2_dds.proving:terms")
     outliving = lazy("keymint_ros2_dds.proving.succession:outliving")
+    changed_rights = lazy("keymint_ros2_dds.proving.succession:changed_rights")
+    distro_of = lazy("keymint_ros2_dds.proving.succession:distro_of")
 
     is_remote = lazy("keymint_ros2_dds.kinds.elsewhere:is_remote")
     receive = lazy("keymint_ros2_dds.kinds.elsewhere:receive")
