@@ -27,6 +27,7 @@ from comarmor.values import dataclass
 from keymint import cli
 from keymint.api import LoadedPolicy
 from keymint.changes import Plan
+from keymint.commands.options import InstallRequest
 from keymint.commands.reissue import reissued
 from keymint.commands.run import Run
 from keymint.errors import KeymintError
@@ -98,7 +99,7 @@ class Client:
             names = create.subjects((name,))
             created = create.plan([create.package(each) for each in names])
             needed = tuple(dict.fromkeys((*names, *session.after(created).infrastructure())))
-            return reissued(run, session, created, needed, prove=prove, policy=policy)
+            return reissued(run, session, created, needed, request=InstallRequest(prove=prove), policy=policy)
 
         run = self._run("provision")
         enclave = self._enclave(run.carry_out(self._workspace, make_plan), name)

@@ -19,6 +19,7 @@ from keymint.api import (
     BuiltPackageType,
     Infrastructure,
     InfrastructurePackage,
+    InstalledDistro,
     Issuance,
     IssuanceFiles,
     Layout,
@@ -122,6 +123,8 @@ class Inputs:
             )
         for plugin in self.plugins.profile_types().values():
             if plugin.recognises(files):
+                profile = plugin.load(root, files)
+                distro = "" if profile.distro_named else self._installed_distro(profile)
                 return Session(
                     self.workspace,
                     self.tree,
@@ -130,8 +133,10 @@ class Inputs:
                     self.environment,
                     self.now,
                     self.tokens,
-                    profile=plugin.load(root, files),
-                    profile_digest=digest(digest_files(files), self.plugins.versions, __version__),
+                    profile=plugin.with_distro(profile, distro) if distro else profile,
+                    profile_digest=digest(
+                        digest_files(files), self.plugins.versions, __version__, *filter(None, [distro])
+                    ),
                 )
         raise KeymintError(
             "no installed profile type recognises this profile",
@@ -139,6 +144,13 @@ class Inputs:
             help="'keymint plugins' lists the installed plugins",
             code="profile-unknown",
         )
+
+    def _installed_distro(self, profile: WorkspaceProfile) -> str:
+        """Return the distribution that installed documents tell, or an empty text."""
+        own = (self.plugins.build_type(name, self.profile_marker()) for name in profile.build_types)
+        paths = [path for path, _ in self.tree.walk(self.workspace.install)]
+        found = (each.distro_of(paths, self.tree.try_read) for each in own if isinstance(each, InstalledDistro))
+        return next(filter(None, found), "")
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,6 +36,7 @@ class AdoptedPolicy:
         path: its path as the profile names it: relative to the profile space, or absolute.
         files: files to write into the profile space, by path relative to it; none if the policy lies elsewhere.
         rules: the rules of each subject that it has any for.
+        subjects: the subjects that it names.
         learned: it was made from the signed documents.
         diagnostics: what changes or is lost.
     """
@@ -43,6 +44,7 @@ class AdoptedPolicy:
     path: str
     files: Mapping[str, bytes]
     rules: Mapping[str, SubjectRules]
+    subjects: tuple[str, ...]
     learned: bool = False
     diagnostics: tuple[Diagnostic, ...] = ()
 

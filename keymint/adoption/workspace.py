@@ -40,6 +40,7 @@ from keymint.plan.build import BuildStage
 from keymint.plan.create import marker_last
 from keymint.plan.given_authority import GivenAuthority
 from keymint.plan.install import InstallStage
+from keymint.plan.policy import record_unread
 from keymint.plan.register import complete_register, register_change
 from keymint.session import Inputs, Session
 from keymint.workspace import DEFAULTS
@@ -104,7 +105,9 @@ def plan_adoption(inputs: Inputs, adoption: Adoption) -> Plan:
     install = InstallStage(session, authorities, prune=False)
     installed = install.plan([install.package(name) for name in names])
     _require_unchanged(session, adoption, installed)
-    return plan.then(installed)
+    plan = plan.then(installed)
+    # From now on, each stage compares the packages with the policy.
+    return replace(plan, state=record_unread(session.after(installed), adoption.policy.subjects))
 
 
 def _profile(inputs: Inputs, adoption: Adoption) -> Plan:

@@ -130,6 +130,7 @@ from keymint.api.proving import Claim as Claim
 from keymint.api.proving import Counterexample as Counterexample
 from keymint.api.proving import ExcessRights as ExcessRights
 from keymint.api.proving import Holder as Holder
+from keymint.api.proving import InstalledDistro as InstalledDistro
 from keymint.api.proving import OutlivingRights as OutlivingRights
 from keymint.api.proving import PresentableDocument as PresentableDocument
 from keymint.api.proving import Presentation as Presentation

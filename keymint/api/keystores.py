@@ -206,12 +206,15 @@ class HardenedProfileType(Protocol):
     SIGNER: str
     """Name of that authority."""
 
-    def with_own_signer(self, profile: WorkspaceProfile, former: str) -> Mapping[str, bytes]:
+    def with_own_signer(
+        self, profile: WorkspaceProfile, former: str, validity: Validity | None = None
+    ) -> Mapping[str, bytes]:
         """Return the files of a profile that change, by path, so that a new authority signs the documents.
 
         Args:
             profile: the profile.
             former: the authority that signs them now.
+            validity: the period of the new authority's certificate; None for that of the defaults.
 
         Raises:
             KeymintError: its owner wrote them in another way.

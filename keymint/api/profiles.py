@@ -59,6 +59,7 @@ class WorkspaceProfile:
         revoke_superseded: a certificate is revoked where new signed rights are narrower than those it had.
         packages: what the owner accepted of the profiles that ROS packages ship, by package.
         package_copies: the folder of copies of what was accepted, a folder for each package; None if it has none.
+        distro_named: it names its distribution; otherwise it has the one of installed documents, or a usual one.
     """
 
     name: str
@@ -76,6 +77,7 @@ class WorkspaceProfile:
     revoke_superseded: bool = False
     packages: Mapping[str, AcceptedPackage] = field(default_factory=dict)
     package_copies: Path | None = None
+    distro_named: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +130,9 @@ class ProfileType(Protocol):
 
     def library(self, distro: str) -> Path:
         """Return the folder of the policy library for a distro, which ``bootstrap`` copies into the profile."""
+
+    def with_distro(self, profile: WorkspaceProfile, distro: str) -> WorkspaceProfile:
+        """Return a profile that names no distribution with one, and with its layout unless it names that."""
 
     def recognises(self, files: Mapping[str, bytes]) -> bool:
         """Whether the files of a profile space are of this type."""

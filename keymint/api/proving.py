@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import field
 from datetime import datetime
 from enum import StrEnum
@@ -222,6 +222,32 @@ class Succession(Protocol):
 
         Raises:
             KeymintError: a file cannot be read.
+        """
+
+    def changed_rights(self, before: Mapping[str, bytes], after: Mapping[str, bytes]) -> str:
+        """Return an example of what only the earlier files permit, and one of what only the later ones do, in words.
+
+        The text is empty if both permit the same, each to the certificate of its own files.
+
+        Args:
+            before: the earlier files of the enclave by name.
+            after: the files that replace them.
+
+        Raises:
+            KeymintError: a file cannot be read.
+        """
+
+
+@runtime_checkable
+class InstalledDistro(Protocol):
+    """Optional capability of a build type: signed documents tell for which distribution they were made."""
+
+    def distro_of(self, paths: Iterable[str], content: Callable[[str], bytes | None]) -> str:
+        """Return the distribution of the signed documents among some files, or an empty text if they do not tell it.
+
+        Args:
+            paths: the paths of the files.
+            content: returns the content of a file; None if it cannot be read.
         """
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.file_reading import FileStatus
+from keymint.pki import key_files
 from keymint.session import Inputs
 
 _GROUP, _OTHERS = stat.S_IWGRP, stat.S_IWOTH
@@ -90,8 +91,9 @@ def _private(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:
         if stat.S_ISDIR(status.st_mode) or stat.S_ISLNK(status.st_mode):
             yield from modes(inputs, path, 0o700, "")
         elif path.endswith(_PEM):
-            yield from modes(inputs, path, 0o600, "")
-            yield from linked_twice(inputs, path, "")
+            found = [*modes(inputs, path, 0o600, ""), *linked_twice(inputs, path, "")]
+            if found and not key_files.is_public(inputs.tree.try_read(path) or b""):
+                yield from found
 
 
 def _kinds(inputs: Inputs, entries: list[_Entry]) -> Iterator[Diagnostic]:

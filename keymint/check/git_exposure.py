@@ -64,6 +64,7 @@ def _finding(
 ) -> Iterator[Diagnostic]:
     """Yield one finding for all private keys of a space that are listed."""
     exposed = [path for path in keys if path in listed or any(folder in listed for folder in path.parents)]
+    exposed = [path for path in exposed if not key_files.is_public(inputs.tree.try_read(path) or b"")]
     if exposed:
         more = f", like {len(exposed) - 1} more" if len(exposed) > 1 else ""
         message = f"is a private key {what}{more}"

@@ -55,11 +55,11 @@ def named_policy(
         file, shown = str(workspace.profile / name), workspace.profile / FOLDER
         imported = importer.translated(ImportRequest(place, file, library, accept, implicit, shown))
         rules = {each.rules.subject: each.rules for each in imported.subjects}
-        return AdoptedPolicy(FOLDER, {name: imported.document}, rules, diagnostics=imported.diagnostics)
+        return AdoptedPolicy(FOLDER, {name: imported.document}, rules, tuple(rules), diagnostics=imported.diagnostics)
     loaded = policies.at(place, str(path), library_shown=workspace.profile / FOLDER)
     found = {subject: loaded.rules(subject) for subject in subjects}
     rules = {subject: each for subject, each in found.items() if each is not None}
-    return AdoptedPolicy(policy_path(place, workspace.profile), {}, rules)
+    return AdoptedPolicy(policy_path(place, workspace.profile), {}, rules, tuple(loaded.subjects()))
 
 
 def learned_policy(
@@ -84,4 +84,6 @@ def learned_policy(
     learning = Learning(build_type, options.policy_type, Policies(run, options).distro, file, effort)
     learned = learned_from(run.plugins, files, found, learning)
     rules = {each.subject: each for each in learned.subjects}
-    return AdoptedPolicy(FOLDER, {name: learned.document}, rules, learned=True, diagnostics=learned.diagnostics)
+    return AdoptedPolicy(
+        FOLDER, {name: learned.document}, rules, tuple(rules), learned=True, diagnostics=learned.diagnostics
+    )

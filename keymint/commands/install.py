@@ -9,78 +9,80 @@ import click
 
 from keymint.changes import Plan
 from keymint.commands.build import no_packages
-from keymint.commands.options import (
-    new_authority_option,
-    packages_argument,
-    prove_option,
-    prune_option,
-    revoke_superseded_option,
-    standard_only_option,
-    strict_option,
-)
+from keymint.commands.options import InstallRequest, install_request, packages_argument, standard_only_option
 from keymint.commands.proof_gate import proof_stage, proven
-from keymint.commands.reissue import reissued, superseded
+from keymint.commands.reissue import following, rebuilt, superseding
 from keymint.commands.run import Run, exit_code_of
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode
 from keymint.output.report import Report, findings_exit
 from keymint.plan.authorities import plan_authorities
+from keymint.plan.distribution import plan_distribution
 from keymint.plan.install import InstallStage
 from keymint.plan.policy import lazy_policy
 from keymint.plan.policy_drift import UNCREATED, policy_changed, uncreated
 from keymint.plan.revocation import plan_lists
-from keymint.plan.revoking import plan_revocation
-from keymint.register.register import SUPERSEDED
 from keymint.session import Session
 
 
 @verb(jobs=True, dry_run=True)
 @packages_argument
-@prune_option
-@new_authority_option
-@prove_option
 @standard_only_option
-@strict_option
-@revoke_superseded_option
-def install(
-    run: Run,
-    names: tuple[str, ...],
-    prune: bool,
-    new_authority: tuple[str, ...],
-    prove: bool,
-    allow_vendor_specific: bool,
-    strict: bool,
-    revoke_superseded: bool,
-) -> Report:
+@install_request
+def install(run: Run, names: tuple[str, ...], request: InstallRequest) -> Report:
     """Sign the documents in build/ and stage them in install/, one complete enclave per subject.
 
     Nothing is installed unless each document is proven to permit exactly what the policy allows, for all names; see
     'keymint prove --help'. Unchanged certificates and signed documents are kept. Each enclave can be copied to a robot
     by itself; private keys of authorities are never staged. NAME is a package [all].
     """
-    if names and new_authority:
+    if names and request.new_authority:
         raise click.UsageError("--new-authority applies to all enclaves; do not name packages.")
-
-    def make_plan(session: Session) -> Plan:
-        plan, authorities = plan_authorities(session, new_authority)
-        plan = plan.then(plan_lists(session.after(plan), authorities))
-        after = session.after(plan)
-        chosen = run.names(session, names)
-        install = partial(InstallStage, authorities=authorities, prune=prune)
-        proof = proof_stage(run, lazy_policy(session), standard_only=allow_vendor_specific) if prove else None
-        run.workers.start(after, chosen, (install, *((proof,) if proof else ())))
-        installed = run.planned(install(after), chosen)
-        if narrower := superseded(session, installed, asked=revoke_superseded):
-            run.workers.close()
-            first = plan_revocation(session, narrower, SUPERSEDED).plan
-            return reissued(run, session, first, chosen, prove=prove, new_authority=new_authority)
-        warnings = policy_changed(session) if chosen else (no_packages(session),)
-        missing = () if names or (chosen and not prove) else uncreated(session, lazy_policy(session), chosen)
-        done = plan.then(installed).noting(*warnings, *missing)
-        return proven(run, after, installed, chosen, proof, done, strict=strict) if proof else done
 
     def exit_code(plan: Plan) -> ExitCode:
         nothing = findings_exit([finding for finding in plan.diagnostics if finding.code == UNCREATED])
         return exit_code_of(plan) or nothing
 
+    def make_plan(session: Session) -> Plan:
+        return _installed(run, session, Plan((), session.state), names, request)
+
     return run.change(make_plan, exit_code)
+
+
+def _installed(run: Run, before: Session, first: Plan, names: tuple[str, ...], request: InstallRequest) -> Plan:
+    """Return a plan followed by the installation of some packages.
+
+    Args:
+        run: the run.
+        before: the workspace before the plan, and its profile.
+        first: the revocation of certificates that the installation would supersede; it does nothing in the first pass.
+        names: the packages that the user named.
+        request: what the user asks for.
+
+    Raises:
+        KeymintError: a package cannot be signed or proven, or an authority cannot sign; with all defects.
+    """
+    start = before.after(first)
+    plan, authorities = plan_authorities(start, request.new_authority)
+    listed = plan_lists(start.after(plan), authorities)
+    plan = first.then(plan).then(listed)
+    session, chosen = before.after(plan), run.names(before, names)
+    if first.writes():
+        revoked = [step.package for step in first.steps]
+        built_again = following(before, session, revoked, listed)
+        built, _ = rebuilt(session, built_again, request)
+        plan, session = plan.then(built), session.after(built)
+        chosen = tuple(dict.fromkeys((*chosen, *built_again)))
+    install = partial(InstallStage, authorities=authorities, prune=request.prune)
+    proof = proof_stage(run, lazy_policy(session), request) if request.prove else None
+    run.workers.start(session, chosen, (install, *((proof,) if proof else ())))
+    installed = run.planned(install(session), chosen)
+    if narrower := superseding(start, installed, request):
+        run.workers.close()
+        return _installed(run, before, first.then(narrower), names, request)
+    if first.writes():
+        installed = installed.then(plan_distribution(before, session.after(installed), chosen))
+    warnings = policy_changed(before) if chosen else (no_packages(before),)
+    missing = () if names or (chosen and not request.prove) else uncreated(before, lazy_policy(before), chosen)
+    plan = plan.then(installed).noting(*warnings, *missing)
+    return proven(run, session, installed, chosen, proof, plan, request) if proof else plan

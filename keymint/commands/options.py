@@ -15,6 +15,7 @@ from click.core import ParameterSource
 
 from comarmor.values import dataclass
 from keymint import SPACES
+from keymint.api import BuildOptions
 from keymint.commands import durations
 from keymint.errors import ExitCode, KeymintError
 from keymint.plugins import Plugins
@@ -308,19 +309,6 @@ document_options = option_group(
 )
 
 renew_option = click.option("--renew", is_flag=True, help="Replace private keys; by default keys are kept.")
-prune_option = click.option("--prune", is_flag=True, help="Remove installed enclaves that have no source package.")
-new_authority_option = click.option(
-    "--new-authority",
-    multiple=True,
-    metavar="NAME",
-    help="Replace the key and certificate of this authority at once. Deployed enclaves reject what the new one signs "
-    "until all are redeployed; 'keymint authority replace' goes step by step. May be repeated.",
-)
-revoke_superseded_option = click.option(
-    "--revoke-superseded",
-    is_flag=True,
-    help="Where new signed rights allow less than those they replace, revoke the certificate and issue a new one.",
-)
 prove_option = click.option(
     "--prove/--no-prove",
     default=True,
@@ -336,6 +324,62 @@ strict_option = click.option(
     "--strict",
     is_flag=True,
     help="Accept no exceptions: what a claim leaves out counts as not proven.",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class InstallRequest:
+    """What a run that installs is asked for; all that conducts the stages gets the whole of it.
+
+    Attributes:
+        force: discard manual edits.
+        renew: replace the private keys of subjects.
+        prune: remove installed enclaves that have no source package.
+        new_authority: authorities that get a new key and certificate.
+        prove: refuse what is not proven.
+        allow_vendor_specific: prove by the standards only; vendors may differ.
+        strict: exceptions of claims count as not proven.
+        revoke_superseded: revoke the certificates of packages whose new signed rights are narrower.
+        build: options of the build; None for those that each package was built with last.
+
+    Raises:
+        click.UsageError: two of these exclude each other.
+    """
+
+    force: bool = False
+    renew: bool = False
+    prune: bool = False
+    new_authority: tuple[str, ...] = ()
+    prove: bool = True
+    allow_vendor_specific: bool = False
+    strict: bool = False
+    revoke_superseded: bool = False
+    build: BuildOptions | None = None
+
+    def __post_init__(self) -> None:
+        if self.strict and not self.prove:
+            raise click.UsageError("--strict demands a proof, which --no-prove leaves out.")
+
+
+# A verb that has '--force', '--renew' or '--allow-vendor-specific' declares it itself; the request has its value.
+install_request = option_group(
+    "request",
+    InstallRequest,
+    click.option("--prune", is_flag=True, help="Remove installed enclaves that have no source package."),
+    click.option(
+        "--new-authority",
+        multiple=True,
+        metavar="NAME",
+        help="Replace the key and certificate of this authority at once. Deployed enclaves reject what the new one "
+        "signs until all are redeployed; 'keymint authority replace' goes step by step. May be repeated.",
+    ),
+    prove_option,
+    strict_option,
+    click.option(
+        "--revoke-superseded",
+        is_flag=True,
+        help="Where new signed rights allow less than those they replace, revoke the certificate and issue a new one.",
+    ),
 )
 
 

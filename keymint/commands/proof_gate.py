@@ -10,6 +10,7 @@ from functools import partial
 from comarmor.errors import Diagnostic, Severity
 from keymint.api import LoadedPolicy, Proof
 from keymint.changes import Action, Plan
+from keymint.commands.options import InstallRequest
 from keymint.commands.proof_diagnostics import dated_of, diagnostics_of, effort_of, merged_packages
 from keymint.commands.run import Run
 from keymint.errors import ExitCode, KeymintError
@@ -22,14 +23,15 @@ from keymint.plan.terms import merged
 from keymint.session import Session
 
 
-def proof_stage(run: Run, policy: LoadedPolicy, *, standard_only: bool) -> Callable[[Session], ProofStage]:
+def proof_stage(run: Run, policy: LoadedPolicy, request: InstallRequest) -> Callable[[Session], ProofStage]:
     """Return what makes the stage that proves documents which are about to be signed.
 
     Args:
         run: the run.
         policy: the policy to prove.
-        standard_only: prove by the standard only; vendors may differ.
+        request: what the user asks for.
     """
+    standard_only = request.allow_vendor_specific
     return partial(ProofStage, policy=policy, effort=effort_of(run), standard_only=standard_only, unsigned=True)
 
 
@@ -40,8 +42,7 @@ def proven(
     names: Sequence[str],
     proof: Callable[[Session], ProofStage],
     plan: Plan,
-    *,
-    strict: bool = False,
+    request: InstallRequest,
 ) -> Plan:
     """Prove the enclaves of a plan, and return the plan with the cached proofs.
 
@@ -52,7 +53,7 @@ def proven(
         names: the packages to install.
         proof: makes the stage that proves.
         plan: what will be done.
-        strict: exceptions of claims count as not proven.
+        request: what the user asks for.
 
     Raises:
         KeymintError: a claim about an enclave is refuted or unknown; exit code 3.
@@ -62,7 +63,7 @@ def proven(
     names = [name for name in sorted({*names, *affected(before, session)}) if name not in kept]
     stage = proof(session)
     results = stage.results(run.workers.planned(stage, names))
-    diagnostics = diagnostics_of(results, strict=strict)
+    diagnostics = diagnostics_of(results, strict=request.strict)
     of_vendors = {enclave.subject for enclave in results.enclaves if _holds(enclave, results.standards)}
     refused = [
         replace(diagnostic, help=_with_remedy(diagnostic.help, of_vendors=diagnostic.subject in of_vendors))

@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import click
 
 from comarmor.errors import Origin
+from keymint.api import BuildOptions, LoadedPolicy
 from keymint.changes import Plan
 from keymint.commands.accepted_packages import AcceptanceOptions, accept, acceptance_options, release
 from keymint.commands.build import build_options, policy_slips, unknown_hints
@@ -17,18 +20,15 @@ from keymint.commands.options import (
     DEFAULT_PROFILE_TYPE,
     PATH,
     DocumentOptions,
+    InstallRequest,
     ProfileOptions,
     document_options,
-    new_authority_option,
+    install_request,
     profile_options,
-    prove_option,
-    prune_option,
     renew_option,
-    revoke_superseded_option,
-    strict_option,
 )
 from keymint.commands.proof_gate import proof_stage, proven
-from keymint.commands.reissue import reissued, superseded
+from keymint.commands.reissue import superseding
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
@@ -37,38 +37,27 @@ from keymint.plan.authorities import plan_authorities
 from keymint.plan.bootstrap import plan_init, plan_policy, policy_path, refuse_unsupported
 from keymint.plan.build import BuildStage
 from keymint.plan.create import CreateStage, packages_to_create
+from keymint.plan.distribution import plan_distribution
 from keymint.plan.install import InstallStage
 from keymint.plan.policy import lazy_policy
 from keymint.plan.revocation import plan_lists
-from keymint.plan.revoking import plan_revocation
-from keymint.register.register import SUPERSEDED
-from keymint.session import Inputs
+from keymint.session import Inputs, Session
 
 
 @verb(jobs=True, dry_run=True, executor=True)
 @click.argument("policy", type=PATH)
 @profile_options
 @click.option("-f", "--force", is_flag=True, help="Discard manual edits of packages' rules and of built documents.")
-@prune_option
 @renew_option
 @document_options
-@new_authority_option
-@prove_option
-@strict_option
-@revoke_superseded_option
+@install_request
 @acceptance_options
 def provision(
     run: Run,
     policy: Path,
     profile: ProfileOptions,
-    force: bool,
-    prune: bool,
-    renew: bool,
     document_options: DocumentOptions,
-    new_authority: tuple[str, ...],
-    prove: bool,
-    strict: bool,
-    revoke_superseded: bool,
+    request: InstallRequest,
     acceptance: AcceptanceOptions,
 ) -> Report:
     """Turn a ComArmor POLICY into a keystore in one step: init, create --all, build and install.
@@ -79,7 +68,8 @@ def provision(
     """
     workspace = run.workspace_at(None)
     options = build_options(run, document_options)
-    request = bootstrap_request(run, workspace, policy, profile)
+    request = replace(request, build=options, allow_vendor_specific=options.allow_vendor_specific)
+    bootstrap = bootstrap_request(run, workspace, policy, profile)
     if workspace.exists():
         refuse_contradiction(run, workspace, profile)
 
@@ -97,46 +87,64 @@ def provision(
                 help="attach a profile to a name without wildcards, or use 'keymint create NAME'",
                 code="subjects-none",
             )
-        # Processes begin with the authorities, which then sign the last.
-        minted, authorities = plan_authorities(session, new_authority)
-        minted = minted.then(plan_lists(session.after(minted), authorities))
-        session = session.after(minted)
-        create = partial(CreateStage, policy=acquired, force=force)
-        build = partial(BuildStage, options=options, force=force, renew=renew, policy=acquired)
-        install = partial(InstallStage, authorities=authorities, prune=prune)
-        proof = proof_stage(run, acquired, standard_only=document_options.allow_vendor_specific)
-        subjects = create(session).subjects(names)
-        if run.has_cluster:
-            ahead = create(session)
-            created = ahead.plan([ahead.package(name) for name in subjects])
-            # Processes begin with what the cluster compiled.
-            run.compile_elsewhere(session.after(created), subjects, options, prove=prove)
-        run.workers.start(session, subjects, (create, build, install, *((proof,) if prove else ())))
-        created = run.planned(create(session), subjects)
-        session = session.after(created)
-        names = (*names, *session.infrastructure())
-        built = run.planned(build(session), names)
-        session = session.after(built)
-        installed = run.planned(install(session), names)
-        if narrower := superseded(session, installed, asked=revoke_superseded):
-            run.workers.close()
-            revoking = plan_revocation(session, narrower, SUPERSEDED).plan
-            first = plan.then(created).then(built).then(revoking)
-            return reissued(
-                run, inputs.after(plan).session(), first, names, prove=prove, new_authority=new_authority,
-                options=options,
-            )  # fmt: skip
-        for stage in (created, built, minted, installed):
-            plan = plan.then(stage)
-        slips = policy_slips(session, (*created.steps, *built.steps), acquired)
-        plan = plan.noting(*slips, *unknown_hints(options, document_options.hints, names))
-        return proven(run, session, installed, names, proof, plan, strict=strict) if prove else plan
+        unknown = unknown_hints(options, document_options.hints, (*names, *session.needed_infrastructure()))
+        return plan.then(_provisioned(run, session, Plan((), session.state, unknown), acquired, names, request))
 
     def _profile_plan(inputs: Inputs) -> Plan:
         if not inputs.workspace.exists():
-            plan = plan_init(inputs, profile.profile_type or DEFAULT_PROFILE_TYPE, request)
+            plan = plan_init(inputs, profile.profile_type or DEFAULT_PROFILE_TYPE, bootstrap)
             refuse_unsupported(inputs.after(plan).session())
             return plan
         return plan_policy(inputs.session(), policy_path(run.setting.cwd / policy, inputs.workspace.profile))
 
     return run.carry_out(workspace, make_plan)
+
+
+def _provisioned(
+    run: Run, before: Session, first: Plan, policy: LoadedPolicy, names: Sequence[str], request: InstallRequest
+) -> Plan:
+    """Return a plan followed by all stages for some packages.
+
+    Args:
+        run: the run.
+        before: the workspace before the plan, and its profile.
+        first: the revocation of certificates that the run would supersede; it does nothing in the first pass.
+        policy: the policy.
+        names: the packages of subjects.
+        request: what the user asks for.
+
+    Raises:
+        KeymintError: a package cannot be created, built, signed or proven, or an authority cannot sign; with all
+            defects.
+    """
+    start = before.after(first)
+    # Processes begin with the authorities, which then sign the last.
+    minted, authorities = plan_authorities(start, request.new_authority)
+    minted = minted.then(plan_lists(start.after(minted), authorities))
+    session = start.after(minted)
+    options = request.build or BuildOptions()
+    create = partial(CreateStage, policy=policy, force=request.force)
+    build = partial(BuildStage, options=options, force=request.force, renew=request.renew, policy=policy)
+    install = partial(InstallStage, authorities=authorities, prune=request.prune)
+    proof = proof_stage(run, policy, request)
+    subjects = create(session).subjects(names)
+    if run.has_cluster:
+        ahead = create(session)
+        created = ahead.plan([ahead.package(name) for name in subjects])
+        # Processes begin with what the cluster compiled.
+        run.compile_elsewhere(session.after(created), subjects, options, prove=request.prove)
+    run.workers.start(session, subjects, (create, build, install, *((proof,) if request.prove else ())))
+    created = run.planned(create(session), subjects)
+    session = session.after(created)
+    every = (*names, *session.infrastructure())
+    built = run.planned(build(session), every)
+    session = session.after(built)
+    installed = run.planned(install(session), every)
+    if narrower := superseding(start, installed, request):
+        run.workers.close()
+        return _provisioned(run, before, first.then(narrower), policy, names, request)
+    if first.writes():
+        installed = installed.then(plan_distribution(before, session.after(installed), every))
+    plan = first.then(created).then(built).then(minted).then(installed)
+    plan = plan.noting(*policy_slips(session, (*created.steps, *built.steps), policy))
+    return proven(run, session, installed, every, proof, plan, request) if request.prove else plan

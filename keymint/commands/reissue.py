@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime
 
 from keymint.api import BuildOptions, LoadedPolicy, Role
 from keymint.changes import Action, Plan
+from keymint.commands.options import InstallRequest
 from keymint.commands.proof_gate import proof_stage, proven
 from keymint.commands.run import Run
 from keymint.names import name_of
@@ -20,6 +22,8 @@ from keymint.plan.install import RIGHTS_OUTLIVE, InstallStage
 from keymint.plan.policy import policy_in_force
 from keymint.plan.register import complete_register
 from keymint.plan.revocation import plan_lists
+from keymint.plan.revoking import plan_revocation
+from keymint.register.register import SUPERSEDED
 from keymint.session import Session
 
 
@@ -29,12 +33,10 @@ def reissued(
     first: Plan,
     names: Sequence[str],
     *,
+    request: InstallRequest = InstallRequest(),  # noqa: B008 - frozen
     rekey: Collection[str] = (),
-    prove: bool = True,
     refresh: Collection[str] = (),
     list_end: datetime | None = None,
-    new_authority: Sequence[str] = (),
-    options: BuildOptions | None = None,
     policy: LoadedPolicy | None = None,
 ) -> Plan:
     """Return a plan followed by what builds, signs and installs some packages, and the revocation lists for all others.
@@ -46,46 +48,80 @@ def reissued(
         session: the workspace before the plan, and its profile.
         first: what changes the sources, the register or the authorities.
         names: the packages to issue again.
+        request: what the user asks for.
         rekey: those of them that get a new key.
-        prove: require that the documents permit what the policy says.
         refresh: authorities whose revocation list is issued again in any case.
         list_end: nextUpdate of new revocation lists, UTC; the end of the authority's certificate by default.
-        new_authority: authorities that get a new key and certificate.
-        options: options of the build; by default those that each package was built with last.
         policy: what the documents are proven against; by default the policy of the workspace, with what ROS
             packages ship as it was accepted.
 
     Raises:
         KeymintError: a package cannot be built, signed or proven, or an authority cannot sign; with all defects.
     """
-    before, session = session, session.after(first)
+    before, start = session, session.after(first)
+    minted, authorities = plan_authorities(start, request.new_authority)
+    session = start.after(minted)
+    revoked = plan_lists(session, authorities, register=complete_register(session), refresh=refresh, end=list_end)
+    session = session.after(revoked)
+    names = following(before, session, names, revoked)
+    built, as_built = rebuilt(session, names, request, rekey)
+    session = session.after(built)
+    install = InstallStage(session, authorities, prune=request.prune)
+    planned = [install.package(name) for name in names]
+    installed = install.plan(planned)
+    if narrower := superseding(start, installed, request):
+        return reissued(
+            run, before, first.then(narrower), names, request=request, rekey=rekey, refresh=refresh,
+            list_end=list_end, policy=policy,
+        )  # fmt: skip
+    others = plan_distribution(before, session.after(installed), names)
+    plan = first.then(minted).then(revoked).then(built).then(installed).then(others)
+    issued = [each.name for each in planned if not each.withdrawn]
+    if not request.prove or not issued:
+        return plan
+    vendor_specific = any(as_built[name].allow_vendor_specific for name in issued)
+    request = replace(request, allow_vendor_specific=request.allow_vendor_specific or vendor_specific)
+    in_force, warnings = (policy, ()) if policy else policy_in_force(session)
+    plan, proof = plan.noting(*warnings), proof_stage(run, in_force, request)
+    return proven(run, session, installed.then(others), issued, proof, plan, request)
+
+
+def following(before: Session, session: Session, names: Sequence[str], revoked: Plan) -> tuple[str, ...]:
+    """Return packages that are issued again, and those that must follow them.
+
+    Args:
+        before: the workspace before the sources changed.
+        session: the workspace with the changed sources.
+        names: the packages.
+        revoked: the plan of the revocation lists.
+    """
     if any(session.role(name) is Role.INFRASTRUCTURE for name in names):
         # All others name it, so they follow its generation; those whose own sources changed wait for their build.
         built_of = [name for name in session.packages() if is_current(before, name) and not is_current(session, name)]
         names = tuple(dict.fromkeys((*names, *built_of)))
-    minted, authorities = plan_authorities(session, new_authority)
-    session = session.after(minted)
-    revoked = plan_lists(session, authorities, register=complete_register(session), refresh=refresh, end=list_end)
-    session = session.after(revoked)
     if revoked.writes() and any(map(bundled, session.profile.authorities)):
         names = tuple(dict.fromkeys((*names, *with_sources(session))))  # their authorities' file has the lists
-    of_package = {name: options or options_as_built(session, name) for name in names}
+    return tuple(names)
+
+
+def rebuilt(
+    session: Session, names: Sequence[str], request: InstallRequest, rekey: Collection[str] = ()
+) -> tuple[Plan, Mapping[str, BuildOptions]]:
+    """Return the plan that builds some packages, and the options of each.
+
+    Args:
+        session: the workspace and its profile.
+        names: the packages.
+        request: what the user asks for.
+        rekey: those of them that get a new key.
+
+    Raises:
+        KeymintError: the errors of all packages.
+    """
+    of_package = {name: request.build or options_as_built(session, name) for name in names}
     packages = [BuildStage(session, of_package[name], renew=name in rekey).package(name) for name in names]
-    shared = options or next(iter(of_package.values()), BuildOptions())
-    built = BuildStage(session, shared).plan(packages)
-    session = session.after(built)
-    install = InstallStage(session, authorities, prune=False)
-    planned = [install.package(name) for name in names]
-    installed = install.plan(planned)
-    others = plan_distribution(before, session.after(installed), names)
-    plan = first.then(minted).then(revoked).then(built).then(installed).then(others)
-    issued = [each.name for each in planned if not each.withdrawn]
-    if not prove or not issued:
-        return plan
-    standard_only = any(of_package[name].allow_vendor_specific for name in issued)
-    in_force, warnings = (policy, ()) if policy else policy_in_force(session)
-    proof = proof_stage(run, in_force, standard_only=standard_only)
-    return proven(run, session, installed.then(others), issued, proof, plan.noting(*warnings))
+    shared = next(iter(of_package.values()), BuildOptions())
+    return BuildStage(session, shared).plan(packages), of_package
 
 
 def reissued_by_profile(run: Run, session: Session, first: Plan, names: Sequence[str]) -> Plan:
@@ -111,15 +147,23 @@ def updated(plan: Plan) -> list[str]:
     return [step.package for step in steps if step.package]
 
 
-def superseded(session: Session, installed: Plan, *, asked: bool) -> tuple[str, ...]:
-    """Return the packages whose certificate is to be revoked because their new signed rights are narrower.
+def superseding(session: Session, installed: Plan, request: InstallRequest) -> Plan | None:
+    """Return the plan that revokes the certificates of packages whose new signed rights are narrower, or None.
+
+    What is planned so far is then planned again after it: each package gets a certificate of a new generation.
 
     Args:
-        session: its profile may ask for it.
+        session: the workspace before its authorities and the stages; its profile may ask for it.
         installed: the plan of an installation.
-        asked: the user asks for it.
+        request: the user may ask for it.
+
+    Raises:
+        KeymintError: the register is missing and cannot be restored.
     """
-    if not asked and not session.profile.revoke_superseded:
-        return ()
-    found = (each for each in installed.diagnostics if each.code == RIGHTS_OUTLIVE)
-    return tuple(dict.fromkeys(name_of(each.subject) for each in found))
+    if not request.revoke_superseded and not session.profile.revoke_superseded:
+        return None
+    found = dict.fromkeys(name_of(each.subject) for each in installed.diagnostics if each.code == RIGHTS_OUTLIVE)
+    if not found:
+        return None
+    revoking = plan_revocation(session, tuple(found), SUPERSEDED)
+    return revoking.plan.noting(*revoking.diagnostics) if revoking.plan.writes() else None

@@ -15,7 +15,7 @@ from comarmor.text import counted
 from comarmor.values import dataclass
 from keymint.changes import Plan
 from keymint.commands import durations
-from keymint.commands.options import packages_argument, prove_option
+from keymint.commands.options import InstallRequest, packages_argument, prove_option
 from keymint.commands.reissue import reissued, updated
 from keymint.commands.run import Run, exit_code_of
 from keymint.commands.verb import verb
@@ -207,8 +207,8 @@ def _issued_again(run: Run, session: Session, due: Schedule, names: Sequence[str
     first = plan_issuance(session, run.verb, {name: renewed(session, name) for name in names})
     ends = [list_end(session, each) for each in due.lists]
     plan = reissued(
-        run, session, first, names, rekey=frozenset(names if rekey else ()), prove=prove,
-        refresh=[each.name for each in due.lists],
+        run, session, first, names, rekey=frozenset(names if rekey else ()),
+        request=InstallRequest(prove=prove), refresh=[each.name for each in due.lists],
         list_end=None if None in ends else max(filter(None, ends), default=None),
     )  # fmt: skip
     refuse_new_authorities(session, plan)

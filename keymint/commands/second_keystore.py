@@ -12,14 +12,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from keymint.api import BuildOptions
 from keymint.changes import Action, File, FolderChange, Plan, Step, changed
+from keymint.commands.options import InstallRequest
 from keymint.commands.proof_gate import proof_stage, proven
-from keymint.commands.reissue import reissued_by_profile
+from keymint.commands.reissue import rebuilt, reissued_by_profile
 from keymint.commands.run import Run
 from keymint.plan.authorities import MintedAuthority, plan_authorities
 from keymint.plan.authority_files import NEXT
-from keymint.plan.build import BuildStage
 from keymint.plan.enclaves import with_sources
 from keymint.plan.gitignore import NAME as GITIGNORE
 from keymint.plan.install import InstallStage
@@ -45,13 +44,14 @@ def staged_keystore(run: Run, session: Session, name: str, names: Sequence[str])
     """
     ahead, authorities, listed = session_ahead(session, name)
     names = tuple(dict.fromkeys((*names, *with_sources(ahead))))  # what was revoked since is withdrawn from it as well
-    build = BuildStage(ahead, BuildOptions())
-    built = build.plan([build.package(each) for each in names])
+    request = InstallRequest(prune=True)
+    built, as_built = rebuilt(ahead, names, request)
     ahead = ahead.after(built)
-    install = InstallStage(ahead, authorities, prune=True)
+    install = InstallStage(ahead, authorities, prune=request.prune)
     planned = install.plan([install.package(each) for each in names])
-    proof = proof_stage(run, lazy_policy(ahead), standard_only=False)
-    done = proven(run, ahead, planned, names, proof, planned)
+    request = replace(request, allow_vendor_specific=any(each.allow_vendor_specific for each in as_built.values()))
+    proof = proof_stage(run, lazy_policy(ahead), request)
+    done = proven(run, ahead, planned, names, proof, planned, request)
     steps = [replace(step, stage=STAGE) for step in planned.steps]
     own, beside = _lists(session, name)
     content = ahead.tree.read(own)

@@ -14,7 +14,7 @@ from keymint.bundles import request as requests
 from keymint.changes import Plan
 from keymint.commands.accept import fingerprint
 from keymint.commands.bundle_files import bundle_output_option, require_output, write_bundles
-from keymint.commands.options import FILE, prove_option, usage_error
+from keymint.commands.options import FILE, InstallRequest, prove_option, usage_error
 from keymint.commands.reissue import reissued
 from keymint.commands.run import Run
 from keymint.commands.user_files import read_input
@@ -55,7 +55,7 @@ def sign(run: Run, files: tuple[Path, ...], typed: tuple[str, ...], output: Path
 
     def make_plan(session: Session) -> Plan:
         plan, chosen = plan_requests(session, given, fingerprints)
-        plan = reissued(run, session, plan, list(chosen), prove=prove)
+        plan = reissued(run, session, plan, list(chosen), request=InstallRequest(prove=prove))
         after = session.after(plan)
         _, authorities = plan_authorities(after)
         numbered, made[:] = plan_bundles(after, chosen, authorities)

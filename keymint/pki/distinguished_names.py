@@ -8,6 +8,7 @@ other way round.
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Iterator
 from functools import lru_cache
 
@@ -112,6 +113,11 @@ def attributes(name: x509.Name) -> Iterator[tuple[str, str]]:
 def to_text(name: x509.Name) -> str:
     r"""Return a name as text in certificate order, ``O=Acme\, Inc,CN=ca``; :func:`parse` reads it back."""
     return ",".join(f"{kind}={_escape(value)}" for kind, value in attributes(name))
+
+
+def has_same_rdns(name: x509.Name, other: x509.Name) -> bool:
+    """Tell whether two names have the same RDNs, in any order."""
+    return Counter(name.rdns) == Counter(other.rdns)
 
 
 def common_name_first(text: str) -> str:

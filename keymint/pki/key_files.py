@@ -21,6 +21,9 @@ from keymint.pki.keys import PrivateKey, PublicKey
 
 _MARKS = (b"PRIVATE KEY-----", b"-----BEGIN PKCS12-----")
 _BLOCK = lazy_regex(rb"-----BEGIN ([A-Z0-9 ]*PRIVATE KEY|PKCS12)-----.*?-----END \1-----", re.DOTALL)
+_LABEL = lazy_regex(rb"-----BEGIN ([^-\r\n]*)-----")
+_PUBLIC = frozenset((b"CERTIFICATE", b"CERTIFICATE REQUEST", b"NEW CERTIFICATE REQUEST", b"X509 CRL", b"PUBLIC KEY"))
+"""Labels of PEM for what is not secret (RFC 7468)."""
 _LENGTH = rb"(?:[\x00-\x80]|\x81.|\x82..|\x83...|\x84....)"
 _PKCS12 = lazy_regex(
     rb"\x30" + _LENGTH + rb"\x02\x01\x03\x30" + _LENGTH + rb"\x06\x09\x2a\x86\x48\x86\xf7\x0d\x01\x07[\x01\x02]",
@@ -48,6 +51,12 @@ class PrivateKeys:
 def has_any(content: bytes) -> bool:
     """Tell whether a file has a private key of any kind, or may have one."""
     return any(mark in content for mark in _MARKS) or any(True for _ in _each(content))
+
+
+def is_public(content: bytes) -> bool:
+    """Tell whether a file only has what everybody may read, in PEM: certificates, requests, lists, public keys."""
+    labels = set(_LABEL.findall(content))
+    return bool(labels) and labels <= _PUBLIC
 
 
 def private_keys(content: bytes) -> PrivateKeys:

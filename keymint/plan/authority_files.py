@@ -67,9 +67,9 @@ class AuthorityFiles:
         return distinguished_names.parse(spec.subject_name, spec.origin)
 
     def in_use(self) -> Sequence[x509.Certificate]:
-        """Return the certificates in installed enclaves that have the authority's name."""
+        """Return the certificates in installed enclaves that have the authority's name, its RDNs in any order."""
         subject = self.subject
-        return [certificate for certificate in self.deployed() if certificate.subject == subject]
+        return [each for each in self.deployed() if distinguished_names.has_same_rdns(each.subject, subject)]
 
     def known(self) -> frozenset[str]:
         """Return the fingerprint of the recorded key, or else those of the keys that installed enclaves trust."""
@@ -226,15 +226,25 @@ def authority_keys(session: Session) -> Mapping[str, str]:
 
 
 def satisfies(pem: bytes, spec: CertificateSpec, key: keys.PublicKey, issuer: x509.Certificate | None) -> bool:
-    """Tell whether an authority's certificate is the one that the profile specifies."""
-    if spec.adopted:
-        certificate = certificates.load(spec.adopted)
+    """Tell whether an authority's certificate is the one that the profile specifies, or used as it is.
+
+    That is one that was imported, or whose name has its RDNs in another order: with the name of the profile, it would
+    be a new authority.
+    """
+    if spec.adopted or is_reordered(pem, spec):
+        certificate = certificates.load(spec.adopted or pem)
         return (
-            pem == spec.adopted
+            pem == (spec.adopted or pem)
             and certificate.public_key() == key
             and certificates.is_issued_by(certificate, issuer or certificate)
         )
     return certificates.certificate_satisfies(pem, spec, key, issuer, authority=True)
+
+
+def is_reordered(pem: bytes, spec: CertificateSpec) -> bool:
+    """Tell whether a certificate has the subject name of a specification with its RDNs in another order."""
+    name, wanted = certificates.load(pem).subject, distinguished_names.parse(spec.subject_name, spec.origin)
+    return name != wanted and distinguished_names.has_same_rdns(name, wanted)
 
 
 def load_private_key(inputs: Inputs, files: AuthorityFiles) -> keys.PrivateKey:
@@ -318,12 +328,12 @@ def require_fit(files: AuthorityFiles, key: keys.PublicKey) -> None:
 
 
 def require_name(files: AuthorityFiles) -> None:
-    """Require that the certificate has the subject name of the profile.
+    """Require that the certificate has the subject name of the profile, its RDNs in any order.
 
     Raises:
         KeymintError: it has another name; with the profile's name it would be a new authority.
     """
-    if files.certificate is None or files.certificate.subject == files.subject:
+    if files.certificate is None or distinguished_names.has_same_rdns(files.certificate.subject, files.subject):
         return
     spec = files.authority.certificate
     raise KeymintError(

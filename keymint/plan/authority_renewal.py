@@ -12,7 +12,7 @@ from comarmor.errors import Origin
 from keymint.api import Authority, AuthorityIssuance, Validity
 from keymint.changes import Action, File, FolderChange, Plan, Step, changed, secret_file
 from keymint.errors import KeymintError
-from keymint.pki import adoption, certificates, keys
+from keymint.pki import adoption, certificates, distinguished_names, keys
 from keymint.plan import authority_files, key_record
 from keymint.plan.authorities import MintedAuthority, plan_authorities
 from keymint.plan.authority_files import AuthorityFiles
@@ -32,12 +32,19 @@ def plan_renewal(session: Session, name: str) -> Plan:
     Only the profile changes: what rests on it must be planned afterwards.
 
     Raises:
-        KeymintError: there is no such authority, its key is elsewhere, or its key is being replaced.
+        KeymintError: there is no such authority, its key is elsewhere, its key is being replaced, or its name has its
+            RDNs in another order than the profile.
     """
     authority = authority_named(session, name)
     require_no_rollover(session, name)
     minted = plan_authorities(session)[1][name]
     _require_key(name, minted)
+    pem = certificates.to_pem(minted.certificate)
+    if not authority.issuance.adopted and authority_files.is_reordered(pem, authority.certificate):
+        own = distinguished_names.to_text(minted.certificate.subject)
+        message = f"the profile has the RDNs of {own!r} in another order, so its certificate is used as it is"
+        help_ = f"write <subject_name>{own}</subject_name> for this authority, then renew it"
+        raise KeymintError(message, where=authority.certificate.origin, help=help_, code="authority-reordered")
     issuance = replace(authority.issuance, renewed=begin_of(session.now))
     if authority.issuance.adopted:
         issuance = replace(issuance, adopted=_adopted_again(session, authority, minted))

@@ -73,6 +73,10 @@ class BuildStage:
         except KeymintError as error:
             raise KeymintError.of(self._places.in_policy(error.diagnostics)) from error
         diagnostics |= dict.fromkeys(self._places.in_policy(shared.diagnostics))
+        if steps and not (own := session.profile).distro_named:
+            message = f"no distribution is named; as far as installed documents tell, the robots have {own.distro}"
+            help_ = f"write <layout>{own.layout}</layout><distro>{own.distro}</distro> into <export>, or what they have"
+            diagnostics[Diagnostic.warning("distro-unnamed", message, session.profile_marker(), help_)] = None
         return Plan((*steps, *shared.steps), shared.state, tuple(diagnostics))
 
 

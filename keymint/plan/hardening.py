@@ -8,12 +8,13 @@ from enum import StrEnum
 
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
-from keymint.api import HardenedPackageType, HardenedProfileType
+from keymint.api import HardenedPackageType, HardenedProfileType, Validity
 from keymint.changes import Action, Plan, Step, changed_below
 from keymint.errors import KeymintError
 from keymint.pki import adoption
 from keymint.pki.distinguished_names import parse, unique_suffix
 from keymint.plan.authority_files import read_files
+from keymint.plan.authority_issuance import authority_named
 from keymint.plan.authority_uses import uses
 from keymint.session import Session
 
@@ -117,7 +118,7 @@ def plan_names(session: Session, names: Sequence[str]) -> Plan:
 
 
 def plan_authority(session: Session, former: str) -> Plan:
-    """Plan another authority for the signature of documents; the profile changes only.
+    """Plan another authority for the signature of documents, which outlives them; the profile changes only.
 
     Raises:
         KeymintError: the profile is written in another way than Keymint writes it, or has such an authority.
@@ -132,9 +133,17 @@ def plan_authority(session: Session, former: str) -> Plan:
             f"the profile has an authority {name!r} already", where=session.profile_marker(),
             help="rename that authority, or name it as the signer in package.defaults/", code="authority-exists",
         )  # fmt: skip
-    edited = profile_type.with_own_signer(profile, former)
-    changes = changed_below(session.tree, session.workspace.profile, edited)
-    return Plan((Step(STAGE, "", Action.UPDATED, changes, f"{name} signs in place of {former}"),), session.state)
+
+    def plan(validity: Validity | None) -> Plan:
+        edited = profile_type.with_own_signer(profile, former, validity)
+        changes = changed_below(session.tree, session.workspace.profile, edited)
+        return Plan((Step(STAGE, "", Action.UPDATED, changes, f"{name} signs in place of {former}"),), session.state)
+
+    of_defaults = authority_named(session.after(plan(None)).session(), name).certificate.validity
+    grants = [session.package(each).grant for each in session.packages()]
+    ends = [each.validity.not_after for each in grants if each.validity and each.issuer == former]
+    end = max(ends, default=of_defaults.not_after)
+    return plan(Validity(of_defaults.not_before, end) if end > of_defaults.not_after else None)
 
 
 def _unsupported(session: Session, what: str) -> KeymintError:

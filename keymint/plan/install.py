@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import stat
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 from cryptography import x509
@@ -42,7 +43,7 @@ from keymint.plan.register import (
     require_free_serials,
     rights_of,
 )
-from keymint.plan.shared_files import EnclaveChanges, build_types_in_use, shared_copies, shared_steps
+from keymint.plan.shared_files import EnclaveChanges, build_types_in_use, obsolete_steps, shared_copies, shared_steps
 from keymint.plan.shared_install import plan_shared_install
 from keymint.plan.signing import sign
 from keymint.plan.stage import PackagePlan, recorded, steps_of
@@ -109,6 +110,7 @@ class InstallStage:
             diagnostics += _still_good(session, removed)
             steps += [_prune(session, name, changes) for name in removed]
             state = key_record.forget(state, key_record.IDENTITIES, removed)
+        steps += obsolete_steps(session, changes, steps)
         return Plan(tuple(steps), state, tuple(diagnostics), _register(session, planned))
 
 
@@ -179,7 +181,7 @@ def _plan_enclave(
     if reason := register_of(session).barred(fingerprint):
         return PackagePlan(name, withdrawn=reason)
     artifacts, issued, warnings = sign(session, package, documents, authorities, (key_pem, public), existing)
-    outliving = _outliving(session, package, existing, artifacts)
+    outliving = (*_outliving(session, package, existing, artifacts), *_changed_rights(session, package, artifacts))
     in_force = revocation.enclave_lists(session).get(package.identity.issuer)
     for file, artifact in artifacts.items():
         if in_force and artifact.content == in_force:
@@ -273,6 +275,30 @@ def _outliving(
                 f"'keymint revoke {package.name} --reason superseded' ends them; so does --revoke-superseded",
                 package.subject,
             )
+
+
+def _changed_rights(session: Session, package: Package, artifacts: Mapping[str, Artifact]) -> Iterator[Diagnostic]:
+    """Yield a warning for each build type whose new files give other rights than those that nobody here installed.
+
+    They may lie where another layout has them, as in workspaces of 2018.
+    """
+    if session.state.stamp(STAGE, package.name) is not None:
+        return
+    new = {file: artifact.content for file, artifact in artifacts.items()}
+    own = build_types_of(session, package).values()
+    for build_type, layout in [(each, layout) for each in own for layout in each.LAYOUTS.values()]:
+        folder = session.workspace.install / layout.enclaves / package.name
+        if not isinstance(build_type, Succession) or not session.tree.has_file(folder / CERTIFICATE):
+            continue
+        with suppress(KeymintError):  # what cannot be read gives no rights
+            before = {file: session.tree.read(folder / file) or b"" for file in new}
+            if examples := build_type.changed_rights(before, new):
+                message = f"the new signed rights differ from those that they replace: {examples}"
+                help_ = (
+                    f"if that was not intended, see whether the robots have {session.profile.distro}, as <distro> says"
+                )
+                where = session.workspace.origin(folder)
+                yield Diagnostic.warning("rights-changed", message, where, help_, package.subject)
 
 
 def _awaiting(session: Session, package: Package) -> PackagePlan:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -148,10 +148,19 @@ def recorded_subjects(session: Session) -> frozenset[str]:
 
 def record_policy(session: Session, policy: LoadedPolicy) -> State:
     """Return the state with the files that the policy was read from and the subjects that it names."""
+    return _recorded(session, {str(path): value.hex() for path, value in policy.seen.items()}, policy.subjects())
+
+
+def record_unread(session: Session, subjects: Iterable[str]) -> State:
+    """Return the state with the subjects of a policy that is not in its place yet: its files count as changed."""
+    # No file has this fingerprint.
+    return _recorded(session, {str(source.path): "00" for source in session.profile.policies}, subjects)
+
+
+def _recorded(session: Session, seen: Mapping[str, str], subjects: Iterable[str]) -> State:
     locations = locations_digest(session)
-    files = Stamp(locations, {str(path): value.hex() for path, value in policy.seen.items()})
-    subjects = Stamp(locations, dict.fromkeys(policy.subjects(), ""))
-    return session.state.updated(_STAGE, {_FILES: files, _SUBJECTS: subjects})
+    stamps = {_FILES: Stamp(locations, seen), _SUBJECTS: Stamp(locations, dict.fromkeys(subjects, ""))}
+    return session.state.updated(_STAGE, stamps)
 
 
 def package_of(policy: LoadedPolicy, subject: str) -> str:

@@ -89,7 +89,8 @@ def plan_lists(
     steps: list[Step] = [*rollover_lists.outdated(session, STAGE)]
     others = rollover_lists.others(session)
     all_authorities = {**authorities, **{name: minted for name, (_, minted) in others.items()}}
-    having = {name for name, minted in all_authorities.items() if _has_list(session, register, name, minted)}
+    having = {each for each, minted in all_authorities.items() if _has_list(session, register, each, minted)}
+    having |= {*refresh}
     # Where enclaves trust two authorities and one of them has a list, vendors demand one of each.
     pairs = ({in_force, name} for name, (in_force, _) in others.items())
     paired = {name for pair in pairs if pair & having for name in pair}

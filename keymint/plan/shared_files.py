@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import field
+from pathlib import Path
 
 from comarmor.values import dataclass
 from keymint.api import Artifact, BuildType
-from keymint.changes import Action, File, Step, by_folder, changed
+from keymint.changes import Action, File, FolderChange, Step, by_folder, changed
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.plan.build_types import recorded_build_types
@@ -57,6 +58,31 @@ def shared_steps(session: Session, changes: EnclaveChanges) -> list[Step]:
             action = Action.UPDATED if existed else Action.CREATED
             steps.append(Step(INSTALLED, "", action, tuple(written), "shared by all enclaves"))
     return steps
+
+
+def obsolete_steps(session: Session, changes: EnclaveChanges, steps: Iterable[Step]) -> list[Step]:
+    """Return the step that removes copies which are none any more, e.g. that of one authority in place of two.
+
+    A file is a former copy by its path, or a second name of what a copy was; one that a link leads to stays.
+
+    Args:
+        session: the workspace and its profile.
+        changes: what a run does to the enclaves.
+        steps: the steps of the run.
+    """
+    tree, install = session.tree, session.workspace.install
+    written = {f"{change.folder}/{file}" for each in steps for change in each.changes for file in change.written}
+    copies = {str(install / path) for of_type in shared_copies(session, changes) for path in of_type}
+    folders = {path.rpartition("/")[0] for path in copies} - {str(session.enclaves)} if written else ()
+    strays = {f"{folder}/{entry}" for folder in folders for entry, is_folder in tree.names(folder) if not is_folder}
+    if not strays - copies:
+        return []
+    former = {str(install / path): each for found in shared_copies(session, NO_CHANGES) for path, each in found.items()}
+    strays -= copies | {tree.follows(path) for path, _ in tree.walk(install) if path not in written}
+    contents = {each.content for each in former.values()}
+    gone = [Path(path) for path in sorted(strays) if path in former or tree.try_read(path) in contents]
+    removed = tuple(FolderChange(path.parent, removed=(path.name,)) for path in gone)
+    return [Step(INSTALLED, "", Action.REMOVED, removed, "shared by all enclaves before")] if removed else []
 
 
 def shared_copies(session: Session, changes: EnclaveChanges) -> list[Mapping[str, Artifact]]:

@@ -34,6 +34,7 @@ class RosProfileType:
     library = lazy("keymint_ros.distros:library")
     recognises = lazy("keymint_ros.profile:recognises")
     load = lazy("keymint_ros.profile:load")
+    with_distro = lazy("keymint_ros.profile:with_distro")
     with_policy = lazy("keymint_ros.profile:with_policy")
     settings = lazy("keymint_ros.profile:settings")
     with_own_signer = lazy("keymint_ros.hardening:with_own_signer")

@@ -10,7 +10,7 @@ from pathlib import PurePosixPath
 
 from comarmor.data import locate
 from comarmor.text import did_you_mean
-from keymint.api import Bootstrap, Role
+from keymint.api import Bootstrap, Role, Validity
 from keymint.errors import ExitCode, KeymintError
 from keymint_ros import distros, validity
 from keymint_ros.manifest import BUILD_TYPE, MARKER
@@ -148,9 +148,13 @@ def _elements(build_types: Sequence[str]) -> tuple[str, ...]:
     return tuple(f"<build_type>{escaped(each)}</build_type>" for each in build_types)
 
 
-def authority(name: str) -> tuple[str, ...]:
-    """Return the lines of a new authority, which is self-signed."""
-    cert = ("  <cert>", "    <issuer_name></issuer_name>", "  </cert>")
+def authority(name: str, period: Validity | None = None) -> tuple[str, ...]:
+    """Return the lines of a new authority, which is self-signed; its period is that of the defaults, or another one."""
+    dates: tuple[str, ...] = ()
+    if period:
+        begin, end = map(validity.written, (period.not_before, period.not_after))
+        dates = (f"    <validity><not_before>{begin}</not_before><not_after>{end}</not_after></validity>",)
+    cert = ("  <cert>", *dates, "    <issuer_name></issuer_name>", "  </cert>")
     return (f'<authority name="{escaped(name)}">', *cert, "</authority>")
 
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 
 from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
-from keymint.api import WorkspaceProfile
+from keymint.api import Validity, WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint_ros import bootstrap, manifest
 from keymint_ros.manifest import SIGNER
@@ -45,7 +45,7 @@ def with_unique_name(profile: WorkspaceProfile, name: str, files: Mapping[str, b
     return changed
 
 
-def with_own_signer(profile: WorkspaceProfile, former: str) -> Mapping[str, bytes]:
+def with_own_signer(profile: WorkspaceProfile, former: str, validity: Validity | None = None) -> Mapping[str, bytes]:
     """Return the files that change: see :meth:`keymint.api.HardenedProfileType.with_own_signer`."""
     base = base_of(profile)
     element = re.compile(rf"<issuer_name>\s*{re.escape(former)}\s*</issuer_name>")
@@ -53,7 +53,8 @@ def with_own_signer(profile: WorkspaceProfile, former: str) -> Mapping[str, byte
 
     def add(text: str) -> tuple[int, int, str] | None:
         at = text.rfind("  </authorities>")
-        return None if at < 0 else (at, at, "".join(f"    {line}\n" for line in bootstrap.authority(SIGNER)))
+        lines = bootstrap.authority(SIGNER, validity)
+        return None if at < 0 else (at, at, "".join(f"    {line}\n" for line in lines))
 
     def edit(text: str) -> tuple[int, int, str] | None:
         present = element.search(text)

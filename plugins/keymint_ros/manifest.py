@@ -21,7 +21,7 @@ ISSUANCE = "issuance.xml"
 """What an authority decided about the certificate of the package; see :mod:`keymint_ros.issuance`."""
 BUILD_TYPE = "keymint_ros2_dds"
 SIGNER = "permissions_ca"
-"""Name of the authority that signs documents, where one alone does."""
+"""Name of the authority that signs documents, where one alone does; packages of 2018 and new profiles name it."""
 _OLDER = (
     ("permissions", "permissions", "permission"),
     ("identities", "identities", "identity"),

@@ -49,7 +49,7 @@ from keymint_ros import (
     placeholders,
     validity,
 )
-from keymint_ros.manifest import MARKER, PackageManifest, PackagePart
+from keymint_ros.manifest import MARKER, SIGNER, PackageManifest, PackagePart
 from keymint_ros.profile import base_of
 
 if TYPE_CHECKING:
@@ -244,8 +244,9 @@ class _PackageLoader:
         file, content = self.defaults(part)
         defaults = _default_grant(content, file)
         origin = Origin(file, defaults.line)
+        issuer = defaults.issuer or (SIGNER if SIGNER in self.authorities else "")
         return Grant(
-            issuer=signer(part.issuer, self.place(part), defaults.issuer, origin, self.authorities),
+            issuer=signer(part.issuer, self.place(part), issuer, origin, self.authorities),
             name=rules.subject,
             subject_name=placeholders.expand(defaults.subject_name or "", self.values),
             validity=defaults.validity,

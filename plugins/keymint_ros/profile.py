@@ -84,8 +84,9 @@ def _manifest(root: etree._Element) -> _ProfileManifest:
         policy_type=exports.get("policy_type") or bootstrap.POLICY_TYPE,
         package_type=exports.get("package_type") or NAME,
         build_types=manifest.build_types(root.findall("export/build_type")) or (BUILD_TYPE,),
-        layout=exports.get("layout") or "sros2",
-        distro=distros.check(exports.get("distro") or distros.DEFAULT, place(root if distro is None else distro)),
+        layout=exports.get("layout", ""),
+        distro=exports.get("distro", "")
+        and distros.check(exports["distro"], place(root if distro is None else distro)),
         accepts=frozenset(str(part.tag) for part in root.iterfind("accept/*")),
         revoke_superseded=root.find("revoke_superseded") is not None,
     )
@@ -191,14 +192,23 @@ def load(root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
         library=root / LIBRARY,
         authorities=tuple(authorities.values()),
         build_types=own.build_types,
-        layout=own.layout,
-        distro=own.distro,
+        layout=own.layout or "sros2",
+        distro=own.distro or distros.DEFAULT,
+        distro_named=bool(own.distro),
         files=files,
         accepts=own.accepts,
         revoke_superseded=own.revoke_superseded,
         packages=packages_lock.read(files, str(root)),
         package_copies=root / packages_lock.COPIES,
     )
+
+
+def with_distro(profile: WorkspaceProfile, distro: str) -> WorkspaceProfile:
+    """Return a profile with a distribution: see :meth:`keymint.api.ProfileType.with_distro`."""
+    layout = _read_manifest(profile.files[MANIFEST], MANIFEST).layout
+    # What no node of the distribution could read stays where it would be without one.
+    is_readable = len(profile.authorities) == 1 or not distros.has_one_authority(distro, distros.layout(distro))
+    return replace(profile, distro=distro, layout=layout or (distros.layout(distro) if is_readable else profile.layout))
 
 
 def _document(root: Path, files: Mapping[str, bytes], path: _PathElement) -> tuple[bytes, str]:

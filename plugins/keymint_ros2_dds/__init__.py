@@ -69,6 +69,8 @@ class DdsSecurity:
     choosers = lazy("keymint_ros2_dds.proving.presented:choosers")
     trusting_any_signer = lazy("keymint_ros2_dds.proving.presented:trusting_any_signer")
     excess = lazy("keymint_ros2_dds.proving.presented:excess")
+    changed_rights = lazy("keymint_ros2_dds.proving.succession:changed_rights")
+    distro_of = lazy("keymint_ros2_dds.proving.succession:distro_of")
 
     is_remote = lazy("keymint_ros2_dds.kinds.elsewhere:is_remote")
     receive = lazy("keymint_ros2_dds.kinds.elsewhere:receive")

@@ -61,7 +61,8 @@ def _governance(sources: PackageSources, part: SourcePart) -> Governance:
         )
     defaults = _read_defaults(part.defaults, part.defaults_file)
     defaults_at = Origin(part.defaults_file, defaults.line)
-    issuer = signer(part.issuer, part.where, defaults.issuer, defaults_at, sources.authorities)
+    usual = defaults.issuer or (sources.grant.issuer if sources.grant else "")
+    issuer = signer(part.issuer, part.where, usual, defaults_at, sources.authorities)
     rules = _complete(own, part.file, *_base(part.defaults, part.defaults_file))
     return Governance(issuer, rules, accepts_open=OPEN_GOVERNANCE in sources.accepts)
 

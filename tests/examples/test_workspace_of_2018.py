@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from cryptography import x509
 
+from keymint.pki import smime
 from tests.conftest import snapshot
 
 from .workspace_of_2018 import PACKAGES, write, write_build
@@ -154,6 +155,146 @@ def edited(ws: Path, path: str, old: str, new: str) -> None:
     (ws / path).write_text(text.replace(old, new, 1))
 
 
+def authority_of_2018(ws: Path, name: str) -> bytes:
+    """Write an authority whose name has the RDNs of the profile in another order; return its certificate."""
+    subject = f"/C=US/ST=CA/O=Acme/emailAddress=acme@acme.acme/CN={name}"
+    key, file = ws / f"private/{name}.key.pem", ws / f"public/{name}.cert.pem"
+    for path in (key, file):
+        path.parent.mkdir(exist_ok=True)
+    subprocess.run(
+        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-keyout", key,
+         "-days", "5000", "-subj", subject, "-out", file],
+        check=True, capture_output=True,
+    )  # fmt: skip
+    key.chmod(0o600)
+    key.parent.chmod(0o700)
+    return file.read_bytes()
+
+
+def test_an_authority_whose_rdns_stand_in_another_order_is_used_as_it_is(keymint, tmp_path: Path) -> None:
+    ws = tmp_path / "ws"
+    write(ws)
+    made = {name: authority_of_2018(ws, name) for name in ("root_ca", "permissions_ca")}
+    provisioned(keymint, ws)
+    assert {name: (ws / f"public/{name}.cert.pem").read_bytes() for name in made} == made
+    verified(ws / "install/enclaves/talker")
+    identity = x509.load_pem_x509_certificate((ws / "public/identity_ca.cert.pem").read_bytes())
+    assert identity.issuer == x509.load_pem_x509_certificate(made["root_ca"]).subject
+    for verb in ("check", "prove"):
+        outcome = keymint(verb, "-w", ws)
+        assert outcome.code == 0, outcome.err
+    assert keymint("install", "-w", ws).out.startswith("nothing to do")
+    for key in (ws / "private").glob("*_ca.key.pem"):
+        key.rename(key.with_suffix(".away"))
+    assert keymint("install", "-w", ws).code == 0
+    (ws / "public/permissions_ca.cert.pem").unlink()  # restored from the enclaves
+    (ws / "private/permissions_ca.key.away").rename(ws / "private/permissions_ca.key.pem")
+    assert keymint("install", "-w", ws).code == 0
+    assert (ws / "public/permissions_ca.cert.pem").read_bytes() == made["permissions_ca"]
+
+
+def test_its_renewal_says_what_to_write_first(keymint, tmp_path: Path) -> None:
+    ws = tmp_path / "ws"
+    write(ws)
+    before = authority_of_2018(ws, "permissions_ca")
+    provisioned(keymint, ws)
+    outcome = keymint("authority", "renew", "permissions_ca", "--flag-day", "-w", ws)
+    name = "C=US,ST=CA,O=Acme,emailAddress=acme@acme.acme,CN=permissions_ca"
+    assert (outcome.code, f"write <subject_name>{name}</subject_name>" in outcome.err) == (1, True), outcome.err
+    assert (ws / "public/permissions_ca.cert.pem").read_bytes() == before
+    edited(ws, "profile/authorities.xml", "<serial_number>3<", f"<subject_name>{name}</subject_name><serial_number>3<")
+    assert keymint("authority", "renew", "permissions_ca", "--flag-day", "-w", ws).code == 0
+    after = x509.load_pem_x509_certificate((ws / "public/permissions_ca.cert.pem").read_bytes())
+    assert after.subject == x509.load_pem_x509_certificate(before).subject
+    assert after.public_key() == x509.load_pem_x509_certificate(before).public_key()
+    assert keymint("check", "-w", ws).code == 0
+
+
+def test_a_package_that_is_new_has_the_signer_of_then(keymint, tmp_path: Path) -> None:
+    """The template of 2018 named permissions_ca in each package."""
+    ws = tmp_path / "ws"
+    write(ws)
+    assert keymint("create", "/robot2/talker", "-w", ws).code == 0
+    provisioned(keymint, ws)
+    verified(ws / "install/enclaves/robot2/talker")
+    edited(ws, "profile/authorities.xml", 'name="permissions_ca"', 'name="other_ca"')
+    outcome = keymint("build", "robot2/talker", "-w", ws)
+    assert (outcome.code, "no <issuer_name> names the authority" in outcome.err) == (1, True)
+
+
+# -- what was installed then -------------------------------------------------------------------------------------------
+
+
+def installed_then(keymint, root: Path, distro: str) -> Path:
+    """Return a workspace of 2018 whose nodes have documents of that time: nothing of Keymint's record is left."""
+    write(root)
+    (root / "profile/authorities.xml").write_text(
+        '<profile><authorities><authority name="permissions_ca"/></authorities></profile>'
+    )
+    edited(root, "profile/package.defaults/identities.xml", ">identity_ca<", ">permissions_ca<")
+    edited(root, _PROFILE, "</export>", f"<layout>flat</layout><distro>{distro}</distro></export>")
+    provisioned(keymint, root)
+    edited(root, _PROFILE, f"<layout>flat</layout><distro>{distro}</distro></export>", "</export>")
+    for path in (
+        ".keymint",
+        "build",
+        "private/register.sqlite3",
+    ):
+        (shutil.rmtree if (root / path).is_dir() else Path.unlink)(root / path)
+    for path in root.rglob("keystore.*sh"):
+        path.unlink()
+    for path in root.rglob(".gitignore"):
+        path.unlink()
+    return root
+
+
+def asked(keymint, ws: Path) -> list[dict[str, object]]:
+    """Create, build and install; return the diagnostics."""
+    found: list[dict[str, object]] = []
+    for arguments in (("create", "--all"), ("build",), ("install",)):
+        outcome = keymint(*arguments, "-w", ws, "--json")
+        assert outcome.code == 0, outcome.out
+        found += outcome.document["diagnostics"]
+    return found
+
+
+def test_documents_with_partitions_are_those_of_ardent(keymint, tmp_path: Path) -> None:
+    ws = installed_then(keymint, tmp_path / "ws", "ardent")
+    before = {path: smime.signed_content(path.read_bytes()) for path in ws.glob("install/**/permissions.p7s")}
+    assert b"<partition>rt" in b"".join(before.values())
+    found = asked(keymint, ws)
+    assert {each["code"] for each in found} == {"distro-unnamed"}
+    assert "<layout>flat</layout><distro>ardent</distro>" in str(found[0]["help"])
+    assert {path: smime.signed_content(path.read_bytes()) for path in ws.glob("install/**/permissions.p7s")} == before
+    assert keymint("check", "-w", ws, "--json").codes() == ["authority-shared"]
+    for verb in ("prove", "status"):
+        assert keymint(verb, "-w", ws).code == 0
+    assert keymint("install", "-w", ws).out.startswith("nothing to do")
+    edited(ws, _PROFILE, "</export>", "<layout>flat</layout><distro>ardent</distro></export>")
+    assert asked(keymint, ws) == []
+
+
+@pytest.mark.parametrize(("distro", "layout"), [("jazzy", "flat"), ("jazzy", "sros2"), ("ardent", "flat")])
+def test_new_documents_that_give_other_rights_are_said(keymint, tmp_path: Path, distro: str, layout: str) -> None:
+    """Nothing tells Crystal from Jazzy but its nodes; and of Ardent somebody wrote another distribution."""
+    ws = installed_then(keymint, tmp_path / "ws", "ardent" if distro == "jazzy" else "crystal")
+    edited(ws, _PROFILE, "</export>", f"<layout>{layout}</layout><distro>{distro}</distro></export>")
+    found = asked(keymint, ws)
+    assert {each["code"] for each in found} <= {"rights-changed", "rights-outlive"}
+    said = [each for each in found if each["code"] == "rights-changed"]
+    assert {each["subject"] for each in said} == {f"/{name}" for name in PACKAGES}
+    assert "only the former ones permit to subscribe" in str(said[0]["message"])
+    assert "only the new ones to subscribe" in str(said[0]["message"])
+    assert [each for each in asked(keymint, ws) if each["code"] == "rights-changed"] == []  # said once
+
+
+def test_new_documents_that_give_the_same_rights_cause_no_warning(keymint, tmp_path: Path) -> None:
+    ws = installed_then(keymint, tmp_path / "ws", "crystal")
+    edited(ws, _PROFILE, "</export>", "<layout>flat</layout><distro>crystal</distro></export>")
+    assert asked(keymint, ws) == []
+
+
+_PROFILE = "profile/keymint_profile.xml"
 _DEFAULTS = "profile/profile.defaults/authorities.xml"
 _MANIFEST = "src/talker/keymint_package.xml"
 

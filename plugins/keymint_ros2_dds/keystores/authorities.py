@@ -75,11 +75,11 @@ def _authority(contents: Contents, path: str, roles: tuple[str, ...]) -> tuple[F
         message = f"was issued by {to_text(certificate.issuer)!r}, and not by itself"
         help_ = "Keymint takes over self-signed authorities only; Cyclone DDS refuses others as well"
         findings.append(contents.error("adopt-intermediate", path, message, help_))
-    end = certificate.not_valid_after_utc
+    name, end = BOTH if len(roles) > 1 else _NAMES[roles[0]], certificate.not_valid_after_utc
     if end < contents.keystore.now:
         message = f"expired on {end:%Y-%m-%d}: no participant starts"
-        findings.append(contents.warning("adopt-authority-expired", path, message, "'keymint authority renew'"))
-    name = BOTH if len(roles) > 1 else _NAMES[roles[0]]
+        help_ = f"'keymint authority renew {name}' afterwards"
+        findings.append(contents.warning("adopt-authority-expired", path, message, help_))
     key_paths = contents.keys_of(certificate)
     findings += _about_key(contents, key_paths, name, path)
     findings += _lacking(certificate, roles, path, contents)

@@ -6,25 +6,29 @@ A signed document stays good until it expires: its holder may present the earlie
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import product
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from itertools import islice, product
 
 from comarmor.patterns.decision_lists import DecisionList, SearchBudget, Unknown, Witness
 from comarmor.patterns.proofs import escapes
 from comarmor.patterns.tokens import PatternError
 from keymint.api import OutlivingRights
+from keymint.errors import KeymintError
 from keymint.pki import certificates, smime
 from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.credentials import subject_of
 from keymint_ros2_dds.decision import OMG, read
 from keymint_ros2_dds.enclave_layout import CERTIFICATE, PERMISSIONS_P7S
+from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS
 from keymint_ros2_dds.proving import octets, permission_lists
 from keymint_ros2_dds.proving.enclave_governance import ACTIONS, cuts
 from keymint_ros2_dds.proving.governance_lists import NOTHING
-from keymint_ros2_dds.proving.grant_periods import grant_periods
+from keymint_ros2_dds.proving.grant_periods import GrantPeriod, grant_periods
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant
 
 _STATES = 50_000
+_OF_ARDENT = frozenset(topic.prefix for topics in DDS_TOPICS.values() for topic in topics if topic.prefix)
 _SEMANTICS = OMG.semantics
 
 
@@ -33,21 +37,49 @@ def outliving(before: Mapping[str, bytes], after: Mapping[str, bytes]) -> Outliv
 
     The documents are compared over all names, as the standard reads them (OMG DDS-SECURITY 1.1, 9.4.1.3).
     """
-    old, new = (smime.signed_content(files.get(PERMISSIONS_P7S, b"")) for files in (before, after))
-    if old == new:
+    old, new = (files.get(PERMISSIONS_P7S, b"") for files in (before, after))
+    if smime.signed_content(old) == smime.signed_content(new):
         return None
-    name = subject_name_text.render(subject_of(after[CERTIFICATE]))
-    earlier = tuple(grant_periods(read(old, PERMISSIONS_P7S), name, _SEMANTICS))
+    earlier = _eras(before, after[CERTIFICATE])
     if not earlier:
         return None
-    later = [each.grant for each in grant_periods(read(new, PERMISSIONS_P7S), name, _SEMANTICS)]
     ends = max(each.end for each in earlier), certificates.load(after[CERTIFICATE]).not_valid_after_utc
-    example = next(_lost([each.grant for each in earlier], later), "")
+    example = next(_lost(earlier, _eras(after, after[CERTIFICATE])), "")
     return OutlivingRights(example, min(ends)) if example else None
 
 
-def _lost(earlier: Sequence[DocumentGrant], later: Sequence[DocumentGrant]) -> Iterator[str]:
+def changed_rights(before: Mapping[str, bytes], after: Mapping[str, bytes]) -> str:
+    """Return what only one of two documents permits; see :meth:`keymint.api.Succession.changed_rights`."""
+    earlier, later = (_eras(files, files[CERTIFICATE]) for files in (before, after))
+    lost = [f"only the former ones permit to {each}" for each in islice(_lost(earlier, later), 1)]
+    return "; ".join([*lost, *(f"only the new ones to {each}" for each in islice(_lost(later, earlier), 1))])
+
+
+def _eras(files: Mapping[str, bytes], certificate: bytes) -> tuple[GrantPeriod, ...]:
+    """Return the grants that an enclave's files have for a certificate."""
+    content = smime.signed_content(files.get(PERMISSIONS_P7S, b""))
+    name = subject_name_text.render(subject_of(certificate))
+    return tuple(grant_periods(read(content, PERMISSIONS_P7S), name, _SEMANTICS))
+
+
+def distro_of(paths: Iterable[str], content: Callable[[str], bytes | None]) -> str:
+    """Return ``ardent`` if documents have its partitions; see :meth:`keymint.api.InstalledDistro.distro_of`.
+
+    Only Ardent maps the namespace of a name to a partition; see :mod:`keymint_ros2_dds.lowering.ardent_names`.
+    """
+    for path in paths:
+        with suppress(KeymintError):
+            found = content(path) if path.endswith(f"/{PERMISSIONS_P7S}") else None
+            grants = read(smime.signed_content(found), PERMISSIONS_P7S).grants if found else ()
+            criteria = (one for grant in grants for rule in grant.rules for one in rule.criteria)
+            if any(name.partition("/")[0] in _OF_ARDENT for one in criteria for name in one.partitions or ()):
+                return "ardent"
+    return ""
+
+
+def _lost(before: Sequence[GrantPeriod], after: Sequence[GrantPeriod]) -> Iterator[str]:
     """Yield an example for each action and domain in which a right is lost, or may be."""
+    earlier, later = ([each.grant for each in eras] for eras in (before, after))
     grants = (*earlier, *later)
     pairs = permission_lists.have_partitions(grants)
     universe = octets.universe(pairs=pairs)

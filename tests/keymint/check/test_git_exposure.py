@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -47,6 +48,19 @@ class TestFindings:
         assert keymint("check", "--json", cwd=ws).codes() == ["key-tracked", "key-tracked"]
         git(ws, "rm", "-q", "-r", "--cached", "private", "install")
         assert keymint("check", cwd=ws).code == 0
+
+    def test_a_request_for_a_certificate_is_no_key(self, keymint, ws: Path) -> None:
+        request, key = ws / "private/ca.csr.pem", ws / "private/identity_ca.key.pem"
+        subprocess.run(["openssl", "req", "-new", "-key", key, "-subj", "/CN=ca", "-out", request], check=True)
+        request.chmod(0o644)
+        (ws / "other.csr.pem").hardlink_to(request)
+        git(ws.parent, "init", "-q")
+        git(ws.parent, "add", "-f", request)
+        outcome = keymint("check", cwd=ws)
+        assert outcome.code == 0, outcome.out
+        request.write_bytes(request.read_bytes() + key.read_bytes())
+        found = keymint("check", "--json", cwd=ws)
+        assert sorted(found.codes()) == ["file-mode", "key-linked", "key-tracked"]
 
     def test_a_copy_among_the_sources(self, keymint, ws: Path) -> None:
         git(ws.parent, "init", "-q")

@@ -344,3 +344,16 @@ def test_the_marker_of_a_package_is_written_last(keymint, tmp_path: Path) -> Non
     sources = [path for path in written if path.startswith("ws/src/talker/")]
     assert len(sources) > 3
     assert sources[-1] == "ws/src/talker/keymint_package.xml"
+
+
+def test_an_edited_policy_is_noticed(keymint, tmp_path: Path) -> None:
+    made(tmp_path / "ks")
+    complete(keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws"))
+    assert keymint("build", "-w", "ws").err == ""
+    new = tmp_path / "ws/profile/comarmor.d/policy.xml"
+    new.write_text(new.read_text().replace("/talker/get_parameters", "/talker/other"))
+    outcome = keymint("build", "-w", "ws", "--json")
+    assert outcome.codes() == ["policy-changed"]
+    complete(keymint("create", "--all", "-w", "ws"))
+    assert keymint("build", "-w", "ws", "--json").codes() == []
+    complete(keymint("install", "-w", "ws"))

@@ -158,6 +158,15 @@ def test_revoked_certificates_stay_revoked_in_each_phase(keymint, ws: Path, repl
     clean(keymint, ws)
 
 
+def test_a_refresh_gives_both_trusted_authorities_a_list_at_once(keymint, ws: Path, replace: Callable) -> None:
+    replace(IDENTITY, *BUNDLES)
+    (ws / f"public/{IDENTITY}.crl.pem").write_text("damaged")
+    outcome = keymint("crl", "--refresh", "--json", cwd=ws)
+    assert outcome.code == 0, outcome.out
+    assert [each["authority"] for each in outcome.document["result"]["lists"]] == [IDENTITY, f"{IDENTITY}.next"]
+    clean(keymint, ws)
+
+
 # -- elsewhere -------------------------------------------------------------------------------------------------------
 
 

@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 from cryptography import x509
+
+from tests.conftest import NOW
 
 from .test_adopt import POLICY, made, snapshot
 from .test_adopt_apply import complete, files
@@ -83,6 +86,29 @@ def test_all_steps_in_the_order_of_the_report(keymint, adopted: Path) -> None:
     assert complete(keymint("harden", "-w", "ws")) == "nothing to do: no step is open\n"
     assert keymint("prove", "-w", "ws").code == 0
     assert complete(keymint("harden", "names", "--apply", "-w", "ws")) == "names: nothing to do\n"
+
+
+def test_nothing_is_left_that_check_finds(keymint, adopted: Path) -> None:
+    """A copy of the one authority lies beside those of two, until a step removes what it replaced."""
+    assert (adopted / "install/public/ca.cert.pem").exists()
+    complete(keymint("harden", "authority", "--apply", "--flag-day", "-w", "ws"))
+    complete(keymint("harden", "identifiers", "--apply", "-w", "ws"))
+    checked = keymint("check", "-w", "ws", "--json")
+    assert (checked.code, checked.codes()) == (0, [])
+    assert complete(keymint("install", "-w", "ws")).startswith("nothing to do")
+
+
+def test_the_new_authority_outlives_what_it_signs(keymint, tmp_path: Path) -> None:
+    """A new authority of today lasts ten years from a day back on; these grants were made today, too."""
+    made(tmp_path / "ks", now=datetime.fromtimestamp(NOW, UTC))
+    (tmp_path / "policy.xml").write_text(POLICY)
+    complete(keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws"))
+    outcome = keymint("harden", "authority", "--apply", "--flag-day", "-w", "ws", "--json")
+    assert (outcome.code, outcome.codes()) == (0, [])
+    before, after = (certificate(tmp_path / f"ws/public/{name}.cert.pem") for name in ("ca", "permissions_ca"))
+    assert after.not_valid_after_utc >= before.not_valid_after_utc
+    for verb in (("build", "-f"), ("install",)):
+        assert keymint(*verb, "-w", "ws", "--json").codes() == []
 
 
 def test_wrong_usage(keymint, adopted: Path) -> None:

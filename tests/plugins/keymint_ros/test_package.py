@@ -50,8 +50,10 @@ def test_a_single_authority_need_not_be_named(workspace: Workspace) -> None:
     unnamed = workspace.edit("profile/package.defaults/permissions.xml", text, "").edit(
         "profile/package.defaults/governance.xml", text, ""
     )
+    assert unnamed.load().grant.issuer == "permissions_ca"  # as the packages of 2018 name it
+    others = unnamed.profile["authorities.xml"].replace(b"permissions_ca", b"documents_ca")
     with pytest.raises(KeymintError, match="no <issuer_name> names the authority that signs this"):
-        unnamed.load()
+        replace(unnamed, profile={**unnamed.profile, "authorities.xml": others}).load()
     authorities = b'<profile><authorities><authority name="identity_ca"/></authorities></profile>'
     alone = replace(unnamed, profile={**unnamed.profile, "authorities.xml": authorities}).load()
     assert alone.grant.issuer == "identity_ca"
