@@ -47,7 +47,7 @@ READERS: Mapping[str, tuple[str, Sequence[str], Callable[[Path], bombs.Bombs]]] 
         lambda place: bombs.signed((place / ENCLAVE / "permissions.p7s").read_bytes()),
     ),
     "governance of a keystore": (
-        f"{ENCLAVE}/governance.p7s", ("learn", "--from-keystore", "ws/install"),
+        f"{ENCLAVE}/governance.p7s", ("adopt", "ws/install"),
         lambda place: bombs.signed((place / ENCLAVE / "governance.p7s").read_bytes()),
     ),
     "installed certificates": (
