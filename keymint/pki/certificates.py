@@ -22,6 +22,8 @@ from keymint.errors import KeymintError
 from keymint.pki import distinguished_names, extensions, forms, keys
 from keymint.pki.distinguished_names import to_text
 
+MAX_BYTES = 1 << 20
+"""Largest file of certificates in bytes; the authorities of a public key infrastructure take some thousand."""
 UNREADABLE = (
     ValueError,
     TypeError,
@@ -73,8 +75,12 @@ def load_bundle(pem: bytes, where: Origin | None = None) -> tuple[x509.Certifica
     """Return the certificates of a PEM file, at least one, in the file's order.
 
     Raises:
-        KeymintError: no certificate, or not a certificate.
+        KeymintError: no certificate, or not a certificate, or the file is too large.
     """
+    if len(pem) > MAX_BYTES:
+        raise KeymintError(
+            f"has {len(pem):,} bytes, {MAX_BYTES:,} are the most for certificates", where=where, code="file-size"
+        )
     try:
         return _parsed(pem)
     except UNREADABLE:

@@ -49,6 +49,8 @@ from keymint.pki import der
 UNREAD = "smime-form"
 """Error code for a file in a form that this reader refuses: how other software reads it is unknown."""
 
+_MOST_LINES = 500_000
+"""The most lines of a document, each of which takes more memory than its text."""
 _BOUNDARY = 32
 _DOCUMENT = b"""\
 MIME-Version: 1.0
@@ -126,6 +128,8 @@ def unwrap(document: bytes, where: Origin | None = None) -> SignedDocument:
         KeymintError: the document does not match the grammar above (code ``smime-form``); with the line and what was
             expected.
     """
+    if document.count(b"\n") > _MOST_LINES:
+        refuse(where, _MOST_LINES, f"it has more than {_MOST_LINES:,} lines")
     carriage_returns = b"\r" in document
     if b"\0" in document:
         refuse(where, document.count(b"\n", 0, document.index(b"\0")) + 1, "it has a NUL byte")
