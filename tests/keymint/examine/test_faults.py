@@ -24,9 +24,10 @@ from .faults_of_bundles import FAULTS as OF_BUNDLES
 from .faults_of_keystores import FAULTS as OF_KEYSTORES
 from .faults_of_permissions import FAULTS as OF_PERMISSIONS
 from .faults_of_signers import FAULTS as OF_SIGNERS
+from .faults_of_sources import FAULTS as OF_SOURCES
 from .faults_of_zenoh import FAULTS as OF_ZENOH
 
-TABLE: tuple[Fault, ...] = (*OF_PERMISSIONS, *OF_SIGNERS, *OF_KEYSTORES, *OF_BUNDLES, *OF_ZENOH)
+TABLE: tuple[Fault, ...] = (*OF_PERMISSIONS, *OF_SIGNERS, *OF_SOURCES, *OF_KEYSTORES, *OF_BUNDLES, *OF_ZENOH)
 SAMPLE = 2
 """How many faults of each class are tried by default."""
 
