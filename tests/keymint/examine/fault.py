@@ -50,7 +50,6 @@ class Fault:
         check: whether ``check`` must end with 3 (True) or 0 (False); None for either.
         prove: the same of ``prove``.
         why: why one of the two may pass what the other calls an error.
-        record: the fault can be told without the record of written files; False if only the record knows.
         subjects: whose permissions are compared.
     """
 
@@ -63,12 +62,11 @@ class Fault:
     check: bool | None = None
     prove: bool | None = None
     why: str = ""
-    recordless: bool = True
     subjects: tuple[str, ...] = SUBJECTS
 
     @property
     def id(self) -> str:
-        return f"class{self.kind:02}-{self.name}".replace("/", ".").replace(" ", "_").replace("[", "(").replace("]", ")")
+        return f"class{self.kind:02}-{self.name}".replace("/", ".").replace(" ", "_")
 
     def must(self, *, decides: bool) -> tuple[bool | None, bool | None]:
         """Return whether ``check`` and ``prove`` must find it, given whether it changes a decision."""

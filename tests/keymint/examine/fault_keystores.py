@@ -107,10 +107,16 @@ class Keystore:
     Attributes:
         ws: the workspace. Beside it are the policy, and ``stages/N/``: install spaces of earlier days.
         now: the time.
+        run: runs the command line at that time.
     """
 
     ws: Path
     now: datetime
+    run: Run
+
+    def do(self, *words: object) -> None:
+        """Run a verb in the workspace."""
+        assert self.run(*words, "-w", self.ws, "-q") == 0, words
 
     def enclave(self, subject: str, space: str = "install") -> Path:
         return self.ws / space / "enclaves" / subject[1:]
@@ -248,7 +254,7 @@ def stranger(name: str) -> Issuer:
     builder = builder.not_valid_before(datetime(2020, 1, 1, tzinfo=UTC))
     builder = builder.not_valid_after(datetime(2045, 1, 1, tzinfo=UTC))
     builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True)
-    usage = x509.KeyUsage(True, False, False, False, False, True, True, False, False)  # noqa: FBT003 - positional only
+    usage = x509.KeyUsage(True, False, False, False, False, True, True, False, False)
     builder = builder.add_extension(usage, critical=True)
     identifier = x509.SubjectKeyIdentifier.from_public_key(key.public_key())
     builder = builder.add_extension(identifier, critical=False)
@@ -288,7 +294,9 @@ def _effect(grant: etree._Element, domain: int, action: str, name: str) -> bool:
 def _covers(domains: etree._Element | None, domain: int) -> bool:
     assert domains is not None
     ranges = [(int(str(each.text)),) * 2 for each in domains.iterfind("id")]
-    ranges += [(int(each.findtext("min") or 0), int(each.findtext("max") or 0)) for each in domains.iterfind("id_range")]
+    ranges += [
+        (int(each.findtext("min") or 0), int(each.findtext("max") or 0)) for each in domains.iterfind("id_range")
+    ]
     return any(first <= domain <= last for first, last in ranges)
 
 
@@ -328,7 +336,7 @@ class Bench:
             shutil.copytree(place, original, symlinks=True)
         shutil.rmtree(place, onerror=_writable)
         shutil.copytree(original, place, symlinks=True)
-        return Keystore(place / "ws", self.now)
+        return Keystore(place / "ws", self.now, self.run)
 
     def do(self, place: Path, *words: object) -> None:
         code = self.run(*words, "-w", place / "ws", "-q")
@@ -350,7 +358,9 @@ def _provision(bench: Bench, place: Path, *words: object) -> None:
 
 def _provision_plain(bench: Bench, place: Path) -> None:
     """Names without generations, as SROS2 gives them; no name contains another."""
-    (place / "policy.xml").write_text(POLICY.replace("<attachment>/robot1</attachment>", "<attachment>/arm</attachment>"))
+    (place / "policy.xml").write_text(
+        POLICY.replace("<attachment>/robot1</attachment>", "<attachment>/arm</attachment>")
+    )
     _provision(bench, place, "--subject-format", "sros2")
 
 
@@ -413,6 +423,7 @@ def _requested(bench: Bench, place: Path) -> None:
         key = x509.load_pem_x509_csr(file.read_bytes()).public_key()
         fingerprint = hashlib.sha256(public(key)).hexdigest()
         bench.do(place, "sign", file, "--fingerprint", f"{subject}={fingerprint}", "-o", place)
+        (place / f"ws/private/identities{subject}/key.pem").unlink()
 
 
 def _zenoh_revoked(bench: Bench, place: Path) -> None:

@@ -346,7 +346,9 @@ def _on_disk() -> Iterator[Fault]:
         yield _of_check(f"{subject} private key {0o644:o}", _chmod(f"private/identities{subject}/key.pem", 0o644))
         for name in ("cert.pem", "permissions.p7s", "identity_ca.cert.pem"):
             yield _of_check(f"{subject} {name} by a link to outside", _linked(f"{place}/{name}", outside=True))
-        yield _of_check(f"{subject} key by a hard link", _linked(f"{place}/key.pem", outside=True, hard=True), check=None)
+        yield _of_check(
+            f"{subject} key by a hard link", _linked(f"{place}/key.pem", outside=True, hard=True), check=None
+        )
         yield _of_check(f"{subject} a text", _stray(f"{place}/notes.txt", lambda _: b"x"))
         for role in ("identity_ca", "permissions_ca"):
             yield _of_check(
@@ -362,7 +364,9 @@ def _on_disk() -> Iterator[Fault]:
         yield Fault(19, f"{subject} permissions are a pipe", "dds", _pipe(f"{place}/permissions.p7s"))
     for name in ("identity_ca", "permissions_ca"):
         yield _of_check(f"the private key of {name} for the group", _chmod(f"private/{name}.key.pem", 0o640))
-        copy = _stray(f"install/public/{name}.key.pem", lambda ks, n=name: (ks.ws / f"private/{n}.key.pem").read_bytes())
+        copy = _stray(
+            f"install/public/{name}.key.pem", lambda ks, n=name: (ks.ws / f"private/{n}.key.pem").read_bytes()
+        )
         yield _of_check(f"the private key of {name} in the keystore", copy)
     yield _of_check("private space for all", _chmod("private", 0o755))
 
@@ -449,9 +453,13 @@ def _exchanged() -> Iterator[Fault]:
         yield Fault(20, f"{subject} a key of nobody", "dds", _new_key(subject, certified=False, kept=False))
         for kept in (False, True):
             name = f"{subject} a key of nobody, certified{', also in private' * kept}"
-            yield Fault(20, name, "dds", _new_key(subject, certified=True, kept=kept), vendors="a thief's key is accepted")
+            yield Fault(
+                20, name, "dds", _new_key(subject, certified=True, kept=kept), vendors="a thief's key is accepted"
+            )
         apply = _unregistered(subject)
-        yield Fault(20, f"{subject} a certificate that no register knows", "dds", apply, vendors="no list can revoke it")
+        yield Fault(
+            20, f"{subject} a certificate that no register knows", "dds", apply, vendors="no list can revoke it"
+        )
         donor = SUBJECTS[(SUBJECTS.index(subject) + 1) % len(SUBJECTS)]
         name = f"{subject} a certificate for the key of {donor}"
         yield Fault(20, name, "dds", _unregistered(subject, donor), vendors="whoever has that key is both")

@@ -255,7 +255,9 @@ WIDENED: dict[str, Edit] = {
     "reading": _inserted(rule("allow", criteria("subscribe", ["rt/zz*"]))),
     "default": _default,
     "the other direction": _both_directions,
-    "a deny, and then more": _inserted(rule("deny", criteria("publish", ["rt/new"])) + rule("allow", criteria("publish", ["rt/n*"]))),  # fmt: skip
+    "a deny, and then more": _inserted(
+        rule("deny", criteria("publish", ["rt/new"])) + rule("allow", criteria("publish", ["rt/n*"]))
+    ),  # fmt: skip
 }
 
 
@@ -360,7 +362,9 @@ def _reordered() -> Iterator[Fault]:
 # -- dates and domains -----------------------------------------------------------------------------------------------
 
 
-def _dated(subject: str, begin: timedelta | None, end: timedelta | None, suffix: str = "") -> Callable[[Keystore], None]:
+def _dated(
+    subject: str, begin: timedelta | None, end: timedelta | None, suffix: str = ""
+) -> Callable[[Keystore], None]:
     def apply(keystore: Keystore) -> None:
         def edit(grant: etree._Element) -> None:
             for tag, moved in (("not_before", begin), ("not_after", end)):
@@ -395,7 +399,9 @@ def _dates() -> Iterator[Fault]:
         ):
             yield Fault(7, f"{subject} {label}", "dds", _dated(subject, begin, end))
         for label, end in (("grant ends tomorrow", DAY), ("grant ends in nine years", 9 * 365 * DAY)):
-            yield Fault(7, f"{subject} {label}", "dds", _dated(subject, None, end), decides=False, check=True, why=_BOUNDED)
+            yield Fault(
+                7, f"{subject} {label}", "dds", _dated(subject, None, end), decides=False, check=True, why=_BOUNDED
+            )
         for label, begin, end in (
             ("certificate over", -30 * DAY, -DAY),
             ("certificate begins tomorrow", DAY, 300 * DAY),

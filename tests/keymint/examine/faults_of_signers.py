@@ -5,33 +5,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
-from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding
 from lxml import etree
-
-from tests.real.handmade import criteria, rule
-from tests.signers import by_sros2
 
 from .fault import Fault
 from .fault_keystores import (
     ADOPTED,
-    CAMERA,
-    DAY,
     LISTENER,
     PLANNER,
-    ROBOT,
     SUBJECTS,
     TALKER,
     Issuer,
     Keystore,
     first_grant,
     new_grant,
-    parsed,
-    private_pem,
     put,
     rules_of,
     stranger,
-    written,
 )
 from .faults_of_permissions import ALL, WIDENED
 

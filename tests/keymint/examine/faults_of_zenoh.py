@@ -12,7 +12,19 @@ from cryptography import x509
 from keymint_ros2_zenoh import signature
 
 from .fault import Fault
-from .fault_keystores import CAMERA, LISTENER, PLANNER, ROBOT, SUBJECTS, TALKER, Issuer, Keystore, each_pair, put, stranger
+from .fault_keystores import (
+    CAMERA,
+    LISTENER,
+    PLANNER,
+    ROBOT,
+    SUBJECTS,
+    TALKER,
+    Issuer,
+    Keystore,
+    each_pair,
+    put,
+    stranger,
+)
 
 Edit = Callable[[dict[str, Any]], None]
 ROUTER = "install/zenoh/router.json5"
@@ -210,7 +222,9 @@ def _routers() -> Iterator[Fault]:
     for subject in SUBJECTS:
         if subject != CAMERA:
             back = _router_with(lambda ks, s=subject: (s, ks.stage(0, CAMERA)))
-            yield Fault(22, f"{subject} has the name of the thief beside its own", "zenoh revoked", back, vendors="zenoh")
+            yield Fault(
+                22, f"{subject} has the name of the thief beside its own", "zenoh revoked", back, vendors="zenoh"
+            )
     yield Fault(22, "no file", "zenoh", lambda ks: (ks.ws / ROUTER).unlink(), vendors="zenoh")
 
 
@@ -252,7 +266,9 @@ SESSION: dict[str, Edit] = {
     "router": _set("mode", to="router"),
     "another router": _set("connect", "endpoints", to=["tls/elsewhere:7447"]),
     "one more router": _set("connect", "endpoints", to=["tls/localhost:7447", "tls/elsewhere:7447"]),
-    "no name check by its endpoint": _set("connect", "endpoints", to=["tls/localhost:7447#verify_name_on_connect=false"]),
+    "no name check by its endpoint": _set(
+        "connect", "endpoints", to=["tls/localhost:7447#verify_name_on_connect=false"]
+    ),
     "plain TCP": _set("connect", "endpoints", to=["tcp/localhost:7447"]),
     "listens": _set("listen", "endpoints", to=["tcp/[::]:0"]),
     "gossip": _set("scouting", "gossip", "enabled", to=True),

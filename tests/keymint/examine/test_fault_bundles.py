@@ -20,7 +20,9 @@ INCOMING = [(forged, subject) for forged in FORGED for subject in SUBJECTS]
 
 
 @pytest.mark.parametrize(
-    ("name", "subject", "apply"), OUTGOING if FULL else OUTGOING[::17], ids=lambda each: each if isinstance(each, str) else ""
+    ("name", "subject", "apply"),
+    OUTGOING if FULL else OUTGOING[::17],
+    ids=lambda each: each if isinstance(each, str) else "",
 )
 def test_class21_no_bundle_of_a_fault_leaves(keymint, bench: Bench, name: str, subject: str, apply) -> None:  # noqa: F811
     keystore = bench.copy("dds")
