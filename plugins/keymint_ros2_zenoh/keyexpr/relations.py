@@ -84,8 +84,6 @@ def _text_includes(outer: str, inner: str) -> bool:
 @lru_cache(maxsize=1 << 16)
 def _intersects(left: _Chunks, right: _Chunks) -> bool:
     """Search the product of both lists of chunks for a pair of ends."""
-    if left[0] != right[0] and not any("*" in each for each in (left[0], right[0])):
-        return False
     todo, seen = [(0, 0)], {(0, 0)}
     while todo:
         i, j = todo.pop()

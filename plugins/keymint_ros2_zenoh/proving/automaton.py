@@ -62,7 +62,8 @@ class Automaton:
         self._known: dict[object, int] = {}
         self._steps: dict[tuple[int, str], tuple[int, ...]] = {}
         self._together: dict[tuple[frozenset[int], str], frozenset[int]] = {}
-        self._free: dict[int, bool] = {}
+        self._free = {END, self.everything}
+        """Rests of patterns that mention no character but ``/``."""
         self._covered: dict[tuple[frozenset[int], int], bool] = {}
         self._beside: dict[tuple[frozenset[int], frozenset[int]], frozenset[int]] = {}
 
@@ -101,23 +102,11 @@ class Automaton:
         found = self._beside.get(key)
         if found is None:
             kept = set(nodes)
-            for free in filter(self._is_free, sorted(nodes | others)):
+            for free in filter(self._free.__contains__, sorted(nodes | others)):
                 alone = frozenset((free,))
                 kept -= {each for each in kept if (each != free or free in others) and self._covers(alone, each)}
             found = self._beside[key] = frozenset(kept)
         return found
-
-    def _is_free(self, node: int) -> bool:
-        """Return whether the rest of a pattern mentions no character but ``/``."""
-        if node not in self._free:
-            reached, todo = {node}, [node]
-            while todo and self.explicit((todo[-1],)) <= {"/"}:
-                own = self._nodes[todo.pop()]
-                following = {*own.chars.get("/", ()), *(after for _, after in own.sets)} - reached
-                reached |= following
-                todo += following
-            self._free[node] = not todo
-        return self._free[node]
 
     def _covers(self, free: frozenset[int], node: int) -> bool:
         """Return whether some nodes together accept all that a node does; False may also mean that it is not known."""
@@ -260,5 +249,9 @@ class Automaton:
         return self._known[key]
 
     def _add(self, node: _Node) -> int:
+        """Return the number of a new node; those that it mentions, and that do not exist yet, lead back to it."""
+        following = {after for each in node.chars.values() for after in each} | {after for _, after in node.sets}
+        if node.chars.keys() <= {"/"} and all(each in self._free or each >= len(self._nodes) for each in following):
+            self._free.add(len(self._nodes))
         self._nodes.append(node)
         return len(self._nodes) - 1

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import product
 
 from comarmor.patterns.decision_lists import Equal, ProofResult, SearchBudget, Unknown, Witness
@@ -198,10 +198,7 @@ def _include(outer: Iterable[KeyExpr], inner: Iterable[KeyExpr]) -> bool:
     return all(any(includes(each, key) for each in outer) for key in inner)
 
 
-def _meets(key: KeyExpr, others: Iterable[KeyExpr]) -> bool:
+def _meets(key: KeyExpr, others: Sequence[KeyExpr]) -> bool:
     """Return whether a key matches a key expression and one of others."""
-    for other in others:
-        spend(_MEETING)
-        if intersects(key, other):
-            return True
-    return False
+    spend(_MEETING * len(others))
+    return any(intersects(key, other) for other in others)
