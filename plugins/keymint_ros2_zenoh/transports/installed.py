@@ -116,10 +116,10 @@ def installed_names(enclave: Enclave) -> tuple[str, ...]:
 
 def _name(key: str) -> str:
     """Return an expression of the names in the keys that a key expression includes, or of all names."""
-    domain, *name = key.split("/")[: -len(TYPE_AND_HASH)] or ("**",)
-    if not name or ANY_CHUNKS in (domain, *key.split("/")[-len(TYPE_AND_HASH) :]):
-        return "/*"
-    return "/" + "/".join(name).replace(ANY_CHUNKS, "*").replace(ANY_CHARACTERS, "*")
+    _, *name = key.replace(ANY_CHUNKS, "*").replace(ANY_CHARACTERS, "*").split("/")
+    if ANY_CHUNKS in key.split("/")[-len(TYPE_AND_HASH) :]:
+        return f"/{'/'.join(name).rstrip('/*')}*"
+    return f"/{'/'.join(name[: -len(TYPE_AND_HASH)])}"
 
 
 def _read(file: Path, install: Path, environment: Environment) -> InstalledConfiguration:
