@@ -28,14 +28,12 @@ from tests.keymint.examine.fault_keystores import (
     PLANNER,
     SUBJECTS,
     TALKER,
-    Bench,
     Keystore,
     meaning,
     public,
 )
-from tests.keymint.examine.faults_of_keystores import FAULTS as OF_KEYSTORES
-from tests.keymint.examine.faults_of_permissions import FAULTS as OF_PERMISSIONS
-from tests.keymint.examine.faults_of_signers import FAULTS as OF_SIGNERS
+from tests.keymint.examine.fault_table import TABLE
+from tests.keymint.examine.fault_workspaces import Bench
 from tests.signers import HAVE_OPENSSL
 
 if TYPE_CHECKING:
@@ -49,6 +47,8 @@ DOMAINS = (0, 1, 5)
 
 def judged_by_access_control(fault: Fault) -> bool:
     """Tell whether permissions, governance and the name of a certificate are all that a fault changes."""
+    if " by a policy" in fault.name:
+        return False
     if fault.kind == 7:
         return " grant " in fault.name
     if fault.kind == 9:
@@ -60,7 +60,7 @@ def judged_by_access_control(fault: Fault) -> bool:
     return fault.kind in ACCESS
 
 
-JUDGED = [fault for fault in (*OF_PERMISSIONS, *OF_SIGNERS) if judged_by_access_control(fault)]
+JUDGED = [fault for fault in TABLE if judged_by_access_control(fault)]
 
 
 def sample(faults: list[Fault]) -> list[Fault]:
@@ -176,7 +176,7 @@ def judged_by_openssl(fault: Fault) -> bool:
     return fault.kind == 9 and any(each in fault.name for each in BY_CERTIFICATE)
 
 
-AUTHENTICATED = [fault for fault in (*OF_PERMISSIONS, *OF_SIGNERS, *OF_KEYSTORES) if judged_by_openssl(fault)]
+AUTHENTICATED = [fault for fault in TABLE if judged_by_openssl(fault)]
 Admitted = dict[tuple[str, str], bool]
 """Whether an enclave accepts who has a certificate, by the enclave and by what the certificate is."""
 

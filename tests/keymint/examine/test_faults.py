@@ -19,15 +19,10 @@ from tests.conftest import NOW
 from tests.effort import FULL
 
 from .fault import CLASSES, Fault
-from .fault_keystores import Bench, meaning
-from .faults_of_bundles import FAULTS as OF_BUNDLES
-from .faults_of_keystores import FAULTS as OF_KEYSTORES
-from .faults_of_permissions import FAULTS as OF_PERMISSIONS
-from .faults_of_signers import FAULTS as OF_SIGNERS
-from .faults_of_sources import FAULTS as OF_SOURCES
-from .faults_of_zenoh import FAULTS as OF_ZENOH
+from .fault_keystores import meaning
+from .fault_table import TABLE
+from .fault_workspaces import Bench
 
-TABLE: tuple[Fault, ...] = (*OF_PERMISSIONS, *OF_SIGNERS, *OF_SOURCES, *OF_KEYSTORES, *OF_BUNDLES, *OF_ZENOH)
 SAMPLE = 2
 """How many faults of each class are tried by default."""
 
