@@ -97,7 +97,7 @@ def sound(real_bench: Bench) -> Callable[[str], Decisions]:  # noqa: F811
     return found
 
 
-@pytest.mark.parametrize("fault", JUDGED if FULL else JUDGED[::16], ids=lambda fault: fault.id)
+@pytest.mark.parametrize("fault", JUDGED if FULL else JUDGED[::32], ids=lambda fault: fault.id)
 def test_a_router_decides_as_the_table_says(
     real_bench: Bench,  # noqa: F811
     sound: Callable[[str], Decisions],
