@@ -112,3 +112,19 @@ ONE_AUTHORITY = "adopted"
 def test_without_a_fault_nothing_is_found(keymint, bench: Bench, kind: str) -> None:
     keystore = bench.copy(kind)
     assert {(*said, found) for *said, found in findings(keymint, keystore.ws) if found} == set()
+
+
+def test_class18_one_authority_is_an_exception_of_the_proof(keymint, bench: Bench) -> None:
+    """Identities can sign documents there: the proof says so, and what ends it."""
+    keystore = bench.copy(ONE_AUTHORITY)
+    outcome = keymint("prove", "-w", keystore.ws)
+    assert outcome.code == 0
+    assert "harden" in outcome.out + outcome.err
+    assert keymint("prove", "--strict", "-w", keystore.ws).code == 3
+
+
+def test_class09_documents_of_a_wider_policy_are_remembered(keymint, bench: Bench) -> None:
+    """They were signed, and fit certificates in force: whoever has one may present it."""
+    keystore = bench.copy("narrowed")
+    assert keymint("prove", "-w", keystore.ws).code == 0
+    assert keymint("prove", "--strict", "-w", keystore.ws).code == 3
