@@ -129,7 +129,7 @@ class _Proof:
             diagnostics_of(proof.results, strict=self.strict),
             lambda name: session.workspace.shown(session.enclave_folder(name)),
         )
-        return (*found, *merged(dated_of(proof.results)), *proof.findings, *proof.outliving)
+        return (*found, *merged(dated_of(proof.results)), *proof.outliving)
 
 
 def _uncreated(session: Session, known: Sequence[str]) -> Sequence[Diagnostic]:

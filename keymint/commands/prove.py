@@ -19,7 +19,7 @@ from keymint.commands.proof_diagnostics import STATES, dated_of, diagnostics_of,
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
-from keymint.examine.keystore import SHOWN_NOTES, UNKNOWN_HISTORY, KeystoreProof, deciding, proven_keystore
+from keymint.examine.keystore import SHOWN_NOTES, UNKNOWN_HISTORY, KeystoreProof, deciding, proven_keystore, staged
 from keymint.examine.not_examined import has_register, not_examined
 from keymint.output.report import Report, findings_exit, findings_if
 from keymint.plan import terms
@@ -91,7 +91,8 @@ def prove(
     found = merged_packages(
         diagnostics_of(results, strict=strict), lambda name: session.workspace.shown(session.enclave_folder(name))
     )
-    more = (*proven.findings, *proven.outliving)
+    ahead = staged(session)
+    more = tuple(dict.fromkeys((*deciding(session), *(deciding(ahead) if ahead else ()), *proven.outliving)))
     diagnostics = [*_assumptions(proven), *found, *dated, *more, *unknown, *unrecorded, *unexamined]
     result = {
         "at": terms.shown(results.now),

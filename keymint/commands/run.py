@@ -381,7 +381,7 @@ class Run:
             A note if the record cannot be written, e.g. on a read-only file system.
         """
         workspace = inputs.workspace
-        if self.dry_run or inputs.state.interrupted or state.dump() == inputs.state.dump():
+        if self.dry_run or inputs.state.interrupted or state is inputs.state or state.dump() == inputs.state.dump():
             return ()
         store = open_store(workspace)
         try:
