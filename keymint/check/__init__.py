@@ -60,7 +60,7 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
     findings = [finding for each in enclaves for finding in each.findings]
     findings += _of_several(session, [each for each in loaded if isinstance(each, LoadedEnclave)])
     findings += unaccounted(session)
-    findings += decides
+    findings += (each for each in decides if each not in findings)  # the defects of packages are found above
     fingerprints = {each.name: each.fingerprint for each in enclaves if each.fingerprint}
     findings += identity_keys.shared_keys(session, fingerprints)
     findings += (*keys.elsewhere(session), *keys.encryption(session), *keys.exposed(session))

@@ -31,7 +31,7 @@ from keymint.output.sarif import of_diagnostics
 from keymint.output.sarif import sarif as sarif_log
 from keymint.plan.policy import lazy_policy
 from keymint.plan.policy_drift import uncreated
-from keymint.plan.prove import STAGE
+from keymint.plan.prove import NO_PROVER, STAGE
 from keymint.plan.register import with_enclaves
 from keymint.plan.terms import merged
 from keymint.session import Session
@@ -82,8 +82,8 @@ def check(
             found = proof.findings(session, with_enclaves(session, chosen, names))
             findings += (each for each in found if (each.code, each.where and each.where.file) not in known)
     unexamined = tuple(not_examined(session))
-    findings += () if names else _uncreated(session, chosen)
-    shown = folded(tuple(dict.fromkeys((*findings, *unexamined))))
+    findings += (each for each in (() if names else _uncreated(session, chosen)) if each not in findings)
+    shown = folded((*findings, *unexamined))
     if sarif is not None:
         write_outputs(run, sarif, sarif_log("keymint check", {}, of_diagnostics(shown), run.typed))
     number = sum(finding.severity is not Severity.NOTE for finding in shown)
@@ -126,7 +126,7 @@ class _Proof:
             return error.diagnostics
         self.run.keep(session, proof.results.state)
         found = merged_packages(
-            diagnostics_of(proof.results, strict=self.strict),
+            (each for each in diagnostics_of(proof.results, strict=self.strict) if each.code != NO_PROVER),
             lambda name: session.workspace.shown(session.enclave_folder(name)),
         )
         return (*found, *merged(dated_of(proof.results)), *proof.outliving)
