@@ -62,7 +62,8 @@ def install(
         raise click.UsageError("--new-authority applies to all enclaves; do not name packages.")
 
     def make_plan(session: Session) -> Plan:
-        plan, authorities = plan_authorities(session, new_authority)
+        new = () if run.resumes else new_authority
+        plan, authorities = plan_authorities(session, new)
         plan = plan.then(plan_lists(session.after(plan), authorities))
         after = session.after(plan)
         chosen = run.names(session, names)
@@ -73,7 +74,7 @@ def install(
         if narrower := superseded(session, installed, asked=revoke_superseded):
             run.workers.close()
             first = plan_revocation(session, narrower, SUPERSEDED).plan
-            return reissued(run, session, first, chosen, prove=prove, new_authority=new_authority)
+            return reissued(run, session, first, chosen, prove=prove, new_authority=new)
         warnings = policy_changed(session) if chosen else (no_packages(session),)
         missing = () if names or (chosen and not prove) else uncreated(session, lazy_policy(session), chosen)
         done = plan.then(installed).noting(*warnings, *missing)

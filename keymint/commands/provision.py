@@ -98,11 +98,11 @@ def provision(
                 code="subjects-none",
             )
         # Processes begin with the authorities, which then sign the last.
-        minted, authorities = plan_authorities(session, new_authority)
+        minted, authorities = plan_authorities(session, () if run.resumes else new_authority)
         minted = minted.then(plan_lists(session.after(minted), authorities))
         session = session.after(minted)
         create = partial(CreateStage, policy=acquired, force=force)
-        build = partial(BuildStage, options=options, force=force, renew=renew, policy=acquired)
+        build = partial(BuildStage, options=options, force=force, renew=renew and not run.resumes, policy=acquired)
         install = partial(InstallStage, authorities=authorities, prune=prune)
         proof = proof_stage(run, acquired, standard_only=document_options.allow_vendor_specific)
         subjects = create(session).subjects(names)

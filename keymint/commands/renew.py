@@ -78,7 +78,7 @@ def renew(run: Run, names: tuple[str, ...], threshold: Threshold, rekey: bool, p
         due = schedule(session, installed_terms(session, with_enclaves(session, packages, names)), threshold)
         if names:
             due = Schedule(tuple(map(Due, packages)), due.lists, due.authorities, due.following)
-        renewal = _renewal(run, session, due, rekey=rekey, prove=prove, alone=not names)
+        renewal = _renewal(run, session, due, rekey=rekey and not run.resumes, prove=prove, alone=not names)
         done[:] = [renewal]
         return renewal.plan
 

@@ -116,17 +116,8 @@ def _require_same(session: Session, name: str) -> Mapping[str, Stamp]:
 
 
 def _is_other(session: Session, name: str, change: FolderChange) -> bool:
-    """Tell whether a change gives a package other documents than it has.
-
-    Those that a killed run wrote, or was about to write, are what a renewal was to make.
-    """
-    if change.folder != session.workspace.build / name:
-        return False
-    under_way = session.state.interrupted
-    return bool(change.removed) or any(
-        new.digest not in under_way and session.tree.digest(change.folder / file) not in under_way
-        for file, new in change.files.items()
-    )
+    """Tell whether a change gives a package other documents than it has."""
+    return change.folder == session.workspace.build / name and bool(change.removed or change.files)
 
 
 def refuse_new_authorities(session: Session, plan: Plan) -> None:
