@@ -100,7 +100,7 @@ class Client:
             needed = tuple(dict.fromkeys((*names, *session.after(created).infrastructure())))
             return reissued(run, session, created, needed, prove=prove, policy=policy)
 
-        run = self._run("provision")
+        run = self._run("provision", name)
         enclave = self._enclave(run.carry_out(self._workspace, make_plan), name)
         if not enclave.folder.is_dir():
             raise KeymintError(
@@ -171,7 +171,7 @@ class Client:
         Raises:
             KeymintError: what it reports as errors.
         """
-        run = self._run(command.name)
+        run = self._run(command.name, *subjects, *map(repr, sorted(options.items())))
         report: Report = inspect.unwrap(command.callback)(run, names=tuple(subjects), **options)
         if failures := [each for each in report.diagnostics if each.severity is Severity.ERROR]:
             raise KeymintError.of(failures)
@@ -183,8 +183,8 @@ class Client:
         enclaves = (self._enclave(report, name) for name in names if name)
         return tuple(each for each in enclaves if each.folder.is_dir())
 
-    def _run(self, verb: str) -> Run:
-        setting = cli.setting(cli.call_of(("client",)), Streams(io.StringIO(), io.StringIO()))
+    def _run(self, verb: str, *arguments: str) -> Run:
+        setting = cli.setting(cli.call_of(("client", verb, *arguments)), Streams(io.StringIO(), io.StringIO()))
         options = {"quiet": True, "verbose": 0, "as_json": False, "workspace": self._folder, "jobs": 1}
         return Run(setting, verb, options)
 

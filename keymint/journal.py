@@ -140,7 +140,7 @@ def recovered(journal: Journal, folders: OpenFolders) -> Journal:
         KeymintError: the system refuses; it can be tried again.
     """
     waiting = [_is_pending(each) for each in journal.exchanges]
-    finished = journal.finished or not all(waiting)
+    finished = journal.finished or not (all(waiting) or any(map(_is_lost, journal.exchanges)))
     if finished:
         for exchange in journal.exchanges:
             if _is_pending(exchange):  # one may contain another one
@@ -162,6 +162,12 @@ def _is_pending(exchange: Exchange) -> bool:
     return os.path.lexists(f"{exchange.folder}/{exchange.staged}") and (
         exchange.old is None or not _has(place, exchange.changed)
     )
+
+
+def _is_lost(exchange: Exchange) -> bool:
+    """Tell whether a new name is not there, and what was staged for it is gone: another workspace removed it."""
+    names = (exchange.staged, exchange.name) if exchange.staged and exchange.old is None else ()
+    return bool(names) and not any(os.path.lexists(f"{exchange.folder}/{name}") for name in names)
 
 
 def _has(folder: str, changed: Mapping[str, str | None]) -> bool:

@@ -308,7 +308,7 @@ class Run:
         else:
             return report
         return replace(
-            report, diagnostics=(*report.diagnostics, Diagnostic.note("run-interrupted", message, None, help_))
+            report, diagnostics=(*report.diagnostics, Diagnostic.warning("run-interrupted", message, None, help_))
         )
 
     # -- doing it ------------------------------------------------------------------------------------------------

@@ -84,7 +84,7 @@ def _require_certified(session: Session, name: str, there: Collection[str], *, r
                 help=f"'keymint renew --rekey {name}' makes a new key",
                 code="key-barred",
             )
-    elif name not in there:
+    elif name not in there and not (rekey and register_of(session).of(name)):  # an enclave that was lost gets a new key
         raise KeymintError(
             f"the enclave {subject_of(name)} is not installed, so there is nothing to renew",
             where=session.workspace.origin(session.enclave_folder(name)),

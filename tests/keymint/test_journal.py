@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 from pathlib import Path
 
 import pytest
@@ -104,6 +105,29 @@ def test_a_workspace_may_be_moved_meanwhile(root: Path, monkeypatch: pytest.Monk
     root.rename(moved)
     store_of(moved).recover()
     assert files_in(moved / "src") == NEW
+
+
+def test_what_was_staged_and_is_lost_is_dropped_with_the_rest(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopping(folder: int, exchange: Exchange) -> str | None:
+        if exchange.name != "running":
+            raise KeyboardInterrupt
+        return made(folder, exchange)
+
+    store, made = store_of(root), group_commit.make_visible
+    store.begin(Intent())
+    new = FolderChange(root / "src/new", {"key": File(b"")}), FolderChange(root / "src/b", {"z": File(b"new")})
+    staged = store.stage(new)
+    monkeypatch.setattr(group_commit, "make_visible", stopping)
+    with pytest.raises(KeyboardInterrupt):
+        store.commit([staged])
+    monkeypatch.undo()
+    (new_folder,) = (root / "src").glob(".keymint-*")  # a workspace that shares the folder swept it away
+    shutil.rmtree(new_folder)
+    (new_file,) = (root / "src/b").glob(".keymint-*")
+    new_file.rename(root / "src/b/z")
+    found = store_of(root).recover()
+    assert found is not None
+    assert not found.finished
 
 
 @pytest.mark.parametrize("content", [b"", b"0123", b"\0" * 10, b"{}", Journal(Intent("x")).dump(Path())[:-9]])
