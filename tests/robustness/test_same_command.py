@@ -10,7 +10,7 @@ from __future__ import annotations
 import filecmp
 import re
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from tests.effort import FULL
 from tests.keymint.commands.test_authority import outside
 
 from . import scenarios, tracing
-from .test_kill import chosen
+from .test_kill import CRITICAL
 from .tracing import Ended, Point
 
 pytestmark = pytest.mark.strace
@@ -203,6 +203,16 @@ def temporary(folder: Path) -> list[str]:
     return [path for path in scenarios.tree(folder) if ".keymint-" in path or path.endswith("/running")]
 
 
+def sample(points: Sequence[Point], most: int, first: int) -> Sequence[Point]:
+    """Return the calls to strike: of those that change visible names, and of half as many others, some in rotation."""
+    if FULL:
+        return points
+    visible = [point for point in points if point.call in CRITICAL]
+    others = [point for point in points if point.call not in CRITICAL]
+    parts = ((part, max(1, len(part) // number)) for part, number in ((visible, most), (others, most // 2)))
+    return [point for part, step in parts for point in part[first % step :: step]]
+
+
 def looks(folder: Path, start: Path) -> frozenset[tuple[str, str, bool]]:
     """Return what a run left, temporary files included: each path, its mode, and whether it is as it was."""
 
@@ -249,7 +259,7 @@ def test_the_same_command_finishes_what_was_interrupted(name: str, memory: Path,
     assert not (struck.checked and checked and (undisturbed / "ws").exists())
     at, met = [*COMMANDS].index(name), set[frozenset[tuple[str, str, bool]]]()
     for how in (KILLED, *ERRORS) if FULL else (KILLED, ERRORS[at % 3]):
-        points = chosen(traced.points, 6 if name in SHOWN and how == KILLED else 2, at)
+        points = sample(traced.points, (8 if name in SHOWN else 4) if how == KILLED else 2, at)
         copies = [memory / f"copy-{number}" for number in range(len(points))]
         jobs: list[tuple[Point, list[str]]] = []
         for point, copy in zip(points, copies, strict=True):
