@@ -70,7 +70,7 @@ def renew(run: Run, names: tuple[str, ...], threshold: Threshold, rekey: bool, p
     Exit codes, e.g. for cron:
       0 renewed, or nothing is due
       1 something that is due was not renewed
-      3 a person must renew an authority, or make a key elsewhere; with --dry-run: something is due
+      3 a person must renew an authority, a second keystore, or make a key elsewhere; with --dry-run: something is due
     """
     done: list[_Renewal] = []
 
