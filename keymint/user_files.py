@@ -95,7 +95,7 @@ def _created(folder: int, name: str, on_wait: Callable[[], None]) -> int:
 def _remove_left_over(folder: int, name: str, on_wait: Callable[[], None]) -> None:
     """Remove a file once nobody holds its lock."""
     try:
-        opened = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=folder)
+        opened = os.open(name, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=folder)
     except FileNotFoundError:
         return
     try:
