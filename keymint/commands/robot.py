@@ -58,6 +58,6 @@ def opened(run: Run, keystore: RobotKeystore) -> Iterator[Store]:
     records = keystore.read().records
     store = Store({keystore.root: False}, records)
     with store.locked(run.console.waiting):
-        store.recover()
+        run.interrupted = store.recover()
         yield store
         store.end()

@@ -293,7 +293,7 @@ class Run:
         """Report that an interrupted run of this command is finished, and nothing is left to do."""
         return self.carry_out(workspace, lambda inputs: Plan((), inputs.state))
 
-    def _told(self, report: Report) -> Report:
+    def told(self, report: Report) -> Report:
         """Return a report that says what became of an interrupted run."""
         before = self.interrupted
         if before is None or not before.intent.command:
@@ -380,7 +380,7 @@ class Run:
             report = self.report({}, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps)
             remember(self.setting.call, inputs, plan, self.presented(report), sight, store, self.console)
             store.end()
-        return self._told(report)
+        return report
 
     def _planned_again(self, workspace: Workspace, make_plan: Callable[[Inputs], Plan]) -> tuple[Inputs, Plan, Sight]:
         """Plan under the workspace lock; return what the plan was made from, the plan, and the folders as they are."""

@@ -101,3 +101,24 @@ def test_calls_of_a_program_are_told_apart(provisioned: Path, keymint: Callable,
     assert len(issued(keymint, provisioned)) == len(found) + 1
     client.renew("/talker", rekey=True)
     assert len(issued(keymint, provisioned)) == len(found) + 2
+
+
+def test_a_command_that_fails_says_what_it_finished_as_well(
+    keymint: Callable, provisioned: Path, stopped: Callable
+) -> None:
+    stopped(lambda: keymint(*REKEY, cwd=provisioned), after="register.sqlite3")
+    refused = keymint("renew", "nobody", "--json", cwd=provisioned)
+    assert (refused.code, refused.codes()) == (1, ["package-unknown", "run-interrupted"])
+    assert keymint("check", cwd=provisioned).code == 0
+
+
+def test_a_robot_says_what_it_dropped(keymint: Callable, tmp_path: Path, stopped: Callable) -> None:
+    ask = ("request", "/talker", "--folder", "ks", "-o", "r.pem")
+    stopped(lambda: keymint(*ask))
+    outcome = keymint("request", "/listener", "--folder", "ks", "-o", "r.pem", "--json")
+    assert (outcome.code, outcome.codes()) == (0, ["run-interrupted"])
+    assert (
+        "'keymint request /talker --folder ks -o r.pem' was interrupted"
+        in outcome.document["diagnostics"][0]["message"]
+    )
+    assert not (tmp_path / "ks/.keymint/requests/talker").exists()
