@@ -180,20 +180,27 @@ class Client:
     def _enclaves_of(self, report: Report) -> tuple[Enclave, ...]:
         """Return the enclaves that a run changed."""
         names = dict.fromkeys(step.package for step in report.steps if step.stage == "install" and step.writes())
+        names |= dict.fromkeys(self._finished())
         enclaves = (self._enclave(report, name) for name in names if name)
         return tuple(each for each in enclaves if each.folder.is_dir())
 
     def _run(self, verb: str, *arguments: str) -> Run:
         setting = cli.setting(cli.call_of(("client", verb, *arguments)), Streams(io.StringIO(), io.StringIO()))
         options = {"quiet": True, "verbose": 0, "as_json": False, "workspace": self._folder, "jobs": 1}
-        return Run(setting, verb, options)
+        self._latest = Run(setting, verb, options)
+        return self._latest
+
+    def _finished(self) -> tuple[str, ...]:
+        """Return the packages that the latest run changed in place of one that was interrupted."""
+        before = self._latest.interrupted
+        return before.intent.packages if before and before.finished else ()
 
     def _enclave(self, report: Report, name: str) -> Enclave:
         steps = [step for step in report.steps if step.package == name and step.stage == "install"]
         own = tuple(each for each in report.diagnostics if each.subject in {subject_of(name), ""})
         if failures := [each for each in own if each.severity is Severity.ERROR]:
             raise KeymintError.of(failures)
-        changed = any(step.writes() for step in steps)
+        changed = any(step.writes() for step in steps) or name in self._finished()
         return Enclave(subject_of(name), self._session.enclave(name), self._workspace.install, changed, own)
 
     def _loaded(self, session: Session) -> LoadedPolicy:

@@ -97,7 +97,9 @@ def test_calls_of_a_program_are_told_apart(provisioned: Path, keymint: Callable,
     assert keymint("install", cwd=provisioned).code == 0
     found = issued(keymint, provisioned)
     stopped(lambda: client.renew("/talker", rekey=True), after="register.sqlite3")
-    client.renew("/robot1/listener", rekey=True)  # another call finishes it
+    changed = client.renew("/robot1/listener", rekey=True)  # another call finishes it
+    assert [each.subject for each in changed] == ["/robot1/listener", "/talker"]
+    assert all(each.changed for each in changed)
     assert len(issued(keymint, provisioned)) == len(found) + 1
     client.renew("/talker", rekey=True)
     assert len(issued(keymint, provisioned)) == len(found) + 2
