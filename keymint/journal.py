@@ -17,11 +17,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.file_writing import check_component, is_temporary, reported
 from keymint.folder_staging import NOT_EMPTY, Carried
 from keymint.group_commit import make_visible
+from keymint.names import listed
 from keymint.open_folders import OpenFolders
 from keymint.staged import Exchange
 from keymint.state import digest, sealed, unsealed
@@ -80,6 +82,24 @@ class Journal:
     intent: Intent = Intent()
     exchanges: tuple[Exchange, ...] = ()
     finished: bool = False
+
+    def outcome(self, intent: Intent) -> Diagnostic | None:
+        """Return what became of the run, for the next one; None if that does all of it by itself.
+
+        Args:
+            intent: that of the next run.
+        """
+        command, packages = self.intent.command, self.intent.packages
+        if self.finished:
+            message = f"'{command}' was interrupted; all that it was asked for is done now"
+            message += f": {listed(packages)}" if packages else ""
+            help_ = "deploy what it changed in the install space"
+        elif command and self.intent.inputs != intent.inputs:
+            message = f"'{command}' was interrupted before anything changed, and is dropped"
+            help_ = "give it again if it is still wanted"
+        else:
+            return None
+        return Diagnostic.warning("run-interrupted", message, None, help_)
 
     def dump(self, records: Path) -> bytes:
         """Return the journal as bytes; its paths are relative to the folder of records, so a workspace may be moved."""

@@ -25,7 +25,7 @@ from keymint.errors import ExitCode, KeymintError
 from keymint.execute import RECORD, execute, open_store, require_register
 from keymint.folder_status import Sight
 from keymint.journal import Intent, Journal, intent_of
-from keymint.names import listed, package_name
+from keymint.names import package_name
 from keymint.output.console import Console, Streams
 from keymint.output.report import Report, folded
 from keymint.pins import Pins
@@ -295,21 +295,8 @@ class Run:
 
     def told(self, report: Report) -> Report:
         """Return a report that says what became of an interrupted run."""
-        before = self.interrupted
-        if before is None or not before.intent.command:
-            return report
-        if before.finished:
-            of = f": {listed(before.intent.packages)}" if before.intent.packages else ""
-            message = f"'{before.intent.command}' was interrupted; all that it was asked for is done now{of}"
-            help_ = "deploy what it changed in the install space"
-        elif before.intent.inputs != self.intent().inputs:
-            message = f"'{before.intent.command}' was interrupted before anything changed, and is dropped"
-            help_ = "give it again if it is still wanted"
-        else:
-            return report
-        return replace(
-            report, diagnostics=(*report.diagnostics, Diagnostic.warning("run-interrupted", message, None, help_))
-        )
+        found = self.interrupted.outcome(self.intent()) if self.interrupted else None
+        return replace(report, diagnostics=(*report.diagnostics, found)) if found else report
 
     # -- doing it ------------------------------------------------------------------------------------------------
 
