@@ -35,6 +35,7 @@ from keymint.plan.prove import NO_PROVER, STAGE
 from keymint.plan.register import with_enclaves
 from keymint.plan.terms import merged
 from keymint.session import Session
+from keymint.state import State
 
 
 @verb()
@@ -75,11 +76,11 @@ def check(
     session = run.session(auditing=True)
     chosen = run.names(session, names)
     with run.pool() as pool:
-        findings = list(find(session, chosen, within, pool))
+        findings, state = list(find(session, chosen, within, pool)), session.state
         if not no_prove:
             known = {(each.code, each.where and each.where.file) for each in findings}
             proof = _Proof(run, pool, fresh=fresh, strict=strict, standard_only=allow_vendor_specific)
-            found = proof.findings(session, with_enclaves(session, chosen, names))
+            state, found = proof.results(session, with_enclaves(session, chosen, names))
             findings += (each for each in found if (each.code, each.where and each.where.file) not in known)
     unexamined = tuple(not_examined(session))
     findings += (each for each in (() if names else _uncreated(session, chosen)) if each not in findings)
@@ -87,6 +88,8 @@ def check(
     if sarif is not None:
         write_outputs(run, sarif, sarif_log("keymint check", {}, of_diagnostics(shown), run.typed))
     number = sum(finding.severity is not Severity.NOTE for finding in shown)
+    if not number:
+        run.keep(session, state)
     more = f"; {len(unexamined)} not examined" if unexamined else ""
     more += "; not proven, because of --no-prove" if no_prove else ""
     run.console.line(f"checked {counted(len(chosen), 'enclave')}: {counted(number, 'finding')}{more}")
@@ -110,10 +113,10 @@ class _Proof:
     strict: bool
     standard_only: bool
 
-    def findings(self, session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...]:
-        """Return the findings of the proof; a workspace without a policy has nothing to prove."""
+    def results(self, session: Session, names: Sequence[str]) -> tuple[State, tuple[Diagnostic, ...]]:
+        """Return the record to keep, and the findings of the proof; a workspace without a policy has none."""
         if not session.profile.policies:
-            return ()
+            return session.state, ()
         if self.fresh:
             proven = tuple(session.state.stamps.get(STAGE, ()))
             session = replace(session, state=session.state.updated(STAGE, {}, proven))
@@ -123,13 +126,12 @@ class _Proof:
                 session, names, policy, effort, lambda _: None, self.pool, standard_only=self.standard_only
             )
         except KeymintError as error:
-            return error.diagnostics
-        self.run.keep(session, proof.results.state)
+            return session.state, error.diagnostics
         found = merged_packages(
             (each for each in diagnostics_of(proof.results, strict=self.strict) if each.code != NO_PROVER),
             lambda name: session.workspace.shown(session.enclave_folder(name)),
         )
-        return (*found, *merged(dated_of(proof.results)), *proof.outliving)
+        return proof.results.state, (*found, *merged(dated_of(proof.results)), *proof.outliving)
 
 
 def _uncreated(session: Session, known: Sequence[str]) -> Sequence[Diagnostic]:

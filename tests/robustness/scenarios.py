@@ -136,6 +136,11 @@ KEYS_MOVE = frozenset({REISSUE[-1], END[-1]})
 """Words of runs in which a private key takes the place of another one."""
 
 
+def unproven(scenario: Scenario) -> tuple[str, ...]:
+    """Return the option of ``check`` for enclaves that were installed without a proof, and differ from the policy."""
+    return ("--no-prove",) if "--no-prove" in scenario.verb else ()
+
+
 def tree(workspace: Path, *, answers: bool = False) -> dict[str, str]:
     """Return every path of a workspace with its type and mode.
 

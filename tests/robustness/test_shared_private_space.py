@@ -108,7 +108,7 @@ def revoked(folder: Path) -> set[str]:
 
 def require_clean(folder: Path, keymint: Keymint) -> None:
     for name in ("one", "two"):
-        checked = keymint(*arguments(folder, name, "check"))
+        checked = keymint(*arguments(folder, name, "check", "-q"))
         assert (checked.code, checked.err) == (0, "")
 
 
