@@ -53,6 +53,7 @@ class Expectation:
         subject: ``fnmatch`` expression of subjects.
         permission: a permission; its prefix ``ros_`` may be omitted.
         object: ``fnmatch`` expression of objects.
+        kind: kind of the objects; empty if it follows from permission and object.
         partition: the partition; empty for the default one.
         where: where the expectation is written.
     """
@@ -64,6 +65,7 @@ class Expectation:
     object: str
     partition: str
     where: Origin
+    kind: str = ""
 
 
 PERMISSIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(

@@ -10,8 +10,9 @@ from collections.abc import Iterable, Sequence
 from itertools import accumulate
 
 from comarmor.ros_names import is_segment
-from comarmor.text import quoted
-from keymint.errors import KeymintError
+from comarmor.rules import KIND_OF, PERMISSIONS
+from comarmor.text import did_you_mean, quoted
+from keymint.errors import ExitCode, KeymintError
 
 MAX_SEGMENT = 200
 """Bytes of a segment: file systems allow 255, and the names of temporary files need some of them."""
@@ -22,6 +23,10 @@ RESERVED = "KEYMINT_IGNORE"
 _LISTED = 8
 """Names in one line of text; ``--json`` has all."""
 _EXAMPLE = "a name is '/' and segments, e.g. /robot1/talker"
+RAW = "topic"
+"""The kind of the names of a transport, as they are."""
+_BEGINS = ("/", "*", "?", "[", "\\")
+"""What expressions of ROS names begin with."""
 ROOT = "root-enclave"
 """Package name of the root enclave, whose subject is ``/``; no other subject can have it, because of its ``-``."""
 
@@ -116,3 +121,43 @@ def refuse_reserved(name: str, reserved: Iterable[str]) -> None:
             help="rename the subject",
             code="name-reserved",
         )
+
+
+def typed_subject(text: str) -> str:
+    """Return the subject, or expression of subjects, that a user typed; the leading ``/`` is optional."""
+    return text if text[:1] in ("/", "*") else f"/{text}"
+
+
+def typed_permission(text: str, name: str, kind: str = "", begins: Sequence[str] = _BEGINS) -> tuple[str, str]:
+    """Return the kind and the permission that a user typed; the prefix ``ros_`` is optional.
+
+    ``publish``, ``subscribe`` and ``relay`` mean a raw topic if the name cannot be a ROS name. With a kind, they mean
+    the permission of that kind.
+
+    Args:
+        text: the word, e.g. ``publish`` or ``ros_call``.
+        name: name or expression of the object.
+        kind: kind of the object, a key of :data:`comarmor.rules.PERMISSIONS`; empty if the user named none.
+        begins: what ROS names begin with; by default what expressions of them do.
+
+    Raises:
+        KeymintError: there is no such permission, or the name cannot be one of a ROS object.
+    """
+    as_ros = name[:1] in begins or text not in PERMISSIONS[RAW]
+    known = PERMISSIONS[kind] if kind else PERMISSIONS[RAW] if not as_ros else KIND_OF.keys() - PERMISSIONS[RAW]
+    permission = next((each for each in (text, f"ros_{text}") if each in known), None)
+    if permission is None:
+        words = tuple(dict.fromkeys(each.removeprefix("ros_") for each in PERMISSIONS.get(kind, KIND_OF)))
+        of_kind = f" of a {kind}" if kind else ""
+        hint = did_you_mean(text, (*words, *KIND_OF), f"permissions are {', '.join(words)}")
+        raise _wrong_usage(f"there is no permission {text!r}{of_kind}", hint, "permission-unknown")
+    found = KIND_OF[permission]
+    if found != RAW and name[:1] not in begins:
+        raw = f", or the raw topic {name!r} by --kind {RAW}" if found == "ros_topic" else ""
+        message = f"a {found} has no name {name!r}: ROS names begin with '/'"
+        raise _wrong_usage(message, f"did you mean {'/' + name!r}{raw}?", "object-name")
+    return found, permission
+
+
+def _wrong_usage(message: str, help_: str, code: str) -> KeymintError:
+    return KeymintError(message, help=help_, code=code, exit_code=ExitCode.USAGE)

@@ -71,6 +71,7 @@ def _read(file: Path) -> Iterator[Expectation]:
                 object=object_,
                 partition=partition,
                 where=where,
+                kind=element.get("kind", ""),
             )
     if defects:
         raise ComArmorError.of(defects)

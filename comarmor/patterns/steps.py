@@ -117,7 +117,7 @@ def cached(maxsize: int) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:
             token = _current.set(counter)
             try:
                 return function(*args, **kwargs), 1 + counter.spent
-            except StepLimitError:
+            except Exception:
                 if outer is not None:
                     outer.spent += counter.spent
                 raise

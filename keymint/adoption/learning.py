@@ -23,7 +23,7 @@ from keymint.api import (
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import package_name
-from keymint.plan.proof_results import ProofEffort
+from keymint.plan.proof_results import ProofEffort, costliest
 from keymint.plugins import Plugins
 
 _REFUSED = frozenset(("adopt-authorities", "adopt-doubled"))
@@ -127,10 +127,11 @@ def _unproven(
             each.document, each.file, each.offset, each.subject_name, rules, learning.distro, each.domains,
             learning.effort.states, learning.effort.deadline(),
         )  # fmt: skip
-        comparison = comparer.compared(task)
+        with learning.effort.limit(rules.rules):
+            comparison = comparer.compared(task)
         if comparison.relation is not Relation.EQUAL:
             example = comparison.missing or comparison.excess
-            reason = comparison.reason or _example(example)
+            reason = _example(example) if not comparison.reason else comparison.reason + costliest(rules.rules)
             message = f"{rules.subject}: the learned rules are not proven to mean what {each.file} means: {reason}"
             help_ = "simplify the document, or report a defect of Keymint if it is a simple one"
             yield Diagnostic.error("learn-unproven", message, None, help_, rules.subject)

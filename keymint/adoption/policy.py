@@ -119,7 +119,8 @@ def compared(
                 grant.document, grant.file, grant.offset, grant.subject_name, of_subject, distro, each.domains,
                 effort.states, go_on,
             )  # fmt: skip
-            found.append(Compared(each.subject, comparer.compared(task), grant.file))
+            with effort.limit(of_subject.rules):
+                found.append(Compared(each.subject, comparer.compared(task), grant.file))
     return tuple(found)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compare two policies for all subjects that neither names: what any of them gains or loses.
+"""Search subjects that neither of two policies names for one that gains or loses something.
 
 Only a rule in just one of the policies can make a difference. For each such rule one search covers all subjects and
 objects at once (:mod:`keymint.analysis.symbolic_search`); rules in both policies cost nothing.
@@ -7,7 +7,6 @@ objects at once (:mod:`keymint.analysis.symbolic_search`); rules in both policie
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from itertools import product
@@ -15,52 +14,45 @@ from itertools import product
 from comarmor.patterns.decision_lists import Equal, Unknown, negated
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.matching import matches
-from comarmor.patterns.relations import disjoint
+from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection
 from comarmor.rules import PARTS, PERMISSIONS, Effect
+from comarmor.values import dataclass
 from keymint.analysis.query_budget import QueryBudget
-from keymint.analysis.rule_diff import PermissionChange, unknown_change
-from keymint.analysis.rule_lists import PermissionKey, allow_only, decision_list, find_permitted
-from keymint.analysis.subject_patterns import EVERY, example_subject, rules_of
+from keymint.analysis.rule_lists import PermissionKey, decision_list, deny_over_allow, find_permitted
+from keymint.analysis.subject_patterns import EVERY, SubjectClass, example_subject, rules_of
 from keymint.analysis.subject_templates import exact_halves, fill_placeholders, fit_pattern, placeholders
 from keymint.analysis.symbolic_rules import SymbolicRule, SymbolicRules
-from keymint.analysis.symbolic_search import EVERYBODY, SymbolicCondition, find_subject
+from keymint.analysis.symbolic_search import EVERYBODY, SymbolicCondition, SymbolicEntry, find_subject
 from keymint.api import LoadedPolicy
 
+KEYS: tuple[PermissionKey, ...] = tuple(
+    key for kind, permissions in PERMISSIONS.items() for key in product((kind,), permissions) if key not in PARTS
+)
+"""The permissions without parts: policies that agree on these agree on all."""
+_ROUNDS = 16
+"""Maximum number of examples for a rule; but one for each pattern of its subjects."""
 
-def pattern_differences(
-    policies: tuple[LoadedPolicy, LoadedPolicy],
-    written: tuple[SymbolicRules, SymbolicRules],
-    named: Iterable[str],
-    budget: QueryBudget,
-) -> Iterator[tuple[Glob, str | PermissionChange]]:
-    """Yield patterns of subjects, each with an example that gains or loses something, or with an unknown change.
 
-    No result proves that no subject gains or loses anything, whatever its name.
+@dataclass(frozen=True, slots=True)
+class PatternDifference:
+    """A difference for subjects that no policy names.
 
-    Args:
-        policies: the older one and the newer one.
-        written: the rules of both.
-        named: subjects to ignore.
-        budget: limit of the search.
+    Attributes:
+        gains: only the newer policy allows it.
+        key: the permission.
+        rule: the rule that allows it.
+        within: pattern of the subjects that were searched.
+        found: an example, or why it is not known whether there is one.
     """
-    named = tuple(named)
-    # Policies that agree on the permissions without parts agree on all.
-    keys = [
-        key for kind, permissions in PERMISSIONS.items() for key in product((kind,), permissions) if key not in PARTS
-    ]
-    for comparison in (
-        _PatternComparison(True, policies, written, named, budget),
-        _PatternComparison(False, policies[::-1], written[::-1], named, budget),
-    ):
-        for key in keys:
-            for subjects, difference in comparison.of(key):
-                if isinstance(difference, PermissionChange) and budget.is_empty:
-                    yield EVERY, unknown_change(budget.reason(difference.unknown))
-                    return
-                yield subjects, difference
+
+    gains: bool
+    key: PermissionKey
+    rule: SymbolicRule
+    within: Glob
+    found: str | Unknown
 
 
-class _PatternComparison:
+class PatternComparison:
     """Finds what one policy allows and another one does not.
 
     Args:
@@ -76,66 +68,96 @@ class _PatternComparison:
         gains: bool,
         policies: tuple[LoadedPolicy, LoadedPolicy],
         rules: tuple[SymbolicRules, SymbolicRules],
-        named: tuple[str, ...],
+        named: Iterable[str],
         budget: QueryBudget,
     ) -> None:
         self._gains = gains
         self._policies = policies
         self._before, self._after = rules
         self._budget = budget
-        self._reported: dict[Glob, dict[str, None]] = defaultdict(dict)
+        named = tuple(named)
         # Returns the named subjects that match a pattern.
-        self._matching_named = cache(lambda pattern: frozenset(name for name in named if matches(pattern, name)))
+        self._matching_named = cache(lambda pattern: tuple((name,) for name in named if matches(pattern, name)))
+        self._changed = cache(self._changed_rules)
 
-    def of(self, key: PermissionKey) -> Iterator[tuple[Glob, str | PermissionChange]]:
-        """Yield the differences for a kind and permission, at most one for each rule and pattern of its subjects."""
-        allowed = self._after.all(key, Effect.ALLOW)
-        new = allowed.keys() - self._before.all(key, Effect.ALLOW).keys()
-        denials = self._before.all(key, Effect.DENY)
-        lifted = [denials[content] for content in denials.keys() - self._after.all(key, Effect.DENY).keys()]
+    def differences(
+        self, key: PermissionKey, area: SubjectClass, said: Sequence[Glob], listed: Sequence[SubjectClass]
+    ) -> Iterator[PatternDifference]:
+        """Yield differences for a kind and permission; no result proves that there is none.
+
+        Args:
+            key: the permission.
+            area: the subjects to search.
+            said: patterns of symbolic words to ignore.
+            listed: classes of subjects to ignore; may grow between results.
+        """
+        new, lifted = self._changed(key)
         if not new and not lifted:
             return
-        lifted.sort(key=lambda one: (one.where, str(one.content)))
-        for content, rule in allowed.items():
-            for subjects in rule.reach.subjects:
-                searches = [self._not_allowed_before(key, rule, subjects)] if content in new else []
+        every = area.like == EVERY
+        allowed = self._after.all(key, Effect.ALLOW).values()
+        for rule in allowed if every else self._after.applying(key, Effect.ALLOW, area.like):
+            rounds = _ROUNDS
+            for subjects in rule.reach.subjects if every else _overlaps(rule.reach.subjects, area.like):
+                searches = [self._not_allowed_before(key, rule, subjects)] if rule.content in new else []
                 searches += self._denied_before(key, rule, subjects, lifted)
-                answer = self._first(key, rule, subjects, searches) if searches else None
-                if isinstance(answer, str):
-                    self._reported[subjects][answer] = None
-                    yield subjects, answer
-                elif answer is not None:
-                    change = PermissionChange(self._gains, *key, rule.object, False, "", rule.where, answer.reason)
-                    yield subjects, change
+                for _ in range(max(rounds, 1) if searches else 0):
+                    part = SubjectClass(subjects, area.excluded)
+                    answer = self._first(key, rule, part, searches, said, listed)
+                    if answer is not None:
+                        yield PatternDifference(self._gains, key, rule, subjects, answer)
+                    if not isinstance(answer, str):
+                        break
+                    rounds -= 1
+                else:
+                    if searches:
+                        reason = Unknown(f"its subjects change in more than {_ROUNDS} ways")
+                        yield PatternDifference(self._gains, key, rule, subjects, reason)
+
+    def _changed_rules(self, key: PermissionKey) -> tuple[set[object], tuple[SymbolicRule, ...]]:
+        """Return the contents of the new rules that allow something, and the old rules that denied something."""
+        new = self._after.all(key, Effect.ALLOW).keys() - self._before.all(key, Effect.ALLOW).keys()
+        denials = self._before.all(key, Effect.DENY)
+        lifted = [denials[content] for content in denials.keys() - self._after.all(key, Effect.DENY).keys()]
+        return {*new}, tuple(sorted(lifted, key=lambda one: (one.where, str(one.content))))
 
     def _first(
-        self, key: PermissionKey, rule: SymbolicRule, subjects: Glob, searches: Sequence[_AlternativeSearches]
+        self,
+        key: PermissionKey,
+        rule: SymbolicRule,
+        area: SubjectClass,
+        searches: Sequence[_AlternativeSearches],
+        said: Sequence[Glob],
+        listed: Sequence[SubjectClass],
     ) -> str | Unknown | None:
         """Return the first subject found by a search, else the reason why one of them is undecided."""
 
         def check(subject: str) -> bool | Unknown:
-            return self._differs(key, rule.object, subject)
+            return self._differs(key, rule.object, subject, said)
 
-        tried = [*self._reported[subjects], *self._example(subjects)]
-        for subject in tried:
-            if check(subject) is True:
-                return subject
+        excluded = (*area.excluded, *self._matching_named(area.like))
+        listed = [each for each in listed if not disjoint(each.like, area.like)]
+        if any(area.is_part_of(each) for each in listed):
+            return None
+        example = example_subject(area.like)
+        if example is not None and not any(matches(each, example) for each in excluded):
+            if not any(example in each for each in listed) and check(example) is True:
+                return example
+            excluded = (*excluded, (example,))
+        more = (SymbolicCondition(tuple(SymbolicEntry((EVERYBODY,), each) for each in said), some=False),)
         undecided: Unknown | None = None
         for alternatives in searches:
             answer: str | Unknown | None = None
             for within, shape, conditions in alternatives:
-                excluded = (*self._matching_named(within), *tried)
-                answer = find_subject(key[0], within, shape, conditions, check, excluded, self._budget)
+                answer = find_subject(
+                    key[0], within, shape, (*conditions, *more), check, excluded, self._budget, listed
+                )
                 if not isinstance(answer, Unknown):
                     break
             if isinstance(answer, str):
                 return answer
             undecided = undecided or answer
         return undecided
-
-    def _example(self, subjects: Glob) -> tuple[str, ...]:
-        example = example_subject(subjects)
-        return () if example is None or example in self._matching_named(subjects) else (example,)
 
     def _not_allowed_before(self, key: PermissionKey, rule: SymbolicRule, subjects: Glob) -> _AlternativeSearches:
         """Return the search for what a rule allows and no rule allowed before."""
@@ -172,12 +194,13 @@ class _PatternComparison:
             alternatives.append((subjects, rule.object, both))
         return sorted(alternatives, key=_inexact_entries)
 
-    def _differs(self, key: PermissionKey, pattern: Glob, subject: str) -> bool | Unknown:
-        """Return True if only one policy allows a subject something that a pattern matches."""
-        concrete = fill_placeholders(pattern, *exact_halves(subject))
+    def _differs(self, key: PermissionKey, pattern: Glob, subject: str, said: Sequence[Glob]) -> bool | Unknown:
+        """Return True if only one policy allows a subject something that a pattern matches, besides what is ignored."""
+        concrete, *ignored = (fill_placeholders(each, *exact_halves(subject)) for each in (pattern, *said))
         before, after = (decision_list(rules_of(policy, subject), key) for policy in self._policies)
         budget = self._budget.next_query()
-        outcome = find_permitted(key[0], allow_only(concrete), after, negated(before), budget=budget)
+        shown = deny_over_allow(ignored, [concrete])
+        outcome = find_permitted(key[0], shown, after, negated(before), budget=budget)
         if isinstance(outcome, Unknown):
             return Unknown(self._budget.reason(outcome.reason))
         return not isinstance(outcome, Equal)
@@ -201,3 +224,13 @@ def _may_overlap(denial: SymbolicRule, rule: SymbolicRule, subjects: Glob) -> bo
     if not placeholders(denial.object) and not placeholders(rule.object) and disjoint(denial.object, rule.object):
         return False
     return any(not disjoint(one, subjects) for one in denial.reach.subjects)
+
+
+def _overlaps(subjects: Sequence[Glob], other: Glob) -> tuple[Glob, ...]:
+    """Return the overlaps of patterns with another one, or that one if they are all of it or too complex."""
+    if any(covers(one, other) for one in subjects):
+        return (other,)
+    try:
+        return tuple(dict.fromkeys(piece for one in subjects for piece in intersection(one, other)))
+    except TooComplexError:
+        return (other,)

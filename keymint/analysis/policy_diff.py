@@ -3,16 +3,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import product
 
-from comarmor.patterns.expression import matches
+from comarmor.patterns.decision_lists import Unknown
+from comarmor.patterns.glob import literal, parse
 from comarmor.values import dataclass
-from keymint.analysis.pattern_diff import pattern_differences
+from keymint.analysis.pattern_diff import KEYS, PatternComparison, PatternDifference
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.root_names import ROOT_ENCLAVE
 from keymint.analysis.rule_diff import PermissionChange, rule_changes, unknown_change
 from keymint.analysis.rule_lists import SEPARATOR, pattern_text
-from keymint.analysis.subject_patterns import structure
+from keymint.analysis.subject_classes import ClassFinder
+from keymint.analysis.subject_patterns import EVERY, SubjectClass, structure
+from keymint.analysis.subject_templates import exact_halves, fill_placeholders
 from keymint.analysis.symbolic_rules import SymbolicRules
 from keymint.api import LoadedPolicy
 from keymint.graph import Edge, Object
@@ -27,10 +32,12 @@ class SubjectChanges:
 
     Attributes:
         subject: the subject; empty if unknown.
-        like: the pattern of subjects that it is an example of; empty for one that a policy names.
+        like: the pattern of a class of subjects of which it is an example; empty if the changes are its own. All that
+            the pattern matches and ``excluded`` does not change in this way, with their own namespace and name.
         before: the older policy has a profile that applies to it.
         after: the newer one has.
         changes: gains first.
+        excluded: patterns of the subjects that are left out.
     """
 
     subject: str
@@ -38,13 +45,14 @@ class SubjectChanges:
     before: bool
     after: bool
     changes: tuple[PermissionChange, ...]
+    excluded: tuple[str, ...] = ()
 
 
 def diff_policies(old: LoadedPolicy, new: LoadedPolicy, budget: QueryBudget | None = None) -> list[SubjectChanges]:
     """Return the changes between two policies by subject, without unchanged subjects.
 
-    Includes the subjects that either policy names, and an example for each pattern of other subjects and rule with a
-    difference. An empty result proves that the policies are equivalent, for every possible subject and object.
+    Includes the subjects that either policy names, and classes of other subjects that change in the same way. An empty
+    result proves that the policies are equivalent, for every possible subject and object.
 
     Args:
         old: the older policy.
@@ -55,36 +63,105 @@ def diff_policies(old: LoadedPolicy, new: LoadedPolicy, budget: QueryBudget | No
     written = [structure(policy) for policy in (old, new)]
     books = [SymbolicRules(each) for each in written if each]
     named = {*old.subjects(), *new.subjects()}.union(*(book.singles for book in books))
-    changed = [each for subject in sorted(named) for each in _of_subject(old, new, subject, "", budget)]
+    own = {subject: _of_subject(old, new, subject, budget) for subject in sorted(named | {ROOT_ENCLAVE})}
+    classes: list[SubjectChanges] = []
     if len(books) < len(written):
-        return [*changed, _unknown("*", unknown_change(_UNWRITTEN))]
-    reported: set[tuple[str, str]] = set()
-    for subjects, difference in pattern_differences((old, new), (books[0], books[1]), named, budget):
-        like = pattern_text(subjects)
-        if isinstance(difference, PermissionChange):
-            changed.append(_unknown(like, difference))
-        elif (like, difference) not in reported:
-            reported.add((like, difference))
-            changed += _of_subject(old, new, difference, like, budget)
-    # Patterns are compared by the names of nodes, which the root enclave does not have.
-    patterns = {each.like for each in changed if each.like}
-    if ROOT_ENCLAVE not in named and not any(matches(like, ROOT_ENCLAVE) for like in patterns):
-        changed += _of_subject(old, new, ROOT_ENCLAVE, "", budget)
-    return changed
+        classes.append(_unknown("*", unknown_change(_UNWRITTEN)))
+    else:
+        classes += _classes((old, new), (books[0], books[1]), own, budget)
+    # The root enclave is a member of classes, although no profile means it.
+    known = (each for each in classes if not any(change.unknown for change in each.changes))
+    if ROOT_ENCLAVE not in named and any(_is_member(each, ROOT_ENCLAVE) for each in known):
+        del own[ROOT_ENCLAVE]
+    return [*(each for each in own.values() if each), *classes]
 
 
-def _of_subject(
-    old: LoadedPolicy, new: LoadedPolicy, subject: str, like: str, budget: QueryBudget
+def _classes(
+    policies: tuple[LoadedPolicy, LoadedPolicy],
+    books: tuple[SymbolicRules, SymbolicRules],
+    own: Mapping[str, SubjectChanges | None],
+    budget: QueryBudget,
 ) -> Iterator[SubjectChanges]:
-    """Yield the changes for a subject, if there are any, with examples checked by both policies."""
+    """Yield the changes of classes of subjects that no policy names.
+
+    Args:
+        policies: the older one and the newer one.
+        books: their rules.
+        own: the changes of the subjects that are named.
+        budget: limit of the search.
+    """
+    comparisons = (
+        PatternComparison(True, policies, books, own, budget),
+        PatternComparison(False, policies[::-1], books[::-1], own, budget),
+    )
+    finder = ClassFinder(policies, books, comparisons, own, budget)
+    listed: list[SubjectClass] = []
+    for comparison, key in product(comparisons, KEYS):
+        for each in comparison.differences(key, SubjectClass(EVERY), (), listed):
+            if isinstance(each.found, Unknown):
+                if budget.is_empty:
+                    yield _unknown(pattern_text(EVERY), unknown_change(budget.reason(each.found.reason)))
+                    return
+                change = PermissionChange(
+                    each.gains, *key, each.rule.object, False, "", each.rule.where, each.found.reason
+                )
+                yield _unknown(pattern_text(each.within), change)
+                continue
+            alone = _of_subject(*policies, each.found, budget)
+            if alone is None:
+                raise AssertionError(f"the rules of {each.found} do not differ as reported")
+            area, found = _class_of(finder, alone, each, own)
+            listed[:] = [*(each for each in listed if not each.is_part_of(area)), area]
+            yield from found
+
+
+def _class_of(
+    finder: ClassFinder, alone: SubjectChanges, found: PatternDifference, own: Mapping[str, SubjectChanges | None]
+) -> tuple[SubjectClass, list[SubjectChanges]]:
+    """Return a class of subjects that change as one of them does, or that are not listed besides that one."""
+    area, changes, reason = finder.class_of(alone.subject, found, alone.changes)
+    if reason:
+        return area, [alone, _like(_unknown("", unknown_change(f"not listed: {reason}")), area)]
+    alike = replace(alone, changes=changes)
+    others = ((name,) for name, each in own.items() if name in area and not _is_alike(alike, each, name))
+    area = replace(area, excluded=(*area.excluded, *others))
+    return area, [alone if literal(area.like) else _like(alike, area)]
+
+
+def _like(changes: SubjectChanges, area: SubjectClass) -> SubjectChanges:
+    return replace(changes, like=pattern_text(area.like), excluded=tuple(map(pattern_text, area.excluded)))
+
+
+def _is_member(changes: SubjectChanges, subject: str) -> bool:
+    if not changes.like:
+        return False
+    return subject in SubjectClass(parse(changes.like), tuple(map(parse, changes.excluded)))
+
+
+def _is_alike(found: SubjectChanges, each: SubjectChanges | None, name: str) -> bool:
+    """Return True if a named subject surely changes as a class does."""
+    if each is None or (each.before, each.after) != (found.before, found.after):
+        return False
+    if not all(change.whole for change in (*found.changes, *each.changes)):
+        return False
+    return {_said(change, name) for change in found.changes} == {_said(change, name) for change in each.changes}
+
+
+def _said(change: PermissionChange, name: str) -> tuple[object, ...]:
+    return change.gains, change.kind, change.permission, fill_placeholders(change.objects, *exact_halves(name))
+
+
+def _of_subject(old: LoadedPolicy, new: LoadedPolicy, subject: str, budget: QueryBudget) -> SubjectChanges | None:
+    """Return the changes for a subject, if there are any, with examples checked by both policies."""
     before, after = old.rules(subject), new.rules(subject)
     old_rules, new_rules = (each.rules if each else () for each in (before, after))
     changes = () if _same(old_rules, new_rules) else tuple(rule_changes(old_rules, new_rules, budget))
     for change in changes:
         if change.word:
             _check_example(old, new, subject, change)
-    if changes or (before is None) is not (after is None):
-        yield SubjectChanges(subject, like, before is not None, after is not None, changes)
+    if not changes and (before is None) is (after is None):
+        return None
+    return SubjectChanges(subject, "", before is not None, after is not None, changes)
 
 
 def _check_example(old: LoadedPolicy, new: LoadedPolicy, subject: str, change: PermissionChange) -> None:

@@ -12,7 +12,6 @@ from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import disjoint
 from comarmor.rules import Effect, parts
 from comarmor.values import dataclass
-from keymint.analysis.query import parse_permission
 from keymint.analysis.rule_lists import (
     allow_only,
     display_name,
@@ -28,6 +27,7 @@ from keymint.analysis.who_can import who_can
 from keymint.api import Expectation, LoadedPolicy
 from keymint.errors import KeymintError
 from keymint.ir import Rule
+from keymint.names import typed_permission, typed_subject
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,10 +73,10 @@ class ExpectationChecker:
             KeymintError: it has an unknown permission, or no legal subject or object name matches it.
         """
         try:
-            kind, permission = parse_permission(expected.permission, expected.object)
+            kind, permission = typed_permission(expected.permission, expected.object, expected.kind)
         except KeymintError as error:
             raise error.at(expected.where) from None
-        within = parse(expected.subject)
+        within = parse(typed_subject(expected.subject))
         if not can_exist(within):
             raise _matches_nothing(f"no legal subject name matches {expected.subject!r}", expected.subject, expected)
         name = query_pattern(kind, expected.object, expected.partition)

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 from comarmor.patterns.glob import parse
 from comarmor.patterns.tokens import PatternError
-from comarmor.rules import KIND_OF
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.errors import ExitCode, KeymintError
+from keymint.names import typed_permission, typed_subject
 
 FORMS = (
     "who can PERMISSION OBJECT",
@@ -22,7 +22,6 @@ FORMS = (
 """Queries: words in small letters are written as they are; the one in brackets may be left out."""
 _OPTIONAL = "[ever]"
 HEADS = tuple(form.split()[0] for form in FORMS)
-_PLAIN = tuple(permission.removeprefix("ros_") for permission in KIND_OF)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +43,12 @@ class PolicyQuery:
     object: str = ""
 
 
-def parse_query(words: Sequence[str]) -> PolicyQuery:
+def parse_query(words: Sequence[str], kind: str = "") -> PolicyQuery:
     """Parse the words of a query.
+
+    Args:
+        words: the words.
+        kind: kind of the object; empty if it follows from the words.
 
     Raises:
         KeymintError: the query has none of the forms.
@@ -64,38 +67,13 @@ def parse_query(words: Sequence[str]) -> PolicyQuery:
             raise _error(f"expected {word!r}{found}", f"write '{form}'")
     if len(rest) != len(expected):
         raise _error(f"the query has too {'few' if len(rest) < len(expected) else 'many'} words", f"write '{form}'")
-    subjects = tuple(_subject(text) for text, word in zip(rest, expected, strict=True) if word == "SUBJECT")
+    subjects = tuple(
+        _expression(typed_subject(text)) for text, word in zip(rest, expected, strict=True) if word == "SUBJECT"
+    )
     if "OBJECT" not in expected:
         return PolicyQuery(head, subjects)
     *_, permission, name = rest
-    return PolicyQuery(head, subjects, *parse_permission(permission, name), _expression(name))
-
-
-def parse_permission(text: str, name: str) -> tuple[str, str]:
-    """Return the kind and the permission for a word; ``ros_`` is optional.
-
-    ``publish``, ``subscribe`` and ``relay`` mean a raw topic if the name cannot be a ROS name.
-
-    Args:
-        text: the word, e.g. ``publish`` or ``ros_call``.
-        name: expression of the object.
-
-    Raises:
-        KeymintError: there is no such permission.
-    """
-    with_ros = f"ros_{text}"
-    if with_ros in KIND_OF and (text not in KIND_OF or name[:1] in tuple("/*?[\\")):
-        return KIND_OF[with_ros], with_ros
-    if text in KIND_OF:
-        return KIND_OF[text], text
-    hint = did_you_mean(text, (*KIND_OF, *_PLAIN), f"permissions are {', '.join(dict.fromkeys(_PLAIN))}")
-    raise _error(f"there is no permission {text!r}", hint)
-
-
-def _subject(text: str) -> str:
-    if text[:1] not in ("/", "*"):
-        raise _error(f"{text!r} is not a subject", f"subjects begin with '/': did you mean {'/' + text!r}?")
-    return _expression(text)
+    return PolicyQuery(head, subjects, *typed_permission(permission, name, kind), _expression(name))
 
 
 def _expression(text: str) -> str:

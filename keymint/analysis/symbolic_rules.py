@@ -14,7 +14,7 @@ from comarmor.patterns.tokens import STAR
 from comarmor.rules import Effect
 from comarmor.values import dataclass
 from keymint.analysis.rule_lists import PermissionKey, permission_keys
-from keymint.analysis.subject_patterns import EVERY, profile_subjects
+from keymint.analysis.subject_patterns import EVERY, profile_chain, profile_subjects
 from keymint.analysis.subject_templates import symbolic_patterns
 from keymint.analysis.symbolic_search import SymbolicCondition, SymbolicEntry, namespace_name_pairs
 from keymint.api import PolicyStructure
@@ -84,18 +84,21 @@ class SymbolicRules:
 
     Attributes:
         singles: subjects that profiles match exactly: those that the policy names, and single overlaps of patterns.
+        profiles: attachments of each profile and of those around it, by patterns of its subjects.
     """
 
     def __init__(self, written: PolicyStructure) -> None:
         self.singles: dict[str, None] = {}
         self._by_key: dict[tuple[PermissionKey, Effect], dict[tuple[_Profiles, Glob], SymbolicRule]] = defaultdict(dict)
         self._index = cache(self._indexed)
-        self._applying = cache(self._find_applying)
+        self.applying = cache(self._find_applying)
+        chains = (*(clause.profiles for clause in written.clauses), *map(profile_chain, written.profiles))
         reaches: dict[_Profiles, ProfileReach] = {}
+        for profiles in dict.fromkeys(chains):
+            reaches[profiles], singles = profile_reach(profiles)
+            self.singles |= dict.fromkeys(singles)
+        self.profiles = PatternIndex((one, profiles) for profiles, reach in reaches.items() for one in reach.subjects)
         for clause in written.clauses:
-            if clause.profiles not in reaches:
-                reaches[clause.profiles], singles = profile_reach(clause.profiles)
-                self.singles |= dict.fromkeys(singles)
             subjects = reaches[clause.profiles]
             if not subjects.subjects:
                 continue
@@ -110,11 +113,11 @@ class SymbolicRules:
 
     def surely(self, key: PermissionKey, effect: Effect, subjects: Glob) -> tuple[SymbolicEntry, ...]:
         """Return entries of the rules that may apply to some subjects, without those that are too complex."""
-        return tuple(one.entry() for one in self._applying(key, effect, subjects) if one.reach.exact)
+        return tuple(one.entry() for one in self.applying(key, effect, subjects) if one.reach.exact)
 
     def perhaps(self, key: PermissionKey, effect: Effect, subjects: Glob) -> tuple[SymbolicEntry, ...]:
         """Return entries of the rules that may apply to some subjects, over-approximated where they are too complex."""
-        return tuple(one.entry() for one in self._applying(key, effect, subjects))
+        return tuple(one.entry() for one in self.applying(key, effect, subjects))
 
     def _find_applying(self, key: PermissionKey, effect: Effect, subjects: Glob) -> tuple[SymbolicRule, ...]:
         """Return the rules that may apply to subjects that a pattern matches."""

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
 from itertools import product
 
-from comarmor.patterns.decision_lists import Block, DecisionList, Equal, Universe, Unknown
+from comarmor.patterns.decision_lists import Block, DecisionList, Equal, Universe, Unknown, negated
 from comarmor.patterns.glob import Glob, after, literal, normalise, parse, words
 from comarmor.patterns.matching import matches
 from comarmor.patterns.proofs import difference
@@ -22,13 +22,12 @@ from comarmor.patterns.tokens import STAR, Charset, charset
 from comarmor.values import dataclass
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_lists import RAW, SEPARATOR, universe
-from keymint.analysis.subject_patterns import namespace_name_splits
+from keymint.analysis.subject_patterns import SubjectClass, namespace_name_splits
 from keymint.analysis.subject_templates import (
     NAME,
     NAMESPACE,
     PLACEHOLDERS,
     concrete_name,
-    exact_halves,
     fill_placeholders,
     fit_pattern,
     placeholders,
@@ -95,8 +94,9 @@ def find_subject(
     shape: Glob,
     conditions: Sequence[SymbolicCondition],
     check: SubjectCheck,
-    excluded: Iterable[str],
+    excluded: Iterable[Glob],
     budget: QueryBudget,
+    listed: Sequence[SubjectClass] = (),
 ) -> str | Unknown | None:
     """Find a subject with a word that fulfils all conditions; None if there is provably none.
 
@@ -106,13 +106,14 @@ def find_subject(
         shape: pattern of the symbolic words.
         conditions: conditions for the word.
         check: decides on each candidate.
-        excluded: subjects to ignore.
+        excluded: patterns of subjects to ignore.
         budget: limit of the search.
+        listed: classes of subjects to ignore.
     """
     excluded = tuple(excluded)
     undecided: Unknown | None = None
     for namespace, name in _singled(namespace_name_pairs(subjects), placeholders(shape)):
-        answer = _Search(kind, namespace, name, shape, conditions, budget).run(check, excluded)
+        answer = _Search(kind, namespace, name, shape, conditions, budget).run(check, excluded, listed)
         if isinstance(answer, str):
             return answer
         undecided = undecided or answer
@@ -146,18 +147,22 @@ class _Search:
         self._budget = budget
         self._universe = Universe(_alphabet(kind), 4 if kind == RAW else 3, SEPARATOR, last_nonempty=kind == RAW)
 
-    def run(self, check: SubjectCheck, excluded: Iterable[str]) -> str | Unknown | None:
+    def run(
+        self, check: SubjectCheck, excluded: Iterable[Glob], listed: Sequence[SubjectClass]
+    ) -> str | Unknown | None:
         """Search, check the candidate, and search again without it; see :func:`find_subject`."""
         try:
             positives, negatives = self._lists()
         except TooComplexError:
             return Unknown("its patterns overlap in too many ways")
-        refused = [*negatives, *map(self._subject, excluded)]
+        refused = [*negatives, *self._words((*excluded, *(each.like for each in listed if not each.excluded)))]
+        unlisted = [self._outside(each) for each in listed if each.excluded]
         for _ in range(_ROUNDS):
             denied = Block(False, tuple(dict.fromkeys(refused)))
             lists: list[DecisionList] = [
                 (denied, Block(True, positives[0])),
                 *((Block(True, each),) for each in positives[1:]),
+                *unlisted,
             ]
             if self._budget.is_empty:
                 return Unknown(self._budget.reason(""))
@@ -172,7 +177,7 @@ class _Search:
             if verdict is not False:
                 return subject if verdict is True else verdict
             refused += [
-                self._subject(subject),
+                *self._words([(subject,)]),
                 *self._denied_for(namespace, name, concrete_name(word, namespace, name)),
             ]
         return Unknown("rules that depend on {namespace} or {name} overlap others, and no example was found")
@@ -235,8 +240,16 @@ class _Search:
         for each in PLACEHOLDERS:
             yield normalise((STAR, *((each, STAR) * (used.count(each) + 1))))
 
-    def _subject(self, subject: str) -> Glob:
-        return _word(*exact_halves(subject), _any_object(self._kind))
+    def _words(self, subjects: Iterable[Glob]) -> Iterator[Glob]:
+        """Yield patterns of all words of the subjects that patterns match."""
+        for pattern in subjects:
+            for namespace, name in namespace_name_pairs(pattern):
+                yield _word(namespace, name, _any_object(self._kind))
+
+    def _outside(self, listed: SubjectClass) -> DecisionList:
+        """Return the list of the words of the subjects outside of a class."""
+        excluded, inside = tuple(self._words(listed.excluded)), tuple(self._words([listed.like]))
+        return negated((Block(False, excluded), Block(True, inside)))
 
 
 def _text(text: str) -> Glob:

@@ -134,9 +134,9 @@ class _HolderSearch:
         for subject in tried:
             if self._check(subject) is True:
                 return subject
-        excluded = {subject for subject in named if matches(subjects, subject)}
+        excluded = [(subject,) for subject in dict.fromkeys((*tried, *sorted(named))) if matches(subjects, subject)]
         conditions = (*rule.reach.conditions, *self._conditions(rules, subjects))
-        return find_subject(self._kind, subjects, shape, conditions, self._check, (*excluded, *tried), self._budget)
+        return find_subject(self._kind, subjects, shape, conditions, self._check, excluded, self._budget)
 
     def _conditions(self, rules: SymbolicRules, subjects: Glob) -> Iterator[SymbolicCondition]:
         """Yield the conditions of the rules; a composite permission requires all its parts."""

@@ -37,6 +37,7 @@ from keymint.api.building import SharedCredentials as SharedCredentials
 from keymint.api.building import SharedInspection as SharedInspection
 from keymint.api.building import SigningAuthority as SigningAuthority
 from keymint.api.capabilities import CommonNameIdentity as CommonNameIdentity
+from keymint.api.capabilities import InstalledNames as InstalledNames
 from keymint.api.capabilities import NameMapping as NameMapping
 from keymint.api.capabilities import ProcessEnvironment as ProcessEnvironment
 from keymint.api.capabilities import RemoteCompiler as RemoteCompiler

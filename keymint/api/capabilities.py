@@ -148,6 +148,14 @@ class RuleCheck(Protocol):
 
 
 @runtime_checkable
+class InstalledNames(Protocol):
+    """Optional capability of a build type with shared documents: tells which names to ask transports about."""
+
+    def installed_names(self, enclave: Enclave) -> Sequence[str]:
+        """Return expressions of application names like those in the shared documents; none if these cannot be read."""
+
+
+@runtime_checkable
 class NameMapping(Protocol):
     """Optional capability of a build type: maps edges on application names to endpoints of the transport.
 

@@ -16,7 +16,7 @@ from keymint.adoption.reading import found_in
 from keymint.adoption.workspace import Adoption, plan_adoption
 from keymint.api import Bootstrap, DocumentComparer, FoundKeystore, KeystoreFiles
 from keymint.changes import Plan
-from keymint.commands.adopted_policy import SECONDS, STATES, learned_policy, named_policy
+from keymint.commands.adopted_policy import STATES, learned_policy, named_policy
 from keymint.commands.options import DEFAULT_PROFILE_TYPE, PATH, PluginOption, PolicyOptions, distro_option
 from keymint.commands.proof_diagnostics import effort_of
 from keymint.commands.run import Run
@@ -108,7 +108,7 @@ def _policy(
     build_type: object = run.plugins.build_type(build_type_name)
     if not isinstance(build_type, DocumentComparer):
         return own, ()
-    effort = effort_of(run, STATES, SECONDS)
+    effort = effort_of(run, STATES)
     return own, compared(build_type, found.enclaves, own.rules, options.distro or "jazzy", effort)
 
 

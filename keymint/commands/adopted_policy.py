@@ -17,8 +17,8 @@ from keymint.plan.bootstrap import policy_path
 from keymint.plan.foreign_policies import foreign_policy
 from keymint.workspace import Workspace
 
-STATES, SECONDS = 50_000, 60.0
-"""States that one comparison may visit, and seconds for an enclave, or for all that are compared with a policy."""
+STATES = 50_000
+"""States that one search may visit."""
 FOLDER = "comarmor.d"
 """Folder of a new profile that has the policy."""
 
@@ -79,7 +79,7 @@ def learned_policy(
         KeymintError: no policy can say what a document grants, or the proof fails.
     """
     name = f"{FOLDER}/adopted.xml"
-    effort = effort_of(run, STATES, SECONDS)
+    effort = effort_of(run, STATES)
     file = str(workspace.profile / name)
     learning = Learning(build_type, options.policy_type, Policies(run, options).distro, file, effort)
     learned = learned_from(run.plugins, files, found, learning)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +22,7 @@ from keymint.commands.run import Run
 from keymint.commands.second_keystore import session_ahead
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
+from keymint.examine.lists import of_enclaves
 from keymint.names import package_name, subject_of
 from keymint.output.report import Report
 from keymint.plan.authorities import MintedAuthority, plan_authorities
@@ -62,7 +63,7 @@ def bundle(run: Run, names: tuple[str, ...], output: Path | None, staged: bool =
     return replace(report, steps=(), result={"bundles": write_bundles(run, output, made)})
 
 
-def _in_force(session: Session, names: Iterable[str]) -> Mapping[str, MintedAuthority]:
+def _in_force(session: Session, names: Collection[str]) -> Mapping[str, MintedAuthority]:
     """Return the authorities, by which some enclaves are installed as the sources say.
 
     Raises:
@@ -85,6 +86,8 @@ def _in_force(session: Session, names: Iterable[str]) -> Mapping[str, MintedAuth
                 help=f"run 'keymint build {name}' and 'keymint install {name}' first",
                 code="not-installed",
             )
+    if found := [each for each in of_enclaves(after) if each.subject in set(map(subject_of, names))]:
+        raise KeymintError.of(found)
     return authorities
 
 

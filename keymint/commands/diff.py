@@ -47,7 +47,7 @@ def diff(run: Run, old: str, new: str, kind: str, budget: int, policy_options: P
 
     A and B are ComArmor files or directories, workspaces, or any of these at a Git revision: REV:PATH. 'equivalent'
     is proven for all subjects, including those that neither policy names. Subjects that profiles match by a pattern
-    are listed as that pattern, with an example.
+    are listed as classes, with an example; each line is true for all members of its class.
 
     Exit code 3: a subject gains a permission, or may gain one where the answer is unknown. Use it to guard a merge.
 

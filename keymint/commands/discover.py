@@ -27,6 +27,7 @@ from keymint.commands.user_files import deliver, exists, read_input
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.graph import Graph
+from keymint.names import typed_subject
 from keymint.output.report import Report
 
 _EXIT_CODES = {signal.SIGINT: ExitCode.INTERRUPTED, signal.SIGTERM: ExitCode.TERMINATED}
@@ -128,7 +129,7 @@ def _names(typed: Iterable[str]) -> dict[str, str]:
         identifier, equals, name = item.partition("=")
         if not equals:
             raise usage_error(f"--subject {item!r} is not ID=NAME", "e.g. --subject 0110d9a4=/talker")
-        names[identifier] = name
+        names[identifier] = typed_subject(name)
     return names
 
 

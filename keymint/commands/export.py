@@ -22,6 +22,7 @@ from keymint.commands.user_files import deliver, read_input, refuse_replacing
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
+from keymint.names import typed_subject
 from keymint.output.report import Report
 
 _FORMATS = "keymint.policy_formats"
@@ -116,7 +117,7 @@ def _subjects(run: Run, policy: LoadedPolicy, listed: Path | None) -> list[Subje
     names: dict[str, Origin | None] = dict.fromkeys(policy.subjects())
     if listed is not None:
         for name, place in _listed(read_input(run, listed), str(listed)):
-            names.setdefault(name, place)
+            names.setdefault(typed_subject(name), place)
     if not names:
         raise KeymintError(
             "the policy names no subject exactly", help="list subjects in a file: --subjects FILE", code="subjects-none"

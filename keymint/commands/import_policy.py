@@ -23,8 +23,6 @@ from keymint.errors import KeymintError
 from keymint.output.report import Report
 from keymint.plan.foreign_policies import foreign_policy
 
-_SECONDS = 60.0
-
 
 @verb(workspace=False, dry_run=True, name="import")
 @click.argument("policy", type=FILE)
@@ -118,13 +116,13 @@ def proofs_of(
     build_type: object = run.plugins.build_type(build_type_name)
     if not isinstance(build_type, ForeignDocuments):
         raise KeymintError(f"the build type {build_type_name} compares no documents", code="import-unproven")
-    effort = effort_of(run, STATES, _SECONDS)
-    return tuple(
-        SubjectProof(
-            each.rules.subject, each.deviates, build_type.compare(each, distro, effort.states, effort.deadline())
-        )
-        for each in subjects
-    )
+    effort = effort_of(run, STATES)
+    proofs = []
+    for each in subjects:
+        with effort.limit(each.rules.rules):
+            comparison = build_type.compare(each, distro, effort.states, effort.deadline())
+        proofs.append(SubjectProof(each.rules.subject, each.deviates, comparison))
+    return tuple(proofs)
 
 
 def _refuse_other_library(run: Run, output: Path, library: Path, document: bytes) -> None:

@@ -68,8 +68,7 @@ def _installed(run: Run, before: Session, first: Plan, names: tuple[str, ...], r
     plan = first.then(plan).then(listed)
     session, chosen = before.after(plan), run.names(before, names)
     if first.writes():
-        revoked = [step.package for step in first.steps]
-        built_again = following(before, session, revoked, listed)
+        built_again = following(before, session, [step.package for step in first.steps], listed)
         built, _ = rebuilt(session, built_again, request)
         plan, session = plan.then(built), session.after(built)
         chosen = tuple(dict.fromkeys((*chosen, *built_again)))

@@ -17,8 +17,6 @@ from keymint.commands.run import Run
 from keymint.commands.user_files import deliver, refuse_replacing
 from keymint.output.report import Report
 
-_SECONDS = 60.0
-
 
 def from_keystore(
     run: Run, keystore: Path, output: Path | None, policy_options: PolicyOptions, *, force: bool
@@ -42,7 +40,7 @@ def from_keystore(
     policies = Policies(run, policy_options)
     policies.shipped()  # an unknown distribution is wrong usage, whatever the keystore is
     build_type, files, found = found_in(run.plugins, run.setting.cwd / keystore, str(keystore), run.setting.now)
-    effort = effort_of(run, STATES, _SECONDS)
+    effort = effort_of(run, STATES)
     name = str(output or "policy.xml")
     learning = Learning(build_type, policy_options.policy_type, policies.distro, name, effort)
     learned = learned_from(run.plugins, files, found, learning)

@@ -13,6 +13,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
+from comarmor.rules import PERMISSIONS
 from comarmor.values import dataclass
 from keymint import SPACES
 from keymint.api import BuildOptions
@@ -405,6 +406,11 @@ flag_day_option = click.option(
 
 # -- transports ------------------------------------------------------------------------------------------------------
 
+kind_option = click.option(
+    "--kind",
+    type=click.Choice(tuple(PERMISSIONS)),
+    help="Kind of OBJECT; 'topic' is a raw topic of the transport [a name that begins with '/' is a ROS name].",
+)
 transport_option = click.option(
     "-t",
     "--transport",

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
@@ -13,7 +14,6 @@ from keymint.names import name_of
 from keymint.plan import terms
 from keymint.plan.proof_results import EnclaveProof, ProofEffort, ProofResults
 
-SECONDS = 10.0
 STATES = 500_000
 
 
@@ -35,8 +35,8 @@ def merged_packages(diagnostics: Iterable[Diagnostic], shown: Callable[[str], st
         yield group[0] if count <= 1 else replace(group[0], message=f"{group[0].message} [{count} packages]")
 
 
-def effort_of(run: Run, states: int = STATES, seconds: float = SECONDS) -> ProofEffort:
-    """Return the limits of a proof: states per question, seconds per enclave."""
+def effort_of(run: Run, states: int = STATES, seconds: float = math.inf) -> ProofEffort:
+    """Return the limits of a proof: states per question, and seconds per enclave if the user asks for such a limit."""
     return ProofEffort(states, lambda: _deadline(run.setting.monotonic, seconds))
 
 
@@ -84,7 +84,8 @@ def _of_enclave(enclave: EnclaveProof, *, strict: bool) -> Iterator[Diagnostic]:
         if counterexample is None:
             actions = " and ".join(dict.fromkeys(claim.action for claim in claims))
             message = f"{who}, {actions}: not proven for {models}: {claims[0].reason}"
-            help_ = "raise --seconds or --states, or simplify the rules" if claims[0].spent else ""
+            help_ = f"write fewer wildcards; or search longer: 'keymint prove --states {10 * STATES}'"
+            help_ = help_ if claims[0].spent else ""
             yield Diagnostic.error("not-proven", message, None, help_, enclave.subject)
         else:
             yield _refutation(enclave.subject, counterexample, models)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from typing import Any
@@ -14,7 +15,7 @@ from comarmor.text import counted
 from keymint.api import Claim, Counterexample, Proof
 from keymint.changes import Action, Step
 from keymint.commands.options import Number, complete_package, standard_only_option, strict_option
-from keymint.commands.proof_diagnostics import SECONDS, STATES, dated_of, diagnostics_of, effort_of, merged_packages
+from keymint.commands.proof_diagnostics import STATES, dated_of, diagnostics_of, effort_of, merged_packages
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
@@ -40,9 +41,8 @@ SHOWN = 5
 @click.option(
     "--seconds",
     type=Number(0),
-    default=SECONDS,
-    show_default=True,
-    help="Stop after this time per enclave; undecided claims are unknown.",
+    default=math.inf,
+    help="Also stop after this time per enclave; undecided claims are unknown [no limit].",
 )
 @click.option(
     "--states",

@@ -22,7 +22,7 @@ from keymint.analysis.rule_lists import RAW, allow_only, display_name, find_perm
 from keymint.analysis.subject_patterns import rules_of, unknown_subject
 from keymint.analysis.who_can import PermissionHolder, who_can
 from keymint.api import LoadedPolicy
-from keymint.commands.options import PolicyOptions, policy_options, usage_error
+from keymint.commands.options import PolicyOptions, kind_option, policy_options, usage_error
 from keymint.commands.policies import Policies
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
@@ -38,6 +38,7 @@ _Answer = tuple[str, dict[str, Any]]
 @click.argument("words", nargs=-1, metavar="[POLICY] QUESTION...")
 @click.option("--except", "but", multiple=True, metavar="OBJECT", help="flows, isolated: ignore these objects.")
 @click.option("--infrastructure", is_flag=True, help="flows, isolated: also count what the library allows every node.")
+@kind_option
 @click.option("--partition", default="", metavar="NAME", help="Partition of a raw topic [the default one].")
 @policy_options
 def query(
@@ -45,6 +46,7 @@ def query(
     words: tuple[str, ...],
     but: tuple[str, ...],
     infrastructure: bool,
+    kind: str | None,
     partition: str,
     policy_options: PolicyOptions,
 ) -> Report:
@@ -64,7 +66,7 @@ def query(
 
     Exit code 3: subjects are not isolated, or the answer is unknown.
     """
-    path, question = _read(words, run.setting.cwd)
+    path, question = _read(words, run.setting.cwd, kind or "")
     if (but or infrastructure) and question.head not in ("flows", "isolated"):
         raise usage_error(
             f"'{question.head}' takes no {'--except' if but else '--infrastructure'}",
@@ -84,7 +86,7 @@ def query(
         "isolated": lambda: _isolated(run, channels, question),
     }[question.head]
     verdict, more = answer()
-    warnings = list(_doubts(policy, question, partition, verdict))
+    warnings = list(_doubts(policy, question, partition, verdict, typed=kind is not None))
     if verdict == "unknown":
         warnings.append(Diagnostic.warning("query-unknown", "the answer is unknown"))
     failed = verdict == "unknown" or (question.head == "isolated" and verdict == "no")
@@ -92,7 +94,9 @@ def query(
     return run.report(result, warnings, findings_if(failed))
 
 
-def _doubts(policy: LoadedPolicy, question: PolicyQuery, partition: str, verdict: str) -> Iterator[Diagnostic]:
+def _doubts(
+    policy: LoadedPolicy, question: PolicyQuery, partition: str, verdict: str, *, typed: bool
+) -> Iterator[Diagnostic]:
     """Yield warnings about likely mistakes in a question."""
     for subject in question.subjects if question.head != "what" else ():
         if problem := unknown_subject(policy, parse(subject)):
@@ -103,12 +107,12 @@ def _doubts(policy: LoadedPolicy, question: PolicyQuery, partition: str, verdict
     if isinstance(find_permitted(kind, allow_only(query_pattern(kind, name, partition))), Equal):
         help_ = "segments are letters, digits and '_', do not begin with a digit, and none is empty"
         yield Diagnostic.warning("query-object", f"no {kind} can have a name like {name!r}", help=help_)
-    elif kind == RAW and verdict == "no" and not name.startswith(RAW_PREFIXES):
-        help_ = f"a ROS name begins with '/': did you mean {'/' + name!r}?"
+    elif kind == RAW and not typed and verdict == "no" and not name.startswith(RAW_PREFIXES):
+        help_ = f"did you mean {'/' + name!r}? If not, add --kind {RAW}"
         yield Diagnostic.warning("query-object", f"{name!r} is read as a raw topic", help=help_)
 
 
-def _read(words: Sequence[str], folder: Path) -> tuple[Path | None, PolicyQuery]:
+def _read(words: Sequence[str], folder: Path, kind: str) -> tuple[Path | None, PolicyQuery]:
     """Return the path of the policy, if one is named, and the question, which may be one or several arguments."""
     path: Path | None = None
     rest = list(words)
@@ -116,7 +120,7 @@ def _read(words: Sequence[str], folder: Path) -> tuple[Path | None, PolicyQuery]
         path = Path(rest.pop(0))
     if not rest:
         raise usage_error("the question is missing", f"ask one of: {'; '.join(FORMS)}")
-    return path, parse_query([each for one in rest for each in one.split()])
+    return path, parse_query([each for one in rest for each in one.split()], kind)
 
 
 def _holders(policy: LoadedPolicy, question: PolicyQuery, partition: str) -> list[PermissionHolder]:

@@ -160,10 +160,9 @@ def superseding(session: Session, installed: Plan, request: InstallRequest) -> P
     Raises:
         KeymintError: the register is missing and cannot be restored.
     """
-    if not request.revoke_superseded and not session.profile.revoke_superseded:
-        return None
+    asked = request.revoke_superseded or session.profile.revoke_superseded
     found = dict.fromkeys(name_of(each.subject) for each in installed.diagnostics if each.code == RIGHTS_OUTLIVE)
-    if not found:
+    if not asked or not found:
         return None
     revoking = plan_revocation(session, tuple(found), SUPERSEDED)
     return revoking.plan.noting(*revoking.diagnostics) if revoking.plan.writes() else None

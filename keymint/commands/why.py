@@ -11,7 +11,7 @@ import click
 
 from comarmor.errors import Diagnostic, Origin
 from keymint.api import DomainRange, Tier, Verdict
-from keymint.commands.options import transport_option
+from keymint.commands.options import kind_option, transport_option
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.graph import LABELLED
@@ -43,6 +43,7 @@ Place = Callable[[Origin | None], str]
 @click.argument("subject")
 @click.argument("permission", shell_complete=lambda _c, _p, text: [p for p in _PERMISSIONS if p.startswith(text)])
 @click.argument("object_name", metavar="OBJECT")
+@kind_option
 @click.option("--partition", "partitions", multiple=True, metavar="NAME", help="Partition; may be repeated.")
 @click.option("--domain", type=click.IntRange(0, 232), metavar="N", help="Domain id [the first one of the grant].")
 @transport_option
@@ -51,6 +52,7 @@ def why(
     subject: str,
     permission: str,
     object_name: str,
+    kind: str | None,
     partitions: tuple[str, ...],
     domain: int | None,
     chosen: tuple[str, ...],
@@ -58,9 +60,9 @@ def why(
     """Explain why SUBJECT has, or lacks, PERMISSION on OBJECT: policy, package, transport names, document, transports.
 
     \b
-    keymint why /talker ros_publish /chatter
-    keymint why /robot1/nav ros_call /map/get
-    keymint why /bridge publish telemetry --partition ops
+    keymint why /talker publish /chatter
+    keymint why /robot1/nav call /map/get
+    keymint why /bridge publish telemetry --kind topic --partition ops
 
     Exit code 3: a transport disagrees with the policy, or the enclave does not trust the workspace's authorities.
     """
@@ -68,7 +70,7 @@ def why(
     granted = granted_domains(session, subject)
     if domain is None:
         domain = granted[0].first if granted else 0
-    edge = request(subject, permission, object_name, partitions, domain)
+    edge = request(subject, permission, object_name, kind or "", partitions, domain)
     transports = choose(run.plugins, chosen, Tier.DECISION, build_types(session, edge.subject))
     explanation = explain(session, load_policy(session), edge, transports, partial(models, run.plugins))
 

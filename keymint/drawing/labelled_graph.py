@@ -13,6 +13,7 @@ from comarmor.text import did_you_mean, first_few
 from comarmor.values import dataclass
 from keymint.errors import ExitCode, KeymintError
 from keymint.graph import ConfusionMatrix, Edge, EdgeOutcome, Object
+from keymint.names import typed_subject
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +145,7 @@ def choose_subjects(
     if not (subjects or namespaces):
         return tuple(sorted(known))
     kept = set()
-    for name in subjects:
+    for name in map(typed_subject, subjects):
         if name not in known:
             _refuse(f"no subject {name!r} in this graph", name, known)
         kept.add(name)

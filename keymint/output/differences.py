@@ -42,6 +42,8 @@ def subject_line(each: SubjectChanges, code: Callable[[str], str] = str) -> str:
     """Return the subject of changes, and whether the profiles that apply to it are new or gone."""
     subject = code(each.subject)
     like = f"subjects like {code(each.like)}"
+    if each.excluded:
+        like += f" except {', '.join(map(code, each.excluded))}"
     name = (f"{like} (e.g. {subject})" if each.subject else like) if each.like else subject
     if each.before and each.after:
         return f"{name}:"

@@ -130,6 +130,7 @@ def differences_json(differences: Sequence[SubjectChanges], typed: Typed) -> lis
         {
             "subject": each.subject or None,
             "stands_for": each.like or None,
+            "except": [*each.excluded],
             "applies": {"before": each.before, "after": each.after},
             "changes": [
                 {

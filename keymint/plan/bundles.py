@@ -24,6 +24,7 @@ from keymint.plan.authorities import MintedAuthority
 from keymint.plan.build_types import build_types_of
 from keymint.plan.enclaves import INSTALLED
 from keymint.plan.register import complete_register, register_change
+from keymint.plan.terms import shown
 from keymint.session import Session
 
 
@@ -108,6 +109,13 @@ def _bundle(
     issuer = authorities[package.identity.issuer].issuer
     certificate = certificates.load(files[CERTIFICATE], session.workspace.origin(folder / CERTIFICATE))
     first, last = _in_force(package, certificate, files)
+    if last < session.now:
+        raise KeymintError(
+            f"what the enclave {subject_of(name)} has is in force until {shown(last)} only",
+            where=session.workspace.origin(folder),
+            help=f"'keymint check {name}' says what ended; 'keymint renew' and 'keymint crl --refresh' issue it again",
+            code="bundle-dates",
+        )
     manifest = Manifest(
         enclave=package.subject,
         folder=session.layouts[0].enclaves,

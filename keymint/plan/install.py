@@ -97,7 +97,8 @@ class InstallStage:
         withdrawn = {each.name: each.withdrawn for each in planned if each.withdrawn}
         changes = EnclaveChanges(changed, frozenset((*removed, *withdrawn)))
         scripts, foreign = plan_scripts(session, build_types_in_use(session, changes))
-        steps = [*shared.steps, *shared_steps(session, changes), *scripts, *steps_of(planned)]
+        copies = shared_copies(session, changes)
+        steps = [*shared.steps, *shared_steps(session, copies), *scripts, *steps_of(planned)]
         diagnostics = [*(diagnostic for each in planned for diagnostic in each.diagnostics), *foreign]
         diagnostics += _outdated(session, [each.name for each in planned if each.outdated])
         diagnostics += shared.diagnostics
@@ -110,7 +111,7 @@ class InstallStage:
             diagnostics += _still_good(session, removed)
             steps += [_prune(session, name, changes) for name in removed]
             state = key_record.forget(state, key_record.IDENTITIES, removed)
-        steps += obsolete_steps(session, changes, steps)
+        steps += obsolete_steps(session, copies, steps)
         return Plan(tuple(steps), state, tuple(diagnostics), _register(session, planned))
 
 

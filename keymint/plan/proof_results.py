@@ -3,13 +3,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import datetime
 
 from comarmor.errors import Diagnostic
+from comarmor.patterns import glob
+from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.values import dataclass
 from keymint.api import Claim, ValidityTerm
+from keymint.errors import KeymintError
+from keymint.ir import Rule
 from keymint.state import Stamp, State
+
+STEPS = 30_000_000
+"""Steps (:mod:`comarmor.patterns.steps`) that the proof of an enclave may take: a minute at most."""
+_STEPS_PER_STATE = 60
+_SHOWN = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +33,32 @@ class ProofEffort:
 
     states: int
     deadline: Callable[[], Callable[[], bool]]
+
+    @contextmanager
+    def limit(self, rules: Iterable[Rule]) -> Iterator[None]:
+        """Limit the steps of all questions about some rules; more states also allow more steps.
+
+        Raises:
+            KeymintError: the limit was reached between two questions.
+        """
+        try:
+            with step_limit(max(STEPS, self.states * _STEPS_PER_STATE)):
+                yield
+        except StepLimitError as error:
+            raise KeymintError(f"not proven: {error}{costliest(rules)}", code="not-proven") from None
+
+
+def costliest(rules: Iterable[Rule]) -> str:
+    """Return the places of the rules with the most wildcards, which make a proof costly, in words that follow a reason.
+
+    Args:
+        rules: the rules of the proof.
+    """
+    tokens = {rule: [token for each in rule.expressions for token in glob.parse(each)] for rule in rules}
+    counts = {rule: sum(not isinstance(token, str) for token in each) for rule, each in tokens.items()}
+    wild = sorted(filter(counts.__getitem__, counts), key=lambda rule: -counts[rule])
+    places = ", ".join(dict.fromkeys(str(rule.origin.alone()) for rule in wild[:_SHOWN]))
+    return f"; the rules with the most wildcards are at {places}" if places else ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,7 @@ from keymint.plan import authority_evidence, proof_record, shared_proof, terms
 from keymint.plan.authority_files import chains_digest
 from keymint.plan.build_types import build_types_of, inputs_digest, issuers_of, prover_of, suffixes_read
 from keymint.plan.enclaves import INSTALLED, enclave_digests, enclave_files, not_installed
-from keymint.plan.proof_results import EnclaveProof, PackageProof, ProofEffort, ProofResults
+from keymint.plan.proof_results import EnclaveProof, PackageProof, ProofEffort, ProofResults, costliest
 from keymint.plan.shared_documents import load_packages, record_key, shared_folder, users
 from keymint.plan.trust_anchors import anchors_of, shared_anchors
 from keymint.session import Session
@@ -215,7 +215,9 @@ class ProofStage:
                 self._effort.deadline(),
                 self._unsigned,
             )
-            proof = EnclaveProof("", tuple(prover.prove_shared(task)), build_type=name)
+            with self._effort.limit(rule for each in rules.values() for rule in each.rules):
+                claims = _with_rules(prover.prove_shared(task), rules.values())
+            proof = EnclaveProof("", claims, build_type=name)
         except KeymintError as error:
             proof = EnclaveProof("", diagnostics=tuple(error.diagnostics), build_type=name)
         return self._kept(key, proof, rules.values(), Stamp(inputs, {}, build_types=(name,)), folder)
@@ -297,7 +299,7 @@ class ProofStage:
                     shared_proof.installed_documents(self._session, name),
                     self._shared_folder,
                 )
-                own = self._claims(prover, task)
+                own = _with_rules(self._claims(prover, task), (rules,))
                 periods = prover.terms(files, folder, task.anchors, task.shared, task.shared_folder)
                 claims += own
                 models = {claim.model for claim in own} or prover.assumptions().keys()
@@ -313,7 +315,8 @@ class ProofStage:
         """
         if task.package.role is Role.SUBJECT:
             if self._asked is None:
-                return prover.prove(task)
+                with self._effort.limit(task.rules.rules):
+                    return prover.prove(task)
             if isinstance(prover, RemoteProver):
                 self._asked.append((prover, prover.question(task)))
             return ()
@@ -331,3 +334,11 @@ class ProofStage:
         """Return the policy's rules for a subject; none for infrastructure, even if a profile is for every subject."""
         of_subject = self._session.role(name_of(subject)) is Role.SUBJECT
         return (self._policy.rules(subject) if of_subject else None) or SubjectRules(subject, ())
+
+
+def _with_rules(claims: Iterable[Claim], rules: Iterable[SubjectRules]) -> tuple[Claim, ...]:
+    """Return claims; those that took too many steps also name the rules that are likely to blame."""
+    if not any(each.spent for each in claims):
+        return tuple(claims)
+    places = costliest(rule for each in rules for rule in each.rules)
+    return tuple(replace(each, reason=each.reason + places) if each.spent else each for each in claims)

@@ -46,10 +46,10 @@ def build_types_in_use(session: Session, changes: EnclaveChanges = NO_CHANGES) -
     return sorted({build_type for of_package in of_packages for build_type in of_package})
 
 
-def shared_steps(session: Session, changes: EnclaveChanges) -> list[Step]:
-    """Return the steps that write the shared files, as the enclaves have them after some changes."""
+def shared_steps(session: Session, by_type: Iterable[Mapping[str, Artifact]]) -> list[Step]:
+    """Return the steps that write the shared files of each build type, which :func:`shared_copies` returns."""
     steps = []
-    for copies in shared_copies(session, changes):
+    for copies in by_type:
         files = {path: File(each.content, secret=each.secret, replaces_link=True) for path, each in copies.items()}
         folders = by_folder(session.workspace.install, files)
         written = [change for folder, own in folders.items() for change in changed(session.tree, folder, own)]
@@ -60,33 +60,33 @@ def shared_steps(session: Session, changes: EnclaveChanges) -> list[Step]:
     return steps
 
 
-def obsolete_steps(session: Session, changes: EnclaveChanges, steps: Iterable[Step]) -> list[Step]:
+def obsolete_steps(session: Session, by_type: Iterable[Mapping[str, Artifact]], steps: Iterable[Step]) -> list[Step]:
     """Return the step that removes copies which are none any more, e.g. that of one authority in place of two.
 
     A file is a former copy by its path, or a second name of what a copy was; one that a link leads to stays.
 
     Args:
         session: the workspace and its profile.
-        changes: what a run does to the enclaves.
+        by_type: the shared files of each build type, as they will be.
         steps: the steps of the run.
     """
     tree, install = session.tree, session.workspace.install
     written = {f"{change.folder}/{file}" for each in steps for change in each.changes for file in change.written}
-    copies = {str(install / path) for of_type in shared_copies(session, changes) for path in of_type}
+    copies = {str(install / path): each for found in by_type for path, each in found.items()}
     folders = {path.rpartition("/")[0] for path in copies} - {str(session.enclaves)} if written else ()
     strays = {f"{folder}/{entry}" for folder in folders for entry, is_folder in tree.names(folder) if not is_folder}
-    if not strays - copies:
+    if not strays - copies.keys():
         return []
     former = {str(install / path): each for found in shared_copies(session, NO_CHANGES) for path, each in found.items()}
-    strays -= copies | {tree.follows(path) for path, _ in tree.walk(install) if path not in written}
-    contents = {each.content for each in former.values()}
+    strays -= copies.keys() | {tree.follows(path) for path, _ in tree.walk(install) if path not in written}
+    contents = {each.content for each in former.values()} - {each.content for each in copies.values()}
     gone = [Path(path) for path in sorted(strays) if path in former or tree.try_read(path) in contents]
     removed = tuple(FolderChange(path.parent, removed=(path.name,)) for path in gone)
     return [Step(INSTALLED, "", Action.REMOVED, removed, "shared by all enclaves before")] if removed else []
 
 
 def shared_copies(session: Session, changes: EnclaveChanges) -> list[Mapping[str, Artifact]]:
-    """Return the shared files of each build type by path relative to the install space, as :func:`shared_steps`."""
+    """Return the shared files of each build type by path relative to the install space, after some changes."""
     build_types = build_types_in_use(session, changes)
     copied = {file for name in build_types for file in session.plugins.build_type(name).COPIED}
     enclaves: dict[str, Mapping[str, Artifact]] = {}

@@ -24,6 +24,8 @@ MOST_OF_A_PATTERN = 48
 """Limit of probing names per pattern."""
 MOST_OF_OTHERS = 2_000
 """Limit of objects from rules of other subjects that a subject is tested with."""
+MOST_OF_INSTALLED = 4
+"""Limit of names per pattern of a shared document: what it was compiled from is probed in full."""
 _MOST_OF_A_CLASS = 6
 _FILLINGS = ("", "x", "y/z", "_0", "/n")
 _PLAIN = string.ascii_letters + string.digits + "_/"
@@ -64,10 +66,25 @@ def edges(
         yield from (edge for edge in dict.fromkeys(mentioned(each.subject)) if edge not in yielded)
 
 
-def common_objects(rules: Iterable[SubjectRules]) -> tuple[Object, ...]:
-    """Return the named objects of rules, an even selection if there are more than :data:`MOST_OF_OTHERS`."""
-    named = sorted({object_ for each in rules for rule in each.rules for object_ in _objects(rule, probe=False)})
-    return tuple(named[:: max(1, -(-len(named) // MOST_OF_OTHERS))])
+def common_objects(rules: Iterable[SubjectRules], installed: Iterable[str] = ()) -> tuple[Object, ...]:
+    """Return the objects that every subject is asked about: those that rules name, and examples of other patterns.
+
+    Args:
+        rules: the rules of all subjects.
+        installed: expressions of ROS names in shared documents; those that rules name are left out.
+
+    Returns:
+        At most :data:`MOST_OF_OTHERS` objects of each, an even selection if there are more.
+    """
+    named = {object_ for each in rules for rule in each.rules for object_ in _objects(rule, probe=False)}
+    known = {object_.name for object_ in named}
+    shown = sorted({name for each in installed if each not in known for name in names(each)[:MOST_OF_INSTALLED]})
+    found = [Object(kind, name) for name in shown if name[:1] == "/" for kind in ("ros_topic", "ros_service")]
+    return tuple(dict.fromkeys((*_selected(sorted(named)), *_selected(found))))
+
+
+def _selected(objects: Sequence[Object]) -> Sequence[Object]:
+    return objects[:: max(1, -(-len(objects) // MOST_OF_OTHERS))]
 
 
 def raw_edges(subject: str, expression: str, partitions: Sequence[str], domain: int) -> Iterator[Edge]:
@@ -94,7 +111,7 @@ def names(expression: str) -> tuple[str, ...]:
 
 def _objects(rule: Rule, *, probe: bool) -> Iterator[Object]:
     """Yield the objects of a rule, and objects that probe its patterns."""
-    named = (names(each) if probe else (glob.literal(glob.parse(each)),) for each in rule.expressions)
+    named = (names(each) if probe else (_example(each),) for each in rule.expressions)
     for name in chain.from_iterable(named):
         if not name or (rule.kind != RAW and name[0] != "/"):
             continue  # no topic has such a name
@@ -141,6 +158,12 @@ def _names(expression: str) -> tuple[str, ...]:
         elif isinstance(token, Charset):
             probes += [_replaced(parsed, at, near) for near in ("", *_around(token))]
     return tuple(filter(_is_plain, probes))
+
+
+def _example(expression: str) -> str:
+    """Return a name that an expression matches, with something for each ``*``."""
+    name = _filled(glob.parse(expression), "x")
+    return name if _is_plain(name) else ""
 
 
 def _is_plain(name: str) -> bool:

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
-from keymint.api import ActionMapping, BuildType, Enclave, LoadedPolicy, NameMapping, Package, Role
+from keymint.api import ActionMapping, BuildType, Enclave, InstalledNames, LoadedPolicy, NameMapping, Package, Role
 from keymint.errors import KeymintError
 from keymint.graph import LABELLED, Column, Edge, Graph, Object, column
 from keymint.ir import SubjectRules
@@ -200,7 +200,10 @@ def edges_of_graph(graph: Graph, scope: VerificationScope) -> tuple[tuple[str, .
 
 def common_objects(policy: LoadedPolicy, scope: VerificationScope) -> tuple[Object, ...]:
     """Return the objects of the policy that every subject of a scope is asked about."""
-    return probes.common_objects(_rules(policy, scope))
+    type_ = scope.names.build_type
+    enclave = next(iter(scope.enclaves.values()), None)
+    installed_names = type_.installed_names(enclave) if enclave and isinstance(type_, InstalledNames) else ()
+    return probes.common_objects(_rules(policy, scope), installed_names)
 
 
 def _rules(policy: LoadedPolicy, scope: VerificationScope) -> list[SubjectRules]:

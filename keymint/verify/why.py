@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 from comarmor.errors import Origin
-from comarmor.text import did_you_mean, nearest_word
+from comarmor.text import nearest_word
 from comarmor.values import dataclass
 from keymint.api import (
     ActionMapping,
@@ -25,9 +25,9 @@ from keymint.api import (
     Transport,
 )
 from keymint.errors import ExitCode, KeymintError
-from keymint.graph import LABELLED, Edge, Object
+from keymint.graph import Edge, Object
 from keymint.ir import Rule
-from keymint.names import name_of
+from keymint.names import name_of, typed_permission, typed_subject
 from keymint.plan.enclaves import installed
 from keymint.session import Session
 from keymint.verify.compare import label_enclave
@@ -39,8 +39,6 @@ from keymint.verify.mismatch import Mismatch
 from keymint.verify.rows import RAW, Naming
 from keymint.verify.scope import Names, naming_of
 from keymint.workspace import packages
-
-_KIND_OF = {permission: kind for kind, permissions in LABELLED.items() for permission in permissions}
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +103,8 @@ class Explanation:
         }
 
 
-def request(subject: str, permission: str, name: str, partitions: Sequence[str], domain: int) -> Edge:
-    """Return the edge that a user asks for; the permission determines the kind of the object.
+def request(subject: str, permission: str, name: str, kind: str, partitions: Sequence[str], domain: int) -> Edge:
+    """Return the edge that a user asks for, in the words of :func:`keymint.names.typed_permission`.
 
     Raises:
         KeymintError: the permission is unknown, or does not apply to such an object.
@@ -118,18 +116,11 @@ def request(subject: str, permission: str, name: str, partitions: Sequence[str],
     if permission.endswith("relay"):
         message = f"{permission} is a permission of services that route data; no endpoint of a subject has it"
         raise refused("permission-unasked", message, "ask for publish or subscribe")
-    if permission not in _KIND_OF:
-        help_ = did_you_mean(permission, _KIND_OF, f"permissions are {', '.join(_KIND_OF)}")
-        raise refused("permission-unknown", f"no permission {permission!r}", help_)
-    kind = _KIND_OF[permission]
-    if kind != RAW and not name.startswith("/"):
-        message = f"a {kind} has no name {name!r}: ROS names begin with '/'"
-        raise refused("object-name", message, f"did you mean {'/' + name!r}?")
+    kind, permission = typed_permission(permission, name, kind, ("/",))
     if kind != RAW and partitions:
         message = f"{permission} applies to a {kind}, and only a topic has partitions"
         raise refused("partition-unexpected", message, "leave out --partition, or ask for publish or subscribe")
-    full = subject if subject.startswith("/") else f"/{subject}"
-    return Edge(full, permission, Object(kind, name, tuple(sorted(set(partitions)))), domain)
+    return Edge(typed_subject(subject), permission, Object(kind, name, tuple(sorted(set(partitions)))), domain)
 
 
 def granted_domains(session: Session, subject: str) -> tuple[DomainRange, ...]:

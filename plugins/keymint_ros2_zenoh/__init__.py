@@ -47,6 +47,7 @@ class Zenoh:
     install_shared = lazy("keymint_ros2_zenoh.install:install_shared")
     check_shared = lazy("keymint_ros2_zenoh.check:check_shared")
     actions = lazy("keymint_ros2_zenoh.lowering.actions:actions")
+    installed_names = lazy("keymint_ros2_zenoh.transports.installed:installed_names")
     check_rules = lazy("keymint_ros2_zenoh.lowering.rule_check:check_rules")
 
     differences = lazy("keymint_ros2_zenoh.proving.trust:differences")

@@ -10,6 +10,7 @@ import pytest
 
 from keymint.pki import keys
 from tests.conftest import CHECKOUT
+from tests.opened_governance import open_governance
 
 EXAMPLES = ("talker_listener", "add_two_ints", "action", "fleet")
 NEEDED = {"cyclonedds": "cyclone_plugins", "fastdds": "fastdds"}
@@ -52,6 +53,16 @@ def test_an_edit_by_hand_is_reported_and_explained_by_the_model(keymint, tmp_pat
     assert first["transport"]["explained_by"].startswith(f"{transport}-")
     assert first["transport"]["said"]
     assert first["transport"]["rule"]["line"] > 0
+
+
+def test_names_that_only_the_governance_mentions_are_asked(keymint, tmp_path: Path, transport: str) -> None:
+    assert keymint("provision", CHECKOUT / "examples/talker_listener", "-w", "ws").code == 0
+    open_governance(tmp_path / "ws", "talker", "rt/zz*")
+    outcome = keymint("verify", "-w", "ws", "-t", transport, "--json")
+    assert outcome.code == 3
+    (found,) = outcome.document["result"]["transports"]
+    requests = {each["request"] for each in found["findings"] if each["error"] == "false-positive"}
+    assert any("zzx" in each for each in requests), requests
 
 
 def test_an_expired_grant_makes_vendors_refuse_the_enclave(keymint, tmp_path: Path, transport: str) -> None:

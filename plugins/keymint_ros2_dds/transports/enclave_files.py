@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -74,22 +76,29 @@ def unverified_permissions(folder: Path) -> PermissionsDocument:
 
 
 def document_topics(enclave: Enclave) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    """Return each topic expression of the permissions with its partition expressions, in the order of the document.
+    """Return each topic expression of the permissions with its partition expressions, then those of the governance.
 
-    The result is empty if the document cannot be read, which the transports report.
+    What cannot be read is left out, and reported by the transports; so is ``*``, of which every name is an example.
     """
-    try:
-        document = unverified_permissions(enclave.folder)
-    except KeymintError:
-        return ()
-    topics = (
+    found: dict[tuple[str, tuple[str, ...]], None] = {}
+    with suppress(KeymintError):
+        found |= dict.fromkeys(_permitted_topics(unverified_permissions(enclave.folder)))
+    with suppress(KeymintError):
+        signed = installed_file(enclave.folder / GOVERNANCE_P7S)
+        governance = signed_governance.read(smime.signed_content(signed, Origin(GOVERNANCE_P7S)))
+        expressions = (rule.expression for each in governance.domain_rules for rule in each.topic_rules)
+        found |= {(expression, ()): None for expression in expressions if expression != "*"}
+    return tuple(found)
+
+
+def _permitted_topics(document: PermissionsDocument) -> Iterator[tuple[str, tuple[str, ...]]]:
+    return (
         (topic, criteria.partitions or ())
         for grant in document.grants
         for rule in grant.rules
         for criteria in rule.criteria
         for topic in criteria.topics
     )
-    return tuple(dict.fromkeys(topics))
 
 
 def rules_file(folder: Path) -> Path:

@@ -61,6 +61,11 @@ class Automaton:
         self._nodes = [_Node({}, (), accepts=True), _Node({}, ((_EVERY, self.everything),), accepts=True)]
         self._known: dict[object, int] = {}
         self._steps: dict[tuple[int, str], tuple[int, ...]] = {}
+        self._together: dict[tuple[frozenset[int], str], frozenset[int]] = {}
+        self._free = {END, self.everything}
+        """Rests of patterns that mention no character but ``/``."""
+        self._covered: dict[tuple[frozenset[int], int], bool] = {}
+        self._beside: dict[tuple[frozenset[int], frozenset[int]], frozenset[int]] = {}
 
     def key_expr(self, expression: KeyExpr) -> int:
         """Return the node of a key expression."""
@@ -81,7 +86,50 @@ class Automaton:
 
     def step(self, nodes: Iterable[int], char: str) -> frozenset[int]:
         """Return the nodes that are reached by a character."""
-        return frozenset(after for node in nodes for after in self._step(node, char))
+        key = (frozenset(nodes), char)
+        found = self._together.get(key)
+        if found is None:
+            found = self._together[key] = frozenset(after for node in key[0] for after in self._step(node, char))
+        return found
+
+    def beside(self, nodes: frozenset[int], others: frozenset[int] = frozenset()) -> frozenset[int]:
+        """Return nodes without those that accept nothing that certain nodes beside them, or others, do not accept.
+
+        These are the rests of patterns that have only wildcards left. Without this, a search would distinguish which of
+        many patterns a word matches, though it matches one of them however it goes on.
+        """
+        key = (nodes, others)
+        found = self._beside.get(key)
+        if found is None:
+            kept = set(nodes)
+            for free in filter(self._free.__contains__, sorted(nodes | others)):
+                alone = frozenset((free,))
+                kept -= {each for each in kept if (each != free or free in others) and self._covers(alone, each)}
+            found = self._beside[key] = frozenset(kept)
+        return found
+
+    def _covers(self, free: frozenset[int], node: int) -> bool:
+        """Return whether some nodes together accept all that a node does; False may also mean that it is not known."""
+        start = (free, node)
+        if start not in self._covered:
+            seen, todo = {start}, [start]
+            while todo:
+                outer, inner = todo.pop()
+                own = self._nodes[inner]
+                if not outer or (own.accepts and not any(map(self.accepts, outer))):
+                    self._covered[start] = False
+                    return False
+                pairs = {(self.step(outer, char), after) for char, each in own.chars.items() for after in each}
+                pairs |= {(self._by_set(outer, members), after) for members, after in own.sets}
+                todo += pairs - seen
+                seen |= pairs
+            self._covered.update(dict.fromkeys(seen, True))
+        return self._covered[start]
+
+    def _by_set(self, nodes: Iterable[int], members: Charset) -> frozenset[int]:
+        """Return the nodes that each character of a set reaches."""
+        own = (each for node in nodes for each in self._nodes[node].sets)
+        return frozenset(after for outer, after in own if outer.intersection(members) == members)
 
     def explicit(self, nodes: Iterable[int]) -> set[str]:
         """Return the characters that these nodes mention."""
@@ -201,5 +249,9 @@ class Automaton:
         return self._known[key]
 
     def _add(self, node: _Node) -> int:
+        """Return the number of a new node; those that it mentions, and that do not exist yet, lead back to it."""
+        following = {after for each in node.chars.values() for after in each} | {after for _, after in node.sets}
+        if node.chars.keys() <= {"/"} and all(each in self._free or each >= len(self._nodes) for each in following):
+            self._free.add(len(self._nodes))
         self._nodes.append(node)
         return len(self._nodes) - 1

@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import product
 
 from comarmor.patterns.decision_lists import Equal, ProofResult, SearchBudget, Unknown, Witness
+from comarmor.patterns.steps import spend
 from comarmor.values import dataclass
 from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDecision, Proof, Verdict
 from keymint.ir import SubjectRules
@@ -24,6 +25,8 @@ from keymint_ros2_zenoh.proving.policy_side import KeyLists, PolicySide
 from keymint_ros2_zenoh.proving.router_side import LinkRights, RouterRights
 
 MODEL = "zenoh-1"
+_MEETING = 4
+"""Steps of a comparison of two key expressions."""
 UNIVERSE = "all literal keys; the names in them are legal ROS names"
 _REPLIES = (
     "replies about names for which one rule denies a permission and another rule allows the one that shares the reply: "
@@ -68,7 +71,7 @@ def prove_rights(question: RightsQuestion) -> Iterator[Claim]:
     proof = _Rights(question, policy, rights)
     for message, flow in product(Message, Flow):
         if unknown:
-            yield proof.claim(message, flow, Proof.UNKNOWN, unknown)
+            yield proof.claim(message, flow, Proof.UNKNOWN, unknown, spent=not rights.unmodelled)
         else:
             yield proof.of(message, flow)
 
@@ -82,6 +85,7 @@ class _Rights:
         self._rights = rights
         self._automaton = Automaton()
         self._known: dict[tuple[Side, Side], ProofResult] = {}
+        self._meeting: dict[tuple[tuple[KeyExpr, ...], tuple[KeyExpr, ...]], tuple[KeyExpr, ...]] = {}
 
     def claim(
         self, message: Message, flow: Flow, proof: Proof, reason: str = "", example: Counterexample | None = None,
@@ -147,10 +151,17 @@ class _Rights:
         return side_of(
             (
                 frozenset((*map(nodes.key_expr, allowed), *more)),
-                frozenset(nodes.key_expr(each) for each in denied if everything or _meets(each, allowed)),
+                frozenset(map(nodes.key_expr, denied if everything else self._concerned(allowed, denied))),
             )
             for allowed, denied in lists
         )
+
+    def _concerned(self, allowed: tuple[KeyExpr, ...], denied: tuple[KeyExpr, ...]) -> tuple[KeyExpr, ...]:
+        """Return the denied key expressions that match a key which one of the allowed ones matches."""
+        lists = (allowed, denied)
+        if lists not in self._meeting:
+            self._meeting[lists] = tuple(key for key in denied if _meets(key, allowed))
+        return self._meeting[lists]
 
     def _compare(self, policy: Side, router: Side) -> ProofResult:
         key = (policy, router)
@@ -187,6 +198,7 @@ def _include(outer: Iterable[KeyExpr], inner: Iterable[KeyExpr]) -> bool:
     return all(any(includes(each, key) for each in outer) for key in inner)
 
 
-def _meets(key: KeyExpr, others: Iterable[KeyExpr]) -> bool:
+def _meets(key: KeyExpr, others: Sequence[KeyExpr]) -> bool:
     """Return whether a key matches a key expression and one of others."""
+    spend(_MEETING * len(others))
     return any(intersects(key, other) for other in others)

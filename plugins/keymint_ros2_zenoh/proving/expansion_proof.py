@@ -3,19 +3,16 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 from comarmor.patterns import glob
-from comarmor.patterns.decision_lists import ProofResult, SearchBudget
+from comarmor.patterns.decision_lists import BudgetError, ProofResult, SearchBudget, Unknown
 from comarmor.patterns.glob import Glob
+from comarmor.patterns.steps import cached
 from keymint_ros2_zenoh.keyexpr.expansion import key_exprs
 from keymint_ros2_zenoh.lowering.names import data_key
 from keymint_ros2_zenoh.proving.automaton import Automaton
 from keymint_ros2_zenoh.proving.key_search import difference, side_of
 
 
-# Many enclaves have the same patterns.
-@lru_cache(maxsize=1 << 14)
 def proven_exact(pattern: Glob, states: int) -> ProofResult:
     """Compare a pattern of ROS names with its key expressions, as keys of domain 0 with any type and hash.
 
@@ -23,8 +20,20 @@ def proven_exact(pattern: Glob, states: int) -> ProofResult:
         pattern: pattern of names.
         states: the most states that the search may visit.
     """
+    try:
+        return _decided(pattern, states)
+    except BudgetError as error:
+        return Unknown(str(error))
+
+
+# Many enclaves have the same patterns. What is unknown is not cached: it may depend on an outer limit.
+@cached(1 << 14)
+def _decided(pattern: Glob, states: int) -> ProofResult:
     automaton = Automaton()
     names = frozenset(automaton.names(0, rest) for rest in glob.after(pattern, "/"))
     keys = frozenset(automaton.key_expr(data_key(0, each)) for each in key_exprs(pattern))
     left, right = (side_of(((nodes, frozenset()),)) for nodes in (names, keys))
-    return difference(automaton, left, right, SearchBudget(states))
+    result = difference(automaton, left, right, SearchBudget(states))
+    if isinstance(result, Unknown):
+        raise BudgetError(result.reason)
+    return result

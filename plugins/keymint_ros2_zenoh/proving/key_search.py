@@ -15,7 +15,7 @@ from functools import lru_cache
 from itertools import pairwise
 
 from comarmor.patterns.decision_lists import BudgetError, Equal, ProofResult, SearchBudget, Unknown, Witness
-from comarmor.patterns.steps import StepLimitError, step_limit
+from comarmor.patterns.steps import StepLimitError, spend, step_limit
 from comarmor.patterns.tokens import MAX_CODE, Charset, charset
 from comarmor.values import dataclass
 from keymint_ros2_zenoh.keyexpr.key_expr import VERBATIM
@@ -31,6 +31,10 @@ _LETTERS = charset((ord(char), ord(char)) for char in string.ascii_letters + "_"
 
 _FIRST, _IN_FIRST, _NAME, _IN_NAME, _FREE, _IN_FREE = range(6)
 """Where a word is: before or in its first chunk; in chunks of names; in a verbatim chunk or behind one."""
+
+
+_SHARE = 8
+"""Nodes that are followed by a character at the cost of one step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,10 +74,12 @@ def _search(automaton: Automaton, left: Side, right: Side, budget: SearchBudget)
             permitted = _permits(automaton, state.left)
             if permitted is not _permits(automaton, state.right):
                 return Witness(_word(before, state)[:-1], permitted)
-        for char in alphabet.letters(automaton.explicit(_nodes(state))):
+        nodes = tuple(_nodes(state))
+        for char in alphabet.letters(automaton.explicit(nodes)):
             where = _next(state.where, char)
             if where is None:
                 continue
+            spend(1 + len(nodes) // _SHARE)
             following = _State(_step(automaton, state.left, char), _step(automaton, state.right, char), where)
             if following.left != following.right and following not in before:
                 before[following] = (state, char)
@@ -88,17 +94,18 @@ def _nodes(state: _State) -> Iterator[int]:
 
 
 def side_of(entries: Iterable[tuple[Nodes, Nodes]]) -> Side:
-    """Return a side; entries that deny the same become one, and one that allows nothing is left out."""
+    """Return a side; entries that deny the same become one, and one that allows nothing that is left is left out."""
     together: dict[Nodes, Nodes] = {}
     for allowed, denied in entries:
-        if allowed:
-            together[denied] = together.get(denied, frozenset()) | allowed
+        if permitted := allowed - denied:
+            together[denied] = together.get(denied, frozenset()) | permitted
     return frozenset((allowed, denied) for denied, allowed in together.items())
 
 
 def _step(automaton: Automaton, side: Side, char: str) -> Side:
     """Return the side after a character."""
-    return side_of((automaton.step(allowed, char), automaton.step(denied, char)) for allowed, denied in side)
+    after = ((automaton.step(allowed, char), automaton.step(denied, char)) for allowed, denied in side)
+    return side_of((automaton.beside(allowed, denied), automaton.beside(denied)) for allowed, denied in after)
 
 
 def _permits(automaton: Automaton, side: Side) -> bool:

@@ -44,7 +44,9 @@ class EnclaveModel:
         others_name = router.common_name(router.configuration.tls.listen_certificate)
         self.refusal = _refusal(self.files, router, environment)
         self._router_file, self._session_file = str(router.file), str(self.files.file)
-        self.router_access = router.access.on(Link(own_name, interface="lo", protocol="tls"))
+        # Without mutual authentication a router asks for no certificate, and knows nobody by name.
+        known = own_name if router.configuration.tls.mutual else ""
+        self.router_access = router.access.on(Link(known, interface="lo", protocol="tls"))
         self.session_access = self.files.access.on(Link(others_name, interface="lo", protocol="tls"))
 
     def at_router(self, request: Request) -> AccessDecision:

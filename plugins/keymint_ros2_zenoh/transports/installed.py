@@ -24,6 +24,8 @@ from keymint_ros2_zenoh.decision.access import AccessModel
 from keymint_ros2_zenoh.documents import read as documents
 from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.enclave_layout import ROUTER, SESSION
+from keymint_ros2_zenoh.keyexpr.key_expr import ANY_CHARACTERS, ANY_CHUNKS
+from keymint_ros2_zenoh.lowering.names import TYPE_AND_HASH
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +102,24 @@ def router(install: Path, environment: Environment) -> InstalledConfiguration:
         KeymintError: it cannot be read, or Zenoh would refuse it.
     """
     return _read(install / ROUTER, install, environment)
+
+
+def installed_names(enclave: Enclave) -> tuple[str, ...]:
+    """Return expressions of names like those in the router's rights; see :class:`keymint.api.InstalledNames`."""
+    try:
+        content = installed_file(enclave.install / ROUTER)
+        rules = documents.read(content, ROUTER).access_control.rules
+    except KeymintError:
+        return ()
+    return tuple(dict.fromkeys(_name(key) for rule in rules for key in rule.key_exprs if "@" not in key))
+
+
+def _name(key: str) -> str:
+    """Return an expression of the names in the keys that a key expression includes, or of all names."""
+    _, *name = key.replace(ANY_CHUNKS, "*").replace(ANY_CHARACTERS, "*").split("/")
+    if ANY_CHUNKS in key.split("/")[-len(TYPE_AND_HASH) :]:
+        return f"/{'/'.join(name).rstrip('/*')}*"
+    return f"/{'/'.join(name[: -len(TYPE_AND_HASH)])}"
 
 
 def _read(file: Path, install: Path, environment: Environment) -> InstalledConfiguration:

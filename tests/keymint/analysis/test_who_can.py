@@ -10,10 +10,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from comarmor.patterns.glob import parse
-from keymint.analysis.query import parse_permission
 from keymint.analysis.rule_lists import query_pattern
 from keymint.analysis.who_can import who_can
 from keymint.graph import Edge, Object
+from keymint.names import typed_permission
 from tests.keymint.analysis.policies import deny, loaded, profile, rule
 
 PUB = ("ros_topic", "ros_publish")
@@ -22,7 +22,7 @@ SUB = ("ros_topic", "ros_subscribe")
 
 def who(folder: Path, policy: str, permission: str, name: str, within: str = "*") -> list[tuple[str, str]]:
     """Return subjects and names; what is uncertain has no subject."""
-    kind, permission = parse_permission(permission, name)
+    kind, permission = typed_permission(permission, name)
     found = who_can(loaded(folder, policy), parse(within), kind, permission, query_pattern(kind, name))
     return [(each.subject, each.word) for each in found]
 

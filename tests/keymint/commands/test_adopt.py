@@ -105,6 +105,13 @@ def test_a_keystore_of_keymint(keymint, policy: Path) -> None:
     assert "key elsewhere" in outcome.out
 
 
+def test_the_hint_about_an_authority_that_expired_names_it(keymint, tmp_path: Path) -> None:
+    made(tmp_path / "ks", now=datetime(2020, 1, 1, tzinfo=UTC), days=10)
+    found = keymint("adopt", "ks", "--json").document["diagnostics"]
+    (help_,) = {each["help"] for each in found if each["code"] == "adopt-authority-expired"}
+    assert help_ == "'keymint authority renew ca' afterwards"
+
+
 def test_keys_that_others_could_read(keymint, keystore: Path) -> None:
     (keystore / "private/ca.key.pem").chmod(0o644)
     (keystore / "enclaves/talker/key.pem").chmod(0o640)

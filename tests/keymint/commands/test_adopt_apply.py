@@ -346,6 +346,14 @@ def test_the_marker_of_a_package_is_written_last(keymint, tmp_path: Path) -> Non
     assert sources[-1] == "ws/src/talker/keymint_package.xml"
 
 
+def test_a_second_name_of_an_authority_stays(keymint, tmp_path: Path) -> None:
+    keystore = made(tmp_path / "ks", two=True)
+    shutil.copyfile(keystore / "public/identity_ca.cert.pem", keystore / "public/former.cert.pem")
+    complete(keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws"))
+    complete(keymint("revoke", "talker", "--reason", "superseded", "-w", "ws"))
+    assert (tmp_path / "ws/install/public/former.cert.pem").exists()
+
+
 def test_an_edited_policy_is_noticed(keymint, tmp_path: Path) -> None:
     made(tmp_path / "ks")
     complete(keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws"))

@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+import itertools
 import shutil
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from keymint.pki import certificates, keys, smime
+from keymint.plan import proof_results
 
 
 def resign(workspace: Path, name: str, old: str, new: str) -> None:
@@ -143,3 +146,31 @@ def test_what_vendors_decide_differently_can_be_accepted(keymint: Callable, tmp_
     accepted = keymint("prove", "-w", "ws", "--allow-vendor-specific")
     assert accepted.code == 0
     assert accepted.out.startswith("proved 1 enclave for omg: 3 of 3 claims proven; in force at 2027-01-15T08:00:00Z")
+
+
+def test_a_busy_machine_proves_the_same(
+    keymint: Callable, provisioned: Path, policy: Path, monkeypatch: pytest.MonkeyPatch
+):
+    policy.write_text(policy.read_text().replace("/chatter", "/chat*"))
+    hours = itertools.count(0, 3600)
+    monkeypatch.setattr(time, "monotonic", lambda: float(next(hours)))
+    for verb in (("create", "--all"), ("build",), ("install",), ("prove",)):
+        outcome = keymint(*verb, "-w", provisioned)
+        assert outcome.code == 0, outcome.err
+
+
+def test_what_is_too_costly_names_the_rules_and_a_way_out(keymint: Callable, provisioned: Path, policy: Path):
+    policy.write_text(policy.read_text().replace("/chatter", "/chat*"))
+    said = keymint("prove", "-w", provisioned, "--states=1").err
+    assert "not decided within 1 states; the rules with the most wildcards are at policy.xml:5" in said
+    assert "'keymint prove --states 5000000'" in said
+
+
+def test_the_steps_of_an_enclave_are_limited(
+    keymint: Callable, provisioned: Path, policy: Path, monkeypatch: pytest.MonkeyPatch
+):
+    policy.write_text(policy.read_text().replace("/chatter", "/chat*"))
+    monkeypatch.setattr(proof_results, "STEPS", 10)
+    outcome = keymint("prove", "-w", provisioned, "--states=1")
+    assert outcome.code == 3
+    assert "policy.xml:5" in outcome.err

@@ -91,7 +91,9 @@ def test_partitions(keymint, tmp_path: Path) -> None:
     [
         ("who kan publish /x", "expected 'can', not 'kan'"),
         ("who can publsh /x", "did you mean 'publish'?"),
-        ("can robot1 publish /x", "did you mean '/robot1'?"),
+        ("who can ros_publish x", "did you mean '/x', or the raw topic 'x' by --kind topic?"),
+        ("who can call x", "did you mean '/x'?"),
+        ("who can call /x --kind topic", "there is no permission 'call' of a topic"),
         ("whom can publish /x", "did you mean 'who'?"),
         ("what can /a", "expected 'do'"),
         ("flows /a", "too few words"),
@@ -144,6 +146,24 @@ def test_what_may_not_be_meant_is_said(keymint, question: str, said: str) -> Non
 
 def test_a_raw_topic_that_is_meant(keymint) -> None:
     assert keymint("query", FLEET, "who can publish ros_discovery_info").err == ""
+
+
+def test_a_raw_topic_may_begin_with_a_slash(keymint, tmp_path: Path) -> None:
+    (tmp_path / "p.xml").write_text(
+        '<profiles><profile name="a"><attachment>/a</attachment><topic qualifier="ALLOW"><attachment>/t</attachment>'
+        "<permissions><publish/></permissions></topic></profile></profiles>"
+    )
+    assert keymint("query", "p.xml", "who can publish /t").out.startswith("nobody")
+    assert keymint("query", "p.xml", "who can publish /t", "--kind", "topic").out.startswith("/a publish /t")
+    assert keymint("query", "p.xml", "who can publish t", "--kind", "topic").err == ""
+
+
+def test_the_slash_of_a_subject_is_optional(keymint, policy: Path) -> None:
+    for question in ("can {}talker publish /chatter", "what can {}talker do", "flows {}talker {}listener"):
+        with_slash, without = (keymint("query", policy, question.replace("{}", slash)) for slash in ("/", ""))
+        assert without.out.replace("no profile", "") != ""
+        assert with_slash.code == without.code
+        assert with_slash.out.partition("(")[0] == without.out.replace("flows from ", "flows from ").partition("(")[0]
 
 
 NODES = """<profiles xmlns:xi="http://www.w3.org/2001/XInclude">

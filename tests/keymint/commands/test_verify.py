@@ -15,6 +15,7 @@ import pytest
 
 from keymint.pki import smime
 from tests.conftest import Outcome
+from tests.opened_governance import open_governance
 
 SIMULATED = ("omg", "cyclonedds-0.10", "fastdds-2.9")
 ASKED = [argument for name in SIMULATED for argument in ("-t", name)]
@@ -400,3 +401,12 @@ class TestUsage:
         outcome = keymint("verify", cwd=cell)
         assert outcome.code == 1
         assert "no transport supports" in outcome.err
+
+
+@pytest.mark.parametrize("package", ["cell/arm", "cell/bridge"])
+def test_a_governance_rule_that_opens_names_that_no_policy_mentions(keymint, cell: Path, package: str) -> None:
+    open_governance(cell, package, "rt/zz*")
+    outcome = keymint("verify", "--json", *ASKED, cwd=cell)
+    assert outcome.code == 3
+    for model in SIMULATED:
+        assert any("zzx" in each for each in requests(outcome, model)["false-positive"]), model

@@ -137,6 +137,23 @@ def test_a_raw_topic_that_a_ros_rule_is_about(why) -> None:
     assert result["transports"][0]["allowed"]
 
 
+@pytest.mark.parametrize(
+    ("short", "full"),
+    [
+        (("cell/arm", "publish", "/estop"), ("/cell/arm", "ros_publish", "/estop")),
+        (("/cell/arm", "request", "/move"), ("/cell/arm", "ros_request", "/move")),
+        (("/cell/arm", "publish", "telemetry"), ("/cell/arm", "publish", "telemetry", "--kind", "topic")),
+    ],
+)
+def test_words_mean_what_they_mean_in_queries(why, short: tuple[str, ...], full: tuple[str, ...]) -> None:
+    assert why(*short).out == why(*full).out
+
+
+def test_a_raw_topic_that_begins_with_a_slash(why) -> None:
+    result = why("/cell/arm", "publish", "/estop", "--kind", "topic", "--json").document["result"]
+    assert result["endpoints"] == [{"action": "publish", "name": "/estop", "partitions": []}]
+
+
 def test_a_subject_without_an_enclave(why) -> None:
     outcome = why("/cell/am", "ros_publish", "/estop")
     assert outcome.code == 0
@@ -163,7 +180,7 @@ def test_a_transport_that_decides_otherwise(why, keymint, tmp_path: Path) -> Non
     ("arguments", "expected"),
     [
         (("/cell/arm", "ros_publsh", "/x"), "did you mean 'ros_publish'?"),
-        (("/cell/arm", "ros_publish", "x"), "did you mean '/x'?"),
+        (("/cell/arm", "ros_publish", "x"), "did you mean '/x', or the raw topic 'x' by --kind topic?"),
         (("/cell/arm", "ros_publish", "/x", "--partition", "p"), "only a topic has partitions"),
     ],
 )

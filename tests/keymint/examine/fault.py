@@ -44,8 +44,8 @@ class Fault:
         name: what it does; unique in its class.
         workspace: kind of the workspace that it changes.
         apply: does it.
-        decides: whether a vendor decides otherwise for the holder of some certificate in force, by construction; None if
-            the meaning of the permissions before and after is to be compared (rules that apply first, fnmatch).
+        decides: whether a vendor decides otherwise for the holder of some certificate in force, by construction; None
+            if the meaning of the permissions before and after is to be compared (rules that apply first, fnmatch).
         vendors: who decides otherwise, or would.
         check: whether ``check`` must end with 3 (True) or 0 (False); None for either.
         prove: the same of ``prove``.

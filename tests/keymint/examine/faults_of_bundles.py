@@ -31,8 +31,10 @@ from .fault_keystores import (
     stranger,
     written,
 )
-from .faults_of_keystores import _files, _granted, _lists, _new_key, _opened, _revokes, _rights, _unregistered
+from .faults_of_keystores import exchanged_files, new_key, unregistered
+from .faults_of_lists import replaced_lists
 from .faults_of_permissions import ALL
+from .faults_of_rollovers import granted, opened, revokes, widened_rights
 
 Files = dict[str, bytes]
 
@@ -56,18 +58,18 @@ def _in_place() -> Iterator[Fault]:
 def _of_enclave(subject: str, other: str) -> Mapping[str, Callable[[Keystore], None]]:
     """Return faults of an enclave; a bundle of it must not leave, whatever its key is."""
     return {
-        "all of ROS": _rights(subject, "install", "all of ROS"),
-        "another topic": _rights(subject, "install", "another topic"),
-        "everything for another": _granted(subject, other, "install"),
-        "writing opened": _opened(subject, "install", "writing"),
-        "names that nobody has opened": _opened(subject, "install", "names that nobody has"),
-        "the living revoked": _revokes(subject, other, "install"),
-        "permissions of another": _files(subject, other, ("permissions.p7s", "permissions.xml")),
-        "certificate of another": _files(subject, other, ("cert.pem",)),
-        "certificate that no register knows": _unregistered(subject),
+        "all of ROS": widened_rights(subject, "install", "all of ROS"),
+        "another topic": widened_rights(subject, "install", "another topic"),
+        "everything for another": granted(subject, other, "install"),
+        "writing opened": opened(subject, "install", "writing"),
+        "names that nobody has opened": opened(subject, "install", "names that nobody has"),
+        "the living revoked": revokes(subject, other, "install"),
+        "permissions of another": exchanged_files(subject, other, ("permissions.p7s", "permissions.xml")),
+        "certificate of another": exchanged_files(subject, other, ("cert.pem",)),
+        "certificate that no register knows": unregistered(subject),
         "no permissions": lambda ks: (ks.enclave(subject) / "permissions.p7s").unlink(),
         "no certificate": lambda ks: (ks.enclave(subject) / "cert.pem").unlink(),
-        "a list that is over": _lists([subject], lambda ks: ks.revocation_list([], end=-timedelta(hours=1))),
+        "a list that is over": replaced_lists([subject], lambda ks: ks.revocation_list([], end=-timedelta(hours=1))),
     }
 
 
@@ -76,8 +78,8 @@ def outgoing() -> Iterator[tuple[str, str, Callable[[Keystore], None]]]:
     for at, subject in enumerate(SUBJECTS):
         other = SUBJECTS[(at + 2) % len(SUBJECTS)]
         more = {
-            "key of another": _files(subject, other, ("key.pem",)),
-            "a key of nobody": _new_key(subject, certified=True, kept=False),
+            "key of another": exchanged_files(subject, other, ("key.pem",)),
+            "a key of nobody": new_key(subject, certified=True, kept=False),
         }
         for label, apply in {**_of_enclave(subject, other), **more}.items():
             yield f"{subject} {label}", subject, apply
@@ -159,6 +161,10 @@ def _dropped(name: str) -> Callable[[Keystore, str, Files], None]:
     return change
 
 
+def _by_stranger(keystore: Keystore, _subject: str) -> bytes:
+    return keystore.revocation_list([], issuer=stranger("identity_ca"))
+
+
 def _revoking_itself(keystore: Keystore, subject: str) -> bytes:
     return keystore.revocation_list([keystore.certificate(subject).serial_number])
 
@@ -178,7 +184,7 @@ FORGED = (
     Forged("no governance", _dropped("governance.p7s")),
     Forged("a list that revokes it", _put("crl.pem", _revoking_itself)),
     Forged("a list that is over", _put("crl.pem", lambda ks, _: ks.revocation_list([], end=-timedelta(hours=1)))),
-    Forged("a list of a stranger", _put("crl.pem", lambda ks, _: ks.revocation_list([], issuer=stranger("identity_ca")))),
+    Forged("a list of a stranger", _put("crl.pem", _by_stranger)),
     Forged("certificate over", _put("cert.pem", lambda ks, s: ks.issue(s, begin=-30 * DAY, end=-DAY))),
     Forged("certificate begins tomorrow", _put("cert.pem", lambda ks, s: ks.issue(s, begin=DAY))),
     Forged("an issue before", manifest=lambda manifest: replace(manifest, issue=manifest.issue - 1)),

@@ -137,7 +137,9 @@ def _drift() -> Iterator[Fault]:
             yield Fault(5, f"{subject} by a policy with {label}", "dds", _policy(subject, edit))
             yield Fault(4, f"{subject} by sources with {label}", "dds", _source(subject, edit))
         yield Fault(4, f"{subject} by a policy that does not name it", "dds", _policy(subject, _removed))
-        yield Fault(6, f"{subject} by a policy that says a rule twice", "dds", _policy(subject, _doubled), decides=False)
+        yield Fault(
+            6, f"{subject} by a policy that says a rule twice", "dds", _policy(subject, _doubled), decides=False
+        )
         for label, text in OPEN.items():
             yield Fault(12, f"{label} by sources in {subject}", "dds", _governance((subject,), text))
     for label, text in OPEN.items():

@@ -169,7 +169,14 @@ def _unused(document: dict[str, Any]) -> None:
     )
 
 
-def _routers() -> Iterator[Fault]:
+def _longer(key: str) -> str:
+    return key.replace("image$*", "imag$*") if "$*" in key else key.replace("/*/*", "$*/*/*", 1)
+
+
+_NOBODY = "nobody has such a certificate; 'prove' may refuse rights for a stranger before one exists"
+
+
+def _rights() -> Iterator[Fault]:
     for subject in SUBJECTS:
         edits: dict[str, Edit] = {
             "puts everything": _more(subject, ["put"], ["ingress"], "0/**"),
@@ -179,22 +186,29 @@ def _routers() -> Iterator[Fault]:
             "may do all": _more(subject, MESSAGES, FLOWS, "**"),
             "in another domain": _more(subject, ["put", "declare_subscriber"], FLOWS, "1/**"),
             "denied what it may": _more(subject, MESSAGES, FLOWS, "0/**", "deny"),
-            "longer names": _expression(subject, lambda key: key.replace("/*/*", "$*/*/*", 1), beside=True),
+            "longer names": _expression(subject, _longer, beside=True),
             "other names": _expression(subject, lambda key: key.replace("0/", "0/other/", 1)),
             "forges graphs": _more(subject, ["liveliness_token"], ["ingress"], "@ros2_lv/0/**"),
             "lacks its first rule": _without_rule(subject),
             "denied by its first rule": _first_rule(subject, permission="deny"),
             "is any link": _nameless(subject),
             "has another name": _names(subject, "/nobody"),
-            "has a second name": _names(subject, subject, "/thief"),
-            "has a thief beside it": _thief(subject),
         }
         for label, edit in edits.items():
             yield Fault(22, f"{subject} {label}", "zenoh", _router(edit), vendors="zenoh")
+        for label, edit in (
+            ("has a second name", _names(subject, subject, "/thief")),
+            ("has a thief beside it", _thief(subject)),
+        ):
+            name = f"{subject} {label}"
+            yield Fault(22, name, "zenoh", _router(edit), decides=False, check=True, why=_NOBODY)
     for one, two in each_pair((TALKER, LISTENER, PLANNER)):
         yield Fault(22, f"{one} has the name of {two}", "zenoh", _router(_names(one, two)), vendors="zenoh")
         both = _router(_names(one, one, two))
         yield Fault(22, f"{one} has the name of {two} beside its own", "zenoh", both, vendors="zenoh")
+
+
+def _routers() -> Iterator[Fault]:
     for label, edit in SETTINGS.items():
         yield Fault(22, f"setting: {label}", "zenoh", _router(edit), vendors="zenoh")
         unsigned = _router(edit, signed=False)
@@ -302,4 +316,4 @@ def _sessions() -> Iterator[Fault]:
                     vendors="zenoh")  # fmt: skip
 
 
-FAULTS = (*_routers(), *_sessions())
+FAULTS = (*_rights(), *_routers(), *_sessions())

@@ -11,7 +11,8 @@ from cryptography import x509
 from tests.conftest import snapshot
 from tests.effort import FULL
 
-from .fault_keystores import SUBJECTS, Bench, public
+from .fault_keystores import SUBJECTS, public
+from .fault_workspaces import Bench
 from .faults_of_bundles import FORGED, Forged, outgoing
 from .test_faults import bench  # noqa: F401 - a fixture
 

@@ -19,15 +19,10 @@ from tests.conftest import NOW
 from tests.effort import FULL
 
 from .fault import CLASSES, Fault
-from .fault_keystores import Bench, meaning
-from .faults_of_bundles import FAULTS as OF_BUNDLES
-from .faults_of_keystores import FAULTS as OF_KEYSTORES
-from .faults_of_permissions import FAULTS as OF_PERMISSIONS
-from .faults_of_signers import FAULTS as OF_SIGNERS
-from .faults_of_sources import FAULTS as OF_SOURCES
-from .faults_of_zenoh import FAULTS as OF_ZENOH
+from .fault_keystores import meaning
+from .fault_table import TABLE
+from .fault_workspaces import Bench
 
-TABLE: tuple[Fault, ...] = (*OF_PERMISSIONS, *OF_SIGNERS, *OF_SOURCES, *OF_KEYSTORES, *OF_BUNDLES, *OF_ZENOH)
 SAMPLE = 2
 """How many faults of each class are tried by default."""
 
@@ -117,3 +112,19 @@ ONE_AUTHORITY = "adopted"
 def test_without_a_fault_nothing_is_found(keymint, bench: Bench, kind: str) -> None:
     keystore = bench.copy(kind)
     assert {(*said, found) for *said, found in findings(keymint, keystore.ws) if found} == set()
+
+
+def test_class18_one_authority_is_an_exception_of_the_proof(keymint, bench: Bench) -> None:
+    """Identities can sign documents there: the proof says so, and what ends it."""
+    keystore = bench.copy(ONE_AUTHORITY)
+    outcome = keymint("prove", "-w", keystore.ws)
+    assert outcome.code == 0
+    assert "harden" in outcome.out + outcome.err
+    assert keymint("prove", "--strict", "-w", keystore.ws).code == 3
+
+
+def test_class09_documents_of_a_wider_policy_are_remembered(keymint, bench: Bench) -> None:
+    """They were signed, and fit certificates in force: whoever has one may present it."""
+    keystore = bench.copy("narrowed")
+    assert keymint("prove", "-w", keystore.ws).code == 0
+    assert keymint("prove", "--strict", "-w", keystore.ws).code == 3

@@ -1,0 +1,369 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Classes of subjects of which all members change in the same way, apart from their own namespace and name.
+
+A class begins as the pattern in which a subject that changes was found. It is narrowed until all members have the same
+rules where they matter, no member changes in another way, and no placeholder meets another pattern by coincidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from itertools import chain, product
+
+from comarmor.patterns.decision_lists import Equal, Unknown, negated
+from comarmor.patterns.glob import Glob, literal, normalise, parse, surround
+from comarmor.patterns.matching import matches
+from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection, maximal
+from comarmor.patterns.tokens import STAR
+from comarmor.rules import PARTS, Effect, parts
+from comarmor.values import dataclass
+from keymint.analysis.pattern_diff import KEYS, PatternComparison, PatternDifference
+from keymint.analysis.query_budget import QueryBudget
+from keymint.analysis.rule_diff import PermissionChange
+from keymint.analysis.rule_lists import (
+    PermissionKey,
+    allow_only,
+    before_suffix,
+    decision_list,
+    find_permitted,
+    overlap,
+)
+from keymint.analysis.subject_patterns import SubjectClass, rules_of
+from keymint.analysis.subject_templates import (
+    exact_halves,
+    fill_placeholders,
+    fit_pattern,
+    placeholders,
+    symbolic_words,
+)
+from keymint.analysis.symbolic_rules import SymbolicRule, SymbolicRules
+from keymint.analysis.symbolic_search import (
+    EVERYBODY,
+    SymbolicCondition,
+    SymbolicEntry,
+    find_subject,
+    namespace_name_pairs,
+)
+from keymint.api import LoadedPolicy
+
+_MOST_SPLITS = 256
+"""Maximum number of times that a class is narrowed."""
+_MOST_SINGLES = 8
+"""Maximum number of single subjects that a class leaves out because of their names."""
+
+
+class _NotAlikeError(Exception):
+    """A class cannot be narrowed to members that change alike; the message tells why."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Claim:
+    """A statement about every member of a class.
+
+    Attributes:
+        after: it is about the newer policy, else about the older one.
+        key: the permission.
+        objects: pattern of symbolic words.
+        allowed: the policy allows all of them; else it denies all of them.
+    """
+
+    after: bool
+    key: PermissionKey
+    objects: Glob
+    allowed: bool
+
+
+class ClassFinder:
+    """Finds the class of a subject that changes.
+
+    Args:
+        policies: the older one and the newer one.
+        rules: the rules of both.
+        comparisons: what is gained, and what is lost.
+        named: subjects that are no members of any class here.
+        budget: limit of the search.
+    """
+
+    def __init__(
+        self,
+        policies: tuple[LoadedPolicy, LoadedPolicy],
+        rules: tuple[SymbolicRules, SymbolicRules],
+        comparisons: Sequence[PatternComparison],
+        named: Iterable[str],
+        budget: QueryBudget,
+    ) -> None:
+        self._policies = policies
+        self._books = rules
+        self._comparisons = comparisons
+        self._named = tuple((name,) for name in named)
+        self._budget = budget
+
+    def class_of(
+        self, subject: str, found: PatternDifference, changes: Sequence[PermissionChange]
+    ) -> tuple[SubjectClass, tuple[PermissionChange, ...], str]:
+        """Return a class in which all members change as a subject does, and these changes with placeholders.
+
+        Args:
+            subject: the subject.
+            found: the difference that it is an example of.
+            changes: what it gains and loses.
+
+        Returns:
+            The class, the changes, and an empty text; or why none was found within the limits, and where.
+        """
+        area, reason = SubjectClass(found.within), "profiles overlap in too many ways"
+        undecided = next((change.unknown for change in changes if change.unknown), "")
+        if undecided or found.rule.reach.left:
+            return area, (), undecided or reason
+        symbolic = tuple(self._with_placeholders(subject, change) for change in changes)
+        with suppress(TooComplexError):
+            try:
+                for _ in range(_MOST_SPLITS):
+                    narrower = self._narrower(area, subject, symbolic)
+                    if narrower is None:
+                        return area, symbolic, ""
+                    area = narrower
+            except _NotAlikeError as error:
+                reason = str(error)
+        return area, (), reason
+
+    def _narrower(self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]) -> SubjectClass | None:
+        """Return a part of a class with a subject, without some members that differ from it; None if all are alike."""
+        return next(
+            (
+                narrower
+                for attempt in (self._by_profile, self._by_rule, self._by_change, self._by_claim)
+                if (narrower := attempt(area, subject, changes)) is not None
+            ),
+            None,
+        )
+
+    def _by_profile(
+        self, area: SubjectClass, subject: str, _changes: Sequence[PermissionChange]
+    ) -> SubjectClass | None:
+        """Return the part in which a policy has a profile for all or for none."""
+        for policy, book in zip(self._policies, self._books, strict=True):
+            if policy.rules(subject) is None:
+                near = (profiles for one, profiles in book.profiles.meeting(area.like) if _alive([one], area))
+            else:
+                own = [profiles for _, profiles in book.profiles.matching(subject)]
+                near = (profiles for profiles in own if not any(_cut(area, subject, each) is None for each in own))
+            for profiles in near:
+                if (narrower := _cut(area, subject, profiles)) is not None:
+                    return narrower
+        return None
+
+    def _by_rule(self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]) -> SubjectClass | None:
+        """Return the part in which the rules about changed objects apply to all or to none."""
+        for key, objects in _concerned(changes):
+            for rule in self._rules(key, area):
+                if not _meets(rule, objects, area):
+                    continue
+                if _applies(rule, subject) or _alive(rule.reach.subjects, area):
+                    narrower = _cut(area, subject, rule.profiles)
+                    if narrower is not None:
+                        return narrower
+        return None
+
+    def _by_change(self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]) -> SubjectClass | None:
+        """Return the part without a member that changes in a way in which the subject does not."""
+        for comparison, gains in zip(self._comparisons, (True, False), strict=True):
+            for key in KEYS:
+                said = [objects for one, objects in _covered(changes, gains) if one == key]
+                for each in comparison.differences(key, area, said, ()):
+                    if isinstance(each.found, Unknown):
+                        raise _NotAlikeError(each.found.reason)
+                    near = [rule for rule in self._rules(key, area) if _meets(rule, each.rule.object, area)]
+                    for rule in near:
+                        if _applies(rule, subject) is not _applies(rule, each.found):
+                            return _cut(area, subject, rule.profiles) or _without(area, each.found)
+                    objects = [rule.object for rule in near]
+                    return _without_coincidence(area, subject, each.found, objects, each.rule.object)
+        return None
+
+    def _by_claim(self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]) -> SubjectClass | None:
+        """Return the part without a member for which a change is false because of its namespace or name."""
+        for claim in (claim for change in changes for claim in self._claims(change, subject)):
+            denies, allows = (
+                [
+                    rule.object
+                    for rule in self._books[claim.after].applying(claim.key, effect, area.like)
+                    if _applies(rule, subject) and _meets(rule, claim.objects, area)
+                ]
+                for effect in (Effect.DENY, Effect.ALLOW)
+            )
+            if not any(map(placeholders, (claim.objects, *denies, *allows))):
+                continue
+            found = self._refuting(claim, area, denies, allows)
+            if isinstance(found, Unknown):
+                raise _NotAlikeError(found.reason)
+            if found is not None:
+                return _without_coincidence(area, subject, found, (*denies, *allows), claim.objects)
+        return None
+
+    def _rules(self, key: PermissionKey, area: SubjectClass) -> Iterator[SymbolicRule]:
+        """Yield the rules of a permission that may apply to members, of both policies."""
+        for book, effect in product(self._books, Effect):
+            yield from book.applying(key, effect, area.like)
+
+    def _claims(self, change: PermissionChange, subject: str) -> Iterator[_Claim]:
+        """Yield what a change says: the one policy allows all parts, the other one denies one of them."""
+        shape = change.objects if change.whole else _symbolic_word(change, subject)
+        pieces = [((kind, part), surround("", shape, end)) for kind, part, end in parts(change.kind, change.permission)]
+        yield from (_Claim(change.gains, key, piece, allowed=True) for key, piece in pieces)
+        claims = [_Claim(not change.gains, key, piece, allowed=False) for key, piece in pieces]
+        denied = next((claim for claim in claims if self._refutes(claim, subject) is False), None)
+        if denied is None:
+            raise _NotAlikeError("the parts of a permission change in several ways")
+        yield denied
+
+    def _refutes(self, claim: _Claim, subject: str) -> bool | Unknown:
+        """Return whether a claim is false for a subject."""
+        decided = decision_list(rules_of(self._policies[claim.after], subject), claim.key)
+        concrete = allow_only(fill_placeholders(claim.objects, *exact_halves(subject)))
+        sought = negated(decided) if claim.allowed else decided
+        outcome = find_permitted(claim.key[0], concrete, sought, budget=self._budget.next_query())
+        if isinstance(outcome, Unknown):
+            return Unknown(self._budget.reason(outcome.reason))
+        return not isinstance(outcome, Equal)
+
+    def _refuting(
+        self, claim: _Claim, area: SubjectClass, denies: Sequence[Glob], allows: Sequence[Glob]
+    ) -> str | Unknown | None:
+        """Return a member for which a claim is false, if all members have the same denials and allowances."""
+        denied, not_denied = (_matched(denies, some=some) for some in (True, False))
+        allowed, not_allowed = (_matched(allows, some=some) for some in (True, False))
+        excluded = (*area.excluded, *self._named)
+
+        def check(member: str) -> bool | Unknown:
+            return self._refutes(claim, member)
+
+        for conditions in [(denied,), (not_allowed,)] if claim.allowed else [(allowed, not_denied)]:
+            found = find_subject(claim.key[0], area.like, claim.objects, conditions, check, excluded, self._budget)
+            if found is not None:
+                return found
+        return None
+
+    def _with_placeholders(self, subject: str, change: PermissionChange) -> PermissionChange:
+        """Return a change of a subject with the placeholders of the rule behind it."""
+        halves = exact_halves(subject)
+        (kind, part, suffix), *_ = parts(change.kind, change.permission)
+        key, near = (kind, part), (subject,)
+        allowed = [rule.object for rule in self._books[change.gains].applying(key, Effect.ALLOW, near)]
+        denied = [rule.object for rule in self._books[not change.gains].applying(key, Effect.DENY, near)]
+        both = [piece for one in allowed for other in denied for piece in overlap(one, other)]
+        written = (base for each in (*allowed, *denied, *both) for base in before_suffix(each, suffix))
+        found = (each for each in written if fill_placeholders(each, *halves) == change.objects)
+        return replace(change, objects=next(found, change.objects))
+
+
+def _without_coincidence(
+    area: SubjectClass, subject: str, other: str, objects: Iterable[Glob], shape: Glob
+) -> SubjectClass:
+    """Return the part without a member for which a pattern of objects with placeholders meets another one."""
+    for pattern in objects:
+        for one, two in ((pattern, shape), (shape, pattern)):
+            for namespaces, names, _ in fit_pattern(one, two, *EVERYBODY, wide=True).pieces:
+                for apart in _subjects_with(namespaces, names):
+                    if matches(apart, subject) is not matches(apart, other):
+                        return _split(area, subject, [apart])
+    return _without(area, other)
+
+
+def _matched(objects: Iterable[Glob], *, some: bool) -> SymbolicCondition:
+    """Return the condition that some of the patterns of objects match, or that none does."""
+    return SymbolicCondition(tuple(SymbolicEntry((EVERYBODY,), each) for each in objects), some=some)
+
+
+def _applies(rule: SymbolicRule, subject: str) -> bool:
+    return all(any(matches(parse(each), subject) for each in level) for level in rule.profiles)
+
+
+def _cut(area: SubjectClass, subject: str, profiles: Sequence[Sequence[str]]) -> SubjectClass | None:
+    """Return the part of a class to which nested profiles apply as they do to a subject; None if that is all of it."""
+    for level in reversed(profiles):
+        expressions = [each for each in map(parse, level) if literal(each) is None and not disjoint(each, area.like)]
+        if not any(matches(each, subject) for each in expressions):
+            more = [each for each in expressions if each not in area.excluded]
+            return _split(area, subject, more) if more else None
+    for level in profiles:
+        expressions = [each for each in map(parse, level) if matches(each, subject)]
+        if not any(covers(each, area.like) for each in expressions):
+            return _split(area, subject, expressions[:1])
+    return None
+
+
+def _split(area: SubjectClass, subject: str, apart: Sequence[Glob]) -> SubjectClass:
+    """Return the part of a class that a pattern matches, if it matches the subject, or that no pattern matches."""
+    if not matches(apart[0], subject):
+        return replace(area, excluded=tuple(maximal((*area.excluded, *apart))))
+    like = next(piece for piece in intersection(area.like, apart[0]) if matches(piece, subject))
+    return SubjectClass(like, tuple(each for each in area.excluded if not disjoint(each, like)))
+
+
+def _without(area: SubjectClass, other: str) -> SubjectClass:
+    if sum(literal(each) is not None for each in area.excluded) >= _MOST_SINGLES:
+        raise _NotAlikeError("{namespace} or {name} makes single subjects differ")
+    return replace(area, excluded=(*area.excluded, (other,)))
+
+
+def _alive(subjects: Iterable[Glob], area: SubjectClass) -> list[Glob]:
+    """Return the overlaps of patterns with a class, without those that the class surely excludes."""
+    overlaps = ((area.like,) if covers(one, area.like) else intersection(one, area.like) for one in subjects)
+    pieces = chain.from_iterable(overlaps)
+    return [piece for piece in pieces if not any(covers(each, piece) for each in area.excluded)]
+
+
+def _meets(rule: SymbolicRule, objects: Glob, area: SubjectClass) -> bool:
+    """Return False if a rule is surely not about some objects, for any member of a class."""
+    if not placeholders((*rule.object, *objects)):
+        return not disjoint(rule.object, objects)
+    halves = (each for piece in _alive(rule.reach.subjects, area) for each in namespace_name_pairs(piece))
+    return any(
+        not disjoint(fill_placeholders(rule.object, *each), fill_placeholders(objects, *each)) for each in halves
+    )
+
+
+def _concerned(changes: Sequence[PermissionChange]) -> dict[tuple[PermissionKey, Glob], None]:
+    """Return the permissions without parts, with objects, on which changes depend."""
+    composite: dict[tuple[PermissionKey, Glob], None] = {}
+    for change in changes:
+        key = (change.kind, change.permission)
+        composite[key, change.objects] = None
+        for whole, implementing in PARTS.items():
+            bases = [
+                base for *part, end in implementing if (*part,) == key for base in before_suffix(change.objects, end)
+            ]
+            composite |= dict.fromkeys((whole, base) for base in bases)
+    return {
+        ((kind, part), surround("", objects, end)): None
+        for key, objects in composite
+        for kind, part, end in parts(*key)
+    }
+
+
+def _covered(changes: Sequence[PermissionChange], gains: bool) -> Iterator[tuple[PermissionKey, Glob]]:
+    """Yield the permissions without parts, with objects, that changes tell of."""
+    for change in changes:
+        if change.gains is gains and (change.whole or (change.kind, change.permission) not in PARTS):
+            for kind, part, end in parts(change.kind, change.permission):
+                yield (kind, part), surround("", change.objects, end)
+
+
+def _symbolic_word(change: PermissionChange, subject: str) -> Glob:
+    """Return the example of a change with placeholders."""
+    found = symbolic_words(change.word, placeholders(change.objects), subject)
+    return (next((word for word in found if matches(change.objects, word)), change.word),)
+
+
+def _subjects_with(namespaces: Sequence[Glob], names: Sequence[Glob]) -> Iterator[Glob]:
+    """Yield patterns of subjects that tell apart those with a namespace and a name."""
+    name = names[0] if names else (STAR,)
+    if namespaces:
+        yield normalise(("/", *namespaces[0], *name))
+        yield normalise(("/", *namespaces[0], STAR, "/", *name))
+    else:
+        yield normalise(("/", *name))
+        yield normalise(("/", STAR, "/", *name))
