@@ -101,7 +101,7 @@ class Client:
             needed = tuple(dict.fromkeys((*names, *session.after(created).infrastructure())))
             return reissued(run, session, created, needed, request=InstallRequest(prove=prove), policy=policy)
 
-        run = self._run("provision")
+        run = self._run("provision", name)
         enclave = self._enclave(run.carry_out(self._workspace, make_plan), name)
         if not enclave.folder.is_dir():
             raise KeymintError(
@@ -172,7 +172,7 @@ class Client:
         Raises:
             KeymintError: what it reports as errors.
         """
-        run = self._run(command.name)
+        run = self._run(command.name, *subjects, *map(repr, sorted(options.items())))
         report: Report = inspect.unwrap(command.callback)(run, names=tuple(subjects), **options)
         if failures := [each for each in report.diagnostics if each.severity is Severity.ERROR]:
             raise KeymintError.of(failures)
@@ -181,20 +181,27 @@ class Client:
     def _enclaves_of(self, report: Report) -> tuple[Enclave, ...]:
         """Return the enclaves that a run changed."""
         names = dict.fromkeys(step.package for step in report.steps if step.stage == "install" and step.writes())
+        names |= dict.fromkeys(self._finished())
         enclaves = (self._enclave(report, name) for name in names if name)
         return tuple(each for each in enclaves if each.folder.is_dir())
 
-    def _run(self, verb: str) -> Run:
-        setting = cli.setting(cli.call_of(("client",)), Streams(io.StringIO(), io.StringIO()))
+    def _run(self, verb: str, *arguments: str) -> Run:
+        setting = cli.setting(cli.call_of(("client", verb, *arguments)), Streams(io.StringIO(), io.StringIO()))
         options = {"quiet": True, "verbose": 0, "as_json": False, "workspace": self._folder, "jobs": 1}
-        return Run(setting, verb, options)
+        self._latest = Run(setting, verb, options)
+        return self._latest
+
+    def _finished(self) -> tuple[str, ...]:
+        """Return the packages that the latest run changed in place of one that was interrupted."""
+        before = self._latest.interrupted
+        return before.intent.packages if before and before.finished else ()
 
     def _enclave(self, report: Report, name: str) -> Enclave:
         steps = [step for step in report.steps if step.package == name and step.stage == "install"]
         own = tuple(each for each in report.diagnostics if each.subject in {subject_of(name), ""})
         if failures := [each for each in own if each.severity is Severity.ERROR]:
             raise KeymintError.of(failures)
-        changed = any(step.writes() for step in steps)
+        changed = any(step.writes() for step in steps) or name in self._finished()
         return Enclave(subject_of(name), self._session.enclave(name), self._workspace.install, changed, own)
 
     def _loaded(self, session: Session) -> LoadedPolicy:

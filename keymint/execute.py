@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Carry out a plan: all its steps in one group, marked and recorded."""
+"""Carry out a plan: all its steps and their record in one group, which is visible as a whole or not at all."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
-from keymint.changes import Action, File, Plan, Step
+from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
-from keymint.plan import gitignore, key_record
+from keymint.journal import Intent
+from keymint.plan import gitignore
 from keymint.staged import Staged
-from keymint.state import State, dump_mark
+from keymint.state import State
 from keymint.store import Store
 from keymint.tree import Tree
 from keymint.workers import Workers
@@ -27,7 +28,13 @@ def open_store(workspace: Workspace) -> Store:
 
 
 def execute(
-    plan: Plan, workspace: Workspace, store: Store, before: State, workers: Workers, on_step: Callable[[Step], None]
+    plan: Plan,
+    workspace: Workspace,
+    store: Store,
+    before: State,
+    workers: Workers,
+    on_step: Callable[[Step], None],
+    intent: Intent,
 ) -> int:
     """Carry out a plan.
 
@@ -38,30 +45,28 @@ def execute(
         before: the previous record; written only if it changes.
         workers: the processes that hold a part of what is written.
         on_step: called for every step, after all of them.
+        intent: what the run was asked for.
 
     Returns:
         The clock of the file system before anything became visible.
 
     Raises:
-        KeymintError: the system refuses a write; no file is incomplete, and a later run goes on from here.
+        KeymintError: the system refuses a write; no file is incomplete, and the next run finishes it, or drops it.
     """
     guards = gitignore.missing_files(workspace, plan)
-    if not guards and not plan.writes() and plan.state == before and not store.is_marked():
+    if not guards and not plan.writes() and plan.state == before:
         for step in plan.steps:
             on_step(step)
         return clock(workspace.state)
-    record = plan.state.dump()
-    with store.marked(dump_mark(before, _public(plan), key_record.new_fingerprints(before, plan.state))):
-        for guard in guards:  # before the first secret is written
-            store.write(guard.folder, guard.files, private=guard.private)
-        if plan.first:
-            store.change(plan.first)
-        staged = _staged(replace(plan, first=()), store, workers)
-        visible = clock(workspace.state)
-        store.commit(staged)
-        for step in plan.steps:
-            on_step(step)
-        store.write(workspace.state, {RECORD: File(record)})
+    changing = {step.package for step in plan.steps if step.package and step.writes()}
+    store.begin(replace(intent, packages=tuple(sorted(changing))))
+    for guard in guards:  # before the first secret is written
+        store.write(guard.folder, guard.files, private=guard.private)
+    staged = _staged(plan, FolderChange(workspace.state, {RECORD: File(plan.state.dump())}), store, workers)
+    visible = clock(workspace.state)
+    store.commit(staged)
+    for step in plan.steps:
+        on_step(step)
     return visible
 
 
@@ -90,25 +95,19 @@ def require_register(plan: Plan, workspace: Workspace, tree: Tree) -> None:
             )
 
 
-def _staged(plan: Plan, store: Store, workers: Workers) -> list[Staged]:
-    """Stage a plan. What other processes hold comes before what is removed."""
+def _staged(plan: Plan, record: FolderChange, store: Store, workers: Workers) -> list[Staged]:
+    """Stage a plan and its record. What other processes hold comes before what is removed."""
     if not any(change.held for change in plan.changes()):
-        return [store.stage(plan.changes())]
-    removals = replace(plan, steps=tuple(step for step in plan.steps if step.action is Action.REMOVED))
+        return [store.stage((*plan.changes(), record))]
+    removals = Plan(tuple(step for step in plan.steps if step.action is Action.REMOVED), plan.state)
     others = replace(plan, steps=tuple(step for step in plan.steps if step.action is not Action.REMOVED))
     staged: list[Staged] = []
     try:
         staged.append(store.stage(others.changes()))
         staged += workers.stage(store)
-        staged.append(store.stage(removals.changes()))
+        staged.append(store.stage((*removals.changes(), record)))
     except BaseException:
         for each in staged:
             store.discard(each)
         raise
     return staged
-
-
-def _public(plan: Plan) -> Iterator[str]:
-    """Yield the digests of the public files that a plan writes."""
-    for change in plan.changes():
-        yield from (file.digest for file in change.written.values() if not file.secret)

@@ -13,7 +13,7 @@ import errno
 import os
 import shutil
 import stat
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import field
 from typing import NoReturn
 
@@ -67,6 +67,13 @@ class FolderContent:
     def removes(self) -> bool:
         """Tell whether a file is removed here or below."""
         return bool(self.removed) or any(inner.removes() for inner in self.folders.values())
+
+    def changed(self, inside: str = "") -> Iterator[tuple[str, str | None]]:
+        """Yield the path of each file that changes here or below, with its new digest, or None if it is removed."""
+        yield from ((f"{inside}{name}", file.digest) for name, file in self.files.items())
+        yield from ((f"{inside}{name}", None) for name in sorted(self.removed))
+        for name, inner in self.folders.items():
+            yield from inner.changed(f"{inside}{name}/")
 
 
 @dataclass(slots=True)

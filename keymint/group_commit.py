@@ -12,7 +12,7 @@ import contextlib
 import errno
 import os
 import stat
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from keymint.file_writing import opened_folder, reported, require_regular, temporary
 from keymint.folder_staging import NOT_EMPTY, Carried, clear
@@ -22,16 +22,17 @@ from keymint.staged import Exchange, Staged, remove_staged
 from keymint.syncing import FEW, sync_file_system, sync_tree
 
 
-def commit(roots: Roots, staged: Sequence[Staged]) -> None:
+def commit(roots: Roots, staged: Sequence[Staged], ready: Callable[[tuple[Exchange, ...]], None] | None = None) -> None:
     """Make staged changes visible, in order.
 
     Args:
         roots: the roots of the store.
         staged: what was staged, by this process or by others.
+        ready: records the names that change, in order, once all of it is durable and before anything is visible.
 
     Raises:
-        KeymintError: the system refuses. What is not visible yet is removed; if it could not be synchronised, nothing
-            became visible.
+        KeymintError: the system refuses. What is not visible yet is removed, unless it was recorded: then the next run
+            finishes it. If it could not be synchronised, nothing became visible.
     """
     exchanges = [exchange for each in staged for exchange in each.exchanges]
     if not exchanges:
@@ -43,13 +44,19 @@ def commit(roots: Roots, staged: Sequence[Staged]) -> None:
     with OpenFolders(roots, create=False) as folders:
         try:
             _sync(exchanges, folders, sum(each.size for each in staged), staged=True)
+            if ready is not None:
+                # Their temporary names must be durable as well, since the next run looks for them.
+                _sync(exchanges, folders, len({each.folder for each in exchanges}), staged=False)
+                recorded = tuple(reversed(waiting))
+                waiting.clear()
+                ready(recorded)
             for group in groups:
                 for exchange in group:
                     for moved in inner.get(f"{exchange.folder}/{exchange.name}", ()):
                         _move_along(exchange, moved, folders)
                     with reported(f"{exchange.folder}/{exchange.name}"):
-                        left = _make_visible(folders.open(exchange.folder), exchange)
-                    waiting.pop()
+                        left = make_visible(folders.open(exchange.folder), exchange)
+                    del waiting[-1:]
                     if left is not None:
                         old.append((exchange, left))
                 _sync(group, folders, len({each.folder for each in group}), staged=False)
@@ -91,7 +98,7 @@ def _in_order(exchanges: Iterable[Exchange], roots: Roots) -> list[list[Exchange
     return groups
 
 
-def _make_visible(folder: int, exchange: Exchange) -> str | None:
+def make_visible(folder: int, exchange: Exchange) -> str | None:
     """Change one name.
 
     Returns:

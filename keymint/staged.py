@@ -10,7 +10,8 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import field
 
 from comarmor.values import dataclass
 from keymint.changes import File, FolderChange
@@ -39,6 +40,7 @@ class Exchange:
         staged: the name, in the same folder, of what was staged for it; None if the name is removed.
         file: it is the name of a file.
         old: the entries of the folder that is replaced or removed; None if a file changes, or a folder is new.
+        changed: the files that change in that folder and below it, each with its new digest, or None if it is removed.
     """
 
     order: int
@@ -47,6 +49,7 @@ class Exchange:
     staged: str | None
     file: bool = False
     old: Carried | None = None
+    changed: Mapping[str, str | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +162,8 @@ class Staging:
         with reported(shown):
             if content.removes():
                 if not content.writes() and (emptied := _emptied(old, content)) is not None:
-                    self._exchanges.append(Exchange(content.order, around, name, None, old=emptied))
+                    gone = dict(content.changed())
+                    self._exchanges.append(Exchange(content.order, around, name, None, old=emptied, changed=gone))
                     return
                 content.removed.intersection_update(os.listdir(old))
         changing = {*content.files, *content.removed}
@@ -169,7 +173,8 @@ class Staging:
                     refuse_mount(shown)
                 with self._temporary(content.order, parent, around, name) as staged:
                     carried = stage(old, parent, staged, shown, content)
-            self._exchanges[-1] = Exchange(content.order, around, name, staged, old=carried)
+            new = dict(content.changed())
+            self._exchanges[-1] = Exchange(content.order, around, name, staged, old=carried, changed=new)
             return
         if content.private:
             with reported(shown):

@@ -66,18 +66,14 @@ class State:
 
     Attributes:
         stamps: the record of the last run that finished.
-        interrupted: digests of the public files, and fingerprints of the keys, that a killed run was about to write:
-            they are not manual edits.
     """
 
     stamps: Mapping[str, Mapping[str, Stamp]] = field(default_factory=dict)
-    interrupted: frozenset[str] = frozenset()
 
     def wrote(self, stage: str, package: str, file: str, content: bytes) -> bool:
         """Tell whether a file has the content that Keymint wrote."""
         stamp = self.stamp(stage, package)
-        value = digest(content)
-        return value in self.interrupted or (stamp is not None and stamp.outputs.get(file) == value)
+        return stamp is not None and stamp.outputs.get(file) == digest(content)
 
     def stamp(self, stage: str, package: str) -> Stamp | None:
         """Return the stamp of a package, or None."""
@@ -87,7 +83,7 @@ class State:
         """Return the state with stamps of one stage added or replaced, and some removed."""
         gone = set(removed)
         merged = {name: stamp for name, stamp in self.stamps.get(stage, {}).items() if name not in gone}
-        return State({**self.stamps, stage: {**merged, **stamps}}, self.interrupted)
+        return State({**self.stamps, stage: {**merged, **stamps}})
 
     def dump(self) -> bytes:
         """Return the record as bytes; equal states give equal bytes.
@@ -132,20 +128,13 @@ def unsealed(content: bytes | None, version: int) -> Mapping[str, Any] | None:
         return None
 
 
-def dump_mark(state: State, digests: Iterable[str], fingerprints: Iterable[str] = ()) -> bytes:
-    """Return the mark of a run that will write public files with these digests, and keys with these fingerprints."""
-    return "\n".join(sorted(state.interrupted.union(digests, fingerprints))).encode()
-
-
-def load(content: bytes | None, mark: bytes | None = None) -> State:
+def load(content: bytes | None) -> State:
     """Load a record; a record that is missing, damaged or of another version counts as empty.
 
     Args:
         content: result of :meth:`State.dump`.
-        mark: result of :func:`dump_mark`, if the run that wrote it was killed.
     """
-    interrupted = frozenset((mark or b"").decode(errors="replace").split())
-    return State(_stamps(content), interrupted)
+    return State(_stamps(content))
 
 
 def _stamps(content: bytes | None) -> dict[str, dict[str, Stamp]]:

@@ -7,7 +7,7 @@
 * A new folder appears complete. A folder in which several files change is swapped in one step; see
   :mod:`keymint.folder_staging` and :mod:`keymint.folder_swap`.
 * A secret is 0600 from its first byte and its folder 0700, whatever the umask.
-* The next run removes what a killed run left behind.
+* What a killed run made visible in part, the next run finishes; the rest of it is removed. See :mod:`keymint.journal`.
 """
 
 from __future__ import annotations
@@ -17,14 +17,19 @@ import fcntl
 import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+from keymint import journal
 from keymint.changes import File, FolderChange
 from keymint.file_writing import is_temporary, opened_folder, reported
 from keymint.folder_swap import finish, is_waiting
 from keymint.group_commit import commit
+from keymint.journal import Intent, Journal
 from keymint.open_folders import OpenFolders, Roots
-from keymint.staged import Staged, Staging, remove_staged
+from keymint.staged import Exchange, Staged, Staging, remove_staged
+from keymint.state import MAX_RECORD
+from keymint.tree import read_file
 from keymint.workspace_lock import LOCK, folder_lock, wait_for_lock
 
 
@@ -42,6 +47,7 @@ class Store:
         self._records = records
         self._mark = records / "running"
         self._locks = contextlib.ExitStack()
+        self._journal: Journal | None = None
         self.missing: tuple[str, ...] = ()
         """The private folders that were missing when the lock was taken."""
 
@@ -97,38 +103,53 @@ class Store:
         self.missing = ()
         return written
 
-    @contextlib.contextmanager
-    def marked(self, content: bytes) -> Iterator[None]:
-        """Mark a writing run as in progress; only a run that succeeds removes the mark.
+    def begin(self, intent: Intent) -> None:
+        """Record what a run was asked for, before its first effect; from now on, what it commits is all or nothing."""
+        self._journal = Journal(intent)
+        self._record(self._journal)
 
-        Args:
-            content: what the next run must know if this one fails; see :func:`keymint.state.load`.
-        """
-        self.write(self._records, {self._mark.name: File(content)})
-        yield
+    def end(self) -> None:
+        """Forget the intent of a run that is finished; nothing is written after it."""
+        self._journal = None
         with reported(self._mark), contextlib.suppress(FileNotFoundError):
             os.unlink(self._mark)
+
+    def _record(self, journal: Journal) -> None:
+        self.write(self._records, {self._mark.name: File(journal.dump(self._records), mode=0o600)})
 
     def is_marked(self) -> bool:
         """Tell whether an earlier run did not finish."""
         return self._mark.exists()
 
-    def sweep(self) -> None:
-        """Remove the temporary files of a killed run, and finish its folder swaps."""
+    def recover(self) -> Journal | None:
+        """Finish what an earlier run made visible in part, and remove what else it left behind.
+
+        Returns:
+            The journal of that run until another one begins or ends; None if the last run ended.
+
+        Raises:
+            KeymintError: the system refuses; it can be tried again.
+        """
+        marked = self.is_marked()
         # A run that is killed while it sets its mark leaves temporary files in the folder of records only.
-        for root in self._roots.private if self.is_marked() else [self._records]:
-            for folder, folders, files in os.walk(root):
-                for name in filter(is_waiting, folders):
-                    with reported(Path(folder) / name), opened_folder(folder) as parent:
-                        finish(parent, name)
-                for name in filter(is_temporary, (*folders, *files)):
-                    path = Path(folder) / name
-                    with reported(path):
-                        if path.is_dir() and not path.is_symlink():
-                            shutil.rmtree(path)
-                        else:
-                            path.unlink()
-                folders[:] = (name for name in folders if not is_temporary(name) and not is_waiting(name))
+        roots = [*self._roots.private] if marked else [str(self._records)]
+        for path in _found(roots, is_waiting):
+            with reported(path), opened_folder(os.path.dirname(path)) as parent:
+                finish(parent, os.path.basename(path))
+        found = None
+        if marked:
+            found = journal.load(read_file(self._mark, MAX_RECORD) or b"", self._records)
+            if found.exchanges:
+                with OpenFolders(self._roots, create=False) as folders:
+                    found = journal.recovered(found, folders)
+                self._record(found)  # before anything is removed, by which it is told what became visible
+        for path in _found(roots, is_temporary):
+            with reported(path):
+                if os.path.isdir(path) and not os.path.islink(path):
+                    shutil.rmtree(path)
+                else:
+                    os.unlink(path)
+        return found
 
     # -- writing -------------------------------------------------------------------------------------------------
 
@@ -154,10 +175,18 @@ class Store:
     def commit(self, staged: Sequence[Staged]) -> None:
         """Make staged changes visible and durable, in order; see :mod:`keymint.group_commit`.
 
+        After :meth:`begin`, the next run finishes them if this one is killed or refused on the way.
+
         Raises:
-            KeymintError: the system refuses; what is not visible yet is discarded.
+            KeymintError: the system refuses.
         """
-        commit(self._roots, staged)
+        begun = self._journal
+
+        def ready(exchanges: tuple[Exchange, ...]) -> None:
+            if begun is not None:
+                self._record(replace(begun, exchanges=exchanges))
+
+        commit(self._roots, staged, ready if begun else None)
 
     def discard(self, staged: Staged) -> None:
         """Remove what was staged."""
@@ -166,8 +195,16 @@ class Store:
 
     def change(self, changes: Iterable[FolderChange]) -> None:
         """Write and remove files; see :meth:`stage` and :meth:`commit`."""
-        self.commit([self.stage(changes)])
+        commit(self._roots, [self.stage(changes)])
 
     def write(self, folder: Path, files: Mapping[str, File], *, private: bool = False) -> None:
         """Write files into a folder, all in one step; see :meth:`change`."""
         self.change([FolderChange(folder, files, (), private)])
+
+
+def _found(roots: Iterable[str], wanted: Callable[[str], bool]) -> Iterator[str]:
+    """Yield the paths below folders whose names are wanted; what is in one of these folders is not looked at."""
+    for root in roots:
+        for folder, folders, files in os.walk(root):
+            yield from (f"{folder}/{name}" for name in (*folders, *files) if wanted(name))
+            folders[:] = (name for name in folders if not is_temporary(name) and not is_waiting(name))

@@ -20,7 +20,8 @@ pytestmark = pytest.mark.xdist_group("audit")  # one worker, so that the verbs r
 WRITERS = {
     f"keymint/{name}.py"
     for name in (
-        "store", "folder_staging", "folder_swap", "file_writing", "open_folders", "group_commit", "workspace_lock"
+        "store", "folder_staging", "folder_swap", "file_writing", "open_folders", "group_commit", "journal",
+        "user_files", "workspace_lock",
     )
 }  # fmt: skip
 """The lock's time of change is the clock of the file system."""

@@ -51,14 +51,16 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
     loaded = _loaded(session, names, within)
     first = _examined(session, keyring, loaded[:1])  # processes have then what all enclaves need
     parts = pool.parts(loaded[1:], LEAST)
-    tasks: list[Callable[[], Any]] = [partial(_around, session, within), partial(_of_files, session)]
+    tasks: list[Callable[[], Any]] = [
+        partial(_around, session, within), partial(_of_files, session), partial(_deciding, session),
+    ]  # fmt: skip
     tasks += (partial(_examined, session, keyring, part) for part in parts)
-    around, of_files, *examined = pool.map(_carry_out, tasks) if len(parts) > 1 else (task() for task in tasks)
+    around, of_files, decides, *examined = pool.map(_carry_out, tasks) if len(parts) > 1 else (task() for task in tasks)
     enclaves: list[Examined] = [each for part in (first, *examined) for each in part]
     findings = [finding for each in enclaves for finding in each.findings]
     findings += _of_several(session, [each for each in loaded if isinstance(each, LoadedEnclave)])
     findings += unaccounted(session)
-    findings += _deciding(session)
+    findings += (each for each in decides if each not in findings)  # the defects of packages are found above
     fingerprints = {each.name: each.fingerprint for each in enclaves if each.fingerprint}
     findings += identity_keys.shared_keys(session, fingerprints)
     findings += (*keys.elsewhere(session), *keys.encryption(session), *keys.exposed(session))

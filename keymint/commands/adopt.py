@@ -81,6 +81,9 @@ def adopt(
     result = as_json(found, {each.subject: each.as_json() for each in comparisons})
     if not applied:
         return run.report(result, found.diagnostics, findings_exit(found.diagnostics))
+    run.recover(workspace)
+    if run.resumes:
+        return replace(run.finish(workspace), result=result)
     _refuse(run, files, found, workspace)
     if own is None:
         own = learned_policy(run, build_type_name, files, found, workspace, options)

@@ -56,7 +56,7 @@ def build(
     def make_plan(session: Session) -> Plan:
         chosen = run.names(session, names)
         run.compile_elsewhere(session, chosen, options)
-        build = partial(BuildStage, options=options, force=force, renew=renew)
+        build = partial(BuildStage, options=options, force=force, renew=renew and not run.resumes)
         run.workers.start(session, chosen, (build,))
         plan = run.planned(build(session), chosen)
         warnings = policy_changed(session) if chosen else (no_packages(session),)

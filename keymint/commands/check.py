@@ -31,7 +31,7 @@ from keymint.output.sarif import of_diagnostics
 from keymint.output.sarif import sarif as sarif_log
 from keymint.plan.policy import lazy_policy
 from keymint.plan.policy_drift import uncreated
-from keymint.plan.prove import STAGE
+from keymint.plan.prove import NO_PROVER, STAGE
 from keymint.plan.register import with_enclaves
 from keymint.plan.terms import merged
 from keymint.session import Session
@@ -70,6 +70,7 @@ def check(
 
     Checks certificates, keys, signatures, schemas, dates, file modes, revocation lists, and whether the installed
     documents match the sources; proves that they permit exactly what the policy says, as 'keymint prove' does.
+    docs/verification.md says in one table what each verb reads.
     Exit code 3: there are findings, or you may not read all of private/. NAME is a package [all].
     """
     session = run.session(auditing=True)
@@ -82,8 +83,8 @@ def check(
             found = proof.findings(session, with_enclaves(session, chosen, names))
             findings += (each for each in found if (each.code, each.where and each.where.file) not in known)
     unexamined = tuple(not_examined(session))
-    findings += () if names else _uncreated(session, chosen)
-    shown = folded(tuple(dict.fromkeys((*findings, *unexamined))))
+    findings += (each for each in (() if names else _uncreated(session, chosen)) if each not in findings)
+    shown = folded((*findings, *unexamined))
     if sarif is not None:
         write_outputs(run, sarif, sarif_log("keymint check", {}, of_diagnostics(shown), run.typed))
     number = sum(finding.severity is not Severity.NOTE for finding in shown)
@@ -126,10 +127,10 @@ class _Proof:
             return error.diagnostics
         self.run.keep(session, proof.results.state)
         found = merged_packages(
-            diagnostics_of(proof.results, strict=self.strict),
+            (each for each in diagnostics_of(proof.results, strict=self.strict) if each.code != NO_PROVER),
             lambda name: session.workspace.shown(session.enclave_folder(name)),
         )
-        return (*found, *merged(dated_of(proof.results)), *proof.findings, *proof.outliving)
+        return (*found, *merged(dated_of(proof.results)), *proof.outliving)
 
 
 def _uncreated(session: Session, known: Sequence[str]) -> Sequence[Diagnostic]:

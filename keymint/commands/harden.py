@@ -38,6 +38,8 @@ def harden(run: Run, step: str | None, names: tuple[str, ...], applied: bool, fl
 
     Private keys in the workspace are 0600 already; on robots that is 'chmod 600'.
     """
+    if applied:
+        run.recover(run.workspace())
     session = run.session()
     steps = open_steps(session)
     chosen = [each for each in steps if step in {None, str(each.step)}]
@@ -45,8 +47,9 @@ def harden(run: Run, step: str | None, names: tuple[str, ...], applied: bool, fl
     if not chosen:
         run.console.line(f"{step}: nothing to do" if step else "nothing to do: no step is open")
     result = {"steps": [asdict(each) for each in steps]}
-    if not applied or not chosen:
-        return run.report(result, workspace=session.workspace)
+    if not applied or not chosen or run.resumes:
+        report = run.finish(session.workspace) if run.interrupted else run.report(workspace=session.workspace)
+        return replace(report, result=result)
     if step is None:
         raise click.UsageError("--apply needs a STEP: each has a cost of its own.")
     if names and step != Weakness.NAMES:

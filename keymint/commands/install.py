@@ -44,7 +44,8 @@ def install(run: Run, names: tuple[str, ...], request: InstallRequest) -> Report
         return exit_code_of(plan) or nothing
 
     def make_plan(session: Session) -> Plan:
-        return _installed(run, session, Plan((), session.state), names, request)
+        left = request.resumed(resumes=run.resumes)
+        return _installed(run, session, Plan((), session.state), names, left)
 
     return run.change(make_plan, exit_code)
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -356,6 +356,10 @@ class InstallRequest:
     strict: bool = False
     revoke_superseded: bool = False
     build: BuildOptions | None = None
+
+    def resumed(self, *, resumes: bool) -> InstallRequest:
+        """Return what is left to do if an interrupted run made the new keys already."""
+        return replace(self, new_authority=(), renew=False) if resumes else self
 
     def __post_init__(self) -> None:
         if self.strict and not self.prove:

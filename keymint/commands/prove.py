@@ -19,7 +19,7 @@ from keymint.commands.proof_diagnostics import STATES, dated_of, diagnostics_of,
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
-from keymint.examine.keystore import SHOWN_NOTES, UNKNOWN_HISTORY, KeystoreProof, deciding, proven_keystore
+from keymint.examine.keystore import SHOWN_NOTES, UNKNOWN_HISTORY, KeystoreProof, deciding, proven_keystore, staged
 from keymint.examine.not_examined import has_register, not_examined
 from keymint.output.report import Report, findings_exit, findings_if
 from keymint.plan import terms
@@ -62,6 +62,7 @@ def prove(
     for all names at once. A difference is shown as a shortest counterexample, with the rule of the policy
     and the rule of the document. Proofs are cached until something changes; validity periods are checked on each run.
     -v lists the assumptions of the proof. ENCLAVE is a package [all].
+    docs/verification.md says in one table what each verb reads.
 
     Exit code 3: a claim is refuted or unknown, or with --strict has an exception; a certificate or grant is expired or
     not yet valid; an enclave does not trust the workspace's authorities; or an enclave has no source package.
@@ -91,7 +92,8 @@ def prove(
     found = merged_packages(
         diagnostics_of(results, strict=strict), lambda name: session.workspace.shown(session.enclave_folder(name))
     )
-    more = (*proven.findings, *proven.outliving)
+    ahead = staged(session)
+    more = tuple(dict.fromkeys((*deciding(session), *(deciding(ahead) if ahead else ()), *proven.outliving)))
     diagnostics = [*_assumptions(proven), *found, *dated, *more, *unknown, *unrecorded, *unexamined]
     result = {
         "at": terms.shown(results.now),

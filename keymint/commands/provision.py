@@ -88,7 +88,8 @@ def provision(
                 code="subjects-none",
             )
         unknown = unknown_hints(options, document_options.hints, (*names, *session.needed_infrastructure()))
-        return plan.then(_provisioned(run, session, Plan((), session.state, unknown), acquired, names, request))
+        left = request.resumed(resumes=run.resumes)
+        return plan.then(_provisioned(run, session, Plan((), session.state, unknown), acquired, names, left))
 
     def _profile_plan(inputs: Inputs) -> Plan:
         if not inputs.workspace.exists():

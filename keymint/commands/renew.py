@@ -18,6 +18,7 @@ from keymint.commands import durations
 from keymint.commands.options import InstallRequest, packages_argument, prove_option
 from keymint.commands.reissue import reissued, updated
 from keymint.commands.run import Run, exit_code_of
+from keymint.commands.second_keystore import DEFERRED, STAGE, in_step
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import listed, subject_of
@@ -69,7 +70,7 @@ def renew(run: Run, names: tuple[str, ...], threshold: Threshold, rekey: bool, p
     Exit codes, e.g. for cron:
       0 renewed, or nothing is due
       1 something that is due was not renewed
-      3 a person must renew an authority, or make a key elsewhere; with --dry-run: something is due
+      3 a person must renew an authority, a second keystore, or make a key elsewhere; with --dry-run: something is due
     """
     done: list[_Renewal] = []
 
@@ -78,7 +79,7 @@ def renew(run: Run, names: tuple[str, ...], threshold: Threshold, rekey: bool, p
         due = schedule(session, installed_terms(session, with_enclaves(session, packages, names)), threshold)
         if names:
             due = Schedule(tuple(map(Due, packages)), due.lists, due.authorities, due.following)
-        renewal = _renewal(run, session, due, rekey=rekey, prove=prove, alone=not names)
+        renewal = _renewal(run, session, due, rekey=rekey and not run.resumes, prove=prove, alone=not names)
         done[:] = [renewal]
         return renewal.plan
 
@@ -162,7 +163,7 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
                 raise KeymintError.of(tuple(dict.fromkeys(errors))) from error
             names = [name for name in names if name not in defective]
     findings = [*choice.requests, *map(_authority_due, due.authorities)]
-    plan = plan.noting(*findings, *dict.fromkeys(errors))
+    plan = in_step(run, session, plan.noting(*findings, *dict.fromkeys(errors)))
     after = session.after(plan)
     done = frozenset(names)
     taken = [each for each in due.enclaves if each.name in done]
@@ -177,7 +178,7 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
         tuple(each for each in rows if each.due.name not in changed),
         tuple(each for each in due.enclaves if each.name in waiting),
         waiting_lists,
-        needs_person=bool(findings),
+        needs_person=bool(findings) or any(each.code == DEFERRED for each in plan.diagnostics),
     )
 
 
@@ -260,6 +261,10 @@ def _lines(run: Run, renewal: _Renewal) -> Sequence[str]:
         lines.append(f"deploy and restart before the old documents end: {listed(ready)}")
     if others := [name for name in changed if name not in own]:
         lines.append(f"deploy the new revocation list and restart before the old one ends: {listed(others)}")
+    if staged := [
+        step.package for step in renewal.plan.steps if step.stage == STAGE and step.package and step.writes()
+    ]:
+        lines.append(f"deploy install.next/ as well, which was staged by 'authority replace': {listed(staged)}")
     if elsewhere := [each.due.name for each in renewal.renewed if each.elsewhere]:
         lines.append(f"the key is not here: 'keymint bundle' carries the new documents to {listed(elsewhere)}")
     following = renewal.schedule.following

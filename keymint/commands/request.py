@@ -87,8 +87,8 @@ def request(
         if content is None:
             made = _made(run, there, keystore, name, rekey=rekey, kind=kind)
             content = made.request
-            with store.marked(b""):
-                store.change([there.wait(name, content, made.new_key)])
+            store.begin(run.intent())
+            store.commit([store.stage([there.wait(name, content, made.new_key)])])
             there = keystore.read()
         elif rekey and not uri and (waiting := there.pending(name)) is not None and not waiting.key:
             raise KeymintError(

@@ -47,7 +47,7 @@ def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report
     done: list[tuple[Revoking, Plan]] = []
 
     def make_plan(session: Session) -> Plan:
-        revoking = plan_revocation(session, chosen, reason)
+        revoking = plan_revocation(session, () if run.resumes else chosen, reason)
         plan = reissued(run, session, revoking.plan, revoking.packages, request=InstallRequest(prove=prove))
         if revoking.skipped and not plan.writes():
             raise KeymintError.of([replace(each, severity=Severity.ERROR) for each in revoking.skipped])

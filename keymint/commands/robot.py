@@ -54,12 +54,10 @@ def keystore_of(run: Run, folder: Path | None) -> RobotKeystore:
 
 @contextlib.contextmanager
 def opened(run: Run, keystore: RobotKeystore) -> Iterator[Store]:
-    """Yield the writer of a keystore, whose lock is held; what a killed run left behind is removed first."""
+    """Yield the writer of a keystore, whose lock is held; what was interrupted is finished or dropped first."""
     records = keystore.read().records
     store = Store({keystore.root: False}, records)
     with store.locked(run.console.waiting):
-        store.sweep()
-        if store.is_marked():
-            with store.marked(b""):
-                pass  # what the killed run left behind is gone, and so is its mark
+        run.interrupted = store.recover()
         yield store
+        store.end()

@@ -24,6 +24,7 @@ from keymint.commands.remember import remember
 from keymint.errors import ExitCode, KeymintError
 from keymint.execute import RECORD, execute, open_store, require_register
 from keymint.folder_status import Sight
+from keymint.journal import Intent, Journal, intent_of
 from keymint.names import package_name
 from keymint.output.console import Console, Streams
 from keymint.output.report import Report, folded
@@ -114,6 +115,8 @@ class Run:
             space: folder for space in SPACES if (folder := options.get(f"{space}_space")) is not None
         }
         self.known_workspace: Workspace | None = None
+        self.interrupted: Journal | None = None
+        """The run before, if it did not come to its end."""
         self.folder_names = {f"{setting.cwd}/": ""}
         """Replacements for the start of paths: of the current directory, and of temporary ones."""
 
@@ -168,8 +171,7 @@ class Run:
             workspace: the workspace.
             sight: its folders as they are; without it all files are read.
         """
-        record, mark = (read_file(workspace.state / name, MAX_RECORD) for name in (RECORD, "running"))
-        state = load_state(record, mark)
+        state = load_state(read_file(workspace.state / RECORD, MAX_RECORD))
         tree = Tree(known=file_index.load(workspace, sight) if sight else {}, linked=workspace.install)
         return Inputs(workspace, tree, state, self.plugins, self.setting.environment, self.setting.now, self.tokens)
 
@@ -269,6 +271,39 @@ class Run:
         with cluster(self._executor, self.plugins, setting.now, setting.environment, trusted=self._trusted) as pool:
             yield pool
 
+    # -- what was interrupted ------------------------------------------------------------------------------------
+
+    def intent(self) -> Intent:
+        """Return what this run was asked for: the same for the same command with the same files."""
+        call = self.setting.call
+        return intent_of(call.arguments, Path(call.cwd))
+
+    @property
+    def resumes(self) -> bool:
+        """Whether all is visible that an interrupted run of this command was asked for: it is not done once more."""
+        before = self.interrupted
+        return before is not None and before.finished and before.intent.inputs == self.intent().inputs
+
+    def recover(self, workspace: Workspace) -> None:
+        """Finish what an interrupted run made visible in part, for verbs that decide something before they plan.
+
+        Args:
+            workspace: the workspace, which need not exist.
+        """
+        store = open_store(workspace)
+        if not self.dry_run and store.is_marked():
+            with store.locked(self.console.waiting):
+                self.interrupted = store.recover()
+
+    def finish(self, workspace: Workspace) -> Report:
+        """Report that an interrupted run of this command is finished, and nothing is left to do."""
+        return self.carry_out(workspace, lambda inputs: Plan((), inputs.state))
+
+    def told(self, report: Report) -> Report:
+        """Return a report that says what became of an interrupted run."""
+        found = self.interrupted.outcome(self.intent()) if self.interrupted else None
+        return replace(report, diagnostics=(*report.diagnostics, found)) if found else report
+
     # -- doing it ------------------------------------------------------------------------------------------------
 
     def change(
@@ -321,7 +356,7 @@ class Run:
                 # Another run creates this workspace, and was seen half-way: plan again once it is done.
         store = open_store(workspace)
         with store.locked(self.console.waiting):
-            store.sweep()
+            self.interrupted = store.recover()
             # If this workspace is new, the private space is that of another one.
             shared = not store.missing
             if planned is None or shared or workspace.exists() or workspace.state.joinpath(RECORD).exists():
@@ -332,11 +367,12 @@ class Run:
             require_register(plan, workspace, inputs.tree)
             guards = gitignore.missing_files(workspace, plan)
             with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
-                visible = execute(plan, workspace, store, inputs.state, self.workers, advance)
+                visible = execute(plan, workspace, store, inputs.state, self.workers, advance, self.intent())
             changes = (*guards, *plan.changes())
             sight = file_index.save(store, workspace, inputs.tree, sight, changes, visible)
             report = self.report({}, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps)
             remember(self.setting.call, inputs, plan, self.presented(report), sight, store, self.console)
+            store.end()
         return report
 
     def _planned_again(self, workspace: Workspace, make_plan: Callable[[Inputs], Plan]) -> tuple[Inputs, Plan, Sight]:
@@ -381,7 +417,7 @@ class Run:
             A note if the record cannot be written, e.g. on a read-only file system.
         """
         workspace = inputs.workspace
-        if self.dry_run or inputs.state.interrupted or state.dump() == inputs.state.dump():
+        if self.dry_run or state is inputs.state or state.dump() == inputs.state.dump():
             return ()
         store = open_store(workspace)
         try:

@@ -12,11 +12,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from comarmor.errors import Diagnostic
+from keymint.api import Phase
 from keymint.changes import Action, File, FolderChange, Plan, Step, changed
 from keymint.commands.options import InstallRequest
 from keymint.commands.proof_gate import proof_stage, proven
 from keymint.commands.reissue import rebuilt, reissued_by_profile
 from keymint.commands.run import Run
+from keymint.errors import KeymintError
 from keymint.plan.authorities import MintedAuthority, plan_authorities
 from keymint.plan.authority_files import NEXT
 from keymint.plan.enclaves import with_sources
@@ -24,10 +27,11 @@ from keymint.plan.gitignore import NAME as GITIGNORE
 from keymint.plan.install import InstallStage
 from keymint.plan.policy import lazy_policy
 from keymint.plan.revocation import plan_lists
-from keymint.plan.rollover import plan_switch, staged_session
+from keymint.plan.rollover import phase_of, plan_switch, staged_session
 from keymint.session import Session
 
 STAGE = "install.next"
+DEFERRED = "second-keystore-deferred"
 
 
 def staged_keystore(run: Run, session: Session, name: str, names: Sequence[str]) -> Plan:
@@ -59,6 +63,27 @@ def staged_keystore(run: Run, session: Session, name: str, names: Sequence[str])
         change = FolderChange(beside.parent, {beside.name: File(content)})
         steps.append(Step(STAGE, name, Action.UPDATED, (change,), "revocation list"))
     return replace(done, steps=tuple(steps), state=session.state, first=(*listed.first, *done.first))
+
+
+def in_step(run: Run, session: Session, plan: Plan) -> Plan:
+    """Return a plan that changes enclaves, followed by the same change of the second keystore, if one is staged.
+
+    Args:
+        run: the run.
+        session: the workspace before the plan, and its profile.
+        plan: the plan; if the second keystore cannot follow, it has a warning of the code :data:`DEFERRED`.
+    """
+    staged = [each.name for each in session.profile.authorities if phase_of(session, each.name) is Phase.STAGE]
+    for name in staged if plan.writes() else ():
+        after = session.after(plan)
+        try:
+            plan = plan.then(staged_keystore(run, after, name, with_sources(after)))
+        except KeymintError as error:
+            found = error.diagnostics[0]
+            message = f"the second keystore is deferred: {found.message}"
+            help_ = f"'keymint authority replace {name}' brings it up to date; copy it to all robots again"
+            plan = plan.noting(Diagnostic.warning(DEFERRED, message, found.where, help_))
+    return plan
 
 
 def session_ahead(session: Session, name: str) -> tuple[Session, Mapping[str, MintedAuthority], Plan]:

@@ -1,19 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that the command line names: read with limits, written by the store."""
+"""Files that the command line names: read with limits, and replaced as a whole."""
 
 from __future__ import annotations
 
+import os
 import stat
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from comarmor.errors import Origin
-from keymint.changes import File, FolderChange
+from keymint.changes import File
 from keymint.commands.run import Run
 from keymint.errors import KeymintError
-from keymint.store import Store
 from keymint.tree import read_file
+from keymint.user_files import write_files
 
 
 def read_input(run: Run, path: Path, most: int | None = None) -> bytes:
@@ -56,16 +57,13 @@ def write_outputs(
     Raises:
         KeymintError: the path is a link or a directory, or the system refuses.
     """
-    target = _resolved(run, path.parent) / path.name
-    folder = target.parent
-    wanted = [*(beside or {}).items(), (target.name, content)]
-    changed = [(name, data) for name, data in wanted if _current(folder / name) != data]
+    folder = _resolved(run, path.parent)
+    wanted = {folder / name: File(data, secret=secret) for name, data in (beside or {}).items()}
+    wanted[folder / path.name] = File(content, secret=secret)
+    changed = {place: file for place, file in wanted.items() if _current(place) != file.content}
     if not run.dry_run:
-        store = Store({folder: False}, folder)
-        for name, data in changed:
-            place = folder / name
-            store.write(place.parent, {place.name: File(data, secret=secret)})
-    return [str(path.parent / name) for name, _ in changed]
+        write_files(folder, changed, run.console.waiting, wanted)
+    return [str(path.parent / place.relative_to(folder)) for place in changed]
 
 
 def replace_inputs(run: Run, changed: Mapping[Path, tuple[bytes, bytes]]) -> None:
@@ -82,15 +80,14 @@ def replace_inputs(run: Run, changed: Mapping[Path, tuple[bytes, bytes]]) -> Non
     """
     if run.dry_run or not changed:
         return
-    changes: list[FolderChange] = []
+    files: dict[Path, File] = {}
     for path, (before, content) in changed.items():
         if read_input(run, path) != before:
             help_ = "nothing was written; run the command again"
             raise KeymintError("changed meanwhile", where=Origin(str(path)), help=help_, code="file-changed")
         target = _resolved(run, path)
-        mode = stat.S_IMODE(target.stat().st_mode)
-        changes.append(FolderChange(target.parent, {target.name: File(content, mode=mode)}))
-    Store({change.folder: False for change in changes}, changes[0].folder).change(changes)
+        files[target] = File(content, mode=stat.S_IMODE(target.stat().st_mode))
+    write_files(Path(os.path.commonpath([path.parent for path in files])), files, run.console.waiting)
 
 
 def show_written(run: Run, path: Path, written: list[str]) -> None:

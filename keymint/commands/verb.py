@@ -79,5 +79,5 @@ def _guarded(run: Run, function: Callable[[], Report]) -> ExitCode:
         report = unaccepted(run, error)
     except KeymintError as error:
         report = run.report({}, error.diagnostics, error.exit_code, workspace=run.known_workspace)
-    run.console.show(run.presented(report))
+    run.console.show(run.presented(run.told(report)))
     return report.exit_code

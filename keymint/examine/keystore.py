@@ -30,13 +30,11 @@ class KeystoreProof:
 
     Attributes:
         results: the claims about each enclave, about what subjects share, and about all certificates and documents.
-        findings: what else decides, and contradicts the workspace: revocation lists, certificates nobody registered.
         outliving: a note for each earlier document that permits more than the policy and was not accepted.
         is_whole: all documents that were ever signed are known.
     """
 
     results: ProofResults
-    findings: tuple[Diagnostic, ...]
     outliving: tuple[Diagnostic, ...]
     is_whole: bool
 
@@ -67,7 +65,6 @@ def proven_keystore(
     """
     results = prove(session, names, policy, effort, on_enclave, pool, standard_only=standard_only)
     presented = presented_rights(session, results.state, policy, effort, standard_only=standard_only)
-    findings = tuple(dict.fromkeys(deciding(session)))
     results = replace(results, shared=(*results.shared, *presented.proofs), state=presented.state)
     if (ahead := staged(session)) is not None:
         ready = tuple(name for name in with_sources(ahead) if name in names)
@@ -75,8 +72,7 @@ def proven_keystore(
         results = replace(
             results, enclaves=(*results.enclaves, *second.enclaves), shared=(*results.shared, *second.shared)
         )
-        findings = (*findings, *deciding(ahead))
-    return KeystoreProof(results, findings, presented.outliving, presented.is_whole)
+    return KeystoreProof(results, presented.outliving, presented.is_whole)
 
 
 def deciding(session: Session) -> Iterator[Diagnostic]:

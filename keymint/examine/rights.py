@@ -347,15 +347,14 @@ def _holders(
                 ends[name] = max(ends.get(name, now), each.not_after)
     by_name = {to_text(distinguished_names.parse(each.identity.subject_name)): each for each in packages.values()}
     by_name |= {subject: packages[name] for (name, _), subject in names.items() if name in packages}
+    everywhere = tuple(dict.fromkeys(domain for each in packages.values() for domain in each.grant.domains))
     for name, end in sorted(ends.items()):
-        yield _holder(session, policy, name, end, by_name.get(name))
-
-
-def _holder(session: Session, policy: LoadedPolicy, name: str, end: datetime, package: Package | None) -> Holder:
-    subject = package.subject if package else _common_name(name)
-    distro = package.distro if package else session.profile.distro
-    rules = DeferredRules(subject, partial(_rules, policy, subject))
-    return Holder(subject, name, end, rules, distro, package.grant.domains if package else ())
+        package = by_name.get(name)
+        subject = package.subject if package else _common_name(name)
+        distro = package.distro if package else session.profile.distro
+        rules = DeferredRules(subject, partial(_rules, policy, subject))
+        # A subject whose package is gone has the rights that the policy gives it wherever others have theirs.
+        yield Holder(subject, name, end, rules, distro, package.grant.domains if package else everywhere)
 
 
 def _rules(policy: LoadedPolicy, subject: str) -> tuple[Rule, ...]:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import field
 
 from cryptography import x509
 
@@ -123,7 +123,7 @@ def _plan_authority(
     if is_new:
         certificate, warnings = _new_certificate(files, key, above)
     else:
-        certificate, warnings = _certificate(_in_use(inputs, files, key.public_key()), key, above)
+        certificate, warnings = _certificate(_in_use(files, key.public_key()), key, above)
     changes += _stored(inputs, name, certificate)
     signer = SigningAuthority(name, certificate, pem, secret, token_key=key if spec.key.uri else None)
     issuer = certificates.Issuer(certificates.load(certificate), key)
@@ -131,16 +131,13 @@ def _plan_authority(
     return MintedAuthority(issuer.certificate, (issuer, signer)), changes, (*warnings, *left_over)
 
 
-def _in_use(inputs: Inputs, files: AuthorityFiles, key: keys.PublicKey) -> AuthorityFiles:
-    """Return the files of an authority, without the certificate of another key that a killed run did not replace.
+def _in_use(files: AuthorityFiles, key: keys.PublicKey) -> AuthorityFiles:
+    """Return the files of an authority whose key may be used.
 
     Raises:
         KeymintError: the key is not the one of the certificate, or of another authority than the enclaves trust.
     """
     authority_files.require_rollover(files, key)
-    if key_record.was_under_way(inputs.state, keys.fingerprint(key)):
-        is_other = files.certificate is not None and certificates.public_key(files.certificate) != key
-        return replace(files, certificate=None) if is_other else files
     authority_files.require_fit(files, key)
     authority_files.require_name(files)
     authority_files.require_known(files, key)

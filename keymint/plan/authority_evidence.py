@@ -12,8 +12,8 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from comarmor.errors import Diagnostic
 from keymint.errors import KeymintError
-from keymint.pki import certificates, keys
-from keymint.plan import authority_files, key_record
+from keymint.pki import certificates
+from keymint.plan import authority_files
 from keymint.plan.authority_files import AuthorityFiles
 from keymint.session import Inputs, Session, once
 
@@ -83,5 +83,5 @@ def _require_key(inputs: Inputs, files: AuthorityFiles) -> None:
         stored = authority_files.stored_key(inputs, files.authority, files.name)
     except KeymintError:
         return
-    if stored and not key_record.was_under_way(inputs.state, keys.fingerprint(stored[1])):
+    if stored:
         authority_files.require_fit(files, stored[1].public_key())

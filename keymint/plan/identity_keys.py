@@ -221,8 +221,6 @@ class Keyring:
                 help=_remedy(name),
                 code="key-of-authority",
             )
-        if key_record.was_under_way(state, fingerprint):
-            return fingerprint
         known = known_fingerprint(session, name)
         if known and known != fingerprint:
             raise KeymintError(

@@ -29,18 +29,3 @@ def record(state: State, stage: str, fingerprints: Mapping[str, str]) -> State:
 def forget(state: State, stage: str, names: tuple[str, ...]) -> State:
     """Return the state without the keys of these authorities or packages."""
     return state.updated(stage, {}, names) if any(recorded(state, stage, name) for name in names) else state
-
-
-def new_fingerprints(before: State, after: State) -> frozenset[str]:
-    """Return the fingerprints of the keys that a plan puts on record."""
-    return _all(after) - _all(before)
-
-
-def _all(state: State) -> frozenset[str]:
-    stamps = (state.stamps.get(stage, {}) for stage in (AUTHORITIES, IDENTITIES))
-    return frozenset(stamp.inputs for each in stamps for stamp in each.values())
-
-
-def was_under_way(state: State, fingerprint: str) -> bool:
-    """Tell whether a killed run was about to store the key with this fingerprint."""
-    return fingerprint in state.interrupted

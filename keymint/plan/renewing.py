@@ -84,7 +84,7 @@ def _require_certified(session: Session, name: str, there: Collection[str], *, r
                 help=f"'keymint renew --rekey {name}' makes a new key",
                 code="key-barred",
             )
-    elif name not in there:
+    elif name not in there and not (rekey and register_of(session).of(name)):  # an enclave that was lost gets a new key
         raise KeymintError(
             f"the enclave {subject_of(name)} is not installed, so there is nothing to renew",
             where=session.workspace.origin(session.enclave_folder(name)),
@@ -116,17 +116,8 @@ def _require_same(session: Session, name: str) -> Mapping[str, Stamp]:
 
 
 def _is_other(session: Session, name: str, change: FolderChange) -> bool:
-    """Tell whether a change gives a package other documents than it has.
-
-    Those that a killed run wrote, or was about to write, are what a renewal was to make.
-    """
-    if change.folder != session.workspace.build / name:
-        return False
-    under_way = session.state.interrupted
-    return bool(change.removed) or any(
-        new.digest not in under_way and session.tree.digest(change.folder / file) not in under_way
-        for file, new in change.files.items()
-    )
+    """Tell whether a change gives a package other documents than it has."""
+    return change.folder == session.workspace.build / name and bool(change.removed or change.files)
 
 
 def refuse_new_authorities(session: Session, plan: Plan) -> None:

@@ -21,7 +21,7 @@ from keymint.plan.issuance import place_of
 from keymint.plan.register import entry_of, issuer_of, register_of
 from keymint.plan.revocation import enclave_lists
 from keymint.plan.signers import Signers
-from keymint.register.register import IssuedCertificate, Register
+from keymint.register.register import SUPERSEDED, IssuedCertificate, Register
 from keymint.session import Session
 from keymint.state import digest_files
 from keymint.workspace import placed
@@ -127,10 +127,11 @@ def _require_generation(session: Session, package: Package, register: Register) 
     """
     own, lowest = package.issuance.generation, register.generation(package.name)
     if own < lowest:
+        reason = next((each.reason for each in reversed(register.of(package.name)) if each.reason), SUPERSEDED)
         raise KeymintError(
             f"the sources have generation {own}, but generation {lowest} is the lowest that may be issued",
             where=place_of(session, package.name),
-            help=f"restore the file; or run 'keymint revoke {package.name}' again, which goes on where it ended",
+            help=f"restore the file; or 'keymint revoke {package.name} --reason {reason}' writes the generation again",
             code="generation-back",
         )
 

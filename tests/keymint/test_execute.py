@@ -12,8 +12,8 @@ import pytest
 from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
 from keymint.execute import RECORD, execute, open_store
-from keymint.state import Stamp, State, digest, load
-from keymint.store import Store
+from keymint.journal import Intent
+from keymint.state import Stamp, State, load
 from keymint.workers import Workers
 from keymint.workspace import Workspace
 
@@ -41,6 +41,7 @@ def run(plan: Plan, workspace: Workspace, *, before: State | None = None) -> lis
         before or State(),
         Workers(1, open_store),
         lambda finished: done.append(f"{finished.stage} {finished.package}"),
+        Intent("keymint build"),
     )
     return done
 
@@ -57,7 +58,9 @@ def test_all_steps_are_carried_out_and_told_and_recorded(workspace: Workspace) -
     for name in names:
         assert (workspace.build / name / "document.xml").read_bytes() == b"x"
     assert load((workspace.state / RECORD).read_bytes()) == plan.state
-    assert not (workspace.state / "running").exists()
+    journal = open_store(workspace).recover()
+    assert journal is not None  # its caller forgets it after its last write
+    assert (journal.finished, journal.intent) == (True, Intent("keymint build", packages=tuple(names)))
 
 
 def test_a_plan_without_changes_writes_not_one_file(workspace: Workspace) -> None:
@@ -92,9 +95,10 @@ def test_the_steps_become_visible_in_their_order_and_none_before_all_are_staged(
     for guarded in (workspace.build, workspace.state):
         guarded.mkdir(exist_ok=True)
         (guarded / ".gitignore").touch()
-    with open_store(workspace).marked(b""):
-        monkeypatch.setattr(os, "rename", watched)
-        open_store(workspace).change(change for name in names for change in step(workspace, name).changes)
+    store = open_store(workspace)
+    store.begin(Intent())
+    monkeypatch.setattr(os, "rename", watched)
+    store.change(change for name in names for change in step(workspace, name).changes)
     assert order == names
 
 
@@ -128,35 +132,36 @@ def test_a_step_that_fails_ends_the_run_with_its_mark_and_without_its_record(wor
     with pytest.raises(KeymintError):
         run(plan, workspace)
     assert not (workspace.state / RECORD).exists()
-    interrupted = load(None, (workspace.state / "running").read_bytes())
-    # What it wrote, and what it did not come to write, is ours and no edit by hand.
-    assert interrupted.wrote("build", "a", "document.xml", b"x")
-    assert not interrupted.wrote("build", "a", "document.xml", b"edited")
+    journal = open_store(workspace).recover()
+    assert journal is not None
+    assert not journal.finished  # nothing of it was visible
+    assert not (workspace.build / "a").exists()
 
     (workspace.build / "b").unlink()
-    run(plan, workspace, before=interrupted)
+    run(plan, workspace)
     assert load((workspace.state / RECORD).read_bytes()) == stamped(*names)
-    assert not (workspace.state / "running").exists()
 
 
-def test_the_mark_of_a_run_that_wrote_only_secrets_is_taken_back_by_the_next(workspace: Workspace) -> None:
-    open_store(workspace).marked(b"").__enter__()
-    run(Plan((), State()), workspace)
-    assert not (workspace.state / "running").exists()
+def test_the_record_is_visible_after_all_that_it_describes(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And the register, which is what comes first, before all else."""
+    order: list[str] = []
+    rename = os.rename
 
+    def watched(source: str, target: str, **options: Any) -> None:
+        order.append(target)
+        rename(source, target, **options)
 
-def test_the_mark_holds_no_digest_of_a_secret(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
-    marks: list[bytes] = []
-    marked = Store.marked
-
-    def watched(self: Store, content: bytes) -> Any:
-        marks.append(content)
-        return marked(self, content)
-
-    monkeypatch.setattr(Store, "marked", watched)
-    change = FolderChange(workspace.private, {"key.pem": File(b"secret", secret=True), "cert.pem": File(b"public")})
-    run(Plan((Step("authorities", "ca", Action.CREATED, (change,)),), State()), workspace)
-    assert marks == [digest(b"public").encode()]
+    register = FolderChange(workspace.private, {"register.sqlite3": File(b"r", secret=True)}, private=True)
+    key = FolderChange(workspace.private / "identities" / "a", {"key.pem": File(b"k", secret=True)}, private=True)
+    steps = (step(workspace, "b"), Step("build", "a", Action.CREATED, (key,)), step(workspace, "a"))
+    workspace.build.mkdir(parents=True)
+    monkeypatch.setattr(os, "rename", watched)
+    run(Plan(steps, stamped("a", "b"), first=(register,)), workspace)
+    assert [each for each in order if each not in {"running", ".gitignore"}] == [
+        "register.sqlite3", "identities", "b", "a", RECORD,
+    ]  # fmt: skip
 
 
 def test_files_and_folders_are_removed(workspace: Workspace) -> None:

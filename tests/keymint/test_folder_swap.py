@@ -23,6 +23,7 @@ from hypothesis import strategies as st
 from keymint import folder_swap
 from keymint.changes import File, FolderChange
 from keymint.errors import KeymintError
+from keymint.journal import Intent
 from keymint.store import Store
 
 Folders = dict[str, dict[str, bytes]]
@@ -179,18 +180,18 @@ def test_every_folder_is_wholly_old_or_wholly_new_and_a_kill_loses_nothing(
             if refused == errno.EXDEV:
                 watched.stuck = {(top / path).stat().st_ino for path in old}
             store = store_at(root)
-            with contextlib.suppress(KilledError), store.marked(b""), watched.patched():
-                store.change(changes_of(top, edits))
+            store.begin(Intent())
+            with contextlib.suppress(KilledError), watched.patched():
+                store.commit([store.stage(changes_of(top, edits))])
+                store.end()
             if kill == -1:
                 assert visible(top) == new
                 assert left_behind(root) == []
                 kill = data.draw(st.integers(0, max(0, watched.count - 1)), label="kill")
                 continue
             again = store_at(root)
-            again.sweep()
-            found = visible(top)
-            for path in {*old, *new}:
-                assert found.get(path, {}) in (old.get(path, {}), new.get(path, {})), path
+            again.recover()
+            assert visible(top) in (old, new)
             assert left_behind(root) == []
             again.change(changes_of(top, edits))
             assert visible(top) == new
@@ -434,9 +435,10 @@ def test_on_overlayfs_a_kill_loses_nothing(overlay: Path, at: int) -> None:
     store = store_at(overlay)
     old = visible(overlay / "install")
     new = {**old, "robot": {name: file.content for name, file in NEW.items()} | {"crl.pem": b"a user's"}}
-    with contextlib.suppress(KilledError), store.marked(b""), Watched(at).patched():
-        store.write(overlay / "install" / "robot", NEW)
-    store_at(overlay).sweep()
+    store.begin(Intent())
+    with contextlib.suppress(KilledError), Watched(at).patched():
+        store.commit([store.stage([FolderChange(overlay / "install" / "robot", NEW)])])
+    store_at(overlay).recover()
     assert visible(overlay / "install") in (old, new)
     assert left_behind(overlay) == []
 

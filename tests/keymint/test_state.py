@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from keymint.state import Stamp, State, digest, digest_files, dump_mark, load
+from keymint.state import Stamp, State, digest, digest_files, load
 
 WORDS = st.text(max_size=12)
 SECRET = st.lists(WORDS, max_size=2, unique=True).map(lambda names: tuple(sorted(names)))
@@ -109,20 +109,6 @@ def test_stamps_are_replaced_and_removed_by_stage() -> None:
     assert state.stamp("build", "b") is None
     assert state.stamp("install", "a") == old
     assert state.stamp("check", "a") is None
-
-
-@given(st.lists(st.binary(max_size=20), max_size=6), st.binary(max_size=20))
-def test_what_a_killed_run_was_about_to_write_is_not_an_edit_by_hand(contents: list[bytes], other: bytes) -> None:
-    state = load(State().dump(), dump_mark(State(), map(digest, contents)))
-    assert all(state.wrote("build", "a", "file.xml", content) for content in contents)
-    assert state.wrote("build", "a", "file.xml", other) == (other in contents)
-
-
-def test_a_mark_keeps_what_an_earlier_killed_run_marked() -> None:
-    first = load(None, dump_mark(State(), [digest(b"one")]))
-    second = load(None, dump_mark(first, [digest(b"two")]))
-    assert second.wrote("build", "a", "f", b"one")
-    assert second.wrote("build", "a", "f", b"two")
 
 
 def test_a_file_has_been_written_when_its_own_stamp_says_so() -> None:

@@ -21,6 +21,7 @@ import pytest
 from keymint.changes import File, FolderChange
 from keymint.errors import KeymintError
 from keymint.file_writing import MAX_COMPONENT
+from keymint.journal import Intent, Journal
 from keymint.store import Store
 
 PUBLIC = File(b"public")
@@ -612,17 +613,19 @@ def test_the_lock_is_free_after_an_error(store: Store) -> None:
 
 def test_a_run_that_ends_well_takes_its_mark_back(root: Path, store: Store) -> None:
     assert not store.is_marked()
-    with store.marked(b"digests"):
-        assert store.is_marked()
-        assert (root / ".keymint" / "running").read_bytes() == b"digests"
-    assert not store.is_marked()
-
-
-@pytest.mark.parametrize("error", [KeyboardInterrupt, KeymintError("no space")])
-def test_a_run_that_does_not_end_well_leaves_its_mark(store: Store, error: BaseException | type[BaseException]) -> None:
-    with pytest.raises((KeyboardInterrupt, KeymintError)), store.marked(b""):
-        raise error
+    store.begin(Intent("keymint build"))
     assert store.is_marked()
+    assert (root / ".keymint" / "running").stat().st_mode & 0o777 == 0o600
+    assert store.recover() == Journal(Intent("keymint build"))
+    store.end()
+    assert not store.is_marked()
+    assert store.recover() is None
+
+
+def test_a_journal_that_cannot_be_read_has_nothing_to_finish(root: Path, store: Store) -> None:
+    for content in (b"", b"0123", b"\0" * 10, Journal(Intent("x")).dump(root)[:-9]):
+        store.write(root / ".keymint", {"running": File(content)})
+        assert store.recover() == Journal()
 
 
 def leave_behind(root: Path) -> None:
@@ -640,11 +643,10 @@ def test_what_a_killed_run_left_behind_is_swept_away_and_nothing_else(root: Path
     store.write(root / "src", {"file": PUBLIC})
     for name in (".keymint-notes", "x.tmp", "keymint-1.tmp"):
         (root / name).write_bytes(b"a user's")
-    with pytest.raises(KeyboardInterrupt), store.marked(b""):
-        raise KeyboardInterrupt
+    store.begin(Intent())
     before = listing(root)
     leave_behind(root)
-    store.sweep()
+    store.recover()
     assert listing(root) == before
 
 
@@ -652,20 +654,20 @@ def test_without_a_mark_only_the_records_are_searched(root: Path, store: Store) 
     leave_behind(root)
     (root / ".keymint").mkdir()
     (root / ".keymint" / ".keymint-7-4.tmp").write_bytes(b"half a mark")
-    store.sweep()
+    store.recover()
     assert (root / "src" / ".keymint-7-0.tmp").exists()
     assert list((root / ".keymint").iterdir()) == []
 
 
 def test_a_sweep_follows_no_link(tmp_path: Path, root: Path, store: Store) -> None:
     leave_behind(tmp_path / "elsewhere")
-    store.marked(b"").__enter__()
+    store.begin(Intent())
     (root / "install").mkdir()
     (root / "install" / "link").symlink_to(tmp_path / "elsewhere")
     (root / "install" / ".keymint-1-1.tmp").mkdir()
     (root / "install" / ".keymint-1-1.tmp" / "link").symlink_to(tmp_path / "elsewhere" / "install")
     before = listing(tmp_path / "elsewhere")
-    store.sweep()
+    store.recover()
     assert listing(tmp_path / "elsewhere") == before
     assert not (root / "install" / ".keymint-1-1.tmp").exists()
 
@@ -674,6 +676,6 @@ def test_a_workspace_inside_a_folder_with_a_name_like_a_temporary_one_is_not_swe
     root = tmp_path / ".keymint-1-1.tmp" / "ws"
     store = Store({root: False}, root / ".keymint")
     store.write(root / "a", {"file": PUBLIC})
-    store.marked(b"").__enter__()
-    store.sweep()
+    store.begin(Intent())
+    store.recover()
     assert (root / "a" / "file").read_bytes() == b"public"

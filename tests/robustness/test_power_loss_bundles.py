@@ -6,7 +6,7 @@ The model of what a disk may hold is in :mod:`tests.robustness.power_loss`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from random import Random
@@ -16,8 +16,8 @@ import pytest
 
 from comarmor.errors import Origin
 from keymint.bundles import bundle, request
-from keymint.changes import FolderChange
 from keymint.pki import keys
+from keymint.staged import Staged
 from keymint.store import Store
 from tests.effort import tries
 
@@ -146,19 +146,17 @@ def test_the_model_finds_a_key_that_is_removed_too_early(
     (memory / "policy.xml").write_text(policy("/robot/talker"))
     assert keymint("provision", memory / "policy.xml", "-w", memory / "ws").code == 0
     trust = sign(memory, robot, keymint)
-    enclave: list[FolderChange] = []
-    change = Store.change
+    enclave: list[Sequence[Staged]] = []
+    commit = Store.commit
 
-    def other_way_round(self: Store, changes: Iterable[FolderChange]) -> None:
-        changes = list(changes)
-        if any("enclaves" in each.folder.parts for each in changes):
-            enclave.extend(changes)
+    def other_way_round(self: Store, staged: Sequence[Staged]) -> None:
+        if enclave:
+            commit(self, staged)
+            commit(self, enclave[0])
         else:
-            change(self, changes)
-            if any("requests" in each.folder.parts for each in changes):
-                change(self, enclave)
+            enclave.append(staged)
 
-    monkeypatch.setattr(Store, "change", other_way_round)
+    monkeypatch.setattr(Store, "commit", other_way_round)
     with Recorder(robot).patched() as recording:
         done(keymint, "accept", robot / "b", "--folder", robot / "ks", "--authority-fingerprint", trust)
     assert below(whole(recording), ENCLAVE)

@@ -103,6 +103,8 @@ class Automaton:
         if found is None:
             kept = set(nodes)
             for free in filter(self._free.__contains__, sorted(nodes | others)):
+                if free not in kept | others:  # of two that accept the same words one must stay
+                    continue
                 alone = frozenset((free,))
                 kept -= {each for each in kept if (each != free or free in others) and self._covers(alone, each)}
             found = self._beside[key] = frozenset(kept)

@@ -34,7 +34,20 @@ def test_help_lists_every_verb(keymint) -> None:
 
 WRITING = {f"authority {verb}" for verb in ("renew", "replace", "encrypt", "import")}
 WRITING |= {"init", "create", "build", "install", "prove", "provision", "discover", "learn", "graph"}
-WRITING |= {"import", "fmt", "adopt", "harden", "export", "revoke", "renew", "crl", "sign", "bundle", "accept"}
+WRITING |= {
+    "import",
+    "fmt",
+    "adopt",
+    "harden",
+    "export",
+    "revoke",
+    "renew",
+    "crl",
+    "sign",
+    "bundle",
+    "accept",
+    "issued",
+}
 """Verbs that write files, so that they have ``--dry-run``."""
 STAGES = {"init", "create", "build", "install", "provision", "prove", "verify", "check"}
 """Verbs that divide packages among processes, so that they have ``--jobs``."""

@@ -64,8 +64,8 @@ def after_the_snapshot(monkeypatch: pytest.MonkeyPatch, do: Callable[[Path], Non
     real = run.Run.snapshot
     done: list[Path] = []
 
-    def snapshot(self: run.Run, workspace: Workspace) -> Inputs:
-        inputs = real(self, workspace)
+    def snapshot(self: run.Run, workspace: Workspace, *, auditing: bool = False) -> Inputs:
+        inputs = real(self, workspace, auditing=auditing)
         done.append(workspace.root)
         do(workspace.root)
         return inputs

@@ -435,3 +435,33 @@ def test_zenoh_a_renewed_router_makes_no_other_package_stale(keymint: Callable, 
     result = keymint("status", "--json", cwd=ws, env=at(10)).document["result"]
     assert {each["stale"] for each in (*result["packages"], *result["shared"])} == {None}
     assert keymint("check", cwd=ws, env=at(10)).code == 0
+
+
+class TestDuringARollover:
+    """While a second keystore is staged, a renewal renews it as well."""
+
+    def test_the_second_keystore_stays_in_step(self, keymint: Callable, ws: Path) -> None:
+        replace = ("authority", "replace", "identity_ca")
+        assert keymint(*replace, cwd=ws).code == 0
+        staged = ws / "install.next/enclaves/talker/cert.pem"
+        before = certificates.load(staged.read_bytes())
+        outcome = keymint("renew", "talker", cwd=ws, env=at(DUE))
+        assert outcome.code == 0, outcome.err
+        assert "deploy install.next/ as well, which was staged by 'authority replace': /talker" in outcome.out
+        after = certificates.load(staged.read_bytes())
+        assert after.not_valid_after_utc == certificate(ws, "talker").not_valid_after_utc > before.not_valid_after_utc
+        outcome = keymint(*replace, "--phase", "end", cwd=ws, env=at(DUE))
+        assert outcome.code == 0, outcome.err
+        assert (ws / "install/enclaves/talker/cert.pem").read_bytes() == certificates.to_pem(after)
+        assert keymint("check", cwd=ws, env=at(DUE)).code == 0
+
+    def test_what_it_cannot_sign_is_deferred(self, keymint: Callable, ws: Path) -> None:
+        assert keymint("authority", "replace", "identity_ca", cwd=ws).code == 0
+        (ws / "private/identity_ca.next.key.pem").rename(ws / "elsewhere.pem")
+        outcome = keymint("renew", "talker", cwd=ws, env=at(DUE))
+        assert (outcome.code, certificate(ws, "talker").not_valid_after_utc > moment(DUE + 200)) == (3, True)
+        assert "warning: the second keystore is deferred" in outcome.err
+        assert "'keymint authority replace identity_ca' brings it up to date" in outcome.err
+        (ws / "elsewhere.pem").rename(ws / "private/identity_ca.next.key.pem")
+        for more in ((), ("--phase", "end")):
+            assert keymint("authority", "replace", "identity_ca", *more, cwd=ws, env=at(DUE)).code == 0

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -486,3 +488,40 @@ def test_documents_are_built_as_they_were(keymint, policy: Path, tmp_path: Path)
     assert after != before
     assert len(after) == len(before)  # the digest in the subject name alone
     assert "nothing to do" in keymint("build", "--no-optimise", "-w", "ws").out
+
+
+def advice(err: str, verb: str) -> list[str]:
+    """Return the words of the command in the help of an error."""
+    (command,) = {each for each in re.findall("'keymint ([^']*)'", err) if each.startswith(verb)}
+    return command.split()
+
+
+def test_advice_after_the_sources_lost_their_generation_is_followed(provisioned: Path, keymint) -> None:
+    assert keymint("revoke", "talker", "--reason", "superseded", cwd=provisioned).code == 0
+    (provisioned / "src/talker/issuance.xml").unlink()
+    assert keymint("build", cwd=provisioned).code == 0
+    refused = keymint("install", cwd=provisioned)
+    assert (refused.code, "is the lowest that may be issued" in refused.err) == (1, True)
+    outcome = keymint(*advice(refused.err, "revoke"), cwd=provisioned)
+    assert outcome.code == 0, outcome.err
+    assert keymint("check", cwd=provisioned).code == 0
+
+
+def test_advice_after_a_key_was_given_up_is_followed_even_if_nothing_but_the_register_knows_it(
+    provisioned: Path, keymint
+) -> None:
+    """It was a circle: nothing to renew, so install; its key is barred, so renew."""
+    assert keymint("revoke", "talker", "--reason", "key-compromise", cwd=provisioned).code == 0
+    sources, register = provisioned / "private/identities/talker/key.pem", provisioned / "private/register.sqlite3"
+    key = sources.read_bytes()
+    issuance = (provisioned / "src/talker/issuance.xml").read_bytes()
+    assert keymint("renew", "--rekey", "talker", cwd=provisioned).code == 0
+    sources.write_bytes(key)
+    (provisioned / "src/talker/issuance.xml").write_bytes(issuance)
+    shutil.rmtree(provisioned / "install/enclaves/talker")
+    shutil.rmtree(provisioned / ".keymint")
+    assert register.exists()
+    said = keymint("install", cwd=provisioned)
+    outcome = keymint(*advice(said.out + said.err, "renew"), cwd=provisioned)
+    assert outcome.code == 0, outcome.err
+    assert keymint("check", cwd=provisioned).code == 0

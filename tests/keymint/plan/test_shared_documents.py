@@ -151,7 +151,7 @@ def test_a_new_package_is_admitted_before_its_enclave_is_there(keymint, ws: Path
 def test_it_is_written_before_any_enclave(keymint, ws: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where a run is killed: the rights of a removed subject end first."""
     visible: list[str] = []
-    make_visible = group_commit._make_visible
+    make_visible = group_commit.make_visible
 
     def seen(folder: int, exchange: Exchange) -> str | None:
         visible.append(f"{exchange.folder}/{exchange.name}".removeprefix(f"{ws}/"))
@@ -160,7 +160,7 @@ def test_it_is_written_before_any_enclave(keymint, ws: Path, monkeypatch: pytest
     shutil.rmtree(ws / "src/talker")
     change(ws, "robot1/listener")
     assert keymint("build", cwd=ws).code == 0
-    monkeypatch.setattr(group_commit, "_make_visible", seen)
+    monkeypatch.setattr(group_commit, "make_visible", seen)
     assert keymint("install", "--prune", "--no-prove", cwd=ws).code == 0
     installed = [each for each in visible if each.startswith("install/")]
     assert {"install/enclaves/talker", "install/enclaves/robot1/listener"} <= {*installed}

@@ -17,7 +17,7 @@ import pytest
 
 from keymint.api import KeySpec
 from keymint.pins import VARIABLE, Pins
-from keymint.pki import certificates, keys
+from keymint.pki import certificates
 from keymint.pki.tokens import Tokens
 from tests.conftest import NOW, snapshot
 from tests.keymint.pki.conftest import make_spec
@@ -217,24 +217,6 @@ def test_a_new_authority_needs_a_new_key(keymint, in_token: Path, softhsm: SoftH
     assert outcome.code == 0, outcome.err
     assert "'identity_ca' is a new authority" in outcome.err
     assert public_key(in_token / CERTIFICATES[0]) != old
-    assert keymint("check", cwd=in_token).code == 0
-
-
-def test_an_installation_of_a_new_authority_that_was_killed_goes_on(keymint, in_token: Path, softhsm: SoftHsm) -> None:
-    keymint("build", cwd=in_token)
-    record = (in_token / ".keymint/state.json").read_bytes()
-    softhsm.make_key("next", "09")
-    profile = in_token / "profile/authorities.xml"
-    profile.write_text(profile.read_text().replace("object=identity_ca", "object=next"))
-    keymint("build", cwd=in_token)
-    assert keymint("install", "--new-authority", "identity_ca", cwd=in_token, env=RIGHT).code == 0
-    complete = content(in_token)
-    new = certificates.load((in_token / CERTIFICATES[0]).read_bytes()).public_key()
-    (in_token / ".keymint/state.json").write_bytes(record)  # the certificate was written, and the record was not
-    (in_token / ".keymint/running").write_text(keys.fingerprint(new))
-    outcome = keymint("install", cwd=in_token, env=RIGHT)
-    assert outcome.code == 0, outcome.err
-    assert content(in_token) == complete
     assert keymint("check", cwd=in_token).code == 0
 
 

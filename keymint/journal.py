@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The journal of a run that writes: what was asked for, and the names that change once everything is staged.
+
+It is the mark of a running command. Before the first effect it has the intent; once all is staged and durable, also the
+names that are about to change. So the next run finishes what became visible in part, and drops what did not.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import filecmp
+import itertools
+import os
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from comarmor.errors import Diagnostic
+from comarmor.values import dataclass
+from keymint.errors import KeymintError
+from keymint.file_writing import check_component, is_temporary, reported
+from keymint.folder_staging import NOT_EMPTY, Carried
+from keymint.group_commit import make_visible
+from keymint.names import listed
+from keymint.open_folders import OpenFolders
+from keymint.staged import Exchange
+from keymint.state import digest, sealed, unsealed
+
+VERSION = 1
+_SHOWN = frozenset({"-v", "--verbose", "-q", "--quiet", "--json"})
+"""Options that change what a command shows, and nothing else."""
+_OUTPUTS = ("-o", "--output", "--with-key")
+"""Options whose values are files that a command writes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Intent:
+    """What a run was asked for.
+
+    Attributes:
+        command: the command as it was typed.
+        inputs: digest of its arguments, and of the files that they name; the same for the same command only.
+        packages: the packages that it changes.
+    """
+
+    command: str = ""
+    inputs: str = ""
+    packages: tuple[str, ...] = ()
+
+
+def intent_of(arguments: Sequence[str], folder: Path) -> Intent:
+    """Return the intent of a command.
+
+    Args:
+        arguments: those of the command line.
+        folder: the current directory.
+
+    """
+    words = ["keymint", *(word for word in arguments if word not in _SHOWN)]
+    parts = words[:2]
+    for before, word in itertools.pairwise(words[1:]):
+        path = folder / word.rpartition("=")[2]
+        is_input = not before.startswith(_OUTPUTS) and not word.startswith(_OUTPUTS) and path.exists()
+        parts += [str(path.resolve()), _digest(str(path)) or ""] if is_input else [word]
+        if is_input and not before.startswith("-") and path.is_dir():
+            parts += sorted(_fingerprint(each) for each in path.rglob("*"))
+    return Intent(shlex.join(words), digest(*parts))
+
+
+@dataclass(frozen=True, slots=True)
+class Journal:
+    """A run that did not come to its end.
+
+    Attributes:
+        intent: what it was asked for.
+        exchanges: the names that it was about to change; empty if nothing was visible yet, or all of it is.
+        finished: all that it was asked for is visible.
+    """
+
+    intent: Intent = Intent()
+    exchanges: tuple[Exchange, ...] = ()
+    finished: bool = False
+
+    def outcome(self, intent: Intent) -> Diagnostic | None:
+        """Return what became of the run, for the next one; None if that does all of it by itself.
+
+        Args:
+            intent: that of the next run.
+        """
+        command, packages = self.intent.command, self.intent.packages
+        if self.finished:
+            message = f"'{command}' was interrupted; all that it was asked for is done now"
+            message += f": {listed(packages)}" if packages else ""
+            help_ = "deploy what it changed in the install space"
+        elif command and self.intent.inputs != intent.inputs:
+            message = f"'{command}' was interrupted before anything changed, and is dropped"
+            help_ = "give it again if it is still wanted"
+        else:
+            return None
+        return Diagnostic.warning("run-interrupted", message, None, help_)
+
+    def dump(self, records: Path) -> bytes:
+        """Return the journal as bytes; its paths are relative to the folder of records, so a workspace may be moved."""
+        rows = [
+            (each.order, os.path.relpath(each.folder, records), each.name, each.staged, each.file,
+             each.old is not None, each.changed)
+            for each in self.exchanges
+        ]  # fmt: skip
+        intent = (self.intent.command, self.intent.inputs, self.intent.packages)
+        return sealed({"version": VERSION, "intent": intent, "exchanges": rows, "finished": self.finished})
+
+
+def _fingerprint(path: Path) -> str:
+    status = path.lstat()
+    return f"{path} {status.st_size} {status.st_mtime_ns}"
+
+
+def load(content: bytes, records: Path) -> Journal:
+    """Return a journal; one that is damaged or of another version has nothing that could be finished.
+
+    Args:
+        content: result of :meth:`Journal.dump`.
+        records: the folder of records.
+    """
+    document = unsealed(content, VERSION)
+    if document is None:
+        return Journal()
+    try:
+        command, inputs, packages = document["intent"]
+        exchanges = tuple(_exchange(records, *row) for row in document["exchanges"])
+        return Journal(Intent(str(command), str(inputs), tuple(map(str, packages))), exchanges, document["finished"])
+    except (ValueError, KeyError, TypeError, KeymintError):
+        return Journal()
+
+
+def _exchange(
+    records: Path, order: int, folder: str, name: str, staged: str | None, file: Any, replaces: Any, changed: Any
+) -> Exchange:
+    if staged is not None and not is_temporary(staged):
+        raise ValueError
+    for part in (name, *("/".join(changed).split("/") if changed else ()), *([staged] if staged else ())):
+        check_component(part, folder)
+    place = os.path.normpath(records / folder)
+    return Exchange(int(order), place, str(name), staged, bool(file), Carried() if replaces else None, dict(changed))
+
+
+def recovered(journal: Journal, folders: OpenFolders) -> Journal:
+    """Finish a run that became visible in part; of one that did not, nothing is changed.
+
+    Args:
+        journal: what it was about to change.
+        folders: opens the folders below the roots of the store.
+
+    Returns:
+        The journal without names that are about to change.
+
+    Raises:
+        KeymintError: the system refuses; it can be tried again.
+    """
+    waiting = [_is_pending(each) for each in journal.exchanges]
+    finished = journal.finished or not (all(waiting) or any(map(_is_lost, journal.exchanges)))
+    if finished:
+        for exchange in journal.exchanges:
+            if _is_pending(exchange):  # one may contain another one
+                with reported(f"{exchange.folder}/{exchange.name}"):
+                    _finish(exchange, folders)
+        synced: set[str] = set()
+        for folder in {each.folder for each in journal.exchanges if os.path.isdir(each.folder)}:
+            folders.sync(folder, synced)
+    return replace(journal, exchanges=(), finished=finished)
+
+
+def _is_pending(exchange: Exchange) -> bool:
+    """Tell whether a name is not changed yet, and can be."""
+    place = f"{exchange.folder}/{exchange.name}"
+    if exchange.staged is None:
+        paths = [f"{place}/{path}" for path in exchange.changed] if exchange.old is not None else [place]
+        return any(map(os.path.lexists, paths))
+    # After two names are exchanged, the former folder has the name of what was staged.
+    return os.path.lexists(f"{exchange.folder}/{exchange.staged}") and (
+        exchange.old is None or not _has(place, exchange.changed)
+    )
+
+
+def _is_lost(exchange: Exchange) -> bool:
+    """Tell whether a new name is not there, and what was staged for it is gone: another workspace removed it."""
+    names = (exchange.staged, exchange.name) if exchange.staged and exchange.old is None else ()
+    return bool(names) and not any(os.path.lexists(f"{exchange.folder}/{name}") for name in names)
+
+
+def _has(folder: str, changed: Mapping[str, str | None]) -> bool:
+    """Tell whether a folder has the files that were staged, each given with its digest, or None if it was removed."""
+    return all(_digest(f"{folder}/{path}") == wanted for path, wanted in changed.items())
+
+
+def _digest(path: str) -> str | None:
+    try:
+        return digest(Path(path).read_bytes())
+    except OSError:
+        return None
+
+
+def _finish(exchange: Exchange, folders: OpenFolders) -> None:
+    """Change a name, and keep what somebody changed meanwhile beside that which the run changes.
+
+    Raises:
+        OSError: the system refuses.
+    """
+    place = f"{exchange.folder}/{exchange.name}"
+    folders.open(exchange.folder)  # it must be below a root, without a link on the way
+    if exchange.staged is not None:
+        if exchange.old is not None:
+            _keep_others(place, f"{exchange.folder}/{exchange.staged}", exchange.changed)
+        make_visible(folders.open(exchange.folder), exchange)
+    elif exchange.old is None:
+        os.unlink(exchange.name, dir_fd=folders.open(exchange.folder))
+    else:
+        for path in exchange.changed:
+            with contextlib.suppress(FileNotFoundError, KeymintError):  # its folder is gone
+                above, _, name = f"{place}/{path}".rpartition("/")
+                os.unlink(name, dir_fd=folders.open(above))
+        for above in sorted({os.path.dirname(f"{place}/{path}") for path in exchange.changed}, reverse=True):
+            _remove_empty(above, exchange.folder)
+
+
+def _remove_empty(folder: str, top: str) -> None:
+    """Remove a folder and those above it, as far as they are empty and below another one."""
+    while folder.startswith(f"{top}/"):
+        try:
+            os.rmdir(folder)
+        except FileNotFoundError:
+            pass
+        except OSError as error:
+            if error.errno not in NOT_EMPTY:
+                raise
+            return
+        folder = os.path.dirname(folder)
+
+
+def _keep_others(old: str, new: str, changed: Mapping[str, str | None]) -> None:
+    """Move what was added or edited in a folder meanwhile, and what is staged inside of it, to its replacement."""
+    for path in _others(old, ""):
+        target = f"{new}/{path}"
+        if path in changed or (os.path.isfile(target) and filecmp.cmp(f"{old}/{path}", target, shallow=False)):
+            continue
+        os.makedirs(os.path.dirname(target), 0o700, exist_ok=True)
+        os.rename(f"{old}/{path}", target)
+
+
+def _others(folder: str, inside: str) -> Iterator[str]:
+    """Yield the paths of the files in a folder, and of what is staged in it."""
+    entries: Sequence[os.DirEntry[str]] = sorted(os.scandir(f"{folder}/{inside}"), key=lambda entry: entry.name)
+    for entry in entries:
+        if entry.is_dir(follow_symlinks=False) and not is_temporary(entry.name):
+            yield from _others(folder, f"{inside}{entry.name}/")
+        else:
+            yield f"{inside}{entry.name}"
