@@ -28,6 +28,9 @@ from keymint.open_folders import OpenFolders
 from keymint.staged import Exchange
 from keymint.state import digest, sealed, unsealed
 
+MARK = "running"
+"""Name of its file in the folder of records, which stays if the command is killed."""
+
 VERSION = 1
 _SHOWN = frozenset({"-v", "--verbose", "-q", "--quiet", "--json"})
 """Options that change what a command shows, and nothing else."""

@@ -45,7 +45,7 @@ class Store:
     def __init__(self, roots: Mapping[Path, bool], records: Path) -> None:
         self._roots = Roots(roots, records)
         self._records = records
-        self._mark = records / "running"
+        self._mark = records / journal.MARK
         self._locks = contextlib.ExitStack()
         self._journal: Journal | None = None
         self.missing: tuple[str, ...] = ()
