@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -93,3 +94,16 @@ def test_a_subject_that_was_never_created_is_a_note(keymint, provisioned: Path, 
     assert codes(keymint, provisioned, verb) == set()
     (note,) = notes(keymint(verb, "--json", cwd=provisioned), "subjects-uncreated")
     assert "/extra" in note["message"]
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_rights_of_a_subject_without_sources_are_compared_with_its_policy(
+    keymint, provisioned: Path, verb: str
+) -> None:
+    """Its certificate is in force until it is revoked, and its last document permits what the policy still says."""
+    shutil.rmtree(provisioned / "src/robot1")
+    assert keymint("install", "--prune", cwd=provisioned).code == 0
+    assert notes(keymint(verb, "--json", cwd=provisioned), "rights-outlive") == []
+    edit(provisioned, "<ros_subscribe/>", "<ros_publish/>")
+    (note,) = notes(keymint(verb, "--json", cwd=provisioned), "rights-outlive")
+    assert "/robot1/listener more than the policy, e.g. to subscribe 'rt/chatter'" in note["message"]
