@@ -97,9 +97,7 @@ def test_a_subject_that_was_never_created_is_a_note(keymint, provisioned: Path, 
 
 
 @pytest.mark.parametrize("verb", VERBS)
-def test_rights_of_a_subject_without_sources_are_compared_with_its_policy(
-    keymint, provisioned: Path, verb: str
-) -> None:
+def test_a_subject_without_sources_has_the_rights_of_its_policy(keymint, provisioned: Path, verb: str) -> None:
     """Its certificate is in force until it is revoked, and its last document permits what the policy still says."""
     shutil.rmtree(provisioned / "src/robot1")
     assert keymint("install", "--prune", cwd=provisioned).code == 0
