@@ -64,7 +64,9 @@ WRITING_VERBS = (
     ("transports",),
     ("completion", "bash"),
 )
-FOREIGN = '<policy version="0.2.0"><enclaves><enclave path="/a"><profiles/></enclave></enclaves></policy>'
+FOREIGN = """<policy version="0.2.0"><enclaves>
+<enclave path="/a"><profiles><profile ns="/" node="a"/></profiles></enclave>
+</enclaves></policy>"""
 """A policy of another tool."""
 READING_VERBS = (
     ("check", "-w", "ws"),

@@ -327,10 +327,10 @@ class ExcessRights:
 
 @runtime_checkable
 class Presentation(Protocol):
-    """Optional capability of a build type whose participants present signed documents to each other."""
+    """Optional capability of a build type whose enclaves present signed documents to each other."""
 
     PRESENTED: str
-    """Name of the file of an enclave that its participants present."""
+    """Name of the file of an enclave that they present."""
 
     def presented_until(self, content: bytes) -> datetime | None:
         """Return the end of the rights that a signed document grants, UTC; None if it grants none to anybody.

@@ -71,6 +71,7 @@ def check(
 
     Checks certificates, keys, signatures, schemas, dates, file modes, revocation lists, and whether the installed
     documents match the sources; proves that they permit exactly what the policy says, as 'keymint prove' does.
+    docs/verification.md says in one table what each verb reads.
     Exit code 3: there are findings, or you may not read all of private/. NAME is a package [all].
     """
     session = run.session(auditing=True)

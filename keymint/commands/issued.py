@@ -79,5 +79,6 @@ def _accepted(names: tuple[str, ...], session: Session) -> Plan:
     after = register.with_accepted(chosen, session.now)
     writes = register_change(session, after)
     action = Action.UPDATED if writes else Action.UNCHANGED
-    steps = tuple(Step(STAGE, name, action, detail="earlier documents are accepted") for name in chosen)
-    return Plan(steps, session.state, first=writes)
+    detail = "earlier documents are accepted"
+    steps = (Step(STAGE, name, action, writes if name == chosen[0] else (), detail) for name in chosen)
+    return Plan(tuple(steps), session.state)

@@ -52,7 +52,8 @@ def lint(
     rules that a transport cannot express, or that vendors decide differently
 
     POLICY is a ComArmor file or directory, or a workspace [the current workspace]. A finding is true for all names and
-    for every subject of the rule. Exit code 3: there are findings.
+    for every subject of the rule. docs/verification.md says in one table what each verb reads.
+    Exit code 3: there are findings.
     """
     policies = Policies(run, policy_options)
     loaded = policies.load(policy)

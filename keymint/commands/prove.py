@@ -62,6 +62,7 @@ def prove(
     for all names at once. A difference is shown as a shortest counterexample, with the rule of the policy
     and the rule of the document. Proofs are cached until something changes; validity periods are checked on each run.
     -v lists the assumptions of the proof. ENCLAVE is a package [all].
+    docs/verification.md says in one table what each verb reads.
 
     Exit code 3: a claim is refuted or unknown, or with --strict has an exception; a certificate or grant is expired or
     not yet valid; an enclave does not trust the workspace's authorities; or an enclave has no source package.

@@ -54,7 +54,7 @@ def test(
 
     <deny> must be true for every subject and every name that the expressions match, including those that the policy
     does not name. <allow> must be true for every name, and for every subject that the policy names. -v lists the rules
-    that no expectation covers.
+    that no expectation covers. docs/verification.md says in one table what each verb reads.
 
     Exit code 3: an expectation fails, or rule coverage is below --min-coverage.
     """

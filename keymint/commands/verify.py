@@ -89,6 +89,7 @@ def verify(
     false negative: a transport denies what the policy allows
 
     Each mismatch is shown with the rule of the policy and the rule of the document. NAME is a package [all].
+    docs/verification.md says in one table what each verb reads.
 
     Exit code 3: there are mismatches, or an enclave does not trust the workspace's authorities.
     """

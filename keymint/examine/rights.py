@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compare what every certificate in force may present with the policy of its subject.
 
-A participant chooses the documents that it presents. So the claim is about every certificate that is neither expired
+A holder chooses the documents that it presents. So the claim is about every certificate that is neither expired
 nor revoked, and every document that an authority signed, wherever the two lie; the register remembers those that are
 no longer here.
 """
@@ -47,6 +47,7 @@ from keymint.plan.prove import STAGE, policy_digest
 from keymint.plan.register import issuer_of, register_of
 from keymint.plan.shared_documents import FOLDER
 from keymint.plan.terms import shown
+from keymint.register import database
 from keymint.register.register import SignedRights
 from keymint.session import Session, once
 from keymint.state import Stamp, State, digest
@@ -167,7 +168,7 @@ class _Question:
         session, build_type = self.session, self.build_type
         found = _files(session)
         holders = tuple(_holders(session, self.policy, self.packages, found))
-        earlier = {each.content: each for each in register_of(session).rights if each.name}
+        earlier = _earlier(session)
         present = tuple(_documents(session, build_type.PRESENTED, found))
         remembered = tuple(_remembered(session, each, content) for content, each in earlier.items())
         own = tuple(each for each in present if each.proven_for)
@@ -193,6 +194,14 @@ class _Question:
             if each not in failed
         )
         return tuple(claims), tuple(outliving)
+
+
+def _earlier(session: Session) -> Mapping[bytes, SignedRights]:
+    """Return the entries of the register by the documents that they keep."""
+    try:
+        return {each.content: each for each in register_of(session).rights if each.name}
+    except ValueError:
+        raise database.damaged(session.workspace.origin(session.workspace.register)) from None
 
 
 def _in_words(subject: str, claim: Claim) -> str:

@@ -69,7 +69,7 @@ def load(content: bytes, where: Origin) -> Register:
         KeymintError: it is damaged, or a later version of Keymint wrote it.
     """
     if not content:
-        raise _damaged(where)
+        raise damaged(where)
     import sqlite3  # noqa: PLC0415, TID251 - in memory only, and of no use to runs that issue nothing
 
     try:
@@ -86,13 +86,13 @@ def load(content: bytes, where: Origin) -> Register:
                     code="register-version",
                 )
             if database.execute("PRAGMA quick_check").fetchone() != ("ok",):
-                raise _damaged(where)
+                raise damaged(where)
             rows = database.execute(f"SELECT {_COLUMNS} FROM certificates ORDER BY number")  # noqa: S608 - constant
             issued = [_certificate(row) for row in rows]
             numbers, bundles = (dict(map(_numbered, database.execute(f"SELECT * FROM {name}"))) for name in _NUMBERED)  # noqa: S608 - constants
             signed, is_whole = _signed(database) if version == _VERSION else ((), False)
     except (sqlite3.Error, ValueError, TypeError, OverflowError):
-        raise _damaged(where) from None
+        raise damaged(where) from None
     known = {(each.issuer, each.serial): each for each in issued}
     return Register(known, numbers, bundles, signed, is_whole)
 
@@ -180,7 +180,8 @@ def _numbered(row: tuple[object, ...]) -> tuple[str, int]:
     return name, number
 
 
-def _damaged(where: Origin) -> KeymintError:
+def damaged(where: Origin) -> KeymintError:
+    """Return the error about a register that cannot be read."""
     return KeymintError(
         "is not a register of issued certificates, or a damaged one",
         where=where,

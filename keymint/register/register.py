@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import zlib
 from collections.abc import Collection, Iterable, Mapping
@@ -81,7 +82,8 @@ class SignedRights:
             ValueError: the entry is damaged.
         """
         inflated = zlib.decompressobj()
-        content = inflated.decompress(self.compressed, _MOST)
+        with contextlib.suppress(zlib.error):
+            content = inflated.decompress(self.compressed, _MOST)
         if not inflated.eof:
             raise ValueError
         return content

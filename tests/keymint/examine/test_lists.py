@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from .fault_keystores import LISTENER as LIVING_ENCLAVE
+from .presented import codes, findings, keystore
+
 LISTENER = "install/enclaves/robot1/listener/crl.pem"
 PUBLIC = "public/identity_ca.crl.pem"
 
@@ -63,3 +66,29 @@ def test_a_list_of_the_owner_is_not_overwritten(provisioned: Path, keymint, tmp_
     assert outcome.code == 1
     assert "revokes certificates that the new list does not" in outcome.err
     assert (provisioned / LISTENER).read_bytes() == before
+
+
+LIVING = "revokes the certificate of /robot1/listener, which the register does not have as revoked"
+
+
+@pytest.mark.parametrize("verb", ["check", "prove"])
+@pytest.mark.parametrize("file", ["install/enclaves/talker/crl.pem", PUBLIC])
+def test_a_list_that_revokes_a_living_enclave(provisioned: Path, keymint, verb: str, file: str) -> None:
+    """Signed with the authority's key: with it, both vendors deliver nothing from or to the enclave."""
+    store = keystore(provisioned)
+    (provisioned / file).write_bytes(store.revocation_list([store.certificate(LIVING_ENCLAVE).serial_number]))
+    found = {each["file"]: each for each in findings(keymint, provisioned, verb)}
+    assert (found[file]["code"], found[file]["message"]) == ("revocation-list-living", LIVING)
+
+
+@pytest.mark.parametrize("verb", ["check", "prove"])
+def test_a_list_that_revokes_nobody_is_none_of_it(provisioned: Path, keymint, verb: str) -> None:
+    (provisioned / PUBLIC).write_bytes(keystore(provisioned).revocation_list([4711]))
+    assert "revocation-list-living" not in codes(keymint, provisioned, verb)
+
+
+@pytest.mark.parametrize("verb", ["check", "prove"])
+def test_who_would_accept_the_thief(revoked: Path, keymint, verb: str) -> None:
+    (revoked / LISTENER).unlink()
+    (found,) = (each for each in findings(keymint, revoked, verb) if each["code"] == "revocation-list-outdated")
+    assert found["message"] == "the revocation list is missing: /robot1/listener accepts the revoked /talker"
