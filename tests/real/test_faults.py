@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 ACCESS = {1, 2, 3, 4, 5, 6, 8, 10, 13, 18}
 """Classes that access control alone decides; of others, it decides some faults."""
-SAMPLE = 3
+SAMPLE = 2
 DOMAINS = (0, 1, 5)
 
 
