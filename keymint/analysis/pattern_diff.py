@@ -19,7 +19,7 @@ from comarmor.rules import PARTS, PERMISSIONS, Effect
 from comarmor.values import dataclass
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_lists import PermissionKey, decision_list, deny_over_allow, find_permitted
-from keymint.analysis.subject_patterns import EVERY, SubjectClass, example_subject, rules_of
+from keymint.analysis.subject_patterns import SubjectClass, example_subject, rules_of
 from keymint.analysis.subject_templates import exact_halves, fill_placeholders, fit_pattern, placeholders
 from keymint.analysis.symbolic_rules import SymbolicRule, SymbolicRules
 from keymint.analysis.symbolic_search import EVERYBODY, SymbolicCondition, SymbolicEntry, find_subject
@@ -30,7 +30,7 @@ KEYS: tuple[PermissionKey, ...] = tuple(
 )
 """The permissions without parts: policies that agree on these agree on all."""
 _ROUNDS = 16
-"""Maximum number of examples for a rule; but one for each pattern of its subjects."""
+"""Maximum number of examples for a rule and a pattern of its subjects."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,25 +94,20 @@ class PatternComparison:
         new, lifted = self._changed(key)
         if not new and not lifted:
             return
-        every = area.like == EVERY
-        allowed = self._after.all(key, Effect.ALLOW).values()
-        for rule in allowed if every else self._after.applying(key, Effect.ALLOW, area.like):
-            rounds = _ROUNDS
-            for subjects in rule.reach.subjects if every else _overlaps(rule.reach.subjects, area.like):
+        for rule in self._after.applying(key, Effect.ALLOW, area.like):
+            for subjects in _overlaps(rule.reach.subjects, area.like):
                 searches = [self._not_allowed_before(key, rule, subjects)] if rule.content in new else []
                 searches += self._denied_before(key, rule, subjects, lifted)
-                for _ in range(max(rounds, 1) if searches else 0):
+                for left in reversed(range(_ROUNDS + 1) if searches else ()):
                     part = SubjectClass(subjects, area.excluded)
                     answer = self._first(key, rule, part, searches, said, listed)
-                    if answer is not None:
-                        yield PatternDifference(self._gains, key, rule, subjects, answer)
-                    if not isinstance(answer, str):
+                    if answer is None:
                         break
-                    rounds -= 1
-                else:
-                    if searches:
-                        reason = Unknown(f"its subjects change in more than {_ROUNDS} ways")
-                        yield PatternDifference(self._gains, key, rule, subjects, reason)
+                    if not left:
+                        answer = Unknown(f"its subjects change in more than {_ROUNDS} ways")
+                    yield PatternDifference(self._gains, key, rule, subjects, answer)
+                    if isinstance(answer, Unknown):
+                        break
 
     def _changed_rules(self, key: PermissionKey) -> tuple[set[object], tuple[SymbolicRule, ...]]:
         """Return the contents of the new rules that allow something, and the old rules that denied something."""
@@ -137,8 +132,6 @@ class PatternComparison:
 
         excluded = (*area.excluded, *self._matching_named(area.like))
         listed = [each for each in listed if not disjoint(each.like, area.like)]
-        if any(area.is_part_of(each) for each in listed):
-            return None
         example = example_subject(area.like)
         if example is not None and not any(matches(each, example) for each in excluded):
             if not any(example in each for each in listed) and check(example) is True:

@@ -111,7 +111,7 @@ def _classes(
             if alone is None:
                 raise AssertionError(f"the rules of {each.found} do not differ as reported")
             area, found = _class_of(finder, alone, each, own)
-            listed[:] = [*(each for each in listed if not each.is_part_of(area)), area]
+            listed.append(area)
             yield from found
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from itertools import chain, product
 
 from comarmor.patterns.decision_lists import Equal, Unknown, negated
@@ -18,7 +19,6 @@ from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection, maximal
 from comarmor.patterns.tokens import STAR
 from comarmor.rules import PARTS, Effect, parts
-from comarmor.values import dataclass
 from keymint.analysis.pattern_diff import KEYS, PatternComparison, PatternDifference
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_diff import PermissionChange
@@ -36,7 +36,6 @@ from keymint.analysis.subject_templates import (
     fill_placeholders,
     fit_pattern,
     placeholders,
-    symbolic_words,
 )
 from keymint.analysis.symbolic_rules import SymbolicRule, SymbolicRules
 from keymint.analysis.symbolic_search import (
@@ -56,23 +55,6 @@ _MOST_SINGLES = 8
 
 class _NotAlikeError(Exception):
     """A class cannot be narrowed to members that change alike; the message tells why."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Claim:
-    """A statement about every member of a class.
-
-    Attributes:
-        after: it is about the newer policy, else about the older one.
-        key: the permission.
-        objects: pattern of symbolic words.
-        allowed: the policy allows all of them; else it denies all of them.
-    """
-
-    after: bool
-    key: PermissionKey
-    objects: Glob
-    allowed: bool
 
 
 class ClassFinder:
@@ -131,41 +113,25 @@ class ClassFinder:
 
     def _narrower(self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]) -> SubjectClass | None:
         """Return a part of a class with a subject, without some members that differ from it; None if all are alike."""
-        return next(
-            (
-                narrower
-                for attempt in (self._by_profile, self._by_rule, self._by_change, self._by_claim)
-                if (narrower := attempt(area, subject, changes)) is not None
-            ),
-            None,
-        )
+        for profiles in self._decisive(area, subject, changes):
+            if (narrower := _cut(area, subject, profiles)) is not None:
+                return narrower
+        return self._by_change(area, subject, changes) or self._by_claim(area, subject, changes)
 
-    def _by_profile(
-        self, area: SubjectClass, subject: str, _changes: Sequence[PermissionChange]
-    ) -> SubjectClass | None:
-        """Return the part in which a policy has a profile for all or for none."""
+    def _decisive(
+        self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]
+    ) -> Iterator[Sequence[Sequence[str]]]:
+        """Yield nested profiles that must apply to all members or to none."""
         for policy, book in zip(self._policies, self._books, strict=True):
             if policy.rules(subject) is None:
-                near = (profiles for one, profiles in book.profiles.meeting(area.like) if _alive([one], area))
+                yield from (profiles for one, profiles in book.profiles.meeting(area.like) if _alive([one], area))
             else:
                 own = [profiles for _, profiles in book.profiles.matching(subject)]
-                near = (profiles for profiles in own if not any(_cut(area, subject, each) is None for each in own))
-            for profiles in near:
-                if (narrower := _cut(area, subject, profiles)) is not None:
-                    return narrower
-        return None
-
-    def _by_rule(self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]) -> SubjectClass | None:
-        """Return the part in which the rules about changed objects apply to all or to none."""
+                yield from own if not any(_cut(area, subject, each) is None for each in own) else ()
         for key, objects in _concerned(changes):
             for rule in self._rules(key, area):
-                if not _meets(rule, objects, area):
-                    continue
-                if _applies(rule, subject) or _alive(rule.reach.subjects, area):
-                    narrower = _cut(area, subject, rule.profiles)
-                    if narrower is not None:
-                        return narrower
-        return None
+                if _meets(rule, objects, area) and (_applies(rule, subject) or _alive(rule.reach.subjects, area)):
+                    yield rule.profiles
 
     def _by_change(self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]) -> SubjectClass | None:
         """Return the part without a member that changes in a way in which the subject does not."""
@@ -185,22 +151,28 @@ class ClassFinder:
 
     def _by_claim(self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]) -> SubjectClass | None:
         """Return the part without a member for which a change is false because of its namespace or name."""
-        for claim in (claim for change in changes for claim in self._claims(change, subject)):
-            denies, allows = (
-                [
-                    rule.object
-                    for rule in self._books[claim.after].applying(claim.key, effect, area.like)
-                    if _applies(rule, subject) and _meets(rule, claim.objects, area)
-                ]
-                for effect in (Effect.DENY, Effect.ALLOW)
-            )
-            if not any(map(placeholders, (claim.objects, *denies, *allows))):
+        excluded = (*area.excluded, *self._named)
+        for after, allowed, key, objects in (claim for change in changes for claim in self._claims(change, subject)):
+            entries = {
+                effect: tuple(
+                    SymbolicEntry((EVERYBODY,), rule.object)
+                    for rule in self._books[after].applying(key, effect, area.like)
+                    if _applies(rule, subject) and _meets(rule, objects, area)
+                )
+                for effect in Effect
+            }
+            patterns = [each.object for both in entries.values() for each in both]
+            if not any(map(placeholders, (objects, *patterns))):
                 continue
-            found = self._refuting(claim, area, denies, allows)
-            if isinstance(found, Unknown):
-                raise _NotAlikeError(found.reason)
-            if found is not None:
-                return _without_coincidence(area, subject, found, (*denies, *allows), claim.objects)
+            denied = SymbolicCondition(entries[Effect.DENY], some=allowed)
+            permitted = SymbolicCondition(entries[Effect.ALLOW], some=not allowed)
+            check = partial(self._refutes, after, allowed, key, objects)
+            for conditions in ((denied,), (permitted,)) if allowed else ((permitted, denied),):
+                found = find_subject(key[0], area.like, objects, conditions, check, excluded, self._budget)
+                if isinstance(found, Unknown):
+                    raise _NotAlikeError(found.reason)
+                if found is not None:
+                    return _without_coincidence(area, subject, found, patterns, objects)
         return None
 
     def _rules(self, key: PermissionKey, area: SubjectClass) -> Iterator[SymbolicRule]:
@@ -208,43 +180,31 @@ class ClassFinder:
         for book, effect in product(self._books, Effect):
             yield from book.applying(key, effect, area.like)
 
-    def _claims(self, change: PermissionChange, subject: str) -> Iterator[_Claim]:
-        """Yield what a change says: the one policy allows all parts, the other one denies one of them."""
-        shape = change.objects if change.whole else _symbolic_word(change, subject)
-        pieces = [((kind, part), surround("", shape, end)) for kind, part, end in parts(change.kind, change.permission)]
-        yield from (_Claim(change.gains, key, piece, allowed=True) for key, piece in pieces)
-        claims = [_Claim(not change.gains, key, piece, allowed=False) for key, piece in pieces]
-        denied = next((claim for claim in claims if self._refutes(claim, subject) is False), None)
+    def _claims(self, change: PermissionChange, subject: str) -> Iterator[tuple[bool, bool, PermissionKey, Glob]]:
+        """Yield what a change says: the one policy allows all parts, the other one denies one of them.
+
+        Yields:
+            Whether it is about the newer policy; whether that allows the objects, or denies all; permission; objects.
+        """
+        if not change.whole and placeholders(change.objects):
+            raise _NotAlikeError("only a part of a pattern with {namespace} or {name} changes")
+        pieces = [*_pieces(change.kind, change.permission, change.objects if change.whole else (change.word,))]
+        yield from ((change.gains, True, *each) for each in pieces)
+        claims = [(not change.gains, False, *each) for each in pieces]
+        denied = next((claim for claim in claims if self._refutes(*claim, subject) is False), None)
         if denied is None:
             raise _NotAlikeError("the parts of a permission change in several ways")
         yield denied
 
-    def _refutes(self, claim: _Claim, subject: str) -> bool | Unknown:
-        """Return whether a claim is false for a subject."""
-        decided = decision_list(rules_of(self._policies[claim.after], subject), claim.key)
-        concrete = allow_only(fill_placeholders(claim.objects, *exact_halves(subject)))
-        sought = negated(decided) if claim.allowed else decided
-        outcome = find_permitted(claim.key[0], concrete, sought, budget=self._budget.next_query())
+    def _refutes(self, after: bool, allowed: bool, key: PermissionKey, objects: Glob, subject: str) -> bool | Unknown:
+        """Return whether a statement of a change is false for a subject."""
+        decided = decision_list(rules_of(self._policies[after], subject), key)
+        concrete = allow_only(fill_placeholders(objects, *exact_halves(subject)))
+        sought = negated(decided) if allowed else decided
+        outcome = find_permitted(key[0], concrete, sought, budget=self._budget.next_query())
         if isinstance(outcome, Unknown):
             return Unknown(self._budget.reason(outcome.reason))
         return not isinstance(outcome, Equal)
-
-    def _refuting(
-        self, claim: _Claim, area: SubjectClass, denies: Sequence[Glob], allows: Sequence[Glob]
-    ) -> str | Unknown | None:
-        """Return a member for which a claim is false, if all members have the same denials and allowances."""
-        denied, not_denied = (_matched(denies, some=some) for some in (True, False))
-        allowed, not_allowed = (_matched(allows, some=some) for some in (True, False))
-        excluded = (*area.excluded, *self._named)
-
-        def check(member: str) -> bool | Unknown:
-            return self._refutes(claim, member)
-
-        for conditions in [(denied,), (not_allowed,)] if claim.allowed else [(allowed, not_denied)]:
-            found = find_subject(claim.key[0], area.like, claim.objects, conditions, check, excluded, self._budget)
-            if found is not None:
-                return found
-        return None
 
     def _with_placeholders(self, subject: str, change: PermissionChange) -> PermissionChange:
         """Return a change of a subject with the placeholders of the rule behind it."""
@@ -270,11 +230,6 @@ def _without_coincidence(
                     if matches(apart, subject) is not matches(apart, other):
                         return _split(area, subject, [apart])
     return _without(area, other)
-
-
-def _matched(objects: Iterable[Glob], *, some: bool) -> SymbolicCondition:
-    """Return the condition that some of the patterns of objects match, or that none does."""
-    return SymbolicCondition(tuple(SymbolicEntry((EVERYBODY,), each) for each in objects), some=some)
 
 
 def _applies(rule: SymbolicRule, subject: str) -> bool:
@@ -337,25 +292,20 @@ def _concerned(changes: Sequence[PermissionChange]) -> dict[tuple[PermissionKey,
                 base for *part, end in implementing if (*part,) == key for base in before_suffix(change.objects, end)
             ]
             composite |= dict.fromkeys((whole, base) for base in bases)
-    return {
-        ((kind, part), surround("", objects, end)): None
-        for key, objects in composite
-        for kind, part, end in parts(*key)
-    }
+    return dict.fromkeys(piece for key, objects in composite for piece in _pieces(*key, objects))
+
+
+def _pieces(kind: str, permission: str, objects: Glob) -> Iterator[tuple[PermissionKey, Glob]]:
+    """Yield the permissions without parts, with objects, that make up a permission."""
+    for part_kind, part, end in parts(kind, permission):
+        yield (part_kind, part), surround("", objects, end)
 
 
 def _covered(changes: Sequence[PermissionChange], gains: bool) -> Iterator[tuple[PermissionKey, Glob]]:
     """Yield the permissions without parts, with objects, that changes tell of."""
     for change in changes:
         if change.gains is gains and (change.whole or (change.kind, change.permission) not in PARTS):
-            for kind, part, end in parts(change.kind, change.permission):
-                yield (kind, part), surround("", change.objects, end)
-
-
-def _symbolic_word(change: PermissionChange, subject: str) -> Glob:
-    """Return the example of a change with placeholders."""
-    found = symbolic_words(change.word, placeholders(change.objects), subject)
-    return (next((word for word in found if matches(change.objects, word)), change.word),)
+            yield from _pieces(change.kind, change.permission, change.objects)
 
 
 def _subjects_with(namespaces: Sequence[Glob], names: Sequence[Glob]) -> Iterator[Glob]:
