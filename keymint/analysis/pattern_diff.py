@@ -14,11 +14,11 @@ from itertools import product
 from comarmor.patterns.decision_lists import Equal, Unknown, negated
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.matching import matches
-from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection
+from comarmor.patterns.relations import disjoint
 from comarmor.rules import PARTS, PERMISSIONS, Effect
 from comarmor.values import dataclass
 from keymint.analysis.query_budget import QueryBudget
-from keymint.analysis.rule_lists import PermissionKey, decision_list, deny_over_allow, find_permitted
+from keymint.analysis.rule_lists import PermissionKey, decision_list, deny_over_allow, find_permitted, overlap
 from keymint.analysis.subject_patterns import SubjectClass, example_subject, rules_of
 from keymint.analysis.subject_templates import exact_halves, fill_placeholders, fit_pattern, placeholders
 from keymint.analysis.symbolic_rules import SymbolicRule, SymbolicRules
@@ -95,7 +95,7 @@ class PatternComparison:
         if not new and not lifted:
             return
         for rule in self._after.applying(key, Effect.ALLOW, area.like):
-            for subjects in _overlaps(rule.reach.subjects, area.like):
+            for subjects in dict.fromkeys(each for one in rule.reach.subjects for each in overlap(area.like, one)):
                 searches = [self._not_allowed_before(key, rule, subjects)] if rule.content in new else []
                 searches += self._denied_before(key, rule, subjects, lifted)
                 for left in reversed(range(_ROUNDS + 1) if searches else ()):
@@ -217,13 +217,3 @@ def _may_overlap(denial: SymbolicRule, rule: SymbolicRule, subjects: Glob) -> bo
     if not placeholders(denial.object) and not placeholders(rule.object) and disjoint(denial.object, rule.object):
         return False
     return any(not disjoint(one, subjects) for one in denial.reach.subjects)
-
-
-def _overlaps(subjects: Sequence[Glob], other: Glob) -> tuple[Glob, ...]:
-    """Return the overlaps of patterns with another one, or that one if they are all of it or too complex."""
-    if any(covers(one, other) for one in subjects):
-        return (other,)
-    try:
-        return tuple(dict.fromkeys(piece for one in subjects for piece in intersection(one, other)))
-    except TooComplexError:
-        return (other,)

@@ -8,10 +8,9 @@ rules where they matter, no member changes in another way, and no placeholder me
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from itertools import chain, product
+from itertools import product
 
 from comarmor.patterns.decision_lists import Equal, Unknown, negated
 from comarmor.patterns.glob import Glob, literal, normalise, parse, surround
@@ -100,15 +99,14 @@ class ClassFinder:
         if undecided or found.rule.reach.left:
             return area, (), undecided or reason
         symbolic = tuple(self._with_placeholders(subject, change) for change in changes)
-        with suppress(TooComplexError):
-            try:
-                for _ in range(_MOST_SPLITS):
-                    narrower = self._narrower(area, subject, symbolic)
-                    if narrower is None:
-                        return area, symbolic, ""
-                    area = narrower
-            except _NotAlikeError as error:
-                reason = str(error)
+        try:
+            for _ in range(_MOST_SPLITS):
+                narrower = self._narrower(area, subject, symbolic)
+                if narrower is None:
+                    return area, symbolic, ""
+                area = narrower
+        except (_NotAlikeError, TooComplexError) as error:
+            reason = str(error) or reason
         return area, (), reason
 
     def _narrower(self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]) -> SubjectClass | None:
@@ -266,8 +264,7 @@ def _without(area: SubjectClass, other: str) -> SubjectClass:
 
 def _alive(subjects: Iterable[Glob], area: SubjectClass) -> list[Glob]:
     """Return the overlaps of patterns with a class, without those that the class surely excludes."""
-    overlaps = ((area.like,) if covers(one, area.like) else intersection(one, area.like) for one in subjects)
-    pieces = chain.from_iterable(overlaps)
+    pieces = (piece for one in subjects for piece in overlap(area.like, one))
     return [piece for piece in pieces if not any(covers(each, piece) for each in area.excluded)]
 
 
@@ -310,10 +307,7 @@ def _covered(changes: Sequence[PermissionChange], gains: bool) -> Iterator[tuple
 
 def _subjects_with(namespaces: Sequence[Glob], names: Sequence[Glob]) -> Iterator[Glob]:
     """Yield patterns of subjects that tell apart those with a namespace and a name."""
+    namespace = namespaces[0] if namespaces else ()
     name = names[0] if names else (STAR,)
-    if namespaces:
-        yield normalise(("/", *namespaces[0], *name))
-        yield normalise(("/", *namespaces[0], STAR, "/", *name))
-    else:
-        yield normalise(("/", *name))
-        yield normalise(("/", STAR, "/", *name))
+    yield normalise(("/", *namespace, *name))
+    yield normalise(("/", *namespace, STAR, "/", *name))
