@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from itertools import product
 
-from comarmor.patterns.decision_lists import Equal, Unknown, negated
+from comarmor.patterns.decision_lists import Unknown, negated
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import disjoint
@@ -193,10 +193,7 @@ class PatternComparison:
         before, after = (decision_list(rules_of(policy, subject), key) for policy in self._policies)
         budget = self._budget.next_query()
         shown = deny_over_allow(ignored, [concrete])
-        outcome = find_permitted(key[0], shown, after, negated(before), budget=budget)
-        if isinstance(outcome, Unknown):
-            return Unknown(self._budget.reason(outcome.reason))
-        return not isinstance(outcome, Equal)
+        return self._budget.verdict(find_permitted(key[0], shown, after, negated(before), budget=budget))
 
 
 _Conditions = tuple[SymbolicCondition, ...]

@@ -12,7 +12,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import product
 
-from comarmor.patterns.decision_lists import Equal, Unknown, negated
+from comarmor.patterns.decision_lists import Unknown, negated
 from comarmor.patterns.glob import Glob, literal, normalise, parse, surround
 from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection, maximal
@@ -48,8 +48,6 @@ from keymint.api import LoadedPolicy
 
 _MOST_SPLITS = 256
 """Maximum number of times that a class is narrowed."""
-_MOST_SINGLES = 8
-"""Maximum number of single subjects that a class leaves out because of their names."""
 
 
 class _NotAlikeError(Exception):
@@ -141,8 +139,8 @@ class ClassFinder:
                         raise _NotAlikeError(each.found.reason)
                     near = [rule for rule in self._rules(key, area) if _meets(rule, each.rule.object, area)]
                     for rule in near:
-                        if _applies(rule, subject) is not _applies(rule, each.found):
-                            return _cut(area, subject, rule.profiles) or _without(area, each.found)
+                        if (narrower := _cut(area, subject, rule.profiles)) is not None:
+                            return narrower
                     objects = [rule.object for rule in near]
                     return _without_coincidence(area, subject, each.found, objects, each.rule.object)
         return None
@@ -199,10 +197,7 @@ class ClassFinder:
         decided = decision_list(rules_of(self._policies[after], subject), key)
         concrete = allow_only(fill_placeholders(objects, *exact_halves(subject)))
         sought = negated(decided) if allowed else decided
-        outcome = find_permitted(key[0], concrete, sought, budget=self._budget.next_query())
-        if isinstance(outcome, Unknown):
-            return Unknown(self._budget.reason(outcome.reason))
-        return not isinstance(outcome, Equal)
+        return self._budget.verdict(find_permitted(key[0], concrete, sought, budget=self._budget.next_query()))
 
     def _with_placeholders(self, subject: str, change: PermissionChange) -> PermissionChange:
         """Return a change of a subject with the placeholders of the rule behind it."""
@@ -227,7 +222,7 @@ def _without_coincidence(
                 for apart in _subjects_with(namespaces, names):
                     if matches(apart, subject) is not matches(apart, other):
                         return _split(area, subject, [apart])
-    return _without(area, other)
+    raise _NotAlikeError("{namespace} or {name} makes single subjects differ")
 
 
 def _applies(rule: SymbolicRule, subject: str) -> bool:
@@ -254,12 +249,6 @@ def _split(area: SubjectClass, subject: str, apart: Sequence[Glob]) -> SubjectCl
         return replace(area, excluded=tuple(maximal((*area.excluded, *apart))))
     like = next(piece for piece in intersection(area.like, apart[0]) if matches(piece, subject))
     return SubjectClass(like, tuple(each for each in area.excluded if not disjoint(each, like)))
-
-
-def _without(area: SubjectClass, other: str) -> SubjectClass:
-    if sum(literal(each) is not None for each in area.excluded) >= _MOST_SINGLES:
-        raise _NotAlikeError("{namespace} or {name} makes single subjects differ")
-    return replace(area, excluded=(*area.excluded, (other,)))
 
 
 def _alive(subjects: Iterable[Glob], area: SubjectClass) -> list[Glob]:
