@@ -38,15 +38,11 @@ class PatternDifference:
     """A difference for subjects that no policy names.
 
     Attributes:
-        gains: only the newer policy allows it.
-        key: the permission.
         rule: the rule that allows it.
         within: pattern of the subjects that were searched.
         found: an example, or why it is not known whether there is one.
     """
 
-    gains: bool
-    key: PermissionKey
     rule: SymbolicRule
     within: Glob
     found: str | Unknown
@@ -56,7 +52,7 @@ class PatternComparison:
     """Finds what one policy allows and another one does not.
 
     Args:
-        gains: the policy that allows it is the newer one.
+        gains: the policy that allows it is the newer one; also an attribute.
         policies: the one that does not allow it, and the one that does.
         rules: the rules of both.
         named: subjects to ignore.
@@ -71,7 +67,7 @@ class PatternComparison:
         named: Iterable[str],
         budget: QueryBudget,
     ) -> None:
-        self._gains = gains
+        self.gains = gains
         self._policies = policies
         self._before, self._after = rules
         self._budget = budget
@@ -105,7 +101,7 @@ class PatternComparison:
                         break
                     if not left:
                         answer = Unknown(f"its subjects change in more than {_ROUNDS} ways")
-                    yield PatternDifference(self._gains, key, rule, subjects, answer)
+                    yield PatternDifference(rule, subjects, answer)
                     if isinstance(answer, Unknown):
                         break
 

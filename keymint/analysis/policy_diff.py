@@ -103,7 +103,7 @@ def _classes(
                     yield _unknown(pattern_text(EVERY), unknown_change(budget.reason(each.found.reason)))
                     return
                 change = PermissionChange(
-                    each.gains, *key, each.rule.object, False, "", each.rule.where, each.found.reason
+                    comparison.gains, *key, each.rule.object, False, "", each.rule.where, each.found.reason
                 )
                 yield _unknown(pattern_text(each.within), change)
                 continue

@@ -124,25 +124,24 @@ class ClassFinder:
             else:
                 own = [profiles for _, profiles in book.profiles.matching(subject)]
                 yield from own if not any(_cut(area, subject, each) is None for each in own) else ()
-        for key, objects in _concerned(changes):
+        for key, objects in dict.fromkeys(_concerned(changes)):
             for rule in self._rules(key, area):
                 if _meets(rule, objects, area) and (_applies(rule, subject) or _alive(rule.reach.subjects, area)):
                     yield rule.profiles
 
     def _by_change(self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]) -> SubjectClass | None:
         """Return the part without a member that changes in a way in which the subject does not."""
-        for comparison, gains in zip(self._comparisons, (True, False), strict=True):
-            for key in KEYS:
-                said = [objects for one, objects in _covered(changes, gains) if one == key]
-                for each in comparison.differences(key, area, said, ()):
-                    if isinstance(each.found, Unknown):
-                        raise _NotAlikeError(each.found.reason)
-                    near = [rule for rule in self._rules(key, area) if _meets(rule, each.rule.object, area)]
-                    for rule in near:
-                        if (narrower := _cut(area, subject, rule.profiles)) is not None:
-                            return narrower
-                    objects = [rule.object for rule in near]
-                    return _without_coincidence(area, subject, each.found, objects, each.rule.object)
+        for comparison, key in product(self._comparisons, KEYS):
+            said = [objects for one, objects in _covered(changes, comparison.gains) if one == key]
+            for each in comparison.differences(key, area, said, ()):
+                if isinstance(each.found, Unknown):
+                    raise _NotAlikeError(each.found.reason)
+                near = [rule for rule in self._rules(key, area) if _meets(rule, each.rule.object, area)]
+                for rule in near:
+                    if (narrower := _cut(area, subject, rule.profiles)) is not None:
+                        return narrower
+                objects = [rule.object for rule in near]
+                return _without_coincidence(area, subject, each.found, objects, each.rule.object)
         return None
 
     def _by_claim(self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]) -> SubjectClass | None:
@@ -267,18 +266,15 @@ def _meets(rule: SymbolicRule, objects: Glob, area: SubjectClass) -> bool:
     )
 
 
-def _concerned(changes: Sequence[PermissionChange]) -> dict[tuple[PermissionKey, Glob], None]:
-    """Return the permissions without parts, with objects, on which changes depend."""
-    composite: dict[tuple[PermissionKey, Glob], None] = {}
+def _concerned(changes: Iterable[PermissionChange]) -> Iterator[tuple[PermissionKey, Glob]]:
+    """Yield the permissions without parts, with objects, on which changes depend."""
     for change in changes:
-        key = (change.kind, change.permission)
-        composite[key, change.objects] = None
+        yield from _pieces(change.kind, change.permission, change.objects)
         for whole, implementing in PARTS.items():
-            bases = [
-                base for *part, end in implementing if (*part,) == key for base in before_suffix(change.objects, end)
-            ]
-            composite |= dict.fromkeys((whole, base) for base in bases)
-    return dict.fromkeys(piece for key, objects in composite for piece in _pieces(*key, objects))
+            for kind, part, end in implementing:
+                if (kind, part) == (change.kind, change.permission):
+                    for base in before_suffix(change.objects, end):
+                        yield from _pieces(*whole, base)
 
 
 def _pieces(kind: str, permission: str, objects: Glob) -> Iterator[tuple[PermissionKey, Glob]]:
