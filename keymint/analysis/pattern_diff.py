@@ -11,15 +11,15 @@ from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from itertools import product
 
-from comarmor.patterns.decision_lists import Equal, Unknown, negated
+from comarmor.patterns.decision_lists import Unknown, negated
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.matching import matches
-from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection
+from comarmor.patterns.relations import disjoint
 from comarmor.rules import PARTS, PERMISSIONS, Effect
 from comarmor.values import dataclass
 from keymint.analysis.query_budget import QueryBudget
-from keymint.analysis.rule_lists import PermissionKey, decision_list, deny_over_allow, find_permitted
-from keymint.analysis.subject_patterns import EVERY, SubjectClass, example_subject, rules_of
+from keymint.analysis.rule_lists import PermissionKey, decision_list, deny_over_allow, find_permitted, overlap
+from keymint.analysis.subject_patterns import SubjectClass, example_subject, rules_of
 from keymint.analysis.subject_templates import exact_halves, fill_placeholders, fit_pattern, placeholders
 from keymint.analysis.symbolic_rules import SymbolicRule, SymbolicRules
 from keymint.analysis.symbolic_search import EVERYBODY, SymbolicCondition, SymbolicEntry, find_subject
@@ -30,7 +30,7 @@ KEYS: tuple[PermissionKey, ...] = tuple(
 )
 """The permissions without parts: policies that agree on these agree on all."""
 _ROUNDS = 16
-"""Maximum number of examples for a rule; but one for each pattern of its subjects."""
+"""Maximum number of examples for a rule and a pattern of its subjects."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,15 +38,11 @@ class PatternDifference:
     """A difference for subjects that no policy names.
 
     Attributes:
-        gains: only the newer policy allows it.
-        key: the permission.
         rule: the rule that allows it.
         within: pattern of the subjects that were searched.
         found: an example, or why it is not known whether there is one.
     """
 
-    gains: bool
-    key: PermissionKey
     rule: SymbolicRule
     within: Glob
     found: str | Unknown
@@ -56,7 +52,7 @@ class PatternComparison:
     """Finds what one policy allows and another one does not.
 
     Args:
-        gains: the policy that allows it is the newer one.
+        gains: the policy that allows it is the newer one; also an attribute.
         policies: the one that does not allow it, and the one that does.
         rules: the rules of both.
         named: subjects to ignore.
@@ -71,7 +67,7 @@ class PatternComparison:
         named: Iterable[str],
         budget: QueryBudget,
     ) -> None:
-        self._gains = gains
+        self.gains = gains
         self._policies = policies
         self._before, self._after = rules
         self._budget = budget
@@ -94,25 +90,20 @@ class PatternComparison:
         new, lifted = self._changed(key)
         if not new and not lifted:
             return
-        every = area.like == EVERY
-        allowed = self._after.all(key, Effect.ALLOW).values()
-        for rule in allowed if every else self._after.applying(key, Effect.ALLOW, area.like):
-            rounds = _ROUNDS
-            for subjects in rule.reach.subjects if every else _overlaps(rule.reach.subjects, area.like):
+        for rule in self._after.applying(key, Effect.ALLOW, area.like):
+            for subjects in dict.fromkeys(each for one in rule.reach.subjects for each in overlap(area.like, one)):
                 searches = [self._not_allowed_before(key, rule, subjects)] if rule.content in new else []
                 searches += self._denied_before(key, rule, subjects, lifted)
-                for _ in range(max(rounds, 1) if searches else 0):
+                for left in reversed(range(_ROUNDS + 1) if searches else ()):
                     part = SubjectClass(subjects, area.excluded)
                     answer = self._first(key, rule, part, searches, said, listed)
-                    if answer is not None:
-                        yield PatternDifference(self._gains, key, rule, subjects, answer)
-                    if not isinstance(answer, str):
+                    if answer is None:
                         break
-                    rounds -= 1
-                else:
-                    if searches:
-                        reason = Unknown(f"its subjects change in more than {_ROUNDS} ways")
-                        yield PatternDifference(self._gains, key, rule, subjects, reason)
+                    if not left:
+                        answer = Unknown(f"its subjects change in more than {_ROUNDS} ways")
+                    yield PatternDifference(rule, subjects, answer)
+                    if isinstance(answer, Unknown):
+                        break
 
     def _changed_rules(self, key: PermissionKey) -> tuple[set[object], tuple[SymbolicRule, ...]]:
         """Return the contents of the new rules that allow something, and the old rules that denied something."""
@@ -137,8 +128,6 @@ class PatternComparison:
 
         excluded = (*area.excluded, *self._matching_named(area.like))
         listed = [each for each in listed if not disjoint(each.like, area.like)]
-        if any(area.is_part_of(each) for each in listed):
-            return None
         example = example_subject(area.like)
         if example is not None and not any(matches(each, example) for each in excluded):
             if not any(example in each for each in listed) and check(example) is True:
@@ -200,10 +189,7 @@ class PatternComparison:
         before, after = (decision_list(rules_of(policy, subject), key) for policy in self._policies)
         budget = self._budget.next_query()
         shown = deny_over_allow(ignored, [concrete])
-        outcome = find_permitted(key[0], shown, after, negated(before), budget=budget)
-        if isinstance(outcome, Unknown):
-            return Unknown(self._budget.reason(outcome.reason))
-        return not isinstance(outcome, Equal)
+        return self._budget.verdict(find_permitted(key[0], shown, after, negated(before), budget=budget))
 
 
 _Conditions = tuple[SymbolicCondition, ...]
@@ -224,13 +210,3 @@ def _may_overlap(denial: SymbolicRule, rule: SymbolicRule, subjects: Glob) -> bo
     if not placeholders(denial.object) and not placeholders(rule.object) and disjoint(denial.object, rule.object):
         return False
     return any(not disjoint(one, subjects) for one in denial.reach.subjects)
-
-
-def _overlaps(subjects: Sequence[Glob], other: Glob) -> tuple[Glob, ...]:
-    """Return the overlaps of patterns with another one, or that one if they are all of it or too complex."""
-    if any(covers(one, other) for one in subjects):
-        return (other,)
-    try:
-        return tuple(dict.fromkeys(piece for one in subjects for piece in intersection(one, other)))
-    except TooComplexError:
-        return (other,)

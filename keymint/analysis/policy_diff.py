@@ -103,7 +103,7 @@ def _classes(
                     yield _unknown(pattern_text(EVERY), unknown_change(budget.reason(each.found.reason)))
                     return
                 change = PermissionChange(
-                    each.gains, *key, each.rule.object, False, "", each.rule.where, each.found.reason
+                    comparison.gains, *key, each.rule.object, False, "", each.rule.where, each.found.reason
                 )
                 yield _unknown(pattern_text(each.within), change)
                 continue
@@ -111,7 +111,7 @@ def _classes(
             if alone is None:
                 raise AssertionError(f"the rules of {each.found} do not differ as reported")
             area, found = _class_of(finder, alone, each, own)
-            listed[:] = [*(each for each in listed if not each.is_part_of(area)), area]
+            listed.append(area)
             yield from found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import field
 
-from comarmor.patterns.decision_lists import SearchBudget
+from comarmor.patterns.decision_lists import ProofResult, SearchBudget, Unknown, Witness
 from comarmor.values import dataclass
 
 STATES = 5_000_000
@@ -52,6 +52,12 @@ class QueryBudget:
     def is_empty(self) -> bool:
         """Whether nothing is left."""
         return self.spent >= self.states
+
+    def verdict(self, outcome: ProofResult) -> bool | Unknown:
+        """Return whether a query found a word, or why it was not decided."""
+        if isinstance(outcome, Unknown):
+            return Unknown(self.reason(outcome.reason))
+        return isinstance(outcome, Witness)
 
     def reason(self, own: str) -> str:
         """Return why a query was not decided: the shared budget is spent, or the reason of the query itself.

@@ -8,17 +8,16 @@ rules where they matter, no member changes in another way, and no placeholder me
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import replace
-from itertools import chain, product
+from functools import partial
+from itertools import product
 
-from comarmor.patterns.decision_lists import Equal, Unknown, negated
+from comarmor.patterns.decision_lists import Unknown, negated
 from comarmor.patterns.glob import Glob, literal, normalise, parse, surround
 from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection, maximal
 from comarmor.patterns.tokens import STAR
 from comarmor.rules import PARTS, Effect, parts
-from comarmor.values import dataclass
 from keymint.analysis.pattern_diff import KEYS, PatternComparison, PatternDifference
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_diff import PermissionChange
@@ -36,7 +35,6 @@ from keymint.analysis.subject_templates import (
     fill_placeholders,
     fit_pattern,
     placeholders,
-    symbolic_words,
 )
 from keymint.analysis.symbolic_rules import SymbolicRule, SymbolicRules
 from keymint.analysis.symbolic_search import (
@@ -50,29 +48,10 @@ from keymint.api import LoadedPolicy
 
 _MOST_SPLITS = 256
 """Maximum number of times that a class is narrowed."""
-_MOST_SINGLES = 8
-"""Maximum number of single subjects that a class leaves out because of their names."""
 
 
 class _NotAlikeError(Exception):
     """A class cannot be narrowed to members that change alike; the message tells why."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Claim:
-    """A statement about every member of a class.
-
-    Attributes:
-        after: it is about the newer policy, else about the older one.
-        key: the permission.
-        objects: pattern of symbolic words.
-        allowed: the policy allows all of them; else it denies all of them.
-    """
-
-    after: bool
-    key: PermissionKey
-    objects: Glob
-    allowed: bool
 
 
 class ClassFinder:
@@ -118,89 +97,77 @@ class ClassFinder:
         if undecided or found.rule.reach.left:
             return area, (), undecided or reason
         symbolic = tuple(self._with_placeholders(subject, change) for change in changes)
-        with suppress(TooComplexError):
-            try:
-                for _ in range(_MOST_SPLITS):
-                    narrower = self._narrower(area, subject, symbolic)
-                    if narrower is None:
-                        return area, symbolic, ""
-                    area = narrower
-            except _NotAlikeError as error:
-                reason = str(error)
+        try:
+            for _ in range(_MOST_SPLITS):
+                narrower = self._narrower(area, subject, symbolic)
+                if narrower is None:
+                    return area, symbolic, ""
+                area = narrower
+        except (_NotAlikeError, TooComplexError) as error:
+            reason = str(error) or reason
         return area, (), reason
 
     def _narrower(self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]) -> SubjectClass | None:
         """Return a part of a class with a subject, without some members that differ from it; None if all are alike."""
-        return next(
-            (
-                narrower
-                for attempt in (self._by_profile, self._by_rule, self._by_change, self._by_claim)
-                if (narrower := attempt(area, subject, changes)) is not None
-            ),
-            None,
-        )
+        for profiles in self._decisive(area, subject, changes):
+            if (narrower := _cut(area, subject, profiles)) is not None:
+                return narrower
+        return self._by_change(area, subject, changes) or self._by_claim(area, subject, changes)
 
-    def _by_profile(
-        self, area: SubjectClass, subject: str, _changes: Sequence[PermissionChange]
-    ) -> SubjectClass | None:
-        """Return the part in which a policy has a profile for all or for none."""
+    def _decisive(
+        self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]
+    ) -> Iterator[Sequence[Sequence[str]]]:
+        """Yield nested profiles that must apply to all members or to none."""
         for policy, book in zip(self._policies, self._books, strict=True):
             if policy.rules(subject) is None:
-                near = (profiles for one, profiles in book.profiles.meeting(area.like) if _alive([one], area))
+                yield from (profiles for one, profiles in book.profiles.meeting(area.like) if _alive([one], area))
             else:
                 own = [profiles for _, profiles in book.profiles.matching(subject)]
-                near = (profiles for profiles in own if not any(_cut(area, subject, each) is None for each in own))
-            for profiles in near:
-                if (narrower := _cut(area, subject, profiles)) is not None:
-                    return narrower
-        return None
-
-    def _by_rule(self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]) -> SubjectClass | None:
-        """Return the part in which the rules about changed objects apply to all or to none."""
-        for key, objects in _concerned(changes):
+                yield from own if not any(_cut(area, subject, each) is None for each in own) else ()
+        for key, objects in dict.fromkeys(_concerned(changes)):
             for rule in self._rules(key, area):
-                if not _meets(rule, objects, area):
-                    continue
-                if _applies(rule, subject) or _alive(rule.reach.subjects, area):
-                    narrower = _cut(area, subject, rule.profiles)
-                    if narrower is not None:
-                        return narrower
-        return None
+                if _meets(rule, objects, area) and (_applies(rule, subject) or _alive(rule.reach.subjects, area)):
+                    yield rule.profiles
 
     def _by_change(self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]) -> SubjectClass | None:
         """Return the part without a member that changes in a way in which the subject does not."""
-        for comparison, gains in zip(self._comparisons, (True, False), strict=True):
-            for key in KEYS:
-                said = [objects for one, objects in _covered(changes, gains) if one == key]
-                for each in comparison.differences(key, area, said, ()):
-                    if isinstance(each.found, Unknown):
-                        raise _NotAlikeError(each.found.reason)
-                    near = [rule for rule in self._rules(key, area) if _meets(rule, each.rule.object, area)]
-                    for rule in near:
-                        if _applies(rule, subject) is not _applies(rule, each.found):
-                            return _cut(area, subject, rule.profiles) or _without(area, each.found)
-                    objects = [rule.object for rule in near]
-                    return _without_coincidence(area, subject, each.found, objects, each.rule.object)
+        for comparison, key in product(self._comparisons, KEYS):
+            said = [objects for one, objects in _covered(changes, comparison.gains) if one == key]
+            for each in comparison.differences(key, area, said, ()):
+                if isinstance(each.found, Unknown):
+                    raise _NotAlikeError(each.found.reason)
+                near = [rule for rule in self._rules(key, area) if _meets(rule, each.rule.object, area)]
+                for rule in near:
+                    if (narrower := _cut(area, subject, rule.profiles)) is not None:
+                        return narrower
+                objects = [rule.object for rule in near]
+                return _without_coincidence(area, subject, each.found, objects, each.rule.object)
         return None
 
     def _by_claim(self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]) -> SubjectClass | None:
         """Return the part without a member for which a change is false because of its namespace or name."""
-        for claim in (claim for change in changes for claim in self._claims(change, subject)):
-            denies, allows = (
-                [
-                    rule.object
-                    for rule in self._books[claim.after].applying(claim.key, effect, area.like)
-                    if _applies(rule, subject) and _meets(rule, claim.objects, area)
-                ]
-                for effect in (Effect.DENY, Effect.ALLOW)
-            )
-            if not any(map(placeholders, (claim.objects, *denies, *allows))):
+        excluded = (*area.excluded, *self._named)
+        for after, allowed, key, objects in (claim for change in changes for claim in self._claims(change, subject)):
+            entries = {
+                effect: tuple(
+                    SymbolicEntry((EVERYBODY,), rule.object)
+                    for rule in self._books[after].applying(key, effect, area.like)
+                    if _applies(rule, subject) and _meets(rule, objects, area)
+                )
+                for effect in Effect
+            }
+            patterns = [each.object for both in entries.values() for each in both]
+            if not any(map(placeholders, (objects, *patterns))):
                 continue
-            found = self._refuting(claim, area, denies, allows)
-            if isinstance(found, Unknown):
-                raise _NotAlikeError(found.reason)
-            if found is not None:
-                return _without_coincidence(area, subject, found, (*denies, *allows), claim.objects)
+            denied = SymbolicCondition(entries[Effect.DENY], some=allowed)
+            permitted = SymbolicCondition(entries[Effect.ALLOW], some=not allowed)
+            check = partial(self._refutes, after, allowed, key, objects)
+            for conditions in ((denied,), (permitted,)) if allowed else ((permitted, denied),):
+                found = find_subject(key[0], area.like, objects, conditions, check, excluded, self._budget)
+                if isinstance(found, Unknown):
+                    raise _NotAlikeError(found.reason)
+                if found is not None:
+                    return _without_coincidence(area, subject, found, patterns, objects)
         return None
 
     def _rules(self, key: PermissionKey, area: SubjectClass) -> Iterator[SymbolicRule]:
@@ -208,43 +175,28 @@ class ClassFinder:
         for book, effect in product(self._books, Effect):
             yield from book.applying(key, effect, area.like)
 
-    def _claims(self, change: PermissionChange, subject: str) -> Iterator[_Claim]:
-        """Yield what a change says: the one policy allows all parts, the other one denies one of them."""
-        shape = change.objects if change.whole else _symbolic_word(change, subject)
-        pieces = [((kind, part), surround("", shape, end)) for kind, part, end in parts(change.kind, change.permission)]
-        yield from (_Claim(change.gains, key, piece, allowed=True) for key, piece in pieces)
-        claims = [_Claim(not change.gains, key, piece, allowed=False) for key, piece in pieces]
-        denied = next((claim for claim in claims if self._refutes(claim, subject) is False), None)
+    def _claims(self, change: PermissionChange, subject: str) -> Iterator[tuple[bool, bool, PermissionKey, Glob]]:
+        """Yield what a change says: the one policy allows all parts, the other one denies one of them.
+
+        Yields:
+            Whether it is about the newer policy; whether that allows the objects, or denies all; permission; objects.
+        """
+        if not change.whole and placeholders(change.objects):
+            raise _NotAlikeError("only a part of a pattern with {namespace} or {name} changes")
+        pieces = [*_pieces(change.kind, change.permission, change.objects if change.whole else (change.word,))]
+        yield from ((change.gains, True, *each) for each in pieces)
+        claims = [(not change.gains, False, *each) for each in pieces]
+        denied = next((claim for claim in claims if self._refutes(*claim, subject) is False), None)
         if denied is None:
             raise _NotAlikeError("the parts of a permission change in several ways")
         yield denied
 
-    def _refutes(self, claim: _Claim, subject: str) -> bool | Unknown:
-        """Return whether a claim is false for a subject."""
-        decided = decision_list(rules_of(self._policies[claim.after], subject), claim.key)
-        concrete = allow_only(fill_placeholders(claim.objects, *exact_halves(subject)))
-        sought = negated(decided) if claim.allowed else decided
-        outcome = find_permitted(claim.key[0], concrete, sought, budget=self._budget.next_query())
-        if isinstance(outcome, Unknown):
-            return Unknown(self._budget.reason(outcome.reason))
-        return not isinstance(outcome, Equal)
-
-    def _refuting(
-        self, claim: _Claim, area: SubjectClass, denies: Sequence[Glob], allows: Sequence[Glob]
-    ) -> str | Unknown | None:
-        """Return a member for which a claim is false, if all members have the same denials and allowances."""
-        denied, not_denied = (_matched(denies, some=some) for some in (True, False))
-        allowed, not_allowed = (_matched(allows, some=some) for some in (True, False))
-        excluded = (*area.excluded, *self._named)
-
-        def check(member: str) -> bool | Unknown:
-            return self._refutes(claim, member)
-
-        for conditions in [(denied,), (not_allowed,)] if claim.allowed else [(allowed, not_denied)]:
-            found = find_subject(claim.key[0], area.like, claim.objects, conditions, check, excluded, self._budget)
-            if found is not None:
-                return found
-        return None
+    def _refutes(self, after: bool, allowed: bool, key: PermissionKey, objects: Glob, subject: str) -> bool | Unknown:
+        """Return whether a statement of a change is false for a subject."""
+        decided = decision_list(rules_of(self._policies[after], subject), key)
+        concrete = allow_only(fill_placeholders(objects, *exact_halves(subject)))
+        sought = negated(decided) if allowed else decided
+        return self._budget.verdict(find_permitted(key[0], concrete, sought, budget=self._budget.next_query()))
 
     def _with_placeholders(self, subject: str, change: PermissionChange) -> PermissionChange:
         """Return a change of a subject with the placeholders of the rule behind it."""
@@ -269,12 +221,7 @@ def _without_coincidence(
                 for apart in _subjects_with(namespaces, names):
                     if matches(apart, subject) is not matches(apart, other):
                         return _split(area, subject, [apart])
-    return _without(area, other)
-
-
-def _matched(objects: Iterable[Glob], *, some: bool) -> SymbolicCondition:
-    """Return the condition that some of the patterns of objects match, or that none does."""
-    return SymbolicCondition(tuple(SymbolicEntry((EVERYBODY,), each) for each in objects), some=some)
+    raise _NotAlikeError("{namespace} or {name} makes single subjects differ")
 
 
 def _applies(rule: SymbolicRule, subject: str) -> bool:
@@ -303,16 +250,9 @@ def _split(area: SubjectClass, subject: str, apart: Sequence[Glob]) -> SubjectCl
     return SubjectClass(like, tuple(each for each in area.excluded if not disjoint(each, like)))
 
 
-def _without(area: SubjectClass, other: str) -> SubjectClass:
-    if sum(literal(each) is not None for each in area.excluded) >= _MOST_SINGLES:
-        raise _NotAlikeError("{namespace} or {name} makes single subjects differ")
-    return replace(area, excluded=(*area.excluded, (other,)))
-
-
 def _alive(subjects: Iterable[Glob], area: SubjectClass) -> list[Glob]:
     """Return the overlaps of patterns with a class, without those that the class surely excludes."""
-    overlaps = ((area.like,) if covers(one, area.like) else intersection(one, area.like) for one in subjects)
-    pieces = chain.from_iterable(overlaps)
+    pieces = (piece for one in subjects for piece in overlap(area.like, one))
     return [piece for piece in pieces if not any(covers(each, piece) for each in area.excluded)]
 
 
@@ -326,44 +266,33 @@ def _meets(rule: SymbolicRule, objects: Glob, area: SubjectClass) -> bool:
     )
 
 
-def _concerned(changes: Sequence[PermissionChange]) -> dict[tuple[PermissionKey, Glob], None]:
-    """Return the permissions without parts, with objects, on which changes depend."""
-    composite: dict[tuple[PermissionKey, Glob], None] = {}
+def _concerned(changes: Iterable[PermissionChange]) -> Iterator[tuple[PermissionKey, Glob]]:
+    """Yield the permissions without parts, with objects, on which changes depend."""
     for change in changes:
-        key = (change.kind, change.permission)
-        composite[key, change.objects] = None
+        yield from _pieces(change.kind, change.permission, change.objects)
         for whole, implementing in PARTS.items():
-            bases = [
-                base for *part, end in implementing if (*part,) == key for base in before_suffix(change.objects, end)
-            ]
-            composite |= dict.fromkeys((whole, base) for base in bases)
-    return {
-        ((kind, part), surround("", objects, end)): None
-        for key, objects in composite
-        for kind, part, end in parts(*key)
-    }
+            for kind, part, end in implementing:
+                if (kind, part) == (change.kind, change.permission):
+                    for base in before_suffix(change.objects, end):
+                        yield from _pieces(*whole, base)
+
+
+def _pieces(kind: str, permission: str, objects: Glob) -> Iterator[tuple[PermissionKey, Glob]]:
+    """Yield the permissions without parts, with objects, that make up a permission."""
+    for part_kind, part, end in parts(kind, permission):
+        yield (part_kind, part), surround("", objects, end)
 
 
 def _covered(changes: Sequence[PermissionChange], gains: bool) -> Iterator[tuple[PermissionKey, Glob]]:
     """Yield the permissions without parts, with objects, that changes tell of."""
     for change in changes:
         if change.gains is gains and (change.whole or (change.kind, change.permission) not in PARTS):
-            for kind, part, end in parts(change.kind, change.permission):
-                yield (kind, part), surround("", change.objects, end)
-
-
-def _symbolic_word(change: PermissionChange, subject: str) -> Glob:
-    """Return the example of a change with placeholders."""
-    found = symbolic_words(change.word, placeholders(change.objects), subject)
-    return (next((word for word in found if matches(change.objects, word)), change.word),)
+            yield from _pieces(change.kind, change.permission, change.objects)
 
 
 def _subjects_with(namespaces: Sequence[Glob], names: Sequence[Glob]) -> Iterator[Glob]:
     """Yield patterns of subjects that tell apart those with a namespace and a name."""
+    namespace = namespaces[0] if namespaces else ()
     name = names[0] if names else (STAR,)
-    if namespaces:
-        yield normalise(("/", *namespaces[0], *name))
-        yield normalise(("/", *namespaces[0], STAR, "/", *name))
-    else:
-        yield normalise(("/", *name))
-        yield normalise(("/", STAR, "/", *name))
+    yield normalise(("/", *namespace, *name))
+    yield normalise(("/", *namespace, STAR, "/", *name))

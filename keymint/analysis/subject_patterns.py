@@ -16,7 +16,7 @@ from comarmor.patterns.glob import Glob, literal, normalise, parse, units
 from comarmor.patterns.matching import matches
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.possible_names import matches_ros_name
-from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection
+from comarmor.patterns.relations import TooComplexError, intersection
 from comarmor.patterns.steps import StepLimitError, cached, spend, step_limit
 from comarmor.patterns.tokens import Charset, Star
 from comarmor.ros_names import is_fully_qualified, is_subject
@@ -52,12 +52,6 @@ class SubjectClass:
     def __contains__(self, subject: str) -> bool:
         """Return whether a subject belongs to the class."""
         return matches(self.like, subject) and not any(matches(each, subject) for each in self.excluded)
-
-    def is_part_of(self, other: SubjectClass) -> bool:
-        """Return True if all members surely belong to another class."""
-        return covers(other.like, self.like) and all(
-            disjoint(each, self.like) or any(covers(one, each) for one in self.excluded) for each in other.excluded
-        )
 
 
 def structure(policy: LoadedPolicy) -> PolicyStructure | None:

@@ -8,7 +8,7 @@ symbolic words may yield the same word, so two patterns can share a word without
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import lru_cache
 from itertools import cycle
 
@@ -81,19 +81,6 @@ def exact_halves(subject: str) -> tuple[Glob, Glob]:
 def concrete_name(word: str, namespace: str, name: str) -> str:
     """Return the word that a symbolic word and a subject yield."""
     return word.replace(NAMESPACE, namespace).replace(NAME, name)
-
-
-def symbolic_words(word: str, used: Sequence[str], subject: str) -> Iterator[str]:
-    """Yield the symbolic words with some placeholders, in order, that yield a word for a subject."""
-    if not used:
-        yield word
-        return
-    head, _, last = subject.removeprefix("/").rpartition("/")
-    value = last if used[0] == NAME else f"{head}/" if head else ""
-    for at in range(len(word) - len(value) + 1):
-        if word.startswith(value, at):
-            rest = symbolic_words(word[at + len(value) :], used[1:], subject)
-            yield from (f"{word[:at]}{used[0]}{each}" for each in rest)
 
 
 def as_written(expression: str) -> str:

@@ -148,10 +148,7 @@ class _HolderSearch:
                 yield SymbolicCondition(tuple(_without(rules.perhaps(key, Effect.ALLOW, subjects), suffix)), some=True)
 
     def _check(self, subject: str) -> bool | Unknown:
-        outcome = self._shortest_granted(rules_of(self._policy, subject), self._budget)
-        if isinstance(outcome, Unknown):
-            return Unknown(self._budget.reason(outcome.reason))
-        return isinstance(outcome, Witness)
+        return self._budget.verdict(self._shortest_granted(rules_of(self._policy, subject), self._budget))
 
 
 def _without(entries: Sequence[SymbolicEntry], suffix: str) -> Iterator[SymbolicEntry]:
