@@ -85,6 +85,10 @@ def exit_code_of(plan: Plan) -> ExitCode:
     return ExitCode.FAILURE if failed else ExitCode.DONE
 
 
+def _refuse_to_wait() -> None:
+    raise KeymintError("another command holds the lock of the workspace", code="not-recorded")
+
+
 class Run:
     """One run of a verb.
 
@@ -414,14 +418,15 @@ class Run:
             state: the record with its results.
 
         Returns:
-            A note if the record cannot be written, e.g. on a read-only file system.
+            A note if the record cannot be written, e.g. on a read-only file system, or as another command is running:
+            a reader waits for no other one.
         """
         workspace = inputs.workspace
         if self.dry_run or state is inputs.state or state.dump() == inputs.state.dump():
             return ()
         store = open_store(workspace)
         try:
-            with store.locked(self.console.waiting):
+            with store.locked(_refuse_to_wait):
                 if not store.is_marked() and self.inputs(workspace).state == inputs.state:
                     store.write(workspace.state, {RECORD: File(state.dump())})
         except KeymintError as error:
