@@ -259,7 +259,7 @@ def test_the_same_command_finishes_what_was_interrupted(name: str, memory: Path,
     assert not (struck.checked and checked and (undisturbed / "ws").exists())
     at, met = [*COMMANDS].index(name), set[frozenset[tuple[str, str, bool]]]()
     for how in (KILLED, *ERRORS) if FULL else (KILLED, ERRORS[at % 3]):
-        points = sample(traced.points, (6 if name in SHOWN else 2) if how == KILLED else 1, at)
+        points = sample(traced.points, (6 if name in SHOWN else 2) if how == KILLED else 2, at)
         copies = [memory / f"copy-{number}" for number in range(len(points))]
         jobs: list[tuple[Point, list[str]]] = []
         for point, copy in zip(points, copies, strict=True):
