@@ -36,6 +36,12 @@ _SHOWN = frozenset({"-v", "--verbose", "-q", "--quiet", "--json"})
 """Options that change what a command shows, and nothing else."""
 _OUTPUTS = ("-o", "--output", "--with-key")
 """Options whose values are files that a command writes."""
+_NAMING_FILES = frozenset(
+    {"accept", "adopt", "authority", "discover", "fmt", "import", "init", "learn", "provision", "sign"}
+)
+"""Verbs whose arguments are files; those of all others are names, e.g. ``/`` or ``/opt``, which are no paths."""
+_MOST_FILES = 100_000
+"""Files of a folder whose size and time are compared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,12 +69,14 @@ def intent_of(arguments: Sequence[str], folder: Path) -> Intent:
     """
     words = ["keymint", *(word for word in arguments if word not in _SHOWN)]
     parts = words[:2]
+    if not _NAMING_FILES.intersection(parts):
+        return Intent(shlex.join(words), digest(*words))
     for before, word in itertools.pairwise(words[1:]):
         path = folder / word.rpartition("=")[2]
         is_input = not before.startswith(_OUTPUTS) and not word.startswith(_OUTPUTS) and path.exists()
         parts += [str(path.resolve()), _digest(str(path)) or ""] if is_input else [word]
         if is_input and not before.startswith("-") and path.is_dir():
-            parts += sorted(_fingerprint(each) for each in path.rglob("*"))
+            parts += sorted(map(_fingerprint, itertools.islice(path.rglob("*"), _MOST_FILES)))
     return Intent(shlex.join(words), digest(*parts))
 
 

