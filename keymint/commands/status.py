@@ -19,7 +19,7 @@ from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.examine import keys
 from keymint.examine.not_examined import not_examined
-from keymint.examine.rights import presented_rights
+from keymint.examine.rights import has_earlier, presented_rights
 from keymint.output.expiry_metrics import gauges
 from keymint.output.openmetrics import openmetrics
 from keymint.output.report import Report, findings_if, members
@@ -85,6 +85,8 @@ def status(run: Run, kind: str, strict: bool) -> Report:
 def _outliving(run: Run, session: Session, policy: LoadedPolicy) -> tuple[Diagnostic, ...]:
     """Return the notes on documents that were signed before and permit more than the policy."""
     try:
+        if not has_earlier(session):  # then none can permit more than the one in force
+            return ()
         return presented_rights(session, session.state, policy, effort_of(run), standard_only=False).outliving
     except KeymintError:  # a package has defects, which its row shows
         return ()

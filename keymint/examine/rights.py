@@ -121,6 +121,16 @@ def presented_rights(
     return PresentedRights(tuple(proofs), tuple(outliving.values()), is_whole, state)
 
 
+def has_earlier(session: Session) -> bool:
+    """Tell whether the register has a document that another one replaced, or one of a package that is gone.
+
+    Raises:
+        KeymintError: the register is damaged.
+    """
+    names = [each.name for each in register_of(session).rights]
+    return len(names) > len({*names} & {*session.packages()})
+
+
 def _note(session: Session, each: _Outliving) -> Diagnostic:
     return Diagnostic.note(
         RIGHTS_OUTLIVE,
