@@ -33,7 +33,7 @@ from keymint.bundles import container
 from keymint.errors import KeymintError
 from keymint.examine.not_examined import has_register
 from keymint.ir import DeferredRules, Rule, SubjectRules
-from keymint.names import package_name, subject_of
+from keymint.names import ROOT, package_name, subject_of
 from keymint.pki import certificates, distinguished_names, smime
 from keymint.pki.distinguished_names import to_text
 from keymint.pki.mime import SignedDocument
@@ -127,7 +127,7 @@ def has_earlier(session: Session) -> bool:
     Raises:
         KeymintError: the register is damaged.
     """
-    names = [each.name for each in register_of(session).rights]
+    names = [each.name for each in register_of(session).rights if each.not_after >= session.now]
     return len(names) > len({*names} & {*session.packages()})
 
 
@@ -179,7 +179,7 @@ class _Question:
         found = _files(session)
         holders = tuple(_holders(session, self.policy, self.packages, found))
         earlier = _earlier(session)
-        present = tuple(_documents(session, build_type.PRESENTED, found))
+        present = tuple(_documents(session, build_type.PRESENTED, self.packages, found))
         remembered = tuple(_remembered(session, each, content) for content, each in earlier.items())
         own = tuple(each for each in present if each.proven_for)
         documents = (*own, *remembered, *present)
@@ -209,7 +209,8 @@ class _Question:
 def _earlier(session: Session) -> Mapping[bytes, SignedRights]:
     """Return the entries of the register by the documents that they keep."""
     try:
-        return {each.content: each for each in register_of(session).rights if each.name}
+        rights = (each for each in register_of(session).rights if each.not_after >= session.now)
+        return {each.content: each for each in rights}
     except ValueError:
         raise database.damaged(session.workspace.origin(session.workspace.register)) from None
 
@@ -285,24 +286,31 @@ def _authorities(session: Session) -> tuple[x509.Certificate, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def _documents(session: Session, presented: str, found: Mapping[str, bytes]) -> Iterator[PresentableDocument]:
-    """Yield the signed documents among some files; that beside a certificate is known to be proven for its name.
+def _documents(
+    session: Session, presented: str, packages: Mapping[str, Package], found: Mapping[str, bytes]
+) -> Iterator[PresentableDocument]:
+    """Yield the signed documents among some files.
 
-    Its signature is verified with its enclave.
+    That in the enclave of a package, beside a certificate for the package's name, is verified and proven with it.
     """
     signers = [certificates.to_pem(each) for each in _authorities(session)]
     workspace, in_place = session.workspace, session.enclaves.relative_to(session.workspace.install)
-    enclaves = tuple(f"{space / in_place}/" for space in (workspace.install, workspace.next_install))
+    places = (workspace.install / in_place, workspace.next_install / in_place)
+    owners = {
+        str(place if name == ROOT else place / name): to_text(distinguished_names.parse(each.identity.subject_name))
+        for name, each in packages.items()
+        for place in places
+    }
     verified: dict[bytes, SignedDocument | None] = {}
     for path, content in found.items():
         folder, _, name = path.rpartition("/")
-        is_own = name == presented and f"{folder}/".startswith(enclaves)
-        names = _names(found.get(f"{folder}/cert.pem", b"")) if is_own else ()
+        owner = owners.get(folder, "") if name == presented else ""
+        if owner and _names(found.get(f"{folder}/cert.pem", b"")) != (owner,):
+            owner = ""
         if content not in verified:
-            verified[content] = _signed(content, signers, verify=len(names) != 1)
+            verified[content] = _signed(content, signers, verify=not owner)
         if signed := verified[content]:
-            where = Origin(workspace.shown(path))
-            yield PresentableDocument(signed.content, where, signed.lines_before, names[0] if len(names) == 1 else "")
+            yield PresentableDocument(signed.content, Origin(workspace.shown(path)), signed.lines_before, owner)
 
 
 def _signed(content: bytes, signers: Iterable[bytes], *, verify: bool) -> SignedDocument | None:

@@ -142,7 +142,7 @@ def _register(session: Session, planned: Sequence[PackagePlan]) -> tuple[FolderC
     register = complete_register(session)
     require_free_serials(register, issued)
     signed = (each for plan in planned for each in plan.signed)
-    return register_change(session, register.with_issued(issued).with_rights(signed, session.now))
+    return register_change(session, register.with_issued(issued).with_rights(signed))
 
 
 def _plan_enclave(

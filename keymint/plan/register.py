@@ -83,7 +83,7 @@ def complete_register(session: Session, names: Collection[str] = (), *, lossy: b
         return _restored(session, lossy=lossy)
     register = register_of(session)
     if not (register.rights or register.is_whole):
-        register = register.with_rights(_rights_found(session), session.now)
+        register = register.with_rights(_rights_found(session))
     found = _found(session, names) if names else ()
     missing = [each for each in found if (each.issuer, each.serial) not in register.certificates]
     return register.with_issued(missing) if missing else register
@@ -172,7 +172,7 @@ def _restored(session: Session, *, lossy: bool) -> Register:
             is not known; then it is not known which key must not be certified again.
     """
     register = Register(is_whole=not installed(session)).with_issued(_found(session, installed(session)))
-    register = register.with_rights(_rights_found(session), session.now)
+    register = register.with_rights(_rights_found(session))
     generations = {name: session.issuance(name).generation for name in session.packages()}
     lost = [name for name, generation in generations.items() if generation]
     for file, name, authority in authority_files.issuers(session):

@@ -101,7 +101,7 @@ class Register:
         certificates: by issuer and serial number.
         numbers: the last number of a revocation list, by issuer (RFC 5280, 5.2.3).
         bundles: the last issue number of a bundle, by package.
-        rights: the signed documents that have not ended, in the order of their issue.
+        rights: the signed documents in the order of their issue.
         is_whole: it has all documents that were ever signed; else some may be missing.
     """
 
@@ -185,16 +185,10 @@ class Register:
                 certificates[each.issuer, each.serial] = replace(each, revoked=at, reason=reason)
         return replace(self, certificates=certificates)
 
-    def with_rights(self, signed: Iterable[SignedRights], at: datetime) -> Register:
-        """Return the register with more signed documents, and without those that have ended.
-
-        Args:
-            signed: the documents.
-            at: the clock, UTC.
-        """
-        known = {each.compressed: each for each in self.rights}
-        rights = (*self.rights, *(each for each in signed if each.compressed not in known))
-        return replace(self, rights=tuple(each for each in rights if each.not_after >= at))
+    def with_rights(self, signed: Iterable[SignedRights]) -> Register:
+        """Return the register with more signed documents; one that has ended stays, as the clock may be wrong."""
+        known = {each.compressed for each in self.rights}
+        return replace(self, rights=(*self.rights, *(each for each in signed if each.compressed not in known)))
 
     def with_accepted(self, names: Collection[str], at: datetime) -> Register:
         """Return the register after its owner accepted that earlier rights of some packages stay good.

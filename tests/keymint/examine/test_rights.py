@@ -57,6 +57,17 @@ class TestWhatOthersMayPresent:
         assert found
         assert all("robot.bundle" in each["message"] for each in found)
 
+    @pytest.mark.parametrize("folder", ["extra", "robot1/listener"])
+    def test_an_enclave_vouches_for_its_own_package_only(self, keymint, provisioned: Path, folder: str) -> None:
+        """Talker's certificate beside wider permissions for it, in an enclave that nobody asked about."""
+        store = keystore(provisioned)
+        enclave = provisioned / "install/enclaves" / folder
+        enclave.mkdir(exist_ok=True)
+        put(enclave / "permissions.p7s", signed(store, wider(store)))
+        put(enclave / "cert.pem", (provisioned / "install/enclaves/talker/cert.pem").read_bytes())
+        found = findings(keymint, provisioned, "prove", "talker")
+        assert {f"install/enclaves/{folder}/permissions" in each["message"] for each in found} >= {True}
+
     @pytest.mark.parametrize("verb", VERBS)
     def test_what_a_foreign_authority_signed_is_presented_to_nobody(self, keymint, made, provisioned, verb) -> None:
         foreign = keystore(made / "foreign")

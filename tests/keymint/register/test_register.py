@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from keymint.register.register import REASONS, SUPERSEDED, IssuedCertificate, Register
+from keymint.register.register import REASONS, SUPERSEDED, IssuedCertificate, Register, SignedRights
 
 NOW = datetime(2027, 1, 15, tzinfo=UTC)
 FIRST = IssuedCertificate("ca", 1, "identity_ca", "talker", 0, NOW - timedelta(9), NOW + timedelta(90), "key 1")
@@ -69,3 +69,14 @@ def test_issue_numbers_rise_also_after_the_register_was_lost() -> None:
     earlier = first.with_bundle("talker", NOW - timedelta(1))
     assert earlier.bundles["talker"] == first.bundles["talker"] + 1
     assert Register().with_bundle("talker", NOW + timedelta(1)).bundles["talker"] > earlier.bundles["talker"]
+
+
+def test_what_was_signed_stays_when_a_clock_was_ahead() -> None:
+    """Documents that have ended are passed over when they are read: a later run with the right clock needs them."""
+    begin = datetime(2027, 1, 1, tzinfo=UTC)
+    early, late = (
+        SignedRights.of("talker", 0, "CN=/talker", begin + timedelta(days=days), bytes([days])) for days in (1, 9)
+    )
+    register = Register().with_rights([early]).with_rights([late, early])
+    assert register.rights == (early, late)
+    assert [each.content for each in register.rights] == [b"\1", b"\t"]
