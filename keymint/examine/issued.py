@@ -6,11 +6,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from comarmor.errors import Diagnostic
+from keymint.errors import KeymintError
 from keymint.pki import certificates, forms
 from keymint.plan.authority_files import issuers
 from keymint.plan.build import is_current
 from keymint.plan.enclaves import CERTIFICATE, installed_certificate, with_sources
-from keymint.plan.register import issuer_of, register_of
+from keymint.plan.register import complete_register, issuer_of, register_of
 from keymint.plan.terms import shown
 from keymint.session import Session
 
@@ -18,12 +19,18 @@ from keymint.session import Session
 def registered(session: Session) -> Iterator[Diagnostic]:
     """Yield a finding for each installed certificate of our authorities that is not as it was issued.
 
-    Without a register nothing is known of what was issued.
+    Without a register nothing is known of what was issued: a finding if something was revoked, unless private files are
+    left out.
 
     Raises:
         KeymintError: the register or a package has defects.
     """
     if session.tree.read(session.workspace.register) is None:
+        if not session.tree.is_left_out(session.workspace.register):
+            try:
+                complete_register(session)
+            except KeymintError as error:
+                yield from error.diagnostics
         return
     register = register_of(session)
     authorities = [(issuer_of(issuer), issuer) for _, _, issuer in issuers(session)]

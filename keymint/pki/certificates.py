@@ -24,6 +24,8 @@ from keymint.pki.distinguished_names import to_text
 
 MAX_BYTES = 1 << 20
 """Largest file of certificates in bytes; the authorities of a public key infrastructure take some thousand."""
+RESTORE = "restore the file from a backup; in a workspace, 'keymint install' makes that of an enclave again"
+
 UNREADABLE = (
     ValueError,
     TypeError,
@@ -87,7 +89,7 @@ def load_bundle(pem: bytes, where: Origin | None = None) -> tuple[x509.Certifica
         raise KeymintError(
             "not a certificate in PEM, or a damaged one",
             where=where,
-            help="restore the file from a backup, or run 'keymint install'",
+            help=RESTORE,
             code="certificate-invalid",
         ) from None
 
@@ -149,7 +151,7 @@ def public_key(certificate: x509.Certificate, where: Origin | None = None) -> ke
         raise KeymintError(
             "certifies neither an EC nor an RSA key",
             where=where,
-            help="restore the file from a backup, or run 'keymint install'",
+            help=RESTORE,
             code="certificate-invalid",
         )
     return key

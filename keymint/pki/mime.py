@@ -187,7 +187,7 @@ def refuse(where: Origin | None, line: int, problem: str) -> NoReturn:
     raise KeymintError(
         f"is malformed or ambiguous S/MIME: {problem}",
         where=place,
-        help="sign it again with keymint install",
+        help="'keymint install' signs it again",
         code=UNREAD,
     )
 

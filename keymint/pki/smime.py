@@ -116,7 +116,7 @@ def _read(signed: bytes, ca_pem: bytes, at: datetime | None) -> SignedDocument:
     if signature.certificate != authority.public_bytes(serialization.Encoding.DER):
         raise KeymintError(
             "signed by another certificate than the authority's",
-            help="sign it again with keymint install",
+            help="'keymint install' signs it again",
             code="smime-signer",
         )
     if problem := certificates.can_sign_documents(authority):
@@ -131,7 +131,7 @@ def _read(signed: bytes, ca_pem: bytes, at: datetime | None) -> SignedDocument:
     if not cms.verify(signature, mime.canonical_text(document.content), authority):
         raise KeymintError(
             "the signature is invalid: the document or its signature was altered",
-            help="sign it again with keymint install",
+            help="'keymint install' signs it again",
             code="smime-altered",
         )
     return document

@@ -259,8 +259,8 @@ def _diagnostics(shipped: Sequence[ShippedFile], found: Mapping[ShippedFile, str
         )
         value = package_digest({each.path: each.sha256 for each in shipped if each.package == name})
         help_ = (
-            "'keymint create --all' and 'keymint provision' list who gains and who loses what by it; if that is right, "
-            f"repeat the command with --accept-package {name}={value}"
+            f"if what it changes is right, repeat the command with --accept-package {name}={value}; "
+            "'keymint create --all' and 'keymint provision' list who gains and who loses what by it"
         )
         code = "package-changed" if known else "package-unaccepted"
         yield Diagnostic.error(code, message, own[0].where, help_)

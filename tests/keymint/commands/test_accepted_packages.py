@@ -194,7 +194,7 @@ def test_one_package_is_accepted_at_a_time(keymint, ws: Path, shipped: Path, tmp
 def test_exactly_what_was_shown_can_be_accepted(keymint, ws: Path, shipped: Path) -> None:
     """Nothing else is accepted if a package changes between the list and the decision."""
     refused = keymint("create", "--all", "-w", "ws")
-    (named,) = re.findall(r"--accept-package (\S+=[0-9a-f]{64})\)", refused.err)
+    (named,) = re.findall(r"--accept-package (\S+=[0-9a-f]{64});", refused.err)
     printed = subprocess.run(["sha256sum", shipped.name], cwd=shipped.parent, capture_output=True, check=True).stdout
     assert named == f"{PACKAGE}={hashlib.sha256(printed).hexdigest()}"
     content = shipped.read_text()
