@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from keymint import cli
+from tests.effort import FULL
 
 Run = Callable[[Sequence[str], Path], "tuple[int, str]"]
 """Runs a command line in a folder; returns its exit code and what it printed to standard output."""
@@ -32,6 +33,8 @@ LOOKING = frozenset({
 """Verbs that advice names to look at something. They need not change the outcome."""
 SAYS = re.compile(r" (and 'keymint [^']*' )?(says?|shows?|lists?|names?|tells?|reads?|prints?)\b")
 """After a command: it only says something."""
+FOLLOWS = FULL or os.environ.get("KEYMINT_ADVICE") == "1"
+"""Whether the advice of each error that a test meets is followed: in ``make test-full``, or by itself."""
 DEEPEST = 6
 """Pieces of advice that lead to one another; a circle is longer than any chain that leads somewhere."""
 

@@ -21,7 +21,7 @@ import pytest
 from keymint import cli, plugins
 from keymint.plugins import PluginInfo
 from tests import advice
-from tests.effort import FULL, tries
+from tests.effort import tries
 from tests.softhsm import SoftHsm, opened
 
 # Machines are noisy, so an example has no deadline. Where CI is set, hypothesis tries the same examples each time.
@@ -135,7 +135,7 @@ def file_status(path: str) -> tuple[int, int, int] | None:
 def keymint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Outcome]]:
     """Run the command line in ``tmp_path``, or in another folder.
 
-    With ``KEYMINT_FULL=1`` the advice of each error that a test meets is followed, in a copy of its folder.
+    With ``KEYMINT_FULL=1`` (or ``KEYMINT_ADVICE=1``) the advice of each error that a test meets is followed, in a copy of its folder.
     """
     wrong: list[str] = []
 
@@ -152,7 +152,7 @@ def keymint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
                     code = cli.main([str(argument) for argument in arguments])
             finally:
                 os.umask(umask)
-            if FULL and code in {1, 3}:
+            if advice.FOLLOWS and code in {1, 3}:
                 wrong.extend(advice.in_a_fork([str(each) for each in arguments], tmp_path, cwd or tmp_path))
         sys.stdout.flush()
         return Outcome(code, out.getvalue(), err.getvalue())
