@@ -8,7 +8,7 @@ objects at once (:mod:`keymint.analysis.symbolic_search`); rules in both policie
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from functools import cache
+from functools import cache, partial
 from itertools import product
 
 from comarmor.patterns.decision_lists import Unknown, negated
@@ -19,7 +19,7 @@ from comarmor.rules import PARTS, PERMISSIONS, Effect
 from comarmor.values import dataclass
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_lists import PermissionKey, decision_list, deny_over_allow, find_permitted, overlap
-from keymint.analysis.subject_patterns import SubjectClass, example_subject, rules_of
+from keymint.analysis.subject_patterns import SubjectClass, rules_of
 from keymint.analysis.subject_templates import exact_halves, fill_placeholders, fit_pattern, placeholders
 from keymint.analysis.symbolic_rules import SymbolicRule, SymbolicRules
 from keymint.analysis.symbolic_search import EVERYBODY, SymbolicCondition, SymbolicEntry, find_subject
@@ -122,17 +122,9 @@ class PatternComparison:
         listed: Sequence[SubjectClass],
     ) -> str | Unknown | None:
         """Return the first subject found by a search, else the reason why one of them is undecided."""
-
-        def check(subject: str) -> bool | Unknown:
-            return self._differs(key, rule.object, subject, said)
-
+        check = cache(partial(self._differs, key, rule.object, said))
         excluded = (*area.excluded, *self._matching_named(area.like))
         listed = [each for each in listed if not disjoint(each.like, area.like)]
-        example = example_subject(area.like)
-        if example is not None and not any(matches(each, example) for each in excluded):
-            if not any(example in each for each in listed) and check(example) is True:
-                return example
-            excluded = (*excluded, (example,))
         more = (SymbolicCondition(tuple(SymbolicEntry((EVERYBODY,), each) for each in said), some=False),)
         undecided: Unknown | None = None
         for alternatives in searches:
@@ -160,7 +152,7 @@ class PatternComparison:
         self, key: PermissionKey, rule: SymbolicRule, subjects: Glob, lifted: Sequence[SymbolicRule]
     ) -> Iterator[_AlternativeSearches]:
         """Yield searches for what a rule allows and a lifted rule denied before."""
-        overlapping = [denial for denial in lifted if _may_overlap(denial, rule, subjects)]
+        overlapping = [denial for denial in lifted if denial.may_meet(rule.object, SubjectClass(subjects))]
         if not overlapping:
             return
         denied = SymbolicCondition(self._after.surely(key, Effect.DENY, subjects), some=False)
@@ -183,7 +175,7 @@ class PatternComparison:
             alternatives.append((subjects, rule.object, both))
         return sorted(alternatives, key=_inexact_entries)
 
-    def _differs(self, key: PermissionKey, pattern: Glob, subject: str, said: Sequence[Glob]) -> bool | Unknown:
+    def _differs(self, key: PermissionKey, pattern: Glob, said: Sequence[Glob], subject: str) -> bool | Unknown:
         """Return True if only one policy allows a subject something that a pattern matches, besides what is ignored."""
         concrete, *ignored = (fill_placeholders(each, *exact_halves(subject)) for each in (pattern, *said))
         before, after = (decision_list(rules_of(policy, subject), key) for policy in self._policies)
@@ -204,9 +196,3 @@ def _inexact_entries(search: _SearchArguments) -> int:
     _, shape, conditions = search
     entries = (entry for each in conditions for entry in each.entries)
     return sum(not fit_pattern(entry.object, shape, *EVERYBODY, wide=False).exact for entry in entries)
-
-
-def _may_overlap(denial: SymbolicRule, rule: SymbolicRule, subjects: Glob) -> bool:
-    if not placeholders(denial.object) and not placeholders(rule.object) and disjoint(denial.object, rule.object):
-        return False
-    return any(not disjoint(one, subjects) for one in denial.reach.subjects)

@@ -42,7 +42,6 @@ from keymint.analysis.symbolic_search import (
     SymbolicCondition,
     SymbolicEntry,
     find_subject,
-    namespace_name_pairs,
 )
 from keymint.api import LoadedPolicy
 
@@ -120,13 +119,13 @@ class ClassFinder:
         """Yield nested profiles that must apply to all members or to none."""
         for policy, book in zip(self._policies, self._books, strict=True):
             if policy.rules(subject) is None:
-                yield from (profiles for one, profiles in book.profiles.meeting(area.like) if _alive([one], area))
+                yield from (profiles for one, profiles in book.profiles.meeting(area.like) if area.overlaps([one]))
             else:
                 own = [profiles for _, profiles in book.profiles.matching(subject)]
                 yield from own if not any(_cut(area, subject, each) is None for each in own) else ()
         for key, objects in dict.fromkeys(_concerned(changes)):
             for rule in self._rules(key, area):
-                if _meets(rule, objects, area) and (_applies(rule, subject) or _alive(rule.reach.subjects, area)):
+                if rule.may_meet(objects, area):
                     yield rule.profiles
 
     def _by_change(self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]) -> SubjectClass | None:
@@ -136,7 +135,7 @@ class ClassFinder:
             for each in comparison.differences(key, area, said, ()):
                 if isinstance(each.found, Unknown):
                     raise _NotAlikeError(each.found.reason)
-                near = [rule for rule in self._rules(key, area) if _meets(rule, each.rule.object, area)]
+                near = [rule for rule in self._rules(key, area) if rule.may_meet(each.rule.object, area)]
                 for rule in near:
                     if (narrower := _cut(area, subject, rule.profiles)) is not None:
                         return narrower
@@ -152,7 +151,7 @@ class ClassFinder:
                 effect: tuple(
                     SymbolicEntry((EVERYBODY,), rule.object)
                     for rule in self._books[after].applying(key, effect, area.like)
-                    if _applies(rule, subject) and _meets(rule, objects, area)
+                    if _applies(rule, subject) and rule.may_meet(objects, area)
                 )
                 for effect in Effect
             }
@@ -248,22 +247,6 @@ def _split(area: SubjectClass, subject: str, apart: Sequence[Glob]) -> SubjectCl
         return replace(area, excluded=tuple(maximal((*area.excluded, *apart))))
     like = next(piece for piece in intersection(area.like, apart[0]) if matches(piece, subject))
     return SubjectClass(like, tuple(each for each in area.excluded if not disjoint(each, like)))
-
-
-def _alive(subjects: Iterable[Glob], area: SubjectClass) -> list[Glob]:
-    """Return the overlaps of patterns with a class, without those that the class surely excludes."""
-    pieces = (piece for one in subjects for piece in overlap(area.like, one))
-    return [piece for piece in pieces if not any(covers(each, piece) for each in area.excluded)]
-
-
-def _meets(rule: SymbolicRule, objects: Glob, area: SubjectClass) -> bool:
-    """Return False if a rule is surely not about some objects, for any member of a class."""
-    if not placeholders((*rule.object, *objects)):
-        return not disjoint(rule.object, objects)
-    halves = (each for piece in _alive(rule.reach.subjects, area) for each in namespace_name_pairs(piece))
-    return any(
-        not disjoint(fill_placeholders(rule.object, *each), fill_placeholders(objects, *each)) for each in halves
-    )
 
 
 def _concerned(changes: Iterable[PermissionChange]) -> Iterator[tuple[PermissionKey, Glob]]:

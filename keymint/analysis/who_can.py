@@ -21,7 +21,7 @@ from keymint.analysis.rule_lists import (
     part_lists,
     pattern_text,
 )
-from keymint.analysis.subject_patterns import can_exist, example_subject, named_subjects, rules_of, structure
+from keymint.analysis.subject_patterns import can_exist, named_subjects, rules_of, structure
 from keymint.analysis.symbolic_rules import SymbolicRule, SymbolicRules
 from keymint.analysis.symbolic_search import EVERYBODY, SymbolicCondition, SymbolicEntry, find_subject
 from keymint.api import LoadedPolicy
@@ -129,12 +129,7 @@ class _HolderSearch:
     def _example(
         self, subjects: Glob, shape: Glob, rule: SymbolicRule, rules: SymbolicRules, named: frozenset[str]
     ) -> str | Unknown | None:
-        first = example_subject(subjects)
-        tried = () if first is None or first in named else (first,)
-        for subject in tried:
-            if self._check(subject) is True:
-                return subject
-        excluded = [(subject,) for subject in dict.fromkeys((*tried, *sorted(named))) if matches(subjects, subject)]
+        excluded = [(subject,) for subject in sorted(named) if matches(subjects, subject)]
         conditions = (*rule.reach.conditions, *self._conditions(rules, subjects))
         return find_subject(self._kind, subjects, shape, conditions, self._check, excluded, self._budget)
 
