@@ -14,7 +14,7 @@ import os
 import stat
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from keymint.file_writing import is_temporary, opened_folder, reported, require_regular, temporary
+from keymint.file_writing import is_temporary, opened_folder, reported, temporary
 from keymint.folder_staging import NOT_EMPTY
 from keymint.folder_swap import swap_in
 from keymint.open_folders import OpenFolders, Roots, close_to_others
@@ -113,7 +113,7 @@ def make_visible(folder: int, exchange: Exchange) -> str | None:
         except OSError as error:
             if error.errno not in NOT_EMPTY:
                 raise
-            _merge(folder, staged, folder, name, f"{exchange.folder}/{name}")
+            _move_into(exchange, folder, staged, (folder, name))  # another process created it meanwhile
     elif exchange.replaces:
         return _remove_folder(folder, exchange)
     else:
@@ -133,49 +133,33 @@ def _remove_folder(parent: int, exchange: Exchange) -> str | None:
         if error.errno != errno.EXDEV:
             raise
         # overlayfs cannot rename a folder of a lower layer: remove file by file
-        _clear(exchange, parent, exchange.name)
+        _move_into(exchange, parent, exchange.name)
         return None
     return away
-
-
-def _merge(parent: int, staged: str, target_parent: int, name: str, shown: str) -> None:
-    """Move what was staged as a new folder into a folder that another process created in the meantime."""
-    with opened_folder(staged, parent) as new, opened_folder(name, target_parent) as target:
-        if not stat.S_IMODE(os.fstat(new).st_mode) & 0o077:
-            close_to_others(target)
-        for entry in sorted(os.scandir(new), key=lambda each: each.name):
-            if not entry.is_dir(follow_symlinks=False):
-                require_regular(target, shown, entry.name)
-            try:
-                os.rename(entry.name, entry.name, src_dir_fd=new, dst_dir_fd=target)
-            except OSError as error:
-                if error.errno not in NOT_EMPTY:
-                    raise
-                _merge(new, entry.name, target, entry.name, f"{shown}/{entry.name}")
-        os.fsync(target)
-    os.rmdir(staged, dir_fd=parent)
 
 
 def _clear_away(exchange: Exchange, left: str, folders: OpenFolders) -> None:
     """Remove the old folder of an exchange; what others put into it meanwhile moves to the place of the exchange."""
     with reported(f"{exchange.folder}/{exchange.name}"):
         parent = folders.open(exchange.folder)
-        if not _clear(exchange, parent, left, (parent, exchange.name)):
+        if not _move_into(exchange, parent, left, (parent, exchange.name)):
             os.rename(left, exchange.name, src_dir_fd=parent, dst_dir_fd=parent)
 
 
-def _clear(exchange: Exchange, parent: int, name: str, new: tuple[int, str] | None = None, inside: str = "") -> bool:
-    """Remove an old folder; what the run neither changes nor carried over moves to the new one, also if it is staged.
+def _move_into(
+    exchange: Exchange, parent: int, name: str, new: tuple[int, str] | None = None, inside: str = ""
+) -> bool:
+    """Remove a folder; what the run neither changes nor carried over moves to another one, also if it is staged.
 
     Args:
         exchange: the exchange of the folder, or of one around it.
         parent: the open folder in which it is.
         name: its name.
-        new: the open folder in which the new one is, and its name, if there is one.
-        inside: path of the old folder in that of the exchange, with a slash at its end.
+        new: the open folder in which the other one is, and its name, if there is one.
+        inside: its path in the folder of the exchange, with a slash at its end.
 
     Returns:
-        Whether it is removed; else there is no new one.
+        Whether it is removed; else there is no other one.
 
     Raises:
         OSError: the system refuses.
@@ -184,18 +168,21 @@ def _clear(exchange: Exchange, parent: int, name: str, new: tuple[int, str] | No
         target: int | None = None
         with contextlib.suppress(FileNotFoundError):
             target = opened.enter_context(opened_folder(new[1], new[0])) if new else None
+        if target is not None and not stat.S_IMODE(os.fstat(old).st_mode) & 0o077:
+            close_to_others(target)
         for entry in sorted(os.scandir(old), key=lambda entry: entry.name):
             path = f"{inside}{entry.name}"
             is_ours = path in exchange.changed or exchange.carried.get(path) == entry.inode()
             if entry.is_dir(follow_symlinks=False) and not is_temporary(entry.name):
                 inner = None if target is None else (target, entry.name)
-                is_ours = _clear(exchange, old, entry.name, inner, f"{path}/")
+                is_ours = _move_into(exchange, old, entry.name, inner, f"{path}/")
             elif is_ours:
                 os.unlink(entry.name, dir_fd=old)
             if not is_ours and target is not None:
                 os.rename(entry.name, entry.name, src_dir_fd=old, dst_dir_fd=target)
                 with contextlib.suppress(FileNotFoundError):  # two names of one file: then nothing was renamed
                     os.unlink(entry.name, dir_fd=old)
+                os.fsync(target)
     try:
         os.rmdir(name, dir_fd=parent)
     except OSError as error:
