@@ -117,7 +117,7 @@ class PatternComparison:
         key: PermissionKey,
         rule: SymbolicRule,
         area: SubjectClass,
-        searches: Sequence[_AlternativeSearches],
+        searches: Sequence[_Search],
         said: Sequence[Glob],
         listed: Sequence[SubjectClass],
     ) -> str | Unknown | None:
@@ -127,30 +127,24 @@ class PatternComparison:
         listed = [each for each in listed if not disjoint(each.like, area.like)]
         more = (SymbolicCondition(tuple(SymbolicEntry((EVERYBODY,), each) for each in said), some=False),)
         undecided: Unknown | None = None
-        for alternatives in searches:
-            answer: str | Unknown | None = None
-            for within, shape, conditions in alternatives:
-                answer = find_subject(
-                    key[0], within, shape, (*conditions, *more), check, excluded, self._budget, listed
-                )
-                if not isinstance(answer, Unknown):
-                    break
+        for shape, conditions in searches:
+            answer = find_subject(key[0], area.like, shape, (*conditions, *more), check, excluded, self._budget, listed)
             if isinstance(answer, str):
                 return answer
             undecided = undecided or answer
         return undecided
 
-    def _not_allowed_before(self, key: PermissionKey, rule: SymbolicRule, subjects: Glob) -> _AlternativeSearches:
+    def _not_allowed_before(self, key: PermissionKey, rule: SymbolicRule, subjects: Glob) -> _Search:
         """Return the search for what a rule allows and no rule allowed before."""
         excluded = (
             *self._after.surely(key, Effect.DENY, subjects),
             *self._before.surely(key, Effect.ALLOW, subjects),
         )
-        return [(subjects, rule.object, (*rule.reach.conditions, SymbolicCondition(excluded, some=False)))]
+        return rule.object, (*rule.reach.conditions, SymbolicCondition(excluded, some=False))
 
     def _denied_before(
         self, key: PermissionKey, rule: SymbolicRule, subjects: Glob, lifted: Sequence[SymbolicRule]
-    ) -> Iterator[_AlternativeSearches]:
+    ) -> Iterator[_Search]:
         """Yield searches for what a rule allows and a lifted rule denied before."""
         overlapping = [denial for denial in lifted if denial.may_meet(rule.object, SubjectClass(subjects))]
         if not overlapping:
@@ -159,21 +153,14 @@ class PatternComparison:
         conditions = (*rule.reach.conditions, denied)
         entries = tuple(denial.entry() for denial in overlapping if not placeholders(denial.object))
         if entries:
-            yield [(subjects, rule.object, (*conditions, SymbolicCondition(entries, some=True)))]
+            yield rule.object, (*conditions, SymbolicCondition(entries, some=True))
         for denial in overlapping:
             if placeholders(denial.object):
-                yield self._alternatives(rule, subjects, denial, conditions)
-
-    @staticmethod
-    def _alternatives(
-        rule: SymbolicRule, subjects: Glob, denial: SymbolicRule, conditions: _Conditions
-    ) -> _AlternativeSearches:
-        """Return alternative searches for what a rule allows and a denial with placeholders denied."""
-        both = (*conditions, *denial.reach.conditions, SymbolicCondition((denial.entry(),), some=True))
-        alternatives = [(subjects, denial.object, (*both, SymbolicCondition((rule.entry(),), some=True)))]
-        if placeholders(rule.object):
-            alternatives.append((subjects, rule.object, both))
-        return sorted(alternatives, key=_inexact_entries)
+                both = (*conditions, *denial.reach.conditions, SymbolicCondition((denial.entry(),), some=True))
+                alternatives = [(denial.object, (*both, SymbolicCondition((rule.entry(),), some=True)))]
+                if placeholders(rule.object):
+                    alternatives.append((rule.object, both))
+                yield min(alternatives, key=_inexact_entries)
 
     def _differs(self, key: PermissionKey, pattern: Glob, said: Sequence[Glob], subject: str) -> bool | Unknown:
         """Return True if only one policy allows a subject something that a pattern matches, besides what is ignored."""
@@ -184,15 +171,12 @@ class PatternComparison:
         return self._budget.verdict(find_permitted(key[0], shown, after, negated(before), budget=budget))
 
 
-_Conditions = tuple[SymbolicCondition, ...]
-_SearchArguments = tuple[Glob, Glob, _Conditions]
-"""Arguments of :func:`~keymint.analysis.symbolic_search.find_subject`: subjects, shape of the words, conditions."""
-_AlternativeSearches = list[_SearchArguments]
-"""Searches with the same answer: any of them proves that there is no subject."""
+_Search = tuple[Glob, tuple[SymbolicCondition, ...]]
+"""Arguments of :func:`~keymint.analysis.symbolic_search.find_subject`: shape of the words, and conditions."""
 
 
-def _inexact_entries(search: _SearchArguments) -> int:
+def _inexact_entries(search: _Search) -> int:
     """Return the number of entries that cannot be rewritten exactly to the placeholders of the shape."""
-    _, shape, conditions = search
+    shape, conditions = search
     entries = (entry for each in conditions for entry in each.entries)
     return sum(not fit_pattern(entry.object, shape, *EVERYBODY, wide=False).exact for entry in entries)

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 
 from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import DecisionList, Equal, ProofResult, Unknown, Witness, negated
-from comarmor.patterns.glob import Glob, parse, surround
+from comarmor.patterns.glob import Glob, parse
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import covers, disjoint
 from comarmor.patterns.tokens import STAR
-from comarmor.rules import PARTS, PERMISSIONS, Effect, parts
+from comarmor.rules import PARTS, PERMISSIONS, Effect
 from comarmor.values import dataclass
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_lists import (
@@ -24,6 +24,7 @@ from keymint.analysis.rule_lists import (
     object_patterns,
     overlap,
     part_lists,
+    part_patterns,
     restrict_allowed,
     universe,
 )
@@ -105,10 +106,7 @@ class _RuleComparison:
         composite = [change for key in keys if key in PARTS for change in self._composite(key)]
         explained: dict[PermissionKey, list[Glob]] = {}
         for change in composite:
-            pieces = [
-                ((kind, part), surround("", change.objects, suffix))
-                for kind, part, suffix in parts(change.kind, change.permission)
-            ]
+            pieces = [*part_patterns(change.kind, change.permission, change.objects)]
             if all(self._is_changed(key, piece) for key, piece in pieces):
                 for key, piece in pieces:
                     explained.setdefault(key, []).append(piece)

@@ -13,7 +13,7 @@ from functools import partial
 from itertools import product
 
 from comarmor.patterns.decision_lists import Unknown, negated
-from comarmor.patterns.glob import Glob, literal, normalise, parse, surround
+from comarmor.patterns.glob import Glob, literal, normalise, parse
 from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection, maximal
 from comarmor.patterns.tokens import STAR
@@ -28,6 +28,7 @@ from keymint.analysis.rule_lists import (
     decision_list,
     find_permitted,
     overlap,
+    part_patterns,
 )
 from keymint.analysis.subject_patterns import SubjectClass, rules_of
 from keymint.analysis.subject_templates import (
@@ -182,7 +183,7 @@ class ClassFinder:
         """
         if not change.whole and placeholders(change.objects):
             raise _NotAlikeError("only a part of a pattern with {namespace} or {name} changes")
-        pieces = [*_pieces(change.kind, change.permission, change.objects if change.whole else (change.word,))]
+        pieces = [*part_patterns(change.kind, change.permission, change.objects if change.whole else (change.word,))]
         yield from ((change.gains, True, *each) for each in pieces)
         claims = [(not change.gains, False, *each) for each in pieces]
         denied = next((claim for claim in claims if self._refutes(*claim, subject) is False), None)
@@ -252,25 +253,19 @@ def _split(area: SubjectClass, subject: str, apart: Sequence[Glob]) -> SubjectCl
 def _concerned(changes: Iterable[PermissionChange]) -> Iterator[tuple[PermissionKey, Glob]]:
     """Yield the permissions without parts, with objects, on which changes depend."""
     for change in changes:
-        yield from _pieces(change.kind, change.permission, change.objects)
+        yield from part_patterns(change.kind, change.permission, change.objects)
         for whole, implementing in PARTS.items():
             for kind, part, end in implementing:
                 if (kind, part) == (change.kind, change.permission):
                     for base in before_suffix(change.objects, end):
-                        yield from _pieces(*whole, base)
-
-
-def _pieces(kind: str, permission: str, objects: Glob) -> Iterator[tuple[PermissionKey, Glob]]:
-    """Yield the permissions without parts, with objects, that make up a permission."""
-    for part_kind, part, end in parts(kind, permission):
-        yield (part_kind, part), surround("", objects, end)
+                        yield from part_patterns(*whole, base)
 
 
 def _covered(changes: Sequence[PermissionChange], gains: bool) -> Iterator[tuple[PermissionKey, Glob]]:
     """Yield the permissions without parts, with objects, that changes tell of."""
     for change in changes:
         if change.gains is gains and (change.whole or (change.kind, change.permission) not in PARTS):
-            yield from _pieces(change.kind, change.permission, change.objects)
+            yield from part_patterns(change.kind, change.permission, change.objects)
 
 
 def _subjects_with(namespaces: Sequence[Glob], names: Sequence[Glob]) -> Iterator[Glob]:
