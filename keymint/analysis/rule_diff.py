@@ -84,21 +84,21 @@ def rule_changes(old: Sequence[Rule], new: Sequence[Rule], budget: QueryBudget) 
     yield from _RuleComparison(False, new, old, budget).changes()
 
 
+@dataclass(frozen=True, slots=True)
 class _RuleComparison:
     """Finds what some rules allow and others do not.
 
-    Args:
+    Attributes:
         gains: the rules that allow it are the newer ones.
         before: the rules that do not allow it.
         after: the rules that do.
         budget: limit of the search.
     """
 
-    def __init__(self, gains: bool, before: Sequence[Rule], after: Sequence[Rule], budget: QueryBudget) -> None:
-        self._gains = gains
-        self._before = before
-        self._after = after
-        self._budget = budget
+    gains: bool
+    before: Sequence[Rule]
+    after: Sequence[Rule]
+    budget: QueryBudget
 
     def changes(self) -> Iterator[PermissionChange]:
         """Yield the changes, permissions without parts first; composite permissions cover those of their parts."""
@@ -118,26 +118,26 @@ class _RuleComparison:
         yield from composite
 
     def _is_changed(self, key: PermissionKey, piece: Glob) -> bool:
-        return self._is_whole(key[0], piece, decision_list(self._before, key), decision_list(self._after, key))
+        return self._is_whole(key[0], piece, decision_list(self.before, key), decision_list(self.after, key))
 
     def _find(self, kind: str, *lists: DecisionList) -> ProofResult:
-        return find_permitted(kind, *lists, budget=self._budget.next_query())
+        return find_permitted(kind, *lists, budget=self.budget.next_query())
 
     def _change(
         self, key: PermissionKey, objects: Glob, outcome: Witness | Unknown, whole: bool, where: Origin
     ) -> PermissionChange:
         if isinstance(outcome, Unknown):
-            return PermissionChange(self._gains, *key, objects, False, "", where, outcome.reason)
-        return PermissionChange(self._gains, *key, objects, whole, outcome.word, where)
+            return PermissionChange(self.gains, *key, objects, False, "", where, outcome.reason)
+        return PermissionChange(self.gains, *key, objects, whole, outcome.word, where)
 
     def _elementary(self, key: PermissionKey) -> list[PermissionChange]:
         """Return the changes for a kind and permission without parts."""
-        old, new = decision_list(self._before, key), decision_list(self._after, key)
-        if isinstance(difference(old, new, universe=universe(key[0]), budget=self._budget.next_query()), Equal):
+        old, new = decision_list(self.before, key), decision_list(self.after, key)
+        if isinstance(difference(old, new, universe=universe(key[0]), budget=self.budget.next_query()), Equal):
             return []
         denied = tuple(dict.fromkeys(pattern for block in old if not block.allows for pattern in block.patterns))
         changes: list[PermissionChange] = []
-        for rule in self._after:
+        for rule in self.after:
             if rule.effect is Effect.ALLOW:
                 for pattern in object_patterns(rule, key):
                     changes += self._of_pattern(pattern, old, new, denied, key, rule.origin)
@@ -171,13 +171,13 @@ class _RuleComparison:
         kind, permission = key
         candidates = {
             parse(expression): rule.origin
-            for rule in reversed(self._after)
+            for rule in reversed(self.after)
             if rule.effect is Effect.ALLOW and rule.kind == kind and permission in rule.permissions
             for expression in rule.expressions
         }
         if not candidates:
             return []
-        old, new = part_lists(self._before, kind, permission), part_lists(self._after, kind, permission)
+        old, new = part_lists(self.before, kind, permission), part_lists(self.after, kind, permission)
         changes: list[PermissionChange] = []
         for pattern, where in candidates.items():
             outcomes = [self._find(kind, allow_only(pattern), *new, negated(part)) for part in old]
