@@ -23,7 +23,7 @@ from keymint.analysis.rule_lists import (
     pattern_text,
 )
 from keymint.analysis.subject_patterns import can_exist, named_subjects, rules_of, structure
-from keymint.analysis.symbolic_rules import SymbolicRule, SymbolicRules
+from keymint.analysis.symbolic_rules import SymbolicRules
 from keymint.analysis.symbolic_search import EVERYBODY, SymbolicCondition, SymbolicEntry, find_subject
 from keymint.api import LoadedPolicy
 from keymint.ir import Rule
@@ -118,8 +118,10 @@ class _HolderSearch:
             for subjects in (piece for one in rule.reach.subjects for piece in overlap(one, within)):
                 if subjects in reported:
                     continue
+                excluded = [(subject,) for subject in sorted(named) if matches(subjects, subject)]
+                conditions = (*rule.reach.conditions, *self._conditions(rules, subjects))
                 for shape in before_suffix(rule.object, suffix):
-                    answer = self._example(subjects, shape, rule, rules, named)
+                    answer = find_subject(self.kind, subjects, shape, conditions, self._check, excluded, self.budget)
                     if isinstance(answer, Unknown):
                         unknown.setdefault(subjects, answer.reason)
                     elif answer is not None:
@@ -129,13 +131,6 @@ class _HolderSearch:
         for subjects, reason in unknown.items():
             if subjects not in reported:
                 yield PermissionHolder("", pattern_text(subjects), "", None, reason)
-
-    def _example(
-        self, subjects: Glob, shape: Glob, rule: SymbolicRule, rules: SymbolicRules, named: frozenset[str]
-    ) -> str | Unknown | None:
-        excluded = [(subject,) for subject in sorted(named) if matches(subjects, subject)]
-        conditions = (*rule.reach.conditions, *self._conditions(rules, subjects))
-        return find_subject(self.kind, subjects, shape, conditions, self._check, excluded, self.budget)
 
     def _conditions(self, rules: SymbolicRules, subjects: Glob) -> Iterator[SymbolicCondition]:
         """Yield the conditions of the rules; a composite permission requires all its parts."""
