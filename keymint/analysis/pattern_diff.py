@@ -117,7 +117,7 @@ class PatternComparison:
         key: PermissionKey,
         rule: SymbolicRule,
         area: SubjectClass,
-        searches: Sequence[_Search],
+        searches: Sequence[_Alternatives],
         said: Sequence[Glob],
         listed: Sequence[SubjectClass],
     ) -> str | Unknown | None:
@@ -127,24 +127,28 @@ class PatternComparison:
         listed = [each for each in listed if not disjoint(each.like, area.like)]
         more = (SymbolicCondition(tuple(SymbolicEntry((EVERYBODY,), each) for each in said), some=False),)
         undecided: Unknown | None = None
-        for shape, conditions in searches:
-            answer = find_subject(key[0], area.like, shape, (*conditions, *more), check, excluded, self._budget, listed)
+        for alternatives in searches:
+            answer: str | Unknown | None = None
+            for shape, each in alternatives:
+                answer = find_subject(key[0], area.like, shape, (*each, *more), check, excluded, self._budget, listed)
+                if not isinstance(answer, Unknown):
+                    break
             if isinstance(answer, str):
                 return answer
             undecided = undecided or answer
         return undecided
 
-    def _not_allowed_before(self, key: PermissionKey, rule: SymbolicRule, subjects: Glob) -> _Search:
+    def _not_allowed_before(self, key: PermissionKey, rule: SymbolicRule, subjects: Glob) -> _Alternatives:
         """Return the search for what a rule allows and no rule allowed before."""
         excluded = (
             *self._after.surely(key, Effect.DENY, subjects),
             *self._before.surely(key, Effect.ALLOW, subjects),
         )
-        return rule.object, (*rule.reach.conditions, SymbolicCondition(excluded, some=False))
+        return [(rule.object, (*rule.reach.conditions, SymbolicCondition(excluded, some=False)))]
 
     def _denied_before(
         self, key: PermissionKey, rule: SymbolicRule, subjects: Glob, lifted: Sequence[SymbolicRule]
-    ) -> Iterator[_Search]:
+    ) -> Iterator[_Alternatives]:
         """Yield searches for what a rule allows and a lifted rule denied before."""
         overlapping = [denial for denial in lifted if denial.may_meet(rule.object, SubjectClass(subjects))]
         if not overlapping:
@@ -153,14 +157,14 @@ class PatternComparison:
         conditions = (*rule.reach.conditions, denied)
         entries = tuple(denial.entry() for denial in overlapping if not placeholders(denial.object))
         if entries:
-            yield rule.object, (*conditions, SymbolicCondition(entries, some=True))
+            yield [(rule.object, (*conditions, SymbolicCondition(entries, some=True)))]
         for denial in overlapping:
             if placeholders(denial.object):
                 both = (*conditions, *denial.reach.conditions, SymbolicCondition((denial.entry(),), some=True))
                 alternatives = [(denial.object, (*both, SymbolicCondition((rule.entry(),), some=True)))]
                 if placeholders(rule.object):
                     alternatives.append((rule.object, both))
-                yield min(alternatives, key=_inexact_entries)
+                yield sorted(alternatives, key=_inexact_entries)
 
     def _differs(self, key: PermissionKey, pattern: Glob, said: Sequence[Glob], subject: str) -> bool | Unknown:
         """Return True if only one policy allows a subject something that a pattern matches, besides what is ignored."""
@@ -173,6 +177,8 @@ class PatternComparison:
 
 _Search = tuple[Glob, tuple[SymbolicCondition, ...]]
 """Arguments of :func:`~keymint.analysis.symbolic_search.find_subject`: shape of the words, and conditions."""
+_Alternatives = Sequence[_Search]
+"""Searches with the same answer: any of them proves that there is no subject."""
 
 
 def _inexact_entries(search: _Search) -> int:
