@@ -55,6 +55,12 @@ def permission_keys(rule: Rule) -> Iterator[PermissionKey]:
     yield from dict.fromkeys((kind, part) for each in rule.permissions for kind, part, _ in parts(rule.kind, each))
 
 
+def part_patterns(kind: str, permission: str, objects: Glob) -> Iterator[tuple[PermissionKey, Glob]]:
+    """Yield the permissions without parts, each with a pattern of its words, that make up a permission on objects."""
+    for part_kind, part, suffix in parts(kind, permission):
+        yield (part_kind, part), surround("", objects, suffix)
+
+
 def rule_patterns(rule: Rule, expression: str, key: PermissionKey) -> tuple[Glob, ...]:
     """Return patterns of the words of a kind and permission that an expression of a rule matches."""
     parsed = parse(expression)
