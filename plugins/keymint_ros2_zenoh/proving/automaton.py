@@ -131,9 +131,9 @@ class Automaton:
         own = (each for node in nodes for each in self._nodes[node].sets)
         return frozenset(after for outer, after in own if outer.intersection(members) == members)
 
-    def explicit(self, nodes: Iterable[int]) -> set[str]:
+    def explicit(self, nodes: Iterable[int]) -> frozenset[str]:
         """Return the characters that these nodes mention."""
-        return {char for node in nodes for char in self._nodes[node].chars}
+        return frozenset(char for node in nodes for char in self._nodes[node].chars)
 
     def sets(self) -> tuple[Charset, ...]:
         """Return all sets of characters that nodes have."""
