@@ -64,15 +64,14 @@ def _search(automaton: Automaton, left: Side, right: Side, budget: SearchBudget)
     count_state = budget.state_counter()
     sets = (*automaton.sets(), IN_CHUNK, START, _LETTERS)
     start = _State(left, right, _FIRST)
-    before: dict[_State, tuple[_State, str] | None] = {start: None}
-    todo = deque([start])
+    seen, todo = {start}, deque([(start, "")])
     while todo:
-        state = todo.popleft()
+        state, word = todo.popleft()
         count_state()
         if state.where in (_NAME, _FREE):
             permitted = _permits(automaton, state.left)
             if permitted is not _permits(automaton, state.right):
-                return Witness(_word(before, state)[:-1], permitted)
+                return Witness(word[:-1], permitted)
         nodes = tuple(_nodes(state))
         for char in _letters(automaton.explicit(nodes), sets):
             where = _next(state.where, char)
@@ -80,9 +79,9 @@ def _search(automaton: Automaton, left: Side, right: Side, budget: SearchBudget)
                 continue
             spend(1 + len(nodes) // _SHARE)
             following = _State(_step(automaton, state.left, char), _step(automaton, state.right, char), where)
-            if following.left != following.right and following not in before:
-                before[following] = (state, char)
-                todo.append(following)
+            if following.left != following.right and following not in seen:
+                seen.add(following)
+                todo.append((following, word + char))
     return Equal()
 
 
@@ -111,16 +110,6 @@ def _permits(automaton: Automaton, side: Side) -> bool:
     return any(
         any(map(automaton.accepts, allowed)) and not any(map(automaton.accepts, denied)) for allowed, denied in side
     )
-
-
-def _word(before: dict[_State, tuple[_State, str] | None], state: _State) -> str:
-    chars = []
-    step = before[state]
-    while step is not None:
-        state, char = step
-        chars.append(char)
-        step = before[state]
-    return "".join(reversed(chars))
 
 
 def _next(where: int, char: str) -> int | None:
