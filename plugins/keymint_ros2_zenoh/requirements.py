@@ -23,7 +23,7 @@ from keymint_ros2_zenoh.settings import is_router, settings_of
 
 AUTHENTICATED = ("tls", "quic")
 """Links whose other end shows a certificate."""
-_PLAIN = "endpoints of tls or quic without settings of their own"
+_PLAIN = "limited to endpoints of tls or quic without settings of their own"
 """What a router may listen on: ``tls/[::]:7447#root_ca_certificate_file=/tmp/ca.pem`` overrides the settings of TLS."""
 _SETTINGS: Mapping[str, tuple[str, str]] = {
     "mode": ("zenoh-mode", "in another mode, no router decides what it exchanges"),
@@ -52,7 +52,10 @@ def as_built(found: Configuration, expected: Configuration, file: str) -> Iterat
         expected: what the sources build.
         file: the installed file as the user would type it.
     """
-    yield from _differing(found, expected.settings(), file)
+    wanted = expected.settings()
+    for path, value in found.settings().items():
+        if value != wanted[path]:
+            yield _setting(found, path, f"{_shown(value)}, expected {_shown(wanted[path])}", file)
     for path in sorted(found.other.keys() | expected.other.keys()):
         value, other = found.other.get(path), expected.other.get(path)
         if value != other:
@@ -68,12 +71,15 @@ def by_itself(found: Configuration, package: Package, file: str) -> Iterator[Dia
         package: the package of the enclave, or of the router.
         file: the installed file as the user would type it.
     """
-    yield from _differing(found, required(package), file)
+    values = found.settings()
+    for path, wanted in required(package).items():
+        if values[path] != wanted:
+            yield _setting(found, path, f"not {_shown(wanted) if wanted != () else 'empty'}", file)
     if not found.protocols or not set(found.protocols) <= set(AUTHENTICATED):
-        yield _setting(found, "transport/link/protocols", " or ".join(AUTHENTICATED), file)
+        yield _setting(found, "transport/link/protocols", f"not limited to {' and '.join(AUTHENTICATED)}", file)
     plain = (each.partition("/")[0] in AUTHENTICATED and not {"?", "#"} & set(each) for each in found.listen)
     if is_router(package) and not all(plain):
-        yield _setting(found, "listen/endpoints", _PLAIN, file)
+        yield _setting(found, "listen/endpoints", f"not {_PLAIN}", file)
 
 
 def required(package: Package) -> Mapping[str, Any]:
@@ -186,16 +192,9 @@ def _problem(subject: AclSubject, counts: Counter[str]) -> tuple[str, str] | Non
     return None
 
 
-def _differing(found: Configuration, wanted: Mapping[str, Any], file: str) -> Iterator[Diagnostic]:
-    for path, value in found.settings().items():
-        if path in wanted and value != wanted[path]:
-            yield _setting(found, path, _shown(wanted[path]), file)
-
-
-def _setting(found: Configuration, path: str, expected: str, file: str) -> Diagnostic:
+def _setting(found: Configuration, path: str, problem: str, file: str) -> Diagnostic:
     code, reason = _SETTINGS[path]
-    message = f"{path} is {_shown(found.settings()[path])}, expected {expected}: {reason}"
-    return Diagnostic.error(code, message, found.place(path, file))
+    return Diagnostic.error(code, f"{path} is {problem}: {reason}", found.place(path, file))
 
 
 def _shown(value: Any) -> str:
