@@ -6,17 +6,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from datetime import timedelta
 
-from comarmor.errors import Diagnostic
+from comarmor.errors import Defects, Diagnostic
 from keymint.api import BuildOptions, SharedInspection
 from keymint.changes import file_mode
 from keymint.check.file_status import modes
-from keymint.errors import KeymintError
-from keymint.plan.authority_files import trusted_chains
 from keymint.plan.build_types import shared_builder
 from keymint.plan.enclaves import INSTALLED
-from keymint.plan.shared_documents import build_shared, load_packages, record_key, users
-from keymint.plan.shared_install import installed_shared, shared_roles
+from keymint.plan.shared_documents import Users, build_shared, load_packages, record_key, users
+from keymint.plan.shared_install import installed_shared
 from keymint.plan.shared_proof import enclaves_of
+from keymint.plan.trust_anchors import shared_anchors
 from keymint.session import Session
 from keymint.state import Stamp, digest
 
@@ -28,34 +27,32 @@ def check_shared(session: Session, within: timedelta) -> tuple[Iterable[Diagnost
         session: the workspace and its profile.
         within: report what expires within this time.
     """
-    diagnostics: list[Diagnostic] = []
+    defects = Defects()
     files: set[str] = set()
-    try:
+    of_types: Users = {}
+    with defects:
         of_types = users(session)
-    except KeymintError as error:
-        return error.diagnostics, files
     for name in of_types:
         stamp = session.state.stamp(INSTALLED, record_key(name))
-        try:
-            inspection = _inspection(session, name, within)
-        except KeymintError as error:
-            diagnostics += error.diagnostics
-            files |= set(stamp.outputs if stamp else ())
-            continue
-        files |= inspection.files.keys()
-        own, builder = list(_on_disk(session, name, inspection, stamp)), shared_builder(session, name)
-        missing = {each.where for each in own if each.code == "file-missing"}
-        found = builder.check_shared(inspection) if builder else ()
-        diagnostics += (*own, *(each for each in found if each.code != "file-missing" or each.where not in missing))
-    return dict.fromkeys(diagnostics), files
+        files |= set(stamp.outputs if stamp else ())
+        with defects:
+            inspection, builder = _inspection(session, name, stamp, within), shared_builder(session, name)
+            files |= inspection.files.keys()
+            own = list(_on_disk(session, name, inspection, stamp))
+            missing = {each.where for each in own if each.code == "file-missing"}
+            found = builder.check_shared(inspection) if builder else ()
+            defects.found += (
+                *own,
+                *(each for each in found if each.code != "file-missing" or each.where not in missing),
+            )
+    return dict.fromkeys(defects.found), files
 
 
-def _inspection(session: Session, name: str, within: timedelta) -> SharedInspection:
+def _inspection(session: Session, name: str, stamp: Stamp | None, within: timedelta) -> SharedInspection:
     packages = load_packages(session, name)
     # What the options of a build accept was reported and accepted when the documents were built.
     built = build_shared(session, name, packages, BuildOptions(allow_vendor_specific=True))
-    stamp, chains = session.state.stamp(INSTALLED, record_key(name)), trusted_chains(session)
-    roles = shared_roles(packages, session.plugins.build_type(name))
+    anchors = shared_anchors(session, packages, session.plugins.build_type(name))
     return SharedInspection(
         packages=packages,
         documents=built.documents,
@@ -63,10 +60,7 @@ def _inspection(session: Session, name: str, within: timedelta) -> SharedInspect
         enclaves=enclaves_of(session, name),
         folder=session.workspace.shown(session.workspace.install),
         layout=session.profile.layout,
-        chains={
-            role: b"".join(dict.fromkeys(chains.get(each.name, b"") for each in of_role))
-            for role, of_role in roles.items()
-        },
+        chains={role: anchor.chain for role, anchor in anchors.items()},
         now=session.now,
         within_days=within / timedelta(days=1),
     )
