@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from cryptography import x509
@@ -25,27 +25,27 @@ BOTH = "ca"
 """Name of an authority that has both roles."""
 
 
-def authorities(
-    contents: Contents, enclaves: Iterable[EnclavePlace]
-) -> tuple[tuple[FoundAuthority, ...], list[Diagnostic]]:
+def trusted_files(enclaves: Iterable[EnclavePlace]) -> Mapping[str, str]:
+    """Return the file of the authority for each role that the first enclaves with one trust.
+
+    Others are compared with it (:meth:`keymint_ros2_dds.examine.EnclaveRules.trust`).
+    """
+    found: dict[str, str] = {}
+    for role, name in _FILES.items():
+        for enclave in enclaves:
+            if path := enclave.files.get(name) or enclave.files.get(CA):
+                found.setdefault(role, path)
+    return found
+
+
+def authorities(contents: Contents, trusted: Mapping[str, str]) -> tuple[tuple[FoundAuthority, ...], list[Diagnostic]]:
     """Return the authorities that the enclaves trust, and the findings on them.
 
     Args:
         contents: what the files of the keystore contain.
-        enclaves: where the files of its enclaves are.
+        trusted: the file of each, by role.
     """
     findings: list[Diagnostic] = []
-    trusted: dict[str, str] = {}
-    for role, name in _FILES.items():
-        for enclave in enclaves:
-            path = enclave.files.get(name) or enclave.files.get(CA, "")
-            if not path:
-                continue
-            first = trusted.setdefault(role, path)
-            if contents.read(first) != contents.read(path):
-                message = f"is another authority than that of other enclaves, {contents.place(first)}"
-                help_ = "a workspace has one authority for each role: adopt these enclaves as a keystore of their own"
-                findings.append(contents.error("adopt-authorities", path, message, help_, enclave.subject))
     together = len(trusted) == len(_FILES) and len(set(map(contents.read, trusted.values()))) == 1
     by_roles = {tuple(_FILES): trusted[IDENTITY]} if together else {(role,): path for role, path in trusted.items()}
     found = []
@@ -82,7 +82,7 @@ def _authority(contents: Contents, path: str, roles: tuple[str, ...]) -> tuple[F
         findings.append(contents.warning("adopt-authority-expired", path, message, help_))
     key_paths = contents.keys_of(certificate)
     findings += _about_key(contents, key_paths, name, path)
-    findings += _lacking(certificate, roles, path, contents)
+    findings += _lacking(certificate, roles, path, name, contents)
     public = certificates.public_key(certificate)
     kind = keys.kind_of(public)
     facts: dict[str, Any] = {
@@ -115,7 +115,7 @@ def _about_key(contents: Contents, key_paths: Sequence[str], name: str, path: st
 
 
 def _lacking(
-    certificate: x509.Certificate, roles: Sequence[str], path: str, contents: Contents
+    certificate: x509.Certificate, roles: Sequence[str], path: str, name: str, contents: Contents
 ) -> Iterator[Diagnostic]:
     """Yield a note for what the certificate lacks, or has too much of; each is the matter of a later step."""
     if len(roles) > 1:
@@ -124,11 +124,7 @@ def _lacking(
         )
         help_ = "CVE-2023-24010; 'keymint harden authority' makes a second one afterwards"
         yield contents.note("adopt-one-authority", path, message, help_)
-    lacks = [
-        name
-        for name, kind in (("keyUsage", x509.KeyUsage), ("subjectKeyIdentifier", x509.SubjectKeyIdentifier))
-        if extensions.value(certificate, kind) is None
-    ]
+    lacks = ", and ".join(each.message for each in adoption.lacking(certificate, name, contents.place(path)))
     if lacks:
-        message = f"lacks {' and '.join(lacks)} (RFC 5280, 4.2.1)"
-        yield contents.note("adopt-extensions", path, message, "'keymint harden identifiers' adds them afterwards")
+        help_ = "'keymint harden identifiers' adds it afterwards"
+        yield contents.note("adopt-extensions", path, lacks, help_)
