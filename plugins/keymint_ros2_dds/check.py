@@ -4,10 +4,9 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import replace
 from datetime import timedelta
-from functools import lru_cache
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.patterns.decision_lists import SearchBudget
@@ -15,7 +14,6 @@ from comarmor.patterns.tokens import PatternError
 from keymint.api import Inspection
 from keymint.errors import KeymintError
 from keymint.pki import certificates, distinguished_names, smime
-from keymint.pki.mime import SignedDocument
 from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds import governance_warnings, token_key, vendor_limits
 from keymint_ros2_dds.decision.semantics import STANDARD
@@ -34,7 +32,7 @@ from keymint_ros2_dds.enclave_layout import (
     enclave_files,
     has_one_authority,
 )
-from keymint_ros2_dds.examine import EnclaveRules
+from keymint_ros2_dds.examine import Document, EnclaveRules
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance, cuts
 from keymint_ros2_dds.proving.protection import STRICT, Weaker, weaker
 from keymint_ros2_dds.reading import signed_governance, signed_permissions
@@ -69,13 +67,12 @@ class _InstalledEnclave(EnclaveRules):
         for name in (CERTIFICATE, KEY):
             yield from map(self._of_another_tool, self.encoding(name))
         yield from self.periods(when)
-        permissions = yield from self._sound(PERMISSIONS)
-        governance = yield from self._sound(GOVERNANCE)
+        permissions = yield from self._sound(PERMISSIONS, signed_permissions.read)
+        governance = yield from self._sound(GOVERNANCE, signed_governance.read)
         if permissions is not None:
-            governed = None if governance is None else signed_governance.read(governance.content)
-            yield from self.documents(signed_permissions.read(permissions.content), governed, when)
+            yield from self.documents(permissions, governance, when)
         if governance is not None:
-            yield from self._governance(governance)
+            yield from self._governance()
         if PERMISSIONS_XML in enclave_files(inspection.layout, inspection.package.distro):
             yield from self.inventory([PERMISSIONS_XML])
             yield from self.plain_text(self._unverified())
@@ -101,39 +98,38 @@ class _InstalledEnclave(EnclaveRules):
         except KeymintError:
             return None
 
-    def _sound(self, kind: str) -> Generator[Diagnostic, None, SignedDocument | None]:
+    def _sound(
+        self, kind: str, reader: Callable[[bytes, str, int], Document]
+    ) -> Generator[Diagnostic, None, Document | None]:
         """Check a signed document; the generator returns it if it is verified and valid, else None."""
         name, package = f"{kind}.p7s", self._inspection.package
-        signed, where = self.signed(name), self._where(name)
-        if signed is None:
+        if (signed := self.signed(name)) is None:
             return None  # reported with the trust anchors
-        content = signed.content
         yield from map(self._for_subject, vendor_limits.check_size(len(self._files[name]), kind, package))
-        if not self._as_built(kind, content):
+        if not self._as_built(kind, signed.content):
             message = f"the sources build another {kind} document: they changed, or the built one was edited by hand"
             again = f"'keymint build -f {package.name}' and 'keymint install {package.name}'"
             yield self._warning("drift", name, message, f"{again} write the document of the sources")
-        if _is_sound(content, kind):
-            return signed
-        try:
-            root = dds_xml.read(content, kind, str(where))
-        except KeymintError as error:
-            yield from map(self._for_subject, error.diagnostics)
+        document = yield from self.read(name, reader)
+        if document is None or document.defects:
             return None
-        for hazard in dds_xml.hazards(content, root):
+        # What Keymint writes is known to have none.
+        plain = kind == PERMISSIONS and signed_permissions.is_plain(signed.content)
+        for hazard in () if plain else dds_xml.hazards(signed.content):
             yield self._warning("document-hazard", name, hazard, f"build it instead of editing it; {self._restore}")
-        return signed
+        return document
 
-    def _governance(self, signed: SignedDocument) -> Iterator[Diagnostic]:
+    def _governance(self) -> Iterator[Diagnostic]:
         """Yield findings on what the sources leave open, and on what the signed governance protects less."""
         package = self._inspection.package
         for finding in governance_warnings.findings(package):
             if finding.severity is Severity.WARNING and finding.code != governance_warnings.UNPROTECTED:
                 yield finding
-        place = self._where(GOVERNANCE_P7S).file, signed.lines_before
-        governing = EnclaveGovernance(signed.content, place, package)
-        if governing.differs:
-            yield from dict.fromkeys(self._weaker_protection(governing))
+        if signed := self.signed(GOVERNANCE_P7S):
+            place = self._where(GOVERNANCE_P7S).file, signed.lines_before
+            governing = EnclaveGovernance(signed.content, place, package)
+            if governing.differs:
+                yield from dict.fromkeys(self._weaker_protection(governing))
 
     def _weaker_protection(self, governing: EnclaveGovernance) -> Iterator[Diagnostic]:
         subject, document = self._subject, governing.document
@@ -172,17 +168,6 @@ class _InstalledEnclave(EnclaveRules):
             return is_form_of(self._inspection.package, content)
         except KeymintError:
             return False
-
-
-@lru_cache(maxsize=16)
-def _is_sound(content: bytes, kind: str) -> bool:
-    """Tell whether a document is valid, and no vendor misreads it; most enclaves have the same governance."""
-    if kind == PERMISSIONS:
-        return signed_permissions.is_plain(content)
-    try:
-        return not any(dds_xml.hazards(content, dds_xml.read(content, kind, kind)))
-    except KeymintError:
-        return False
 
 
 def _shared_grants(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:

@@ -8,9 +8,10 @@ another tool with the authorities that it has itself.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from datetime import UTC, datetime, timedelta
 from functools import cached_property
+from typing import TypeVar
 
 from cryptography import x509
 
@@ -19,6 +20,7 @@ from keymint.api import TrustAnchors
 from keymint.errors import KeymintError
 from keymint.names import name_of
 from keymint.pki import certificates, keys, revocation_lists, smime
+from keymint.pki.distinguished_names import to_text
 from keymint.pki.identity_check import IdentityCheck, anchor_defects
 from keymint.pki.mime import SignedDocument
 from keymint_ros2_dds import authority_roles as roles
@@ -46,6 +48,9 @@ IN_PLACE_OF = {f"{name.removesuffix('.pem')}.p11": name for name in (IDENTITY_CA
 
 Source: ``get_security_files`` in ``security.cpp`` of rmw_dds_common, from Jazzy on, as rmw_fastrtps calls it.
 """
+AUTHORITY_FILES = {roles.IDENTITY: IDENTITY_CA, roles.PERMISSIONS: PERMISSIONS_CA}
+"""The file of the authority that has a role; in the flat layout it may be one for both."""
+Document = TypeVar("Document", PermissionsDocument, GovernanceDocument)
 When = tuple[datetime, timedelta]
 """The clock, UTC, and within which time an end is reported."""
 _SLACK = timedelta(days=1)
@@ -146,11 +151,10 @@ class EnclaveRules(IdentityCheck):
         """
         yield from self._in_place_of(anchors.key_uri)
         yield from self.inventory(needed)
-        yield from self.revocation_list(anchors.authorities[roles.IDENTITY].name)
-        issuer, signer = (anchors.authorities[role] for role in (roles.IDENTITY, roles.PERMISSIONS))
-        for name, anchor in ((IDENTITY_CA, issuer), (PERMISSIONS_CA, signer), (CA, signer)):
-            if name in self._files:  # also where the layout does not have it
-                yield from self._anchored(name, anchor)
+        yield from self.revocation_list()
+        for role, name in (*AUTHORITY_FILES.items(), (roles.PERMISSIONS, CA)):
+            if name in self._files and role in anchors.authorities:  # also where the layout does not have it
+                yield from self._anchored(name, anchors.authorities[role])
         if CERTIFICATE in self._files:
             certificate = yield from self._certificate(self._chains[roles.IDENTITY], anchors.subject_name, None)
             if certificate is not None:
@@ -173,12 +177,8 @@ class EnclaveRules(IdentityCheck):
             if name not in self._files:
                 yield self._error("file-missing", name, "is missing")
 
-    def revocation_list(self, authority: str) -> Iterator[Diagnostic]:
-        """Yield an error if vendors refuse a participant with the revocation list of the enclave, dates aside.
-
-        Args:
-            authority: name of the authority that issues identities.
-        """
+    def revocation_list(self) -> Iterator[Diagnostic]:
+        """Yield an error if vendors refuse a participant with the revocation list of the enclave, dates aside."""
         if CRL not in self._files:
             return
         try:
@@ -190,7 +190,7 @@ class EnclaveRules(IdentityCheck):
             when = f"serial number {found.serial:x}, since {found.at:%Y-%m-%d} ({found.reason})"
             problem = f"revokes the certificate beside it, {when}"
         if problem:
-            help_ = f"remove it, or replace it with a list signed by the authority {authority!r}"
+            help_ = f"remove it, or replace it with a list signed by {to_text(issuer.subject)!r}"
             yield self._error("revocation-list", CRL, f"{problem}: vendors refuse the participant", help_)
 
     def _signature(self, name: str) -> Iterator[Diagnostic]:
@@ -215,6 +215,25 @@ class EnclaveRules(IdentityCheck):
             yield from self._period("certificate", CERTIFICATE, certificates.period(self.certificate), when)
         if period := revocation_period(self._files.get(CRL, b"")):
             yield from self._period("revocation list", CRL, period, when)
+
+    def read(
+        self, name: str, reader: Callable[[bytes, str, int], Document]
+    ) -> Generator[Diagnostic, None, Document | None]:
+        """Read a signed document; the generator returns it if it can be read, also if its schema does not allow it.
+
+        Args:
+            name: its file.
+            reader: reads what is signed, with the file and the number of lines before it there.
+        """
+        if (signed := self.signed(name)) is None:
+            return None  # reported with the authorities
+        try:
+            document = reader(signed.content, self._where(name).file, signed.lines_before)
+        except KeymintError as error:
+            yield from map(self._for_subject, error.diagnostics)
+            return None
+        yield from map(self._for_subject, document.defects)
+        return document
 
     def documents(
         self, permissions: PermissionsDocument, governance: GovernanceDocument | None, when: When

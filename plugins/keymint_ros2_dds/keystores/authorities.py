@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from cryptography import x509
@@ -14,40 +14,38 @@ from keymint.errors import KeymintError
 from keymint.pki import adoption, certificates, extensions, key_files, keys
 from keymint.pki.distinguished_names import to_text
 from keymint_ros2_dds.authority_roles import IDENTITY, PERMISSIONS
-from keymint_ros2_dds.enclave_layout import CA, IDENTITY_CA, PERMISSIONS_CA
+from keymint_ros2_dds.enclave_layout import CA
+from keymint_ros2_dds.examine import AUTHORITY_FILES
 from keymint_ros2_dds.keystores.contents import Contents
 from keymint_ros2_dds.keystores.enclaves import dates_of, exposure, is_exposed
 from keymint_ros2_dds.keystores.places import EnclavePlace
 
-_FILES = {IDENTITY: IDENTITY_CA, PERMISSIONS: PERMISSIONS_CA}
 _NAMES = {IDENTITY: "identity_ca", PERMISSIONS: "permissions_ca"}
 BOTH = "ca"
 """Name of an authority that has both roles."""
 
 
-def trusted_files(enclaves: Iterable[EnclavePlace]) -> Mapping[str, str]:
-    """Return the file of the authority for each role that the first enclaves with one trust.
+def authorities(
+    contents: Contents, enclaves: Iterable[EnclavePlace]
+) -> tuple[tuple[FoundAuthority, ...], list[Diagnostic]]:
+    """Return the authorities that the first enclaves trust, and the findings on them.
 
-    Others are compared with it (:meth:`keymint_ros2_dds.examine.EnclaveRules.trust`).
-    """
-    found: dict[str, str] = {}
-    for role, name in _FILES.items():
-        for enclave in enclaves:
-            if path := enclave.files.get(name) or enclave.files.get(CA):
-                found.setdefault(role, path)
-    return found
-
-
-def authorities(contents: Contents, trusted: Mapping[str, str]) -> tuple[tuple[FoundAuthority, ...], list[Diagnostic]]:
-    """Return the authorities that the enclaves trust, and the findings on them.
+    The other enclaves are compared with them (:meth:`keymint_ros2_dds.examine.EnclaveRules.trust`).
 
     Args:
         contents: what the files of the keystore contain.
-        trusted: the file of each, by role.
+        enclaves: where the files of its enclaves are.
     """
     findings: list[Diagnostic] = []
-    together = len(trusted) == len(_FILES) and len(set(map(contents.read, trusted.values()))) == 1
-    by_roles = {tuple(_FILES): trusted[IDENTITY]} if together else {(role,): path for role, path in trusted.items()}
+    trusted: dict[str, str] = {}
+    for role, name in AUTHORITY_FILES.items():
+        for enclave in enclaves:
+            if path := enclave.files.get(name) or enclave.files.get(CA):
+                trusted.setdefault(role, path)
+    together = len(trusted) == len(AUTHORITY_FILES) and len(set(map(contents.read, trusted.values()))) == 1
+    by_roles = (
+        {tuple(AUTHORITY_FILES): trusted[IDENTITY]} if together else {(role,): path for role, path in trusted.items()}
+    )
     found = []
     for roles, path in by_roles.items():
         authority, own = _authority(contents, path, roles)

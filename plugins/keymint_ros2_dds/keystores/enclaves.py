@@ -7,21 +7,20 @@ to be taken over stands in a table; a few more rules ask what only a workspace r
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import timedelta
-from typing import Any, TypeVar
+from typing import Any
 
 from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.api import DomainRange, FoundEnclave, FoundGrant, TrustAnchors, Validity
+from keymint.api import DomainRange, FoundEnclave, FoundGrant, TrustAnchor, TrustAnchors, Validity
 from keymint.errors import KeymintError
 from keymint.names import name_of, package_name
 from keymint.pki import certificates, certification_path, keys
 from keymint.pki.distinguished_names import MAX_COMMON_NAME, attributes, to_text
 from keymint_ros2_dds.authority_roles import IDENTITY
-from keymint_ros2_dds.authority_roles import PERMISSIONS as SIGNS
 from keymint_ros2_dds.domains import merged
 from keymint_ros2_dds.enclave_layout import (
     CA,
@@ -29,21 +28,18 @@ from keymint_ros2_dds.enclave_layout import (
     GOVERNANCE,
     GOVERNANCE_P7S,
     GOVERNANCE_XML,
-    IDENTITY_CA,
     KEY,
     PERMISSIONS,
-    PERMISSIONS_CA,
     PERMISSIONS_P7S,
     PERMISSIONS_XML,
 )
-from keymint_ros2_dds.examine import EnclaveRules, grant_period
+from keymint_ros2_dds.examine import AUTHORITY_FILES, EnclaveRules, grant_period
 from keymint_ros2_dds.keystores.contents import Contents
 from keymint_ros2_dds.keystores.places import EnclavePlace
 from keymint_ros2_dds.reading import signed_governance, signed_permissions
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, PermissionsDocument, as_ranges
 
-_Document = TypeVar("_Document", PermissionsDocument, GovernanceDocument)
 _ISSUE = "issue it again with the tool that made it, here and on the robots"
 _REMOVE = "take it out of the keystore; a new one for this name: 'keymint create', build and install afterwards"
 _VIEW: Mapping[str, tuple[str, str]] = {
@@ -63,6 +59,7 @@ _VIEW: Mapping[str, tuple[str, str]] = {
     "grant-default": ("adopt-default", "sign a document whose default is DENY"),
     "grant-expired": ("adopt-grant-expired", ""),
     "grant-not-yet-valid": ("adopt-grant-expired", ""),
+    "schema": ("adopt-document", "sign a valid document"),
     "domain-uncovered": (
         "adopt-domain",
         "'ros2 security' takes both from ROS_DOMAIN_ID: sign the permissions again with that of the robots",
@@ -81,13 +78,15 @@ _EVERYTHING = frozenset(("*", "rt/*", "rq/*", "rr/*", "**"))
 """Expressions that leave nothing denied of a kind of ROS names."""
 
 
-def examined(contents: Contents, place: EnclavePlace, anchors: TrustAnchors) -> tuple[FoundEnclave, list[Diagnostic]]:
+def examined(
+    contents: Contents, place: EnclavePlace, anchors: Mapping[str, TrustAnchor]
+) -> tuple[FoundEnclave, list[Diagnostic]]:
     """Return an enclave and the findings on it; an error is a reason why it cannot be taken over as it is.
 
     Args:
         contents: what the files of the keystore contain.
         place: where those of the enclave are.
-        anchors: the authorities of the keystore.
+        anchors: the authorities of the keystore, by role.
     """
     enclave = _Enclave(contents, place)
     findings = [enclave.viewed(each) for each in enclave.rules(anchors) if each.code != _UNASKED]
@@ -100,13 +99,17 @@ class _Enclave(EnclaveRules):
 
     def __init__(self, contents: Contents, place: EnclavePlace) -> None:
         files = {name: contents.read(path) for name, path in place.files.items()}
-        names = {IDENTITY: IDENTITY_CA, SIGNS: PERMISSIONS_CA}
-        chains = {role: files.get(name) or files.get(CA, b"") for role, name in names.items()}
+        chains = {role: files.get(name) or files.get(CA, b"") for role, name in AUTHORITY_FILES.items()}
         restore = "restore it, or make it again with the tool that made the keystore"
         super().__init__(files, place.place, restore, place.subject, chains)
         self._contents = contents
         self._enclave = place
-        self._needed = [CERTIFICATE, *(() if CA in files else names.values()), PERMISSIONS_P7S, GOVERNANCE_P7S]
+        self._needed = [
+            CERTIFICATE,
+            *(() if CA in files else AUTHORITY_FILES.values()),
+            PERMISSIONS_P7S,
+            GOVERNANCE_P7S,
+        ]
         self._permissions: PermissionsDocument | None = None
         self._governance: GovernanceDocument | None = None
 
@@ -115,14 +118,14 @@ class _Enclave(EnclaveRules):
 
     # -- the rules of every enclave ------------------------------------------------------------------------------
 
-    def rules(self, anchors: TrustAnchors) -> Iterator[Diagnostic]:
+    def rules(self, anchors: Mapping[str, TrustAnchor]) -> Iterator[Diagnostic]:
         """Yield what the rules of every enclave find, as ``keymint check`` says it."""
         when = self._contents.keystore.now, timedelta(0)
-        yield from self.trust(anchors, self._needed)
+        yield from self.trust(TrustAnchors(anchors, "", ""), self._needed)
         yield from self.encoding(CERTIFICATE)
         yield from self.periods(when)
-        self._permissions = yield from self._read(PERMISSIONS_P7S, signed_permissions.read)
-        self._governance = yield from self._read(GOVERNANCE_P7S, signed_governance.read)
+        self._permissions = yield from self.read(PERMISSIONS_P7S, signed_permissions.read)
+        self._governance = yield from self.read(GOVERNANCE_P7S, signed_governance.read)
         if self._permissions is not None:
             yield from self.documents(self._permissions, self._governance, when)
         if signed := self.signed(PERMISSIONS_P7S):
@@ -135,21 +138,6 @@ class _Enclave(EnclaveRules):
             code, help_ = "adopt-revoked", _REMOVE
         severity = Severity.WARNING if code in _WARNINGS else Severity.ERROR
         return replace(finding, code=code, severity=severity, help=help_ or finding.help)
-
-    def _read(
-        self, name: str, read: Callable[[bytes, str, int], _Document]
-    ) -> Generator[Diagnostic, None, _Document | None]:
-        """Read a signed document; the generator returns it if it can be read."""
-        if (signed := self.signed(name)) is None:
-            return None  # reported with the authorities
-        try:
-            document = read(signed.content, self._where(name).file, signed.lines_before)
-        except KeymintError as error:
-            yield from error.diagnostics
-            return None
-        if document.defect:
-            yield self._error("adopt-document", name, document.defect, "sign a valid document")
-        return document
 
     # -- what a workspace requires -------------------------------------------------------------------------------
 

@@ -7,13 +7,13 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from comarmor.errors import Diagnostic
-from keymint.api import FoundAuthority, FoundEnclave, FoundKeystore, KeystoreFiles, TrustAnchor, TrustAnchors
+from keymint.api import FoundAuthority, FoundEnclave, FoundKeystore, KeystoreFiles, TrustAnchor
 from keymint.pki import keys
 from keymint_ros2_dds.authority_roles import IDENTITY
 from keymint_ros2_dds.authority_roles import PERMISSIONS as SIGNS
 from keymint_ros2_dds.enclave_layout import CRL, GOVERNANCE, GOVERNANCE_P7S, GOVERNANCE_XML, KEY, LAYOUTS, files
 from keymint_ros2_dds.keystores import governance
-from keymint_ros2_dds.keystores.authorities import authorities, trusted_files
+from keymint_ros2_dds.keystores.authorities import authorities
 from keymint_ros2_dds.keystores.contents import Contents, contents
 from keymint_ros2_dds.keystores.enclaves import examined
 from keymint_ros2_dds.keystores.places import FORMS, Places, places
@@ -31,15 +31,16 @@ def found(keystore: KeystoreFiles) -> FoundKeystore:
     """
     content = contents(keystore)
     where = places(content)
-    files = trusted_files(where.enclaves)
-    trusted, diagnostics = authorities(content, files)
+    trusted, diagnostics = authorities(content, where.enclaves)
     issuer = next((each for each in trusted if IDENTITY in each.roles), None)
     newest, of_lists = newest_list(content, where, issuer) if issuer else ("", [])
     diagnostics += of_lists
     listed = {CRL: newest} if newest and not where.layout else {}
-    names = {role: each.name for each in trusted for role in each.roles}
-    expected = {role: _anchor(content, files.get(role, ""), names.get(role, role)) for role in (IDENTITY, SIGNS)}
-    anchors = TrustAnchors(expected, subject_name="", layout=where.layout)
+    anchors = {
+        role: TrustAnchor(each.name, str(content.place(each.file)), each.certificate)
+        for each in trusted
+        for role in each.roles
+    }
     enclaves: list[FoundEnclave] = []
     for place in where.enclaves:
         enclave, own = examined(content, replace(place, files={**place.files, **listed}), anchors)
@@ -61,10 +62,6 @@ def found(keystore: KeystoreFiles) -> FoundKeystore:
         diagnostics=tuple(diagnostics),
         revocation_lists={issuer.name: content.read(newest)} if issuer and newest else {},
     )
-
-
-def _anchor(content: Contents, path: str, name: str) -> TrustAnchor:
-    return TrustAnchor(name, str(content.place(path)), content.read(path) if path else b"")
 
 
 def _defaults(

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
@@ -92,9 +91,4 @@ def _signed(
 
 
 def _subject_name(files: Mapping[str, bytes], folder: str) -> str:
-    return _name_in(enclave_file(files, folder, CERTIFICATE), f"{folder}/{CERTIFICATE}")
-
-
-@lru_cache(maxsize=16)
-def _name_in(certificate: bytes, file: str) -> str:
-    return subject_name(certificate, Origin(file))
+    return subject_name(enclave_file(files, folder, CERTIFICATE), Origin(f"{folder}/{CERTIFICATE}"))

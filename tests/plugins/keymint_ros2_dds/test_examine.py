@@ -25,7 +25,7 @@ def problem(crl: bytes, identity: bytes) -> str:
     """Return the finding on a list beside a certificate; empty if there is none."""
     chains = {"identity": authority("identity_ca").pem, "permissions": b""}
     rules = EnclaveRules({"cert.pem": identity, "crl.pem": crl}, "install/talker", "restore it", "/talker", chains)
-    found = list(rules.revocation_list("identity_ca"))
+    found = list(rules.revocation_list())
     assert {(each.code, str(each.where)) for each in found} <= {("revocation-list", "install/talker/crl.pem")}
     return "".join(each.message for each in found)
 
