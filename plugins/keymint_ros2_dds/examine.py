@@ -20,7 +20,6 @@ from keymint.api import TrustAnchors
 from keymint.errors import KeymintError
 from keymint.names import name_of
 from keymint.pki import certificates, keys, revocation_lists, smime
-from keymint.pki.distinguished_names import to_text
 from keymint.pki.identity_check import IdentityCheck, anchor_defects
 from keymint.pki.mime import SignedDocument
 from keymint_ros2_dds import authority_roles as roles
@@ -133,10 +132,21 @@ class EnclaveRules(IdentityCheck):
             return None
 
     @cached_property
+    def _list_problem(self) -> str:
+        """Why vendors refuse a participant with the revocation list, dates and what it revokes aside."""
+        if CRL not in self._files:
+            return ""
+        try:
+            issuer = certificates.load_bundle(self._chains[roles.IDENTITY])[0]
+        except KeymintError:
+            return ""  # reported with the authorities
+        return revocation_lists.problem(self._files[CRL], issuer)
+
+    @cached_property
     def revocation(self) -> revocation_lists.Revocation | None:
-        """The entry of the certificate in the list beside it."""
+        """The entry of the certificate in the list beside it, which its issuer signed."""
         crl = revocation_lists.first(self._files.get(CRL, b""))
-        if crl is None or self.certificate is None:
+        if crl is None or self.certificate is None or self._list_problem:
             return None
         return revocation_lists.entry(crl, self.certificate.serial_number)
 
@@ -179,18 +189,12 @@ class EnclaveRules(IdentityCheck):
 
     def revocation_list(self) -> Iterator[Diagnostic]:
         """Yield an error if vendors refuse a participant with the revocation list of the enclave, dates aside."""
-        if CRL not in self._files:
-            return
-        try:
-            issuer = certificates.load_bundle(self._chains[roles.IDENTITY])[0]
-        except KeymintError:
-            return  # reported with the authorities
-        problem = revocation_lists.problem(self._files[CRL], issuer)
-        if (found := self.revocation) and not problem:
+        problem, found = self._list_problem, self.revocation
+        if found:
             when = f"serial number {found.serial:x}, since {found.at:%Y-%m-%d} ({found.reason})"
             problem = f"revokes the certificate beside it, {when}"
         if problem:
-            help_ = f"remove it, or replace it with a list signed by {to_text(issuer.subject)!r}"
+            help_ = "remove it, or replace it with a list by the certificate's issuer"
             yield self._error("revocation-list", CRL, f"{problem}: vendors refuse the participant", help_)
 
     def _signature(self, name: str) -> Iterator[Diagnostic]:

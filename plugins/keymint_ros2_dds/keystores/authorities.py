@@ -42,12 +42,12 @@ def authorities(
         for enclave in enclaves:
             if path := enclave.files.get(name) or enclave.files.get(CA):
                 trusted.setdefault(role, path)
-    together = len(trusted) == len(AUTHORITY_FILES) and len(set(map(contents.read, trusted.values()))) == 1
-    by_roles = (
-        {tuple(AUTHORITY_FILES): trusted[IDENTITY]} if together else {(role,): path for role, path in trusted.items()}
-    )
+    by_content: dict[bytes, list[str]] = {}
+    for role, path in trusted.items():
+        by_content.setdefault(contents.read(path), []).append(role)
     found = []
-    for roles, path in by_roles.items():
+    for roles in map(tuple, by_content.values()):
+        path = trusted[roles[0]]
         authority, own = _authority(contents, path, roles)
         found += [authority] if authority else []
         findings += own

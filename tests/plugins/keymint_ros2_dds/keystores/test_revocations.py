@@ -119,6 +119,12 @@ def test_an_enclave_that_is_revoked(keymint, keystore: Path, tmp_path: Path) -> 
     assert not (tmp_path / "ws").exists()
 
 
+def test_only_the_list_of_its_own_authority_revokes_an_enclave(keymint, keystore: Path) -> None:
+    put(keystore, revoking(keystore, [serial_of(keystore, "talker")], other=True))
+    found = {code for code, _ in errors(keymint("adopt", "ks", "--json"))}
+    assert found == {"adopt-revocations"}
+
+
 @pytest.mark.parametrize("place", ["enclaves/talker/crl.pem", "public/crl.pem"])
 def test_a_list_that_only_some_have(keymint, keystore: Path, place: str) -> None:
     (keystore / place).write_bytes(revoking(keystore, [OTHER]))
