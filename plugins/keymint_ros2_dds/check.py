@@ -63,7 +63,10 @@ class _InstalledEnclave(EnclaveRules):
     def findings(self) -> Iterator[Diagnostic]:
         inspection = self._inspection
         when = inspection.now, timedelta(days=inspection.within_days)
+        names = enclave_files(inspection.layout, inspection.package.distro)
+        elsewhere = [KEY] if inspection.package.issuance.public_key else []
         yield from self._key_uri()
+        yield from self.inventory(name for name in names if name not in elsewhere)
         for name in (CERTIFICATE, KEY):
             yield from map(self._of_another_tool, self.encoding(name))
         yield from self.periods(when)
@@ -73,8 +76,7 @@ class _InstalledEnclave(EnclaveRules):
             yield from self.documents(permissions, governance, when)
         if governance is not None:
             yield from self._governance()
-        if PERMISSIONS_XML in enclave_files(inspection.layout, inspection.package.distro):
-            yield from self.inventory([PERMISSIONS_XML])
+        if PERMISSIONS_XML in names:
             yield from self.plain_text(self._unverified())
 
     def _key_uri(self) -> Iterator[Diagnostic]:

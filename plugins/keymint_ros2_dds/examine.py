@@ -24,6 +24,7 @@ from keymint.pki.identity_check import IdentityCheck, anchor_defects
 from keymint.pki.mime import SignedDocument
 from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds import subject_name_text, token_key
+from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.domains import in_words, merged, uncovered
 from keymint_ros2_dds.enclave_layout import (
     CA,
@@ -38,7 +39,6 @@ from keymint_ros2_dds.enclave_layout import (
     PERMISSIONS_XML,
     enclave_files,
 )
-from keymint_ros2_dds.reading import dates
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, PermissionsDocument, as_ranges
 
@@ -81,17 +81,15 @@ def differences(
     """
     del shared, shared_folder  # an enclave is complete
     authorities = {role: anchors.authorities[role] for role in (roles.IDENTITY, roles.PERMISSIONS)}
-    chains = {role: each.chain for role, each in authorities.items()}
-    elsewhere = {KEY} if anchors.public_key or anchors.key_uri else set()
-    # Nobody but people read the unsigned permissions.
-    needed = [
-        each for each in enclave_files(anchors.layout, anchors.distro) if each not in {PERMISSIONS_XML, *elsewhere}
-    ]
-    rules = EnclaveRules(files, folder, "'keymint install' restores it", "", chains)
     if missing := tuple(anchor_defects(authorities.values())):
-        return (*missing, *rules.inventory(needed))
+        return missing
+    # Nobody but people read the unsigned permissions.
+    unneeded = {PERMISSIONS_XML, *([KEY] if anchors.public_key or anchors.key_uri else [])}
+    needed = [each for each in enclave_files(anchors.layout, anchors.distro) if each not in unneeded]
+    chains = {role: each.chain for role, each in authorities.items()}
+    found = EnclaveRules(files, folder, "'keymint install' restores it", "", chains).trust(anchors, needed)
     # An encrypted key cannot be read without its password, so it is not compared with the certificate.
-    return tuple(each for each in rules.trust(anchors, needed) if each.code != "key-password")
+    return tuple(each for each in found if each.code != "key-password")
 
 
 class EnclaveRules(IdentityCheck):
@@ -270,8 +268,11 @@ class EnclaveRules(IdentityCheck):
         if grant.allows:
             message = "allows by default on Cyclone DDS and OpenDDS, and denies on Fast DDS"
             yield self._error("grant-default", PERMISSIONS_P7S, message, "make the default DENY")
-        if period := grant_period(grant):
+        if period := STANDARD.period(grant):
             yield from self._period("grant", PERMISSIONS_P7S, period, when, _SLACK)
+        else:
+            message = f"its dates are {grant.not_before!r} and {grant.not_after!r}, expected two xs:dateTime in order"
+            yield self._error("grant-never-valid", PERMISSIONS_P7S, message, "sign a document with valid dates")
 
     def plain_text(self, signed: bytes | None) -> Iterator[Diagnostic]:
         """Yield an error if the unsigned permissions are others than those that participants read."""
@@ -308,12 +309,6 @@ def revocation_period(pem: bytes) -> tuple[datetime, datetime] | None:
     """Return the validity period of a revocation list, in UTC; None for bytes that are not a revocation list."""
     crl = revocation_lists.first(pem)
     return None if crl is None else revocation_lists.period(crl)
-
-
-def grant_period(grant: DocumentGrant) -> tuple[datetime, datetime] | None:
-    """Return when a grant is in force as the standard reads its dates; None if they are no dates."""
-    begin, end = dates.standard(grant.not_before), dates.standard(grant.not_after)
-    return (begin, end) if begin is not None and end is not None else None
 
 
 def _shown(moment: datetime) -> str:

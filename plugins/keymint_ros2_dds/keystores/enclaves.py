@@ -21,6 +21,7 @@ from keymint.names import name_of, package_name
 from keymint.pki import certificates, certification_path, keys
 from keymint.pki.distinguished_names import MAX_COMMON_NAME, attributes, to_text
 from keymint_ros2_dds.authority_roles import IDENTITY
+from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.domains import merged
 from keymint_ros2_dds.enclave_layout import (
     CA,
@@ -33,7 +34,7 @@ from keymint_ros2_dds.enclave_layout import (
     PERMISSIONS_P7S,
     PERMISSIONS_XML,
 )
-from keymint_ros2_dds.examine import AUTHORITY_FILES, EnclaveRules, grant_period
+from keymint_ros2_dds.examine import AUTHORITY_FILES, EnclaveRules
 from keymint_ros2_dds.keystores.contents import Contents
 from keymint_ros2_dds.keystores.places import EnclavePlace
 from keymint_ros2_dds.reading import signed_governance, signed_permissions
@@ -59,6 +60,7 @@ _VIEW: Mapping[str, tuple[str, str]] = {
     "grant-default": ("adopt-default", "sign a document whose default is DENY"),
     "grant-expired": ("adopt-grant-expired", ""),
     "grant-not-yet-valid": ("adopt-grant-expired", ""),
+    "grant-never-valid": ("adopt-grant-dates", ""),
     "schema": ("adopt-document", "sign a valid document"),
     "domain-uncovered": (
         "adopt-domain",
@@ -179,9 +181,6 @@ class _Enclave(EnclaveRules):
             yield self._warning("adopt-name", CERTIFICATE, message, "nothing: the name stays as it is")
 
     def _of_grant(self, grant: DocumentGrant) -> Iterator[Diagnostic]:
-        if self._grant_validity() is None:
-            message = f"its dates are {grant.not_before!r} and {grant.not_after!r}, expected xs:dateTime"
-            yield self._error("adopt-grant-dates", PERMISSIONS_P7S, message, "sign a document with valid dates")
         if grant.rules and not self._domains():
             message = "has rules for different domains, and a package has the same domains in all of its rules"
             yield self._error("adopt-domains", PERMISSIONS_P7S, message, "sign a document whose rules have the same")
@@ -233,7 +232,7 @@ class _Enclave(EnclaveRules):
 
     def _grant_validity(self) -> Validity | None:
         grant = self._only_grant()
-        period = grant_period(grant) if grant else None
+        period = STANDARD.period(grant) if grant else None
         return Validity(*period) if period and period[0] < period[1] else None
 
     def _domains(self) -> tuple[DomainRange, ...]:
