@@ -10,7 +10,7 @@ from functools import lru_cache
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Defects, Diagnostic, Origin
 from keymint.api import TrustAnchor, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import certificates, certification_path, distinguished_names, keys, public_keys
@@ -93,12 +93,10 @@ class IdentityCheck:
         pem = self._files.get(KEY)
         if pem is None:
             return
-        try:
-            matches = keys.matches(keys.public_of(pem, None, self._where(KEY)), certificate)
-        except KeymintError as error:
-            yield from map(self._for_subject, error.diagnostics)
-            return
-        if not matches:
+        unread = Defects()
+        own = unread.attempt(lambda: keys.public_of(pem, None, self._where(KEY)))
+        yield from map(self._for_subject, unread.found)
+        if own is not None and not keys.matches(own, certificate):
             yield self._error("key-mismatch", KEY, "is not the key of the certificate beside it")
 
 

@@ -15,7 +15,7 @@ from typing import TypeVar
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic
+from comarmor.errors import Defects, Diagnostic
 from keymint.api import TrustAnchors
 from keymint.errors import KeymintError
 from keymint.names import name_of
@@ -80,13 +80,12 @@ def differences(
     other, so only a comparison with the workspace detects it. See :meth:`keymint.api.Prover.differences`.
     """
     del shared, shared_folder  # an enclave is complete
-    authorities = {role: anchors.authorities[role] for role in (roles.IDENTITY, roles.PERMISSIONS)}
-    if missing := tuple(anchor_defects(authorities.values())):
+    if missing := tuple(anchor_defects(anchors.authorities[role] for role in AUTHORITY_FILES)):
         return missing
     # Nobody but people read the unsigned permissions.
     unneeded = {PERMISSIONS_XML, *([KEY] if anchors.public_key or anchors.key_uri else [])}
     needed = [each for each in enclave_files(anchors.layout, anchors.distro) if each not in unneeded]
-    chains = {role: each.chain for role, each in authorities.items()}
+    chains = {role: each.chain for role, each in anchors.authorities.items()}
     found = EnclaveRules(files, folder, "'keymint install' restores it", "", chains).trust(anchors, needed)
     # An encrypted key cannot be read without its password, so it is not compared with the certificate.
     return tuple(each for each in found if each.code != "key-password")
@@ -167,9 +166,12 @@ class EnclaveRules(IdentityCheck):
             certificate = yield from self._certificate(self._chains[roles.IDENTITY], anchors.subject_name, None)
             if certificate is not None:
                 yield from self._key(certificate, anchors.public_key)
+        unsigned, signer = Defects(), self._chains[roles.PERMISSIONS]
         for name in (PERMISSIONS_P7S, GOVERNANCE_P7S):
-            if name in self._files and self._chains[roles.PERMISSIONS]:
-                yield from self._signature(name)
+            if name in self._files and signer:
+                with unsigned:
+                    smime.read(self._files[name], signer, where=self._where(name))
+        yield from unsigned.found
 
     def _in_place_of(self, key_uri: str) -> Iterator[Diagnostic]:
         known = {KEY_URI} if token_key.is_uri(self._files.get(KEY_URI), key_uri) else set()
@@ -194,12 +196,6 @@ class EnclaveRules(IdentityCheck):
         if problem:
             help_ = "remove it, or replace it with a list by the certificate's issuer"
             yield self._error("revocation-list", CRL, f"{problem}: vendors refuse the participant", help_)
-
-    def _signature(self, name: str) -> Iterator[Diagnostic]:
-        try:
-            smime.read(self._files[name], self._chains[roles.PERMISSIONS], where=self._where(name))
-        except KeymintError as error:
-            yield from error.diagnostics
 
     # -- what it says --------------------------------------------------------------------------------------------
 
@@ -229,12 +225,9 @@ class EnclaveRules(IdentityCheck):
         """
         if (signed := self.signed(name)) is None:
             return None  # reported with the authorities
-        try:
-            document = reader(signed.content, self._where(name).file, signed.lines_before)
-        except KeymintError as error:
-            yield from map(self._for_subject, error.diagnostics)
-            return None
-        yield from map(self._for_subject, document.defects)
+        unread, file = Defects(), self._where(name).file
+        document = unread.attempt(lambda: reader(signed.content, file, signed.lines_before))
+        yield from map(self._for_subject, document.defects if document else unread.found)
         return document
 
     def documents(

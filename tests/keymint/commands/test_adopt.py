@@ -162,7 +162,7 @@ DEFECTS: Mapping[str, tuple[Callable[[Path], object], str, str]] = {
         "grants to 'CN=/robot1/listener', but the certificate is for 'CN=/talker'",
     ),
     "a token": (_replace(f"{ENCLAVE}/key.p11", b"pkcs11:token=x"), "adopt-token", "key.p11: error"),
-    "a certificate elsewhere": (_replace(f"{ENCLAVE}/cert.p11", b"pkcs11:x"), "adopt-token", "replaces cert.pem in ROS 2"),
+    "a certificate in a token": (_replace(f"{ENCLAVE}/cert.p11", b"pkcs11:x"), "adopt-token", "replaces cert.pem in"),
     "text around an authority": (_append("public/ca.cert.pem", b"my CA\n"), "adopt-encoding", "openssl x509"),
 }  # fmt: skip
 
