@@ -44,7 +44,7 @@ class DdsSecurity:
     keystore_variables = lazy("keymint_ros2_dds.process_environment:keystore_variables")
     enclave_variables = lazy("keymint_ros2_dds.process_environment:enclave_variables")
     check = lazy("keymint_ros2_dds.check:check")
-    check_all = lazy("keymint_ros2_dds.check_keystore:check_all")
+    check_all = lazy("keymint_ros2_dds.check:check_all")
 
     check_rules = lazy("keymint_ros2_dds.rule_check:check_rules")
     compare = lazy("keymint_ros2_dds.foreign_documents:compare")
@@ -60,7 +60,7 @@ class DdsSecurity:
     document_topics = lazy("keymint_ros2_dds.transports.enclave_files:document_topics")
 
     assumptions = lazy("keymint_ros2_dds.proving.claims:assumptions")
-    differences = lazy("keymint_ros2_dds.proving.anchor_check:differences")
+    differences = lazy("keymint_ros2_dds.examine:differences")
     prove = lazy("keymint_ros2_dds.proving:prove")
     terms = lazy("keymint_ros2_dds.proving:terms")
     outliving = lazy("keymint_ros2_dds.proving.succession:outliving")

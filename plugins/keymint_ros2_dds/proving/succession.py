@@ -17,7 +17,6 @@ from keymint.api import OutlivingRights
 from keymint.errors import KeymintError
 from keymint.pki import certificates, smime
 from keymint_ros2_dds import subject_name_text
-from keymint_ros2_dds.credentials import subject_of
 from keymint_ros2_dds.decision import OMG, read
 from keymint_ros2_dds.enclave_layout import CERTIFICATE, PERMISSIONS_P7S
 from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS
@@ -58,7 +57,7 @@ def changed_rights(before: Mapping[str, bytes], after: Mapping[str, bytes]) -> s
 def _eras(files: Mapping[str, bytes], certificate: bytes) -> tuple[GrantPeriod, ...]:
     """Return the grants that an enclave's files have for a certificate."""
     content = smime.signed_content(files.get(PERMISSIONS_P7S, b""))
-    name = subject_name_text.render(subject_of(certificate))
+    name = subject_name_text.render(certificates.load(certificate).subject)
     return tuple(grant_periods(read(content, PERMISSIONS_P7S), name, _SEMANTICS))
 
 

@@ -153,6 +153,7 @@ DEFECTS: Mapping[str, tuple[Callable[[Path], object], str, str]] = {
     "no certificate": (lambda root: (root / ENCLAVE / "cert.pem").unlink(), "adopt-file-missing", "cert.pem: error"),
     "no permissions": (lambda root: (root / ENCLAVE / "permissions.p7s").unlink(), "adopt-file-missing", "missing"),
     "damaged certificate": (_replace(f"{ENCLAVE}/cert.pem", b"x"), "certificate-invalid", "cert.pem: error"),
+    "empty certificate": (_replace(f"{ENCLAVE}/cert.pem", b""), "certificate-invalid", "cert.pem: error"),
     "another key": (_swap(f"{ENCLAVE}/key.pem", f"{OTHER}/key.pem"), "adopt-key-mismatch", "key.pem: error"),
     "damaged key": (_replace(f"{ENCLAVE}/key.pem", b"-----BEGIN PRIVATE KEY-----\n"), "key-invalid", "key.pem: error"),
     "altered permissions": (_alter(f"{ENCLAVE}/permissions.p7s", b"rt/chatter", b"rt/chattel"), "smime-altered", "p7s"),
@@ -162,6 +163,7 @@ DEFECTS: Mapping[str, tuple[Callable[[Path], object], str, str]] = {
         "grants to 'CN=/robot1/listener', but the certificate is for 'CN=/talker'",
     ),
     "a token": (_replace(f"{ENCLAVE}/key.p11", b"pkcs11:token=x"), "adopt-token", "key.p11: error"),
+    "a certificate in a token": (_replace(f"{ENCLAVE}/cert.p11", b"pkcs11:x"), "adopt-token", "replaces cert.pem in"),
     "text around an authority": (_append("public/ca.cert.pem", b"my CA\n"), "adopt-encoding", "openssl x509"),
 }  # fmt: skip
 
