@@ -7,14 +7,13 @@ from collections.abc import Iterator, Sequence
 
 from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import ProofResult, Unknown, Witness
-from comarmor.patterns.glob import Glob, literal
+from comarmor.patterns.glob import Glob, before, literal
 from comarmor.patterns.matching import matches
 from comarmor.rules import Effect, parts
 from comarmor.values import dataclass
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_lists import (
     allow_only,
-    before_suffix,
     find_permitted,
     matching_rule,
     overlap,
@@ -114,7 +113,7 @@ class _HolderSearch:
             for subjects in (piece for one in rule.reach.subjects for piece in overlap(one, within)):
                 if subjects in reported:
                     continue
-                for shape in before_suffix(rule.object, suffix):
+                for shape in before(rule.object, suffix):
                     answer = self._example(subjects, shape, rule, rules, named)
                     if isinstance(answer, Unknown):
                         unknown.setdefault(subjects, answer.reason)
@@ -153,4 +152,4 @@ class _HolderSearch:
 
 def _without(entries: Sequence[SymbolicEntry], suffix: str) -> Iterator[SymbolicEntry]:
     for entry in entries:
-        yield from (SymbolicEntry(entry.subjects, pattern) for pattern in before_suffix(entry.object, suffix))
+        yield from (SymbolicEntry(entry.subjects, pattern) for pattern in before(entry.object, suffix))
