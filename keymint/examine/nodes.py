@@ -72,7 +72,9 @@ def of_packages(session: Session, policy: LoadedPolicy, names: Iterable[str]) ->
 def of_documents(reader: object, files: KeystoreFiles, enclaves: Sequence[FoundEnclave], distro: str) -> list[Subject]:
     """Return the rules of the signed documents of a keystore; those that no policy can say are left out."""
     found: list[Subject] = []
-    for each in enclaves if isinstance(reader, GrantReader) else ():
+    if not isinstance(reader, GrantReader):
+        return found
+    for each in enclaves:
         with suppress(KeymintError):
             granted = reader.granted(files, each, distro)
             found.append((granted.rules, Origin(granted.file)))

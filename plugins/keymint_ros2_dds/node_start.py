@@ -63,7 +63,7 @@ def check_node(rules: SubjectRules, distro: str) -> Iterator[Diagnostic]:
         yield Diagnostic.note("node-cannot-start", message + ", ".join(missing), None, help_, rules.subject)
     if (server := _read_only(lists)) is not None:
         message = (
-            f"a client of parameters (rclpy, rclcpp, 'ros2 param') cannot start on {release}: it creates clients of all "
+            f"a client of parameters (rclpy, rclcpp, 'ros2 param') cannot start on {release}: it makes clients of all "
             f"six services, and this subject may read parameters, but not set them, e.g. those of {server}"
         )
         allowing = decide(rules, distro, "publish", f"rq{server}/get_parametersRequest", "")
