@@ -10,6 +10,8 @@ from comarmor.errors import Diagnostic
 from comarmor.regex import lazy_regex
 from keymint.graph import Edge, Graph
 
+NAMES_DIFFER = "names-differ"
+"""Code of a note on names that two records have in different forms."""
 GENERATED = (
     ("transform_listener_impl_", "[0-9a-f]+", "the address of a listener of tf2_ros"),
     ("_ros2cli_daemon_[0-9]+_", "[0-9a-f]+", "a number of the daemon of 'ros2'"),
@@ -68,7 +70,7 @@ def differing(one: Graph, other: Graph) -> Iterator[Diagnostic]:
             if earlier is not None and pattern not in told:
                 told.add(pattern)
                 message = f"{earlier} in one record, {name} in another: is a part of this name made at each start?"
-                yield Diagnostic.note("names-differ", message, None, f"then write {pattern} in the policy", rest[0])
+                yield Diagnostic.note(NAMES_DIFFER, message, None, f"then write {pattern} in the policy", rest[0])
 
 
 def _named(edge: Edge) -> tuple[str, str, str, str]:

@@ -23,13 +23,10 @@ from keymint.commands.run import Run
 from keymint.commands.user_files import read_input, show_written, write_outputs
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
-from keymint.generated_names import differing
+from keymint.generated_names import NAMES_DIFFER, differing
 from keymint.graph import Edge, Graph
 from keymint.output.report import Report, findings_if
 from keymint.plan.foreign_policies import foreign_policy
-
-_NOTES = frozenset({"learn-generated", "names-differ"})
-"""Codes of notes that are shown in any case: a person decides."""
 
 
 @verb(workspace=False, dry_run=True)
@@ -112,7 +109,7 @@ def learn(
     }
     differ = (note for pair in pairwise(records) for note in differing(*pair))
     diagnostics = (*learned.conflicts, *learned.unused, *_about_domains(domains, output), *learned.notes, *differ)
-    return run.report(result, diagnostics, findings_if(learned.conflicts), notes=_NOTES)
+    return run.report(result, diagnostics, findings_if(learned.conflicts), notes={"learn-generated", NAMES_DIFFER})
 
 
 def _record(run: Run, path: Path) -> Graph:
