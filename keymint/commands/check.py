@@ -140,10 +140,10 @@ class _Proof:
 def _of_policy(session: Session, names: Sequence[str], *, complete: bool) -> Sequence[Diagnostic]:
     """Return notes on packages whose nodes cannot start, and, if these are all, findings on subjects without one.
 
-    What keeps the policy from being read is a finding as well.
+    If they are all, what keeps the policy from being read is a finding as well.
     """
     try:
         policy = lazy_policy(session)
         return (*(uncreated(session, policy, names) if complete else ()), *of_packages(session, policy, names))
     except KeymintError as error:
-        return error.diagnostics
+        return error.diagnostics if complete else ()
