@@ -8,14 +8,13 @@ from dataclasses import field
 
 from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import ProofResult, Unknown, Witness
-from comarmor.patterns.glob import Glob, literal
+from comarmor.patterns.glob import Glob, before, literal
 from comarmor.patterns.matching import matches
 from comarmor.rules import Effect, parts
 from comarmor.values import dataclass
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_lists import (
     allow_only,
-    before_suffix,
     find_permitted,
     matching_rule,
     overlap,
@@ -120,7 +119,7 @@ class _HolderSearch:
                     continue
                 excluded = [(subject,) for subject in sorted(named) if matches(subjects, subject)]
                 conditions = (*rule.reach.conditions, *self._conditions(rules, subjects))
-                for shape in before_suffix(rule.object, suffix):
+                for shape in before(rule.object, suffix):
                     answer = find_subject(self.kind, subjects, shape, conditions, self._check, excluded, self.budget)
                     if isinstance(answer, Unknown):
                         unknown.setdefault(subjects, answer.reason)
@@ -147,4 +146,4 @@ class _HolderSearch:
 
 def _without(entries: Sequence[SymbolicEntry], suffix: str) -> Iterator[SymbolicEntry]:
     for entry in entries:
-        yield from (SymbolicEntry(entry.subjects, pattern) for pattern in before_suffix(entry.object, suffix))
+        yield from (SymbolicEntry(entry.subjects, pattern) for pattern in before(entry.object, suffix))

@@ -39,6 +39,7 @@ from keymint.api.building import SigningAuthority as SigningAuthority
 from keymint.api.capabilities import CommonNameIdentity as CommonNameIdentity
 from keymint.api.capabilities import InstalledNames as InstalledNames
 from keymint.api.capabilities import NameMapping as NameMapping
+from keymint.api.capabilities import NodeCheck as NodeCheck
 from keymint.api.capabilities import ProcessEnvironment as ProcessEnvironment
 from keymint.api.capabilities import RemoteCompiler as RemoteCompiler
 from keymint.api.capabilities import RevocationReader as RevocationReader

@@ -22,6 +22,7 @@ from keymint.commands.user_files import write_outputs
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.examine.keystore import SHOWN_NOTES, proven_keystore
+from keymint.examine.nodes import NODE_NOTES, of_packages
 from keymint.examine.not_examined import not_examined
 from keymint.examine.rights import RIGHTS_OUTLIVE
 from keymint.executors import Pool
@@ -71,6 +72,7 @@ def check(
 
     Checks certificates, keys, signatures, schemas, dates, file modes, revocation lists, and whether the installed
     documents match the sources; proves that they permit exactly what the policy says, as 'keymint prove' does.
+    Notes subjects whose nodes cannot start with default options.
     docs/verification.md says in one table what each verb reads.
     Exit code 3: there are findings, or you may not read all of private/. NAME is a package [all].
     """
@@ -84,7 +86,7 @@ def check(
             state, found = proof.results(session, with_enclaves(session, chosen, names))
             findings += (each for each in found if (each.code, each.where and each.where.file) not in known)
     unexamined = tuple(not_examined(session))
-    findings += (each for each in (() if names else _uncreated(session, chosen)) if each not in findings)
+    findings += (each for each in _of_policy(session, chosen, complete=not names) if each not in findings)
     shown = folded((*findings, *unexamined))
     if sarif is not None:
         write_outputs(run, sarif, sarif_log("keymint check", {}, of_diagnostics(shown), run.typed))
@@ -101,7 +103,7 @@ def check(
     }
     outlive = strict and any(each.code == RIGHTS_OUTLIVE for each in shown)
     exit_code = findings_if(number or outlive or (unexamined and not without_private))
-    return run.report(result, shown, exit_code, workspace=session.workspace, notes=SHOWN_NOTES)
+    return run.report(result, shown, exit_code, workspace=session.workspace, notes=SHOWN_NOTES | NODE_NOTES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,9 +137,13 @@ class _Proof:
         return proof.results.state, (*found, *merged(dated_of(proof.results)), *proof.outliving)
 
 
-def _uncreated(session: Session, known: Sequence[str]) -> Sequence[Diagnostic]:
-    """Return findings on subjects without a package, or on a policy that cannot be read."""
+def _of_policy(session: Session, names: Sequence[str], *, complete: bool) -> Sequence[Diagnostic]:
+    """Return notes on packages whose nodes cannot start, and, if these are all, findings on subjects without one.
+
+    If they are all, what keeps the policy from being read is a finding as well.
+    """
     try:
-        return uncreated(session, lazy_policy(session), known)
+        policy = lazy_policy(session)
+        return (*(uncreated(session, policy, names) if complete else ()), *of_packages(session, policy, names))
     except KeymintError as error:
-        return error.diagnostics
+        return error.diagnostics if complete else ()

@@ -15,8 +15,8 @@ class DdsSecurity:
     """The build type for DDS Security 1.1 as Cyclone DDS and Fast DDS implement it.
 
     Implements :class:`keymint.api.BuildType`, :class:`keymint.api.NameMapping`, :class:`keymint.api.ActionMapping`,
-    :class:`keymint.api.RuleCheck`, :class:`keymint.api.ForeignDocuments`, :class:`keymint.api.DocumentComparer`,
-    :class:`keymint.api.GrantReader`,
+    :class:`keymint.api.RuleCheck`, :class:`keymint.api.NodeCheck`, :class:`keymint.api.ForeignDocuments`,
+    :class:`keymint.api.DocumentComparer`, :class:`keymint.api.GrantReader`,
     :class:`keymint.api.RevocationReader`, :class:`keymint.api.AuthorityChanges`,
     :class:`keymint.api.RemoteCompiler`, :class:`keymint.api.ProcessEnvironment`,
     :class:`keymint.api.KeystoreReader`, :class:`keymint.api.KeptDocuments`,
@@ -47,6 +47,7 @@ class DdsSecurity:
     check_all = lazy("keymint_ros2_dds.check:check_all")
 
     check_rules = lazy("keymint_ros2_dds.rule_check:check_rules")
+    check_node = lazy("keymint_ros2_dds.node_start:check_node")
     compare = lazy("keymint_ros2_dds.foreign_documents:compare")
     compared = lazy("keymint_ros2_dds.proving.relation:compared")
     granted = lazy("keymint_ros2_dds.keystores.grants:granted")
