@@ -31,8 +31,8 @@ def proof_stage(run: Run, policy: LoadedPolicy, request: InstallRequest) -> Call
         policy: the policy to prove.
         request: what the user asks for.
     """
-    standard_only = request.allow_vendor_specific
-    return partial(ProofStage, policy=policy, effort=effort_of(run), standard_only=standard_only, unsigned=True)
+    effort = effort_of(run, standard_only=request.allow_vendor_specific)
+    return partial(ProofStage, policy=policy, effort=effort, unsigned=True)
 
 
 def proven(

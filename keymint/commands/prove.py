@@ -10,17 +10,18 @@ from typing import Any
 
 import click
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Diagnostic
 from comarmor.text import counted
 from keymint.api import Claim, Counterexample, Proof
 from keymint.changes import Action, Step
 from keymint.commands.options import Number, complete_package, standard_only_option, strict_option
-from keymint.commands.proof_diagnostics import STATES, dated_of, diagnostics_of, effort_of, merged_packages
+from keymint.commands.proof_diagnostics import STATES, effort_of, proof_findings
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.examine.keystore import SHOWN_NOTES, UNKNOWN_HISTORY, KeystoreProof, deciding, proven_keystore, staged
 from keymint.examine.not_examined import has_register, not_examined
+from keymint.output.json import line_json
 from keymint.output.report import Report, findings_exit, findings_if
 from keymint.plan import terms
 from keymint.plan.enclaves import unaccounted
@@ -32,6 +33,7 @@ from keymint.plan.register import with_enclaves
 from keymint.plan.trust_anchors import differences
 from keymint.session import Session
 
+_NOWHERE = {"file": None, "line": None}
 SHOWN = 5
 """Number of unprotected topics in the summary; ``--json`` lists all of them."""
 
@@ -75,26 +77,20 @@ def prove(
         return _without_policy(run, session, chosen, error)
     with run.console.progress(len(chosen), run.setting.monotonic) as advance, run.pool() as pool:
         proven = proven_keystore(
-            session, chosen, policy, effort_of(run, states, seconds),
-            lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), pool, standard_only=allow_vendor_specific,
+            session, chosen, policy, effort_of(run, states, seconds, standard_only=allow_vendor_specific),
+            lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), pool,
         )  # fmt: skip
     results = proven.results
     unknown = () if names else (*unaccounted(session), *uncreated(session, policy, chosen))
     # What a cluster says is a result to show, but nothing that a later run may rely on.
     unrecorded = run.keep(session, results.state) if pool.trusted else ()
 
-    claims = [claim for enclave in results.all for claim in enclave.claims]
     unexamined, with_register = tuple(not_examined(session)), has_register(session)
     _summary(run, results, with_register=with_register)
-    is_proven = all(claim.proof is Proof.PROVEN and not (strict and claim.excepted) for claim in claims)
-    unread = any(enclave.diagnostics for enclave in results.all)
-    dated = tuple(terms.merged(dated_of(results)))
-    found = merged_packages(
-        diagnostics_of(results, strict=strict), lambda name: session.workspace.shown(session.enclave_folder(name))
-    )
     ahead = staged(session)
-    more = tuple(dict.fromkeys((*deciding(session), *(deciding(ahead) if ahead else ()), *proven.outliving)))
-    diagnostics = [*_assumptions(proven), *found, *dated, *more, *unknown, *unrecorded, *unexamined]
+    more = dict.fromkeys((*deciding(session), *(deciding(ahead) if ahead else ())))
+    found = (*proof_findings(session, proven, strict=strict), *more, *unknown)
+    diagnostics = [*_assumptions(proven), *found, *unrecorded, *unexamined]
     result = {
         "at": terms.shown(results.now),
         "until": _shown(_until(results)),
@@ -104,9 +100,7 @@ def prove(
         "enclaves": [_enclave(enclave, results.now, run) for enclave in results.enclaves],
         "shared": [_across(each, results.now, run) for each in results.shared],
     }
-    exit_code = findings_if(
-        unread or dated or findings_exit((*unknown, *more)) or not is_proven or (strict and proven.outliving)
-    )
+    exit_code = findings_if(findings_exit(found) or (strict and proven.outliving))
     return run.report(result, diagnostics, exit_code, workspace=session.workspace, notes=SHOWN_NOTES)
 
 
@@ -200,15 +194,13 @@ def legible(name: str) -> str:
 
 
 def _enclave(enclave: EnclaveProof, now: datetime, run: Run) -> dict[str, Any]:
-    def until(claim: Claim) -> datetime | None:
-        return terms.end(terms.terms_of(enclave.terms, {claim.model}), now)
-
+    until = {each.model: terms.end(terms.terms_of(enclave.terms, {each.model}), now) for each in enclave.claims}
     return {
         "subject": enclave.subject,
         "proof": _whole(enclave),
         "until": _shown(terms.end(enclave.terms, now)),
         "unchanged": enclave.cached,
-        "claims": [_claim(claim, until(claim), run) for claim in enclave.claims],
+        "claims": [_claim(claim, until[claim.model], run) for claim in enclave.claims],
     }
 
 
@@ -249,18 +241,12 @@ def _counterexample(counterexample: Counterexample, run: Run) -> dict[str, Any]:
         "policy": {
             "allowed": counterexample.policy.allowed,
             "reason": str(counterexample.policy.reason),
-            **_place(counterexample.policy.where, run),
+            **(line_json(counterexample.policy.where, run.typed) or _NOWHERE),
         },
         "document": {
             "allowed": counterexample.document.allowed,
             "reason": counterexample.document.reason,
-            **_place(counterexample.document.where, run),
+            **(line_json(counterexample.document.where, run.typed) or _NOWHERE),
             "deviation": counterexample.document.deviation,
         },
     }
-
-
-def _place(where: Origin | None, run: Run) -> Mapping[str, Any]:
-    if where is None:
-        return {"file": None, "line": None}
-    return {"file": run.typed(where.file), "line": where.line or None}

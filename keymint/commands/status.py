@@ -87,7 +87,7 @@ def _outliving(run: Run, session: Session, policy: LoadedPolicy) -> tuple[Diagno
     try:
         if not has_earlier(session):  # then none can permit more than the one in force
             return ()
-        return presented_rights(session, session.state, policy, effort_of(run), standard_only=False).outliving
+        return presented_rights(session, session.state, policy, effort_of(run)).outliving
     except KeymintError:  # a package has defects, which its row shows
         return ()
 

@@ -12,8 +12,9 @@ from keymint import journal
 from keymint.api import LoadedPolicy, Phase
 from keymint.examine.issued import registered
 from keymint.examine.lists import lists_in_force, of_enclaves
-from keymint.examine.rights import RIGHTS_OUTLIVE, presented_rights
+from keymint.examine.rights import presented_rights
 from keymint.executors import Pool
+from keymint.plan.earlier_rights import RIGHTS_OUTLIVE
 from keymint.plan.enclaves import INSTALLED, with_sources
 from keymint.plan.proof_results import ProofEffort, ProofResults
 from keymint.plan.prove import prove
@@ -47,8 +48,6 @@ def proven_keystore(
     effort: ProofEffort,
     on_enclave: Callable[[str], None],
     pool: Pool,
-    *,
-    standard_only: bool = False,
 ) -> KeystoreProof:
     """Prove the claims about the enclaves of some packages, and about all that their certificates may present.
 
@@ -56,20 +55,19 @@ def proven_keystore(
         session: the workspace and its profile.
         names: names of packages.
         policy: the policy that the enclaves are compared with.
-        effort: limits of the search.
+        effort: what to claim, and limits of the search.
         on_enclave: called with each name after its proof.
         pool: where else to prove.
-        standard_only: accept differences between vendors and claim only what the standard says; nothing is recorded.
 
     Raises:
         KeymintError: a package has defects, or the pool is lost.
     """
-    results = prove(session, names, policy, effort, on_enclave, pool, standard_only=standard_only)
-    presented = presented_rights(session, results.state, policy, effort, standard_only=standard_only)
+    results = prove(session, names, policy, effort, on_enclave, pool)
+    presented = presented_rights(session, results.state, policy, effort)
     results = replace(results, shared=(*results.shared, *presented.proofs), state=presented.state)
     if (ahead := staged(session)) is not None:
         ready = tuple(name for name in with_sources(ahead) if name in names)
-        second = prove(ahead, ready, policy, effort, lambda _: None, pool, standard_only=standard_only)
+        second = prove(ahead, ready, policy, effort, lambda _: None, pool)
         results = replace(
             results, enclaves=(*results.enclaves, *second.enclaves), shared=(*results.shared, *second.shared)
         )

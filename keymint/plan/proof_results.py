@@ -24,15 +24,17 @@ _SHOWN = 3
 
 @dataclass(frozen=True, slots=True)
 class ProofEffort:
-    """The limits of the search.
+    """What is claimed, and the limits of the search.
 
     Attributes:
         states: states that one search may visit.
         deadline: called for each enclave; returns a function that tells whether to continue.
+        standard_only: accept differences between vendors and claim only what the standard says; nothing is recorded.
     """
 
     states: int
     deadline: Callable[[], Callable[[], bool]]
+    standard_only: bool = False
 
     @contextmanager
     def limit(self, rules: Iterable[Rule]) -> Iterator[None]:

@@ -53,8 +53,6 @@ def prove(
     effort: ProofEffort,
     on_enclave: Callable[[str], None],
     pool: Pool,
-    *,
-    standard_only: bool,
 ) -> ProofResults:
     """Prove or refute the claims about the enclaves of some packages.
 
@@ -62,15 +60,14 @@ def prove(
         session: the workspace and its profile.
         names: names of packages.
         policy: the policy that the enclaves are compared with.
-        effort: limits of the search.
+        effort: what to claim, and limits of the search.
         on_enclave: called with each name after its proof.
         pool: where else to prove.
-        standard_only: accept differences between vendors and claim only what the standard says; nothing is recorded.
 
     Raises:
         KeymintError: a package has defects, or the pool is lost.
     """
-    stage = ProofStage(session, policy, effort, standard_only=standard_only, unsigned=False)
+    stage = ProofStage(session, policy, effort)
     proven: list[PackageProof] = []
     parts: Iterable[Sequence[str]] = ([name] for name in names)
     results: Iterable[list[PackageProof]] = ([stage.package(name)] for name in names)
@@ -97,20 +94,16 @@ class ProofStage:
     Args:
         session: the workspace and its profile.
         policy: the policy that the enclaves are compared with.
-        effort: limits of the search.
-        standard_only: claim only what the standard says; nothing is recorded.
+        effort: what to claim, and limits of the search.
         unsigned: the documents are about to be signed: messages cite the unsigned ones in the build space.
     """
 
     NAME = STAGE
 
-    def __init__(
-        self, session: Session, policy: LoadedPolicy, effort: ProofEffort, *, standard_only: bool, unsigned: bool
-    ) -> None:
+    def __init__(self, session: Session, policy: LoadedPolicy, effort: ProofEffort, *, unsigned: bool = False) -> None:
         self._session = session
         self._policy = policy
         self._effort = effort
-        self._standard_only = standard_only
         self._unsigned = unsigned
         self._contradictions = authority_evidence.contradictions(session)
         self._policy_digest = policy_digest(policy)
@@ -140,7 +133,7 @@ class ProofStage:
 
     def ask(self, pool: Pool, names: Sequence[str]) -> None:
         """Let other machines prove claims that are not cached; those that they do not prove are decided here."""
-        if self._standard_only:
+        if self._effort.standard_only:
             return
         self._asked = []
         for name in names:
@@ -226,7 +219,7 @@ class ProofStage:
         self, key: str, proof: EnclaveProof, rules: Collection[SubjectRules], stamp: Stamp, folder: str
     ) -> PackageProof:
         """Return a proof with its record if all its claims are proven."""
-        if self._standard_only:
+        if self._effort.standard_only:
             return PackageProof(key, proof, stamp.build_types)
         if proof.diagnostics or any(claim.proof is not Proof.PROVEN for claim in proof.claims):
             return PackageProof(key, proof, stamp.build_types, refuted=True)
@@ -294,7 +287,7 @@ class ProofStage:
                     anchors_of(self._session, package, build_types[name]),
                     self._effort.states,
                     self._effort.deadline(),
-                    self._standard_only,
+                    self._effort.standard_only,
                     self._unsigned,
                     shared_proof.installed_documents(self._session, name),
                     self._shared_folder,
