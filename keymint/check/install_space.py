@@ -7,13 +7,17 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 
 from comarmor.errors import Diagnostic
 from keymint.api import Artifact
-from keymint.check.file_status import modes
+from keymint.check.file_status import as_installed
 from keymint.names import ROOT, subject_of
 from keymint.plan import environment, gitignore
 from keymint.plan.enclaves import enclave_files, files_in, installed
 from keymint.plan.register import withdrawn
 from keymint.plan.shared_files import build_types_in_use, copies_of
 from keymint.session import Session
+from keymint.state import digest
+
+_OTHER_COPY = "differs from the enclaves' content"
+_OTHER_SCRIPT = "differs from what Keymint writes, and shells that source it may use another keystore"
 
 
 def outside_enclaves(session: Session, known: Collection[str]) -> Iterator[Diagnostic]:
@@ -36,54 +40,27 @@ def outside_enclaves(session: Session, known: Collection[str]) -> Iterator[Diagn
     )
     targets = set(map(session.tree.follows, files))
     folders = [path for path, is_folder in entries if is_folder]
+    restores = "'keymint install' restores it"
     empty = [folder for folder in folders if not session.tree.names(folder)]  # an error if one cannot be read
     for path in outside:
         relative = path.removeprefix(f"{workspace.install}/")
         if path in own or path in targets or relative in known or relative == gitignore.NAME:
             continue
-        if relative in own_scripts:
-            yield from _script(session, path, own_scripts[relative])
-        elif relative not in expected:
-            yield Diagnostic.warning(
-                "file-unexpected",
-                "is in the install space, but belongs to no enclave",
-                workspace.origin(path),
-                "remove it",
-            )
+        if relative in own_scripts:  # a workspace that was not installed since they exist has none
+            is_ours = environment.is_ours(session.tree.try_read(path) or b"")
+            help_ = restores if is_ours else "rename it or remove it, and run 'keymint install'"
+            yield from as_installed(session, path, digest(own_scripts[relative]), help_, _OTHER_SCRIPT)
+        elif relative in expected:
+            yield from as_installed(session, path, digest(expected[relative]), restores, _OTHER_COPY)
         else:
-            yield from modes(session, path, 0o644, "")
-            if session.tree.has_file(path) and session.tree.try_read(path) != expected[relative]:
-                yield Diagnostic.error(
-                    "file-changed",
-                    "differs from the enclaves' content",
-                    workspace.origin(path),
-                    "'keymint install' restores it",
-                )
+            message = "is in the install space, but belongs to no enclave"
+            yield Diagnostic.warning("file-unexpected", message, workspace.origin(path), "remove it")
+    for relative in expected:
+        if session.tree.status(workspace.install / relative) is None:
+            yield from as_installed(session, workspace.install / relative, "", restores)
     for folder in empty:
         message = "is an empty folder in the install space that Keymint did not create"
         yield Diagnostic.warning("folder-unexpected", message, workspace.origin(folder), "remove it")
-    for relative in expected:
-        if session.tree.status(workspace.install / relative) is None:
-            yield Diagnostic.error(
-                "file-missing",
-                "is missing",
-                workspace.origin(workspace.install / relative),
-                "'keymint install' restores it",
-            )
-
-
-def _script(session: Session, path: str, expected: bytes) -> Iterator[Diagnostic]:
-    """Yield the findings on a script; a workspace that was not installed since they exist has none."""
-    yield from modes(session, path, 0o644, "")
-    content = session.tree.try_read(path) if session.tree.has_file(path) else None
-    if content is not None and content != expected:
-        is_ours = environment.is_ours(content)
-        yield Diagnostic.error(
-            "file-changed",
-            "differs from what Keymint writes, and shells that source it may use another keystore",
-            session.workspace.origin(path),
-            "'keymint install' restores it" if is_ours else "rename it or remove it, and run 'keymint install'",
-        )
 
 
 def _copies(session: Session, names: Iterable[str], outside: Iterable[str]) -> Mapping[str, bytes]:

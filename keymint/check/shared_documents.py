@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import timedelta
 
 from comarmor.errors import Diagnostic
 from keymint.api import BuildOptions, SharedInspection
-from keymint.changes import file_mode
-from keymint.check.file_status import modes
+from keymint.check.file_status import as_installed
 from keymint.errors import KeymintError
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.build_types import shared_builder
@@ -18,7 +17,7 @@ from keymint.plan.shared_documents import build_shared, load_packages, record_ke
 from keymint.plan.shared_install import installed_shared, shared_roles
 from keymint.plan.shared_proof import enclaves_of
 from keymint.session import Session
-from keymint.state import Stamp, digest
+from keymint.state import Stamp
 
 
 def check_shared(session: Session, within: timedelta) -> tuple[Iterable[Diagnostic], set[str]]:
@@ -43,10 +42,9 @@ def check_shared(session: Session, within: timedelta) -> tuple[Iterable[Diagnost
             files |= set(stamp.outputs if stamp else ())
             continue
         files |= inspection.files.keys()
-        own, builder = list(_on_disk(session, name, inspection, stamp)), shared_builder(session, name)
-        missing = {each.where for each in own if each.code == "file-missing"}
+        builder = shared_builder(session, name)
         found = builder.check_shared(inspection) if builder else ()
-        diagnostics += (*own, *(each for each in found if each.code != "file-missing" or each.where not in missing))
+        diagnostics += (*_on_disk(session, name, inspection, stamp), *found)
     return dict.fromkeys(diagnostics), files
 
 
@@ -74,16 +72,11 @@ def _inspection(session: Session, name: str, within: timedelta) -> SharedInspect
 
 def _on_disk(session: Session, name: str, inspection: SharedInspection, stamp: Stamp | None) -> Iterator[Diagnostic]:
     """Check that the files are there, their modes, and their recorded digests."""
-    install, files = session.workspace.install, inspection.files
-    for path in sorted({*inspection.documents, *(stamp.outputs if stamp else ())} - files.keys()):
-        where, help_ = session.workspace.origin(install / path), "'keymint build' and 'keymint install' write it"
-        yield Diagnostic.error("file-missing", "is missing", where, help_)
-    for path, content in files.items():
-        yield from modes(session, install / path, file_mode(secret=stamp is not None and path in stamp.secret), "")
-        if stamp is not None and stamp.outputs.get(path, digest(content)) != digest(content):
-            where = session.workspace.origin(install / path)
-            message, help_ = "was changed after it was installed", "'keymint install' restores it"
-            yield Diagnostic.error("file-changed", message, where, help_)
-    if stamp is None and files:
+    recorded: Mapping[str, str] = stamp.outputs if stamp else {}
+    for path in sorted({*inspection.documents, *recorded, *inspection.files}):
+        secret = stamp is not None and path in stamp.secret
+        value, help_ = recorded.get(path, ""), "'keymint build' and 'keymint install' write it"
+        yield from as_installed(session, session.workspace.install / path, value, help_, secret=secret)
+    if stamp is None and inspection.files:
         message = f"there is no record of the installed shared documents of {name}"
         yield Diagnostic.note("record-missing", message, None, "'keymint install' makes one")

@@ -114,11 +114,11 @@ def _proven(
         proven = tuple(session.state.stamps.get(STAGE, ()))
         session = replace(session, state=session.state.updated(STAGE, {}, proven))
     try:
-        proof = proven_keystore(session, names, lazy_policy(session), effort, lambda _: None, pool)
+        results = proven_keystore(session, names, lazy_policy(session), effort, lambda _: None, pool)
     except KeymintError as error:
         return session.state, error.diagnostics
-    found = proof_findings(session, proof, strict=strict)
-    return proof.results.state, tuple(each for each in found if each.code != NO_PROVER)
+    found = proof_findings(session, results, strict=strict)
+    return results.state, tuple(each for each in found if each.code != NO_PROVER)
 
 
 def _uncreated(session: Session, known: Sequence[str]) -> Sequence[Diagnostic]:

@@ -10,7 +10,6 @@ from dataclasses import replace
 from comarmor.errors import Diagnostic
 from keymint.api import Claim, Counterexample, Proof
 from keymint.commands.run import Run
-from keymint.examine.keystore import KeystoreProof
 from keymint.names import name_of
 from keymint.plan import terms
 from keymint.plan.proof_results import EnclaveProof, ProofEffort, ProofResults
@@ -47,17 +46,17 @@ def _deadline(clock: Callable[[], float], seconds: float) -> Callable[[], bool]:
     return lambda: clock() < end
 
 
-def proof_findings(session: Session, proof: KeystoreProof, *, strict: bool) -> tuple[Diagnostic, ...]:
+def proof_findings(session: Session, results: ProofResults, *, strict: bool) -> tuple[Diagnostic, ...]:
     """Return what a proof found: open claims, what is not valid now, and earlier rights that are wider.
 
     Args:
         session: the workspace and its profile.
-        proof: the proof.
+        results: the proof.
         strict: exceptions of claims are errors.
     """
-    found = diagnostics_of(proof.results, strict=strict)
+    found = diagnostics_of(results, strict=strict)
     of_packages = merged_packages(found, lambda name: session.workspace.shown(session.enclave_folder(name)))
-    return (*of_packages, *terms.merged(dated_of(proof.results)), *proof.outliving)
+    return (*of_packages, *terms.merged(dated_of(results)), *results.outliving)
 
 
 def dated_of(results: ProofResults) -> Iterator[Diagnostic]:

@@ -19,7 +19,7 @@ from keymint.commands.proof_diagnostics import STATES, effort_of, proof_findings
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
-from keymint.examine.keystore import SHOWN_NOTES, UNKNOWN_HISTORY, KeystoreProof, deciding, proven_keystore, staged
+from keymint.examine.keystore import SHOWN_NOTES, UNKNOWN_HISTORY, deciding, proven_keystore, staged
 from keymint.examine.not_examined import has_register, not_examined
 from keymint.output.json import line_json
 from keymint.output.report import Report, findings_exit, findings_if
@@ -76,11 +76,10 @@ def prove(
     except KeymintError as error:
         return _without_policy(run, session, chosen, error)
     with run.console.progress(len(chosen), run.setting.monotonic) as advance, run.pool() as pool:
-        proven = proven_keystore(
+        results = proven_keystore(
             session, chosen, policy, effort_of(run, states, seconds, standard_only=allow_vendor_specific),
             lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), pool,
         )  # fmt: skip
-    results = proven.results
     unknown = () if names else (*unaccounted(session), *uncreated(session, policy, chosen))
     # What a cluster says is a result to show, but nothing that a later run may rely on.
     unrecorded = run.keep(session, results.state) if pool.trusted else ()
@@ -89,8 +88,8 @@ def prove(
     _summary(run, results, with_register=with_register)
     ahead = staged(session)
     more = dict.fromkeys((*deciding(session), *(deciding(ahead) if ahead else ())))
-    found = (*proof_findings(session, proven, strict=strict), *more, *unknown)
-    diagnostics = [*_assumptions(proven), *found, *unrecorded, *unexamined]
+    found = (*proof_findings(session, results, strict=strict), *more, *unknown)
+    diagnostics = [*_assumptions(results), *found, *unrecorded, *unexamined]
     result = {
         "at": terms.shown(results.now),
         "until": _shown(_until(results)),
@@ -100,7 +99,7 @@ def prove(
         "enclaves": [_enclave(enclave, results.now, run) for enclave in results.enclaves],
         "shared": [_across(each, results.now, run) for each in results.shared],
     }
-    exit_code = findings_if(findings_exit(found) or (strict and proven.outliving))
+    exit_code = findings_if(findings_exit(found) or (strict and results.outliving))
     return run.report(result, diagnostics, exit_code, workspace=session.workspace, notes=SHOWN_NOTES)
 
 
@@ -176,12 +175,12 @@ def _taken(results: ProofResults) -> Mapping[str, Sequence[str]]:
     return {model: lines for model, lines in results.assumptions.items() if model in claimed or not claimed}
 
 
-def _assumptions(proven: KeystoreProof) -> Iterator[Diagnostic]:
+def _assumptions(results: ProofResults) -> Iterator[Diagnostic]:
     """Yield each assumption once, with the models that make it."""
     lines: dict[str, list[str]] = {}
-    if not proven.is_whole:
+    if not results.is_whole:
         yield Diagnostic.note("assumption", f"assumption: {UNKNOWN_HISTORY}")
-    for model, assumed in _taken(proven.results).items():
+    for model, assumed in _taken(results).items():
         for line in assumed:
             lines.setdefault(line, []).append(model)
     for line, models in lines.items():

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from comarmor.errors import Diagnostic
-from comarmor.values import dataclass
 from keymint import journal
 from keymint.api import LoadedPolicy, Phase
 from keymint.examine.issued import registered
@@ -26,21 +25,6 @@ SHOWN_NOTES = frozenset({RIGHTS_OUTLIVE, "authority-key-missing", "not-examined"
 UNKNOWN_HISTORY = "nothing wider was signed before the register began to keep signed documents"
 
 
-@dataclass(frozen=True, slots=True)
-class KeystoreProof:
-    """What is proven about a keystore.
-
-    Attributes:
-        results: the claims about each enclave, about what subjects share, and about all certificates and documents.
-        outliving: a note for each earlier document that permits more than the policy and was not accepted.
-        is_whole: all documents that were ever signed are known.
-    """
-
-    results: ProofResults
-    outliving: tuple[Diagnostic, ...]
-    is_whole: bool
-
-
 def proven_keystore(
     session: Session,
     names: Sequence[str],
@@ -48,7 +32,7 @@ def proven_keystore(
     effort: ProofEffort,
     on_enclave: Callable[[str], None],
     pool: Pool,
-) -> KeystoreProof:
+) -> ProofResults:
     """Prove the claims about the enclaves of some packages, and about all that their certificates may present.
 
     Args:
@@ -64,14 +48,13 @@ def proven_keystore(
     """
     results = prove(session, names, policy, effort, on_enclave, pool)
     presented = presented_rights(session, results.state, policy, effort)
-    results = replace(results, shared=(*results.shared, *presented.proofs), state=presented.state)
+    shared, enclaves = (*results.shared, *presented.shared), results.enclaves
     if (ahead := staged(session)) is not None:
         ready = tuple(name for name in with_sources(ahead) if name in names)
         second = prove(ahead, ready, policy, effort, lambda _: None, pool)
-        results = replace(
-            results, enclaves=(*results.enclaves, *second.enclaves), shared=(*results.shared, *second.shared)
-        )
-    return KeystoreProof(results, presented.outliving, presented.is_whole)
+        enclaves, shared = (*enclaves, *second.enclaves), (*shared, *second.shared)
+    known = replace(presented, assumptions=results.assumptions, standards=results.standards)
+    return replace(known, enclaves=enclaves, shared=shared)
 
 
 def deciding(session: Session) -> Iterator[Diagnostic]:

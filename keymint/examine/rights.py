@@ -37,12 +37,13 @@ from keymint.names import ROOT, package_name, subject_of
 from keymint.pki import certificates, distinguished_names, smime
 from keymint.pki.distinguished_names import to_text
 from keymint.pki.mime import SignedDocument
-from keymint.plan import authority_files, earlier_rights
+from keymint.plan import authority_files, earlier_rights, hardening
 from keymint.plan.authority_files import chains_digest
 from keymint.plan.build import is_current
-from keymint.plan.build_types import build_types_of, inputs_digest
+from keymint.plan.build_types import inputs_digest
+from keymint.plan.enclaves import installed_certificate
 from keymint.plan.proof_record import dump_claims, load_claims
-from keymint.plan.proof_results import EnclaveProof, ProofEffort
+from keymint.plan.proof_results import EnclaveProof, ProofEffort, ProofResults
 from keymint.plan.prove import STAGE, policy_digest
 from keymint.plan.register import issuer_of, register_of
 from keymint.plan.shared_documents import FOLDER
@@ -58,23 +59,6 @@ _ACTION = "use of any signed document"
 
 
 @dataclass(frozen=True, slots=True)
-class PresentedRights:
-    """The claims that no certificate in force permits more than the policy, by any signed document.
-
-    Attributes:
-        proofs: the claims of each build type.
-        outliving: a note for each earlier document that permits more than the policy and was not accepted.
-        is_whole: all documents that were ever signed are known.
-        state: the record to keep: what is proven is not proven again until something changes.
-    """
-
-    proofs: tuple[EnclaveProof, ...]
-    outliving: tuple[Diagnostic, ...]
-    is_whole: bool
-    state: State
-
-
-@dataclass(frozen=True, slots=True)
 class _Outliving:
     """An earlier document of a package that permits somebody more than the policy: in words, and until when."""
 
@@ -87,7 +71,7 @@ class _Outliving:
 _Answer = tuple[tuple[Claim, ...], tuple[_Outliving, ...]]
 
 
-def presented_rights(session: Session, state: State, policy: LoadedPolicy, effort: ProofEffort) -> PresentedRights:
+def presented_rights(session: Session, state: State, policy: LoadedPolicy, effort: ProofEffort) -> ProofResults:
     """Return the claims about all certificates in force and all signed documents of a workspace.
 
     Args:
@@ -113,7 +97,7 @@ def presented_rights(session: Session, state: State, policy: LoadedPolicy, effor
                 outliving.setdefault(each.name, note)
         proofs.append(EnclaveProof("", claims, build_type=name))
     is_whole = not proofs or (has_register(session) and register_of(session).is_whole)
-    return PresentedRights(tuple(proofs), tuple(outliving.values()), is_whole, state)
+    return ProofResults((), tuple(proofs), state, {}, frozenset(), session.now, tuple(outliving.values()), is_whole)
 
 
 def has_earlier(session: Session) -> bool:
@@ -181,7 +165,7 @@ class _Question:
                 excess = earlier_rights.excess_of(subject, found.counterexample, found.reason)
                 outliving.append(_Outliving(known.name, subject, excess, each.until))
         failed = {claim.model for claim in claims}
-        excepted = dict.fromkeys(build_type.trusting_any_signer(), tuple(_signers(session, self.packages, files)))
+        excepted = dict.fromkeys(build_type.trusting_any_signer(), tuple(_signers(session, self.packages)))
         universe = _universe(holders, documents)
         claims += (
             Claim(each, _ACTION, (), universe, Proof.PROVEN, excepted=excepted.get(each, ()))
@@ -257,14 +241,6 @@ def _files(session: Session) -> Mapping[str, bytes]:
     return found
 
 
-def _authorities(session: Session) -> tuple[x509.Certificate, ...]:
-    """Return the certificates of all authorities, also of those that take the place of another one."""
-    found = [certificate for _, _, certificate in authority_files.issuers(session)]
-    rollovers = (each.issuance.rollover for each in session.profile.authorities)
-    found += (certificates.load(each.certificate) for each in rollovers if each)
-    return tuple(dict.fromkeys(found))
-
-
 def _documents(
     session: Session, presented: str, packages: Mapping[str, Package], found: Mapping[str, bytes]
 ) -> Iterator[PresentableDocument]:
@@ -272,7 +248,7 @@ def _documents(
 
     That in the enclave of a package, beside a certificate for the package's name, is verified and proven with it.
     """
-    signers = [certificates.to_pem(each) for each in _authorities(session)]
+    signers = [certificates.to_pem(each) for each in authority_files.trusted(session)]
     workspace, in_place = session.workspace, session.enclaves.relative_to(session.workspace.install)
     places = (workspace.install / in_place, workspace.next_install / in_place)
     owners = {
@@ -323,7 +299,7 @@ def _holders(
     """Yield the certificates in force: those among some files, and those of the register that are not here."""
     register, now = register_of(session), session.now
     ends: dict[str, datetime] = {}
-    issuers = [(issuer_of(each), each) for each in _authorities(session)]
+    issuers = [(issuer_of(each), each) for each in authority_files.trusted(session)]
     seen: set[tuple[str, int]] = set()
     for certificate in _certificates(found.values()):
         issuer = next((key for key, each in issuers if _is_issued(certificate, each)), None)
@@ -385,16 +361,12 @@ def _is_issued(certificate: x509.Certificate, authority: x509.Certificate) -> bo
     return certificate != authority and certificates.is_issued_by(certificate, authority)
 
 
-def _signers(session: Session, packages: Mapping[str, Package], found: Mapping[str, bytes]) -> Iterator[str]:
-    """Yield an exception for each authority whose identities can sign documents as older releases verify them."""
-    for package in packages.values():
-        roles = [role for each in build_types_of(session, package).values() for role in each.authorities(package)]
-        if package.identity.issuer not in {role.name for role in roles if role.signs}:
-            continue
-        path = f"{session.enclave_folder(package.name)}/cert.pem"
-        own = list(_certificates([found.get(path, b"")]))
-        if own and certificates.can_sign_documents(own[0]) is None:
-            name = package.identity.issuer
+def _signers(session: Session, packages: Iterable[str]) -> Iterator[str]:
+    """Yield an exception if there are identities that can sign documents as older releases verify them."""
+    both = hardening.signing_issuers(session)
+    for package in map(session.package, packages if both else ()):
+        own, name = installed_certificate(session, package.name), package.identity.issuer
+        if name in both and own and certificates.can_sign_documents(own) is None:
             yield (
                 f"holders sign their own permissions: the authority {name!r} issues identities and signs documents, "
                 "and releases before CVE-2023-24010 was mended accept what an identity signs; 'keymint harden' has "

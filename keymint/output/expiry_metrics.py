@@ -21,9 +21,7 @@ def gauges(session: Session, rows: Sequence[PackageRow]) -> tuple[Gauge, ...]:
         rows: the status of its packages.
     """
     terms = [row.terms for row in rows if row.terms is not None]
-    lists: dict[str, datetime] = {
-        term.authority: term.last for each in terms for term in each.terms if term.what == LIST
-    }
+    lists: dict[str, datetime] = {term.issuer: term.last for each in terms for term in each.terms if term.what == LIST}
     due = authority_renewals(session, terms)
 
     def of_enclaves(what: str) -> list[tuple[dict[str, str], datetime]]:

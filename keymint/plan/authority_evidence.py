@@ -8,11 +8,13 @@ more than one certificate, nothing that rests on it is claimed. Enclaves are no 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 
-from comarmor.errors import Diagnostic
+from comarmor.errors import Defects, Diagnostic
 from keymint.errors import KeymintError
 from keymint.pki import certificates
+from keymint.pki.keys import PublicKey
 from keymint.plan import authority_files
 from keymint.plan.authority_files import AuthorityFiles
 from keymint.session import Inputs, Session, once
@@ -30,7 +32,7 @@ def contradictions(session: Session) -> Contradictions:
     by_authority: dict[str, tuple[Diagnostic, ...]] = {}
     for authority in authority_files.in_order(session.profile.authorities):
         files = authority_files.read_files(session, authority, deployed=False)
-        own = () if files.content is None else tuple(_against(session, files, files.content))
+        own = () if files.content is None else against(files, _key(session, files))
         if all_ := (*own, *by_authority.get(authority.certificate.issuer, ())):
             by_authority[authority.name] = all_
     return by_authority
@@ -41,47 +43,39 @@ def contradictions_for(contradictions: Contradictions, issuers: Iterable[str]) -
     return tuple(dict.fromkeys(each for issuer in issuers for each in contradictions.get(issuer, ())))
 
 
-def _against(inputs: Inputs, files: AuthorityFiles, content: bytes) -> Iterator[Diagnostic]:
-    where = files.certificate_file
-    try:
+def against(files: AuthorityFiles, key: PublicKey | None) -> tuple[Diagnostic, ...]:
+    """Return what contradicts the certificate of an authority: its form, its key, its name, and what is recorded.
+
+    Args:
+        files: the files of the authority, of which the certificate is there.
+        key: the public key of its private key; None if that is not known.
+    """
+    content, where, adopted = files.content or b"", files.certificate_file, files.authority.certificate.adopted
+    defects = Defects()
+    with defects:
         # Transports differ in what they read of a file with several blocks: some trust each certificate in it.
         certificates.load(content, where)
         public = certificates.public_key(certificates.load_first(content, where), where)
+        with defects:
+            if key is not None:
+                authority_files.require_fit(files, key)
         authority_files.require_name(files)
-        _require_adopted(files, content)
-        _require_key(inputs, files)
-        authority_files.require_known(files, public)
-    except KeymintError as error:
-        yield from error.diagnostics
+        if adopted and content != adopted:
+            raise KeymintError(
+                f"is not the certificate that was imported for the authority {files.name!r}",
+                where=where,
+                help="'keymint install' restores it; 'keymint authority import' takes another one",
+                code="authority-drift",
+            )
+        if not defects.found:
+            authority_files.require_known(files, public)
+    return tuple(defects.found)
 
 
-def _require_adopted(files: AuthorityFiles, content: bytes) -> None:
-    """Require that the certificate is the one that the profile adopts, if it adopts one.
-
-    Raises:
-        KeymintError: it is not.
-    """
-    adopted = files.authority.certificate.adopted
-    if adopted and content != adopted:
-        raise KeymintError(
-            f"is not the certificate that was imported for the authority {files.name!r}",
-            where=files.certificate_file,
-            help="'keymint install' restores it; 'keymint authority import' takes another one",
-            code="authority-drift",
-        )
-
-
-def _require_key(inputs: Inputs, files: AuthorityFiles) -> None:
-    """Require that the private key matches the certificate; a key that cannot be read is no evidence.
-
-    Raises:
-        KeymintError: it does not match.
-    """
-    if files.authority.certificate.key.uri:
-        return
-    try:
-        stored = authority_files.stored_key(inputs, files.authority, files.name)
-    except KeymintError:
-        return
-    if stored:
-        authority_files.require_fit(files, stored[1].public_key())
+def _key(inputs: Inputs, files: AuthorityFiles) -> PublicKey | None:
+    """Return the public key of the stored private key of an authority; one that cannot be read is no evidence."""
+    if not files.authority.certificate.key.uri:
+        with suppress(KeymintError):
+            stored = authority_files.stored_key(inputs, files.authority, files.name)
+            return stored[1].public_key() if stored else None
+    return None

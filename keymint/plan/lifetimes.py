@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lifetimes of grants and certificates in the sources, and warnings where they are not in force.
+"""Terms of grants and certificates in the sources, and warnings where they are not in force.
 
 A grant permits nothing outside its validity, or after its authority's certificate expired; a certificate ends at the
 latest with its issuer's. Build and install work anyway, and warn at each run, not only at the first.
@@ -11,30 +11,33 @@ import json
 import os.path
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from functools import lru_cache
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.values import dataclass
-from keymint.api import Authority, Package, Validity
+from keymint.api import Authority, Package, Validity, ValidityTerm
 from keymint.names import subject_of
 from keymint.plan.authority_files import with_issuers
-from keymint.plan.terms import LATER, how_to_renew, shown
+from keymint.plan.terms import findings as findings_of
+from keymint.plan.terms import shown
+from keymint.plan.threshold import Threshold
 from keymint.session import Session
 from keymint.state import Stamp
 from keymint.workspace import Workspace
 
 
 @dataclass(frozen=True, slots=True)
-class Lifetime:
-    """When a package's grant or certificate is in force.
+class Term:
+    """When one document of an enclave is in force.
 
     Attributes:
-        what: ``grant`` or ``certificate``.
-        first: the first moment.
-        last: the last one.
-        where: where the validity is written, as the user would type it.
+        what: ``certificate``, ``grant``, ``authority`` or ``revocation list``.
+        first: its first moment, UTC.
+        last: the last moment in which it is in force, UTC.
+        where: where its validity is written, as the user would type it.
         issuer: name of the authority that signs it.
+        is_cut: it ends with its authority, so that nothing is gained before that is renewed.
     """
 
     what: str
@@ -42,20 +45,34 @@ class Lifetime:
     last: datetime
     where: Origin
     issuer: str
+    is_cut: bool = False
+
+    @property
+    def length(self) -> timedelta:
+        """The time from begin to end."""
+        return self.last - self.first
+
+    def renew_after(self, threshold: Threshold) -> datetime:
+        """Return from when on it is due."""
+        return threshold.moment(self.first, self.last)
+
+    def until(self, end: datetime | None) -> Term:
+        """Return it as it is in force if its authority ends then, UTC; None: that is not known."""
+        return self if end is None else replace(self, last=min(self.last, end), is_cut=self.last >= end)
 
 
-def lifetimes(package: Package) -> tuple[Lifetime, ...]:
+def lifetimes(package: Package) -> tuple[Term, ...]:
     """Return the lifetimes of a package's grant, if it has dates, and of its certificate."""
     grant, identity = package.grant, package.identity
     of_grant = (_lifetime("grant", grant.validity, grant.issuer, grant.origin),) if grant.validity else ()
     return (*of_grant, _lifetime("certificate", identity.validity, identity.issuer, identity.origin))
 
 
-def _lifetime(what: str, validity: Validity, issuer: str, origin: Origin) -> Lifetime:
-    return Lifetime(what, validity.not_before, validity.not_after, validity.origin or origin, issuer)
+def _lifetime(what: str, validity: Validity, issuer: str, origin: Origin) -> Term:
+    return Term(what, validity.not_before, validity.not_after, validity.origin or origin, issuer)
 
 
-def recalled(session: Session, name: str, stamp: Stamp | None) -> tuple[Lifetime, ...]:
+def recalled(session: Session, name: str, stamp: Stamp | None) -> tuple[Term, ...]:
     """Return the lifetimes of a package whose sources did not change, from the record or else from the package.
 
     Raises:
@@ -65,7 +82,7 @@ def recalled(session: Session, name: str, stamp: Stamp | None) -> tuple[Lifetime
     return lifetimes(session.package(name)) if recorded is None else recorded
 
 
-def findings(by_package: Mapping[str, Iterable[Lifetime]], session: Session) -> tuple[Diagnostic, ...]:
+def findings(by_package: Mapping[str, Iterable[Term]], session: Session) -> tuple[Diagnostic, ...]:
     """Return a warning for each lifetime that is not in force now, or that outlasts its authority.
 
     Args:
@@ -87,33 +104,26 @@ def findings(by_package: Mapping[str, Iterable[Lifetime]], session: Session) -> 
     return tuple(dict.fromkeys(warnings))
 
 
-def _of(each: Lifetime, authorities: Mapping[str, Authority], now: datetime, what: str = "") -> Iterator[Diagnostic]:
+def _of(each: Term, authorities: Mapping[str, Authority], now: datetime, what: str = "") -> Iterator[Diagnostic]:
     what = what or each.what
-
-    def warning(code: str, message: str, help_: str) -> Diagnostic:
-        return Diagnostic.warning(f"{each.what}-{code}", message, each.where, help_)
-
-    if now > each.last:
-        message = f"the {what} expired on {shown(each.last)}: nothing is permitted now"
-        yield warning("expired", message, how_to_renew(each.what))
-    elif now < each.first:
-        message = f"the {what} is not valid before {shown(each.first)}: nothing is permitted now"
-        yield warning("not-yet-valid", message, LATER)
+    term = ValidityTerm(each.what, f"the {what}", each.where, ((each.first, each.last),))
+    yield from (replace(found, severity=Severity.WARNING) for found in findings_of([term], now))
     authority = authorities.get(each.issuer)
     if authority is not None and each.last > authority.certificate.validity.not_after:
         end = authority.certificate.validity
         place = end.origin or authority.certificate.origin
-        yield warning(
-            "outlives-authority",
+        yield Diagnostic.warning(
+            f"{each.what}-outlives-authority",
             f"the {what} lasts until {shown(each.last)}, longer than its authority {each.issuer!r}, which ends on "
             f"{shown(end.not_after)} ({place}): nothing is permitted after that",
+            each.where,
             "let it end with its authority, or extend the authority",
         )
 
 
 # The lifetimes of most packages are those of the profile.
 @lru_cache(maxsize=64)
-def dump(lifetimes: tuple[Lifetime, ...], workspace: Workspace) -> str:
+def dump(lifetimes: tuple[Term, ...], workspace: Workspace) -> str:
     """Return lifetimes as text, for the record: places are relative to the workspace."""
     rows = []
     for each in lifetimes:
@@ -123,11 +133,11 @@ def dump(lifetimes: tuple[Lifetime, ...], workspace: Workspace) -> str:
 
 
 @lru_cache(maxsize=256)
-def _load(text: str, workspace: Workspace) -> tuple[Lifetime, ...] | None:
+def _load(text: str, workspace: Workspace) -> tuple[Term, ...] | None:
     """Return the lifetimes of :func:`dump`, or None if the text was not written by it."""
     try:
         return tuple(
-            Lifetime(
+            Term(
                 str(what),
                 datetime.fromisoformat(first),
                 datetime.fromisoformat(last),

@@ -105,15 +105,17 @@ class PackageProof:
 
 @dataclass(frozen=True, slots=True)
 class ProofResults:
-    """The results for all enclaves.
+    """What is proven about a keystore.
 
     Attributes:
         enclaves: the result for each.
-        shared: the results across subjects, for each build type that has some.
+        shared: the results across subjects, for each build type that has some, and about all that may be presented.
         state: the record to keep.
         assumptions: assumptions of the claims, by model.
         standards: the models that are no vendor's: those that each prover names first.
         now: the time at which the claims are judged, UTC.
+        outliving: a note for each earlier document that permits more than the policy and was not accepted.
+        is_whole: all documents that were ever signed are known.
     """
 
     enclaves: tuple[EnclaveProof, ...]
@@ -122,6 +124,8 @@ class ProofResults:
     assumptions: Mapping[str, Sequence[str]]
     standards: frozenset[str]
     now: datetime
+    outliving: tuple[Diagnostic, ...] = ()
+    is_whole: bool = True
 
     @property
     def all(self) -> tuple[EnclaveProof, ...]:

@@ -31,11 +31,11 @@ from keymint.ir import SubjectRules
 from keymint.names import name_of, subject_of
 from keymint.plan import authority_evidence, proof_record, shared_proof, terms
 from keymint.plan.authority_files import chains_digest
-from keymint.plan.build_types import build_types_of, inputs_digest, issuers_of, prover_of, suffixes_read
-from keymint.plan.enclaves import INSTALLED, enclave_digests, enclave_files, not_installed
+from keymint.plan.build_types import build_types_of, inputs_digest, issuers_of, prover_of
+from keymint.plan.enclaves import enclave_digests, enclave_files, not_installed
 from keymint.plan.proof_results import EnclaveProof, PackageProof, ProofEffort, ProofResults, costliest
 from keymint.plan.shared_documents import load_packages, record_key, shared_folder, users
-from keymint.plan.trust_anchors import anchors_of, shared_anchors
+from keymint.plan.trust_anchors import anchors_of, shared_anchors, unread_of
 from keymint.session import Session
 from keymint.state import Stamp, digest
 
@@ -152,7 +152,7 @@ class ProofStage:
         files: Mapping[str, bytes] | None = None
         if digests is None:
             files, unread = enclave_files(session, name)
-            if defects := self._of_enclave(name, unread):
+            if defects := unread_of(session, session.package(name), unread):
                 return PackageProof(name, EnclaveProof(subject_of(name), diagnostics=defects), refuted=True)
             digests = {file: digest(content) for file, content in files.items()}
         if self._contradictions and (
@@ -225,17 +225,6 @@ class ProofStage:
             return PackageProof(key, proof, stamp.build_types, refuted=True)
         stamp = replace(stamp, outputs=proof_record.dump(proof.claims, proof.terms, rules, folder))
         return PackageProof(key, proof, stamp.build_types, self._of_policy(stamp, [each.subject for each in rules]))
-
-    def _of_enclave(self, name: str, unread: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
-        """Return the diagnostics of unreadable files that belong to the enclave, by the record or by their names."""
-        suffixes = suffixes_read(self._session, self._session.package(name))
-        stamp = self._session.state.stamp(INSTALLED, name)
-        files = [each.where.file.rpartition("/")[2] if each.where else "" for each in unread]
-        return tuple(
-            each
-            for each, file in zip(unread, files, strict=True)
-            if stamp is None or file in {*stamp.outputs, ""} or file.endswith(suffixes)
-        )
 
     def _same_rules(self, stamp: Stamp, subjects: Iterable[str]) -> bool:
         """Tell whether the policy has the same rules for some subjects as when the stamp was made."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 from comarmor.errors import Diagnostic
 from keymint.api import ValidityTerm
@@ -15,13 +15,7 @@ _HELP_BY_CODE = {
     "authority": "'keymint authority renew' issues it again for the same key",
     "revocation-list": "'keymint crl --refresh' issues it again",
 }
-LATER = "compare the clock of this machine, or let it begin earlier"
-"""How to mend what is not valid yet."""
-
-
-def how_to_renew(what: str) -> str:
-    """Return how to mend what expired: an ``authority``, a ``revocation-list``, or a document of an enclave."""
-    return _HELP_BY_CODE.get(what, _HELP)
+_LATER = "compare the clock of this machine, or let it begin earlier"
 
 
 def shown(moment: datetime) -> str:
@@ -48,10 +42,16 @@ def end(terms: Sequence[ValidityTerm], now: datetime) -> datetime | None:
     return min(known) if known and len(known) == len(ends) else None
 
 
-def findings(terms: Sequence[ValidityTerm], now: datetime, subject: str) -> Iterator[Diagnostic]:
-    """Yield an error for each term that is not in force now."""
+def findings(
+    terms: Iterable[ValidityTerm], now: datetime, subject: str = "", within: timedelta = timedelta(0)
+) -> Iterator[Diagnostic]:
+    """Yield an error for each term that is not in force now, and a warning for each that expires within some time."""
     for term in terms:
-        if any(first <= now <= last for first, last in term.periods):
+        renew = _HELP_BY_CODE.get(term.code, _HELP)
+        if last := end([term], now):
+            if last < now + within:
+                message = f"{term.what} expires on {shown(last)}"
+                yield Diagnostic.warning(f"{term.code}-expires", message, term.where, renew, subject)
             continue
         later = next((first for first, _ in term.periods if first > now), None)
         reading = f", as {', '.join(term.models)} read{'s' * (len(term.models) == 1)} its dates" if term.models else ""
@@ -62,7 +62,7 @@ def findings(terms: Sequence[ValidityTerm], now: datetime, subject: str) -> Iter
         else:
             code, message = "never-valid", "is never valid"
         text = f"{term.what} {message}{reading}; now is {shown(now)}, and nothing is permitted"
-        help_ = LATER if later is not None else how_to_renew(term.code)
+        help_ = _LATER if later is not None else renew
         yield Diagnostic.error(f"{term.code}-{code}", text, term.where, help_, subject)
 
 

@@ -12,7 +12,7 @@ from keymint.plan import authority_evidence
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.build import is_current
 from keymint.plan.build_types import build_types_of, issuers_of, prover_of, suffixes_read
-from keymint.plan.enclaves import enclave_files
+from keymint.plan.enclaves import INSTALLED, enclave_files
 from keymint.plan.shared_install import shared_roles
 from keymint.plan.shared_proof import installed_documents
 from keymint.session import Session, once
@@ -56,6 +56,14 @@ def _anchor(session: Session, names: tuple[str, ...]) -> TrustAnchor:
     return TrustAnchor(", ".join(names), files, b"".join(dict.fromkeys(chains.get(name, b"") for name in names)))
 
 
+def unread_of(session: Session, package: Package, unread: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
+    """Return the findings on unreadable files that belong to an enclave, by the record or by their names."""
+    suffixes, stamp = suffixes_read(session, package), session.state.stamp(INSTALLED, package.name)
+    named = ((each.where.file.rpartition("/")[2] if each.where else "", each) for each in unread)
+    own = {*stamp.outputs, ""} if stamp else {""}
+    return tuple(each for file, each in named if file in own or file.endswith(suffixes))
+
+
 def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...]:
     """Return the findings on enclaves that do not rest on the workspace's authorities.
 
@@ -71,8 +79,7 @@ def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...
         if not (files or unread):
             continue
         package = session.package(name, built=is_current(session, name))
-        suffixes = suffixes_read(session, package)
-        findings += (each for each in unread if each.where is not None and each.where.file.endswith(suffixes))
+        findings += unread_of(session, package, unread)
         if not files:
             continue
         issuers = issuers_of(session, package)

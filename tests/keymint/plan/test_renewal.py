@@ -10,13 +10,14 @@ from typing import Any
 
 import pytest
 
+from comarmor.errors import Origin
 from keymint.api import Issuance
+from keymint.plan.lifetimes import Term
 from keymint.plan.renewal import (
     CERTIFICATE,
     LIST,
     PERMISSIONS,
     EnclaveTerms,
-    Term,
     authority_ends,
     authority_renewals,
     enclave_terms,
@@ -35,7 +36,7 @@ END = CLOCK + 3650 * DAY
 
 def term(what: str = CERTIFICATE, first: int = 0, last: int = 90, authority: str = "ca", *, cut: bool = False) -> Term:
     """A document that begins and ends some days after the clock."""
-    return Term(what, CLOCK + first * DAY, CLOCK + last * DAY, authority, cut)
+    return Term(what, CLOCK + first * DAY, CLOCK + last * DAY, Origin("profile"), authority, cut)
 
 
 def planning(days: float = 0, end: datetime = END, issuer: str = "") -> Any:
