@@ -54,9 +54,9 @@ def proof_findings(session: Session, results: ProofResults, *, strict: bool) -> 
         results: the proof.
         strict: exceptions of claims are errors.
     """
-    found = diagnostics_of(results, strict=strict)
+    found = (*diagnostics_of(results, strict=strict), *dated_of(results))
     of_packages = merged_packages(found, lambda name: session.workspace.shown(session.enclave_folder(name)))
-    return (*of_packages, *terms.merged(dated_of(results)), *results.outliving)
+    return (*of_packages, *results.outliving)
 
 
 def dated_of(results: ProofResults) -> Iterator[Diagnostic]:

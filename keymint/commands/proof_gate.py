@@ -19,7 +19,6 @@ from keymint.plan.built_documents import HAND_EDITED
 from keymint.plan.proof_results import EnclaveProof
 from keymint.plan.prove import NO_PROVER, ProofStage
 from keymint.plan.shared_proof import affected
-from keymint.plan.terms import merged
 from keymint.session import Session
 
 
@@ -71,18 +70,20 @@ def proven(
         if diagnostic.code != NO_PROVER
         and not (diagnostic.subject in of_vendors and _goes_on(session, diagnostic.subject))
     ]
+
+    def shown(name: str) -> str:
+        return session.workspace.shown(session.workspace.build / name)
+
     if refused:
         edits = _refused_edits(session, plan, {each.subject for each in refused})
         by_edit = {each.where for each in edits}
         # Other warnings of the plan often name the cause, e.g. a changed policy.
         warnings = [each for each in plan.diagnostics if each.code != HAND_EDITED or each.where not in by_edit]
-        build = session.workspace.build
-        once = merged_packages(refused, lambda name: session.workspace.shown(build / name))
-        raise KeymintError.of([*warnings, *edits, *once], ExitCode.FINDINGS)
+        raise KeymintError.of([*warnings, *edits, *merged_packages(refused, shown)], ExitCode.FINDINGS)
     # Validity does not stop an installation: a certificate may become valid tomorrow.
     known = {(each.code, subject) for each in plan.diagnostics for subject in (each.subject, "")}
     validity = [each for each in dated_of(results) if (each.code, _subject_of(each)) not in known]
-    warnings = [replace(each, severity=Severity.WARNING) for each in (*diagnostics, *merged(validity))]
+    warnings = [replace(each, severity=Severity.WARNING) for each in (*diagnostics, *merged_packages(validity, shown))]
     return replace(plan, state=results.state).noting(*warnings)
 
 

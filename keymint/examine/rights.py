@@ -165,7 +165,7 @@ class _Question:
                 excess = earlier_rights.excess_of(subject, found.counterexample, found.reason)
                 outliving.append(_Outliving(known.name, subject, excess, each.until))
         failed = {claim.model for claim in claims}
-        excepted = dict.fromkeys(build_type.trusting_any_signer(), tuple(_signers(session, self.packages)))
+        excepted = dict.fromkeys(build_type.trusting_any_signer(), tuple(_signers(session, self.packages.values())))
         universe = _universe(holders, documents)
         claims += (
             Claim(each, _ACTION, (), universe, Proof.PROVEN, excepted=excepted.get(each, ()))
@@ -220,8 +220,8 @@ def _packages(session: Session, build_type: str) -> Mapping[str, Package]:
 def _files(session: Session) -> Mapping[str, bytes]:
     """Return the files of the workspace that may have certificates or signed documents, by path; and of bundles."""
     workspace, tree = session.workspace, session.tree
-    spaces = (workspace.install, workspace.next_install, workspace.build, workspace.src, workspace.profile)
-    paths = [path for space in (*spaces, workspace.public) for path, is_folder in tree.walk(space) if not is_folder]
+    spaces = [space for space in workspace.spaces() if space != workspace.private]
+    paths = [path for space in spaces for path, is_folder in tree.walk(space) if not is_folder]
     paths += [f"{workspace.root}/{name}" for name, is_folder in tree.names(workspace.root) if not is_folder]
     found: dict[str, bytes] = {}
     for path in paths:
@@ -361,10 +361,10 @@ def _is_issued(certificate: x509.Certificate, authority: x509.Certificate) -> bo
     return certificate != authority and certificates.is_issued_by(certificate, authority)
 
 
-def _signers(session: Session, packages: Iterable[str]) -> Iterator[str]:
+def _signers(session: Session, packages: Iterable[Package]) -> Iterator[str]:
     """Yield an exception if there are identities that can sign documents as older releases verify them."""
     both = hardening.signing_issuers(session)
-    for package in map(session.package, packages if both else ()):
+    for package in packages if both else ():
         own, name = installed_certificate(session, package.name), package.identity.issuer
         if name in both and own and certificates.can_sign_documents(own) is None:
             yield (

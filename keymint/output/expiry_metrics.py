@@ -10,10 +10,10 @@ from keymint.names import subject_of
 from keymint.output.openmetrics import Gauge, moments
 from keymint.plan.renewal import CERTIFICATE, LIST, PERMISSIONS, authority_ends, authority_renewals
 from keymint.session import Session
-from keymint.status import PackageRow
+from keymint.status import StatusRow
 
 
-def gauges(session: Session, rows: Sequence[PackageRow]) -> tuple[Gauge, ...]:
+def gauges(session: Session, rows: Sequence[StatusRow]) -> tuple[Gauge, ...]:
     """Return the gauges of the installed enclaves and of the authorities.
 
     Args:

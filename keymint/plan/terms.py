@@ -64,14 +64,3 @@ def findings(
         text = f"{term.what} {message}{reading}; now is {shown(now)}, and nothing is permitted"
         help_ = _LATER if later is not None else renew
         yield Diagnostic.error(f"{term.code}-{code}", text, term.where, help_, subject)
-
-
-def merged(diagnostics: Iterable[Diagnostic]) -> Iterator[Diagnostic]:
-    """Yield diagnostics, merging those that several enclaves have in common into one with their number."""
-    groups: dict[tuple[str, str], list[Diagnostic]] = {}
-    for each in diagnostics:
-        groups.setdefault((each.code, each.message), []).append(each)
-    for group in groups.values():
-        first, others = group[0], len({each.subject for each in group}) - 1
-        also = f", so in {first.subject} and {others:,} more enclave{'s' * (others > 1)}" if others else ""
-        yield replace(first, message=first.message + also)
