@@ -206,7 +206,7 @@ def _enclave(enclave: EnclaveProof, now: datetime, run: Run) -> dict[str, Any]:
 def _across(proof: EnclaveProof, now: datetime, run: Run) -> dict[str, Any]:
     """Return claims across subjects, in the form of an enclave's."""
     document = _enclave(proof, now, run)
-    return {"build_type": proof.build_type, "proof": document["proof"], **document, "subject": None}
+    return {"build_type": proof.build_types[0], "proof": document["proof"], **document, "subject": None}
 
 
 def _whole(enclave: EnclaveProof) -> Proof:

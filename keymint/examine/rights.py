@@ -95,7 +95,7 @@ def presented_rights(session: Session, state: State, policy: LoadedPolicy, effor
             if each.until >= session.now:
                 note = earlier_rights.outliving(session, each.name, each.subject, each.excess, each.until)
                 outliving.setdefault(each.name, note)
-        proofs.append(EnclaveProof("", claims, build_type=name))
+        proofs.append(EnclaveProof("", "", claims, build_types=(name,)))
     is_whole = not proofs or (has_register(session) and register_of(session).is_whole)
     return ProofResults((), tuple(proofs), state, {}, frozenset(), session.now, tuple(outliving.values()), is_whole)
 

@@ -65,39 +65,26 @@ def costliest(rules: Iterable[Rule]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class EnclaveProof:
-    """The result for one enclave.
+    """The result for one enclave, or across all packages of a build type, and what becomes of its record.
 
     Attributes:
-        subject: its subject.
+        name: the package; of claims across subjects, their key in the record.
+        subject: its subject; empty for claims across subjects.
         claims: by model, action and domains; none if the enclave could not be read.
         cached: every claim was proven before, and nothing changed.
         diagnostics: files that could not be read, or that do not rest on the workspace's authorities.
         terms: when the documents are in force.
-        build_type: of claims across subjects, the build type; the subject is empty.
-    """
-
-    subject: str
-    claims: tuple[Claim, ...] = ()
-    cached: bool = False
-    diagnostics: tuple[Diagnostic, ...] = ()
-    terms: tuple[ValidityTerm, ...] = ()
-    build_type: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class PackageProof:
-    """The proof of one package, or across all packages of a build type, and what becomes of its record.
-
-    Attributes:
-        name: the package; of claims across subjects, their key in the record.
-        proof: the result.
-        build_types: the build types of the package.
+        build_types: the build types of the package; of claims across subjects, the one that they are about.
         stamp: the record to keep; None if it does not change.
         refuted: the proof must not be on record.
     """
 
     name: str
-    proof: EnclaveProof
+    subject: str
+    claims: tuple[Claim, ...] = ()
+    cached: bool = False
+    diagnostics: tuple[Diagnostic, ...] = ()
+    terms: tuple[ValidityTerm, ...] = ()
     build_types: tuple[str, ...] = ()
     stamp: Stamp | None = None
     refuted: bool = False

@@ -33,7 +33,7 @@ from keymint.plan import authority_evidence, proof_record, shared_proof, terms
 from keymint.plan.authority_files import chains_digest
 from keymint.plan.build_types import build_types_of, inputs_digest, issuers_of, prover_of
 from keymint.plan.enclaves import enclave_digests, enclave_files, not_installed
-from keymint.plan.proof_results import EnclaveProof, PackageProof, ProofEffort, ProofResults, costliest
+from keymint.plan.proof_results import EnclaveProof, ProofEffort, ProofResults, costliest
 from keymint.plan.shared_documents import load_packages, record_key, shared_folder, users
 from keymint.plan.trust_anchors import anchors_of, shared_anchors, unread_of
 from keymint.session import Session
@@ -68,9 +68,9 @@ def prove(
         KeymintError: a package has defects, or the pool is lost.
     """
     stage = ProofStage(session, policy, effort)
-    proven: list[PackageProof] = []
+    proven: list[EnclaveProof] = []
     parts: Iterable[Sequence[str]] = ([name] for name in names)
-    results: Iterable[list[PackageProof]] = ([stage.package(name)] for name in names)
+    results: Iterable[list[EnclaveProof]] = ([stage.package(name)] for name in names)
     if not pool.shares_memory:
         stage.ask(pool, names)
     elif len(divided := pool.parts(names, LEAST)) > 1:
@@ -114,7 +114,7 @@ class ProofStage:
         self._asked: list[tuple[RemoteProver, object]] | None = None
         """What other machines are to prove; None while it is proven here."""
 
-    def results(self, proven: Sequence[PackageProof]) -> ProofResults:
+    def results(self, proven: Sequence[EnclaveProof]) -> ProofResults:
         """Put the proofs of some packages together, and add the claims across subjects."""
         across = tuple(self._across({each.name for each in proven}))
         stamps = {each.name: each.stamp for each in (*proven, *across) if each.stamp}
@@ -128,8 +128,7 @@ class ProofStage:
             if prover := prover_of(self._session, name):
                 assumptions |= prover.assumptions()
                 standards.update([*prover.assumptions()][:1])
-        proofs, shared = tuple(each.proof for each in proven), tuple(each.proof for each in across)
-        return ProofResults(proofs, shared, state, assumptions, frozenset(standards), self._session.now)
+        return ProofResults(tuple(proven), across, state, assumptions, frozenset(standards), self._session.now)
 
     def ask(self, pool: Pool, names: Sequence[str]) -> None:
         """Let other machines prove claims that are not cached; those that they do not prove are decided here."""
@@ -145,7 +144,7 @@ class ProofStage:
                 for question, claims in zip(part, answers, strict=False):
                     prover.know(question, claims)
 
-    def package(self, name: str) -> PackageProof:
+    def package(self, name: str) -> EnclaveProof:
         """Prove the claims about one enclave, unless the proof is cached."""
         session = self._session
         digests = enclave_digests(session, name)
@@ -153,46 +152,46 @@ class ProofStage:
         if digests is None:
             files, unread = enclave_files(session, name)
             if defects := unread_of(session, session.package(name), unread):
-                return PackageProof(name, EnclaveProof(subject_of(name), diagnostics=defects), refuted=True)
+                return EnclaveProof(name, subject_of(name), diagnostics=defects, refuted=True)
             digests = {file: digest(content) for file, content in files.items()}
         if self._contradictions and (
             contradictions := authority_evidence.contradictions_for(
                 self._contradictions, issuers_of(session, session.package(name))
             )
         ):
-            return PackageProof(name, EnclaveProof(subject_of(name), diagnostics=contradictions))
+            return EnclaveProof(name, subject_of(name), diagnostics=contradictions)
         stamp, folder = session.state.stamp(STAGE, name), self._shown(name)
         current = stamp is not None and stamp.inputs == self._inputs_digest(name, digests, stamp.build_types)
         cached = proof_record.load(stamp, folder) if stamp and current else None
         if stamp and cached and self._same_rules(stamp, [subject_of(name)]):
             claims, validity = cached
             # The cache does not depend on the clock: whether documents are in force is checked at each run.
-            proof = EnclaveProof(subject_of(name), claims, cached=True, terms=validity)
-            return PackageProof(name, proof, stamp.build_types, self._of_policy(stamp, [subject_of(name)]))
+            proof = EnclaveProof(name, subject_of(name), claims, cached=True, terms=validity)
+            return replace(proof, build_types=stamp.build_types, stamp=self._of_policy(stamp, [subject_of(name)]))
         package = session.package(name)
         files = enclave_files(session, name)[0] if files is None else files
         build_types = tuple(build_types_of(session, package)) if files else ()
         inputs = self._inputs_digest(name, digests, build_types)
         rules = self._rules(package.subject)
         proof = self._proof(package, rules, files, folder)
-        return self._kept(name, proof, (rules,), Stamp(inputs, {}, build_types=build_types), folder)
+        return self._kept(proof, (rules,), Stamp(inputs, {}, build_types=build_types), folder)
 
-    def _across(self, names: Collection[str]) -> Iterator[PackageProof]:
+    def _across(self, names: Collection[str]) -> Iterator[EnclaveProof]:
         """Prove the claims across subjects of the build types that some packages have, unless these are cached."""
         for name, of_type in users(self._session).items():
             build_type: object = self._session.plugins.build_type(name)
             if isinstance(build_type, SharedProver) and not set(names).isdisjoint(of_type):
                 yield self._prove_across(name, of_type, build_type)
 
-    def _prove_across(self, name: str, names: Sequence[str], prover: SharedProver) -> PackageProof:
+    def _prove_across(self, name: str, names: Sequence[str], prover: SharedProver) -> EnclaveProof:
         session, key, folder = self._session, record_key(name), self._shared_folder
         enclaves = shared_proof.enclaves_of(session, name)
         inputs = shared_proof.inputs_digest(session, name, enclaves)
         stamp, subjects = session.state.stamp(STAGE, key), [subject_of(each) for each in names]
         cached = proof_record.load(stamp, folder) if stamp and stamp.inputs == inputs else None
         if stamp and cached and self._same_rules(stamp, subjects):
-            proof = EnclaveProof("", cached[0], cached=True, build_type=name)
-            return PackageProof(key, proof, stamp=self._of_policy(stamp, subjects))
+            proof = EnclaveProof(key, "", cached[0], cached=True, build_types=(name,))
+            return replace(proof, stamp=self._of_policy(stamp, subjects))
         rules = {subject: self._rules(subject) for subject in subjects}
         try:
             packages = load_packages(session, name)
@@ -210,21 +209,20 @@ class ProofStage:
             )
             with self._effort.limit(rule for each in rules.values() for rule in each.rules):
                 claims = _with_rules(prover.prove_shared(task), rules.values())
-            proof = EnclaveProof("", claims, build_type=name)
+            proof = EnclaveProof(key, "", claims)
         except KeymintError as error:
-            proof = EnclaveProof("", diagnostics=tuple(error.diagnostics), build_type=name)
-        return self._kept(key, proof, rules.values(), Stamp(inputs, {}, build_types=(name,)), folder)
+            proof = EnclaveProof(key, "", diagnostics=tuple(error.diagnostics))
+        return self._kept(proof, rules.values(), Stamp(inputs, {}, build_types=(name,)), folder)
 
-    def _kept(
-        self, key: str, proof: EnclaveProof, rules: Collection[SubjectRules], stamp: Stamp, folder: str
-    ) -> PackageProof:
+    def _kept(self, proof: EnclaveProof, rules: Collection[SubjectRules], stamp: Stamp, folder: str) -> EnclaveProof:
         """Return a proof with its record if all its claims are proven."""
+        proof = replace(proof, build_types=stamp.build_types)
         if self._effort.standard_only:
-            return PackageProof(key, proof, stamp.build_types)
+            return proof
         if proof.diagnostics or any(claim.proof is not Proof.PROVEN for claim in proof.claims):
-            return PackageProof(key, proof, stamp.build_types, refuted=True)
+            return replace(proof, refuted=True)
         stamp = replace(stamp, outputs=proof_record.dump(proof.claims, proof.terms, rules, folder))
-        return PackageProof(key, proof, stamp.build_types, self._of_policy(stamp, [each.subject for each in rules]))
+        return replace(proof, stamp=self._of_policy(stamp, [each.subject for each in rules]))
 
     def _same_rules(self, stamp: Stamp, subjects: Iterable[str]) -> bool:
         """Tell whether the policy has the same rules for some subjects as when the stamp was made."""
@@ -256,7 +254,7 @@ class ProofStage:
     def _proof(self, package: Package, rules: SubjectRules, files: Mapping[str, bytes], folder: str) -> EnclaveProof:
         subject = package.subject
         if not files:
-            return EnclaveProof(subject, diagnostics=(not_installed(package.name, folder),))
+            return EnclaveProof(package.name, subject, diagnostics=(not_installed(package.name, folder),))
         claims: list[Claim] = []
         validity: list[ValidityTerm] = []
         defects = Defects()
@@ -287,7 +285,8 @@ class ProofStage:
                 models = {claim.model for claim in own} or prover.assumptions().keys()
                 validity += terms.terms_of(periods, models)
         of_subject = tuple(replace(each, subject=subject) for each in dict.fromkeys(defects.found))
-        return EnclaveProof(subject, tuple(claims), diagnostics=of_subject, terms=tuple(dict.fromkeys(validity)))
+        periods = tuple(dict.fromkeys(validity))
+        return EnclaveProof(package.name, subject, tuple(claims), diagnostics=of_subject, terms=periods)
 
     def _claims(self, prover: Prover, task: ProofTask) -> Sequence[Claim]:
         """Return the claims about an enclave; the policy grants nothing to infrastructure, which must be ours though.
