@@ -7,14 +7,12 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 
 from comarmor.values import dataclass
-from keymint.api import LoadedPolicy, Role, Validity
+from keymint.api import LoadedPolicy, Role
 from keymint.errors import KeymintError
-from keymint.pki import certificates, forms
 from keymint.plan import build, create, install, lifetimes
-from keymint.plan.authority_files import trusted_chains
 from keymint.plan.enclaves import hidden, installed, installed_certificate, orphans
 from keymint.plan.register import withdrawn
-from keymint.plan.renewal import EnclaveTerms, enclave_terms
+from keymint.plan.renewal import CERTIFICATE, EnclaveTerms, enclave_terms
 from keymint.plan.shared_documents import built_shared, is_current, users
 from keymint.plan.shared_install import installed_shared, is_installed
 from keymint.session import Session
@@ -104,22 +102,9 @@ def _certificate_end(session: Session, name: str) -> datetime | None:
     return certificate.not_valid_after_utc if certificate else None
 
 
-def _recorded_period(session: Session, name: str) -> tuple[datetime, datetime] | None:
-    """Return the validity of the certificate of an enclave that is as it was installed, without reading it.
-
-    It is cut to its issuer's, and in whole seconds.
-    """
-    for each in lifetimes.recalled(session, name, session.state.stamp(install.STAGE, name)):
-        if each.what == "certificate":
-            issuer = certificates.load_bundle(trusted_chains(session)[each.issuer])[0]
-            period = forms.cut(Validity(each.first, each.last), issuer)
-            return period.not_before, period.not_after
-    return None
-
-
-def _terms(session: Session, name: str, period: tuple[datetime, datetime] | None) -> EnclaveTerms | None:
+def _terms(session: Session, name: str, *, as_recorded: bool) -> EnclaveTerms | None:
     try:
-        return enclave_terms(session, name, period)
+        return enclave_terms(session, name, as_recorded=as_recorded)
     except KeymintError:
         return None  # the package has defects, which are its problem
 
@@ -146,14 +131,13 @@ def _row(session: Session, differing: Mapping[str, str], name: str, *, installed
     stale = stale or ("" if current else "build")
     if not stale and stage == "revoked":
         return StatusRow(name, stage, "", None, permissions_end, problem)
-    period = None
-    if not stale and installed and install.is_current(session, name):
-        period = _recorded_period(session, name)
-    else:
+    current = not stale and installed and install.is_current(session, name)
+    if not current:
         is_unknown = session.tree.is_left_out(session.workspace.identity_key(name))
         stale = stale or ("" if installed and is_unknown else "install")
-    end = period[1] if period else _certificate_end(session, name)
-    terms = _terms(session, name, period) if installed else None
+    terms = _terms(session, name, as_recorded=current) if installed else None
+    end = next((each.last for each in terms.terms if each.what == CERTIFICATE), None) if terms else None
+    end = end or _certificate_end(session, name)
     return StatusRow(name, stage, stale, end, permissions_end, problem, terms)
 
 

@@ -56,10 +56,6 @@ def against(files: AuthorityFiles, key: PublicKey | None) -> tuple[Diagnostic, .
         # Transports differ in what they read of a file with several blocks: some trust each certificate in it.
         certificates.load(content, where)
         public = certificates.public_key(certificates.load_first(content, where), where)
-        with defects:
-            if key is not None:
-                authority_files.require_fit(files, key)
-        authority_files.require_name(files)
         if adopted and content != adopted:
             raise KeymintError(
                 f"is not the certificate that was imported for the authority {files.name!r}",
@@ -67,8 +63,7 @@ def against(files: AuthorityFiles, key: PublicKey | None) -> tuple[Diagnostic, .
                 help="'keymint install' restores it; 'keymint authority import' takes another one",
                 code="authority-drift",
             )
-        if not defects.found:
-            authority_files.require_known(files, public)
+        authority_files.require_in_use(files, key or public)
     return tuple(defects.found)
 
 

@@ -363,6 +363,17 @@ def require_known(files: AuthorityFiles, key: keys.PublicKey) -> None:
     )
 
 
+def require_in_use(files: AuthorityFiles, key: keys.PublicKey) -> None:
+    """Require that a key is that of the certificate, and that nobody exchanged both.
+
+    Raises:
+        KeymintError: as :func:`require_fit`, :func:`require_name` and :func:`require_known`, in this order.
+    """
+    require_fit(files, key)
+    require_name(files)
+    require_known(files, key)
+
+
 def require_rollover(files: AuthorityFiles, key: keys.PublicKey) -> None:
     """Require that the key in force is not the one that the profile exchanges it with.
 

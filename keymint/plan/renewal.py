@@ -15,8 +15,8 @@ from cryptography import x509
 
 from comarmor.errors import Defects
 from comarmor.values import dataclass
-from keymint.api import Issuance
-from keymint.pki import certificates, periods
+from keymint.api import Issuance, Validity
+from keymint.pki import certificates, forms, periods
 from keymint.plan import lifetimes
 from keymint.plan.authority_files import in_order, with_issuers
 from keymint.plan.enclaves import INSTALLED, installed, installed_certificate
@@ -68,7 +68,7 @@ def _authorities_here(session: Session) -> Mapping[str, x509.Certificate]:
     return {name: certificates.load_first(content) for name, content in contents.items() if content}
 
 
-def enclave_terms(session: Session, name: str, period: tuple[datetime, datetime] | None = None) -> EnclaveTerms | None:
+def enclave_terms(session: Session, name: str, *, as_recorded: bool = False) -> EnclaveTerms | None:
     """Return what of an installed enclave ends; None if it is not installed, or its certificate cannot be read.
 
     The dates are those of the certificate in the enclave, and of the permissions as they were when they were signed.
@@ -76,23 +76,26 @@ def enclave_terms(session: Session, name: str, period: tuple[datetime, datetime]
     Args:
         session: the workspace and its profile.
         name: the package.
-        period: the validity of the certificate, UTC, if it is known; else the certificate is read.
+        as_recorded: the enclave is as it was installed, so that its certificate need not be read.
 
     Raises:
         KeymintError: there is no record of the installation, and the package has defects.
     """
-    if period is None:
-        certificate = installed_certificate(session, name)
-        if certificate is None:
-            return None
-        period = certificates.period(certificate)
+    certificate = None if as_recorded else installed_certificate(session, name)
+    if certificate is None and not as_recorded:
+        return None
     ends = authority_ends(session)
     terms: list[Term] = []
     for each in lifetimes.recalled(session, name, session.state.stamp(INSTALLED, name)):
         if each.what != CERTIFICATE:
             terms.append(replace(each, what=PERMISSIONS))
             continue
-        terms.append(replace(each, first=period[0], last=period[1]))
+        if certificate is not None:
+            first, last = certificates.period(certificate)
+        else:  # cut to its issuer's, and in whole seconds
+            issued = forms.cut(Validity(each.first, each.last), _authorities_here(session)[each.issuer])
+            first, last = issued.not_before, issued.not_after
+        terms.append(replace(each, first=first, last=last))
         if listed := list_of(session, each.issuer):
             terms.append(replace(each, what=LIST, first=listed.this_update, last=listed.next_update))
     in_force = (each.until(ends.get(each.issuer)) for each in terms)
