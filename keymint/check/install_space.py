@@ -3,30 +3,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from datetime import timedelta
 
 from comarmor.errors import Diagnostic
-from keymint.api import Artifact
+from keymint.api import Artifact, BuildOptions, SharedInspection
 from keymint.check.file_status import as_installed
+from keymint.errors import KeymintError
 from keymint.names import ROOT, subject_of
 from keymint.plan import environment, gitignore
-from keymint.plan.enclaves import enclave_files, files_in, installed
+from keymint.plan.build_types import shared_builder
+from keymint.plan.enclaves import INSTALLED, enclave_files, files_in, installed
 from keymint.plan.register import withdrawn
+from keymint.plan.shared_documents import build_shared, load_packages, record_key, users
 from keymint.plan.shared_files import build_types_in_use, copies_of
+from keymint.plan.shared_install import installed_shared
+from keymint.plan.shared_proof import enclaves_of
+from keymint.plan.trust_anchors import shared_anchors
 from keymint.session import Session
-from keymint.state import digest
+from keymint.state import Stamp, digest
 
 _OTHER_COPY = "differs from the enclaves' content"
 _OTHER_SCRIPT = "differs from what Keymint writes, and shells that source it may use another keystore"
 
 
-def outside_enclaves(session: Session, known: Collection[str]) -> Iterator[Diagnostic]:
+def outside_enclaves(session: Session, within: timedelta) -> Iterator[Diagnostic]:
     """Yield the findings on the install space outside the enclaves.
 
     Args:
         session: the workspace and its profile.
-        known: files that are checked elsewhere, by path relative to the install space.
+        within: report what expires within this time.
     """
+    found, known = _shared(session, within)
+    yield from found
     workspace, names = session.workspace, installed(session)
     enclaves = {session.enclave_folder(name) for name in names if name != ROOT}
     own = {f"{session.enclave_folder(ROOT)}/{file}" for file in files_in(session, ROOT)} if ROOT in names else ()
@@ -89,3 +98,60 @@ def _copies(session: Session, names: Iterable[str], outside: Iterable[str]) -> M
             copies = copies_of(session, build_type, artifacts) or copies_of(session, build_type, left)
             expected |= {path: artifact.content for path, artifact in copies.items()}
     return expected
+
+
+# -- documents over all packages ------------------------------------------------------------------------------------
+
+
+def _shared(session: Session, within: timedelta) -> tuple[Iterable[Diagnostic], set[str]]:
+    """Return the findings on the installed documents over all packages of a build type, and the paths of these."""
+    diagnostics: list[Diagnostic] = []
+    files: set[str] = set()
+    try:
+        of_types = users(session)
+    except KeymintError as error:
+        return error.diagnostics, files
+    for name in of_types:
+        stamp = session.state.stamp(INSTALLED, record_key(name))
+        try:
+            inspection = _inspection(session, name, within)
+        except KeymintError as error:
+            diagnostics += error.diagnostics
+            files |= set(stamp.outputs if stamp else ())
+            continue
+        files |= inspection.files.keys()
+        builder = shared_builder(session, name)
+        found = builder.check_shared(inspection) if builder else ()
+        diagnostics += (*_on_disk(session, name, inspection, stamp), *found)
+    return dict.fromkeys(diagnostics), files
+
+
+def _inspection(session: Session, name: str, within: timedelta) -> SharedInspection:
+    packages = load_packages(session, name)
+    # What the options of a build accept was reported and accepted when the documents were built.
+    built = build_shared(session, name, packages, BuildOptions(allow_vendor_specific=True))
+    stamp = session.state.stamp(INSTALLED, record_key(name))
+    anchors = shared_anchors(session, packages, session.plugins.build_type(name))
+    return SharedInspection(
+        packages=packages,
+        documents=built.documents,
+        files=installed_shared(session, sorted({*built.documents, *(stamp.outputs if stamp else ())})),
+        enclaves=enclaves_of(session, name),
+        folder=session.workspace.shown(session.workspace.install),
+        layout=session.profile.layout,
+        chains={role: anchor.chain for role, anchor in anchors.items()},
+        now=session.now,
+        within_days=within / timedelta(days=1),
+    )
+
+
+def _on_disk(session: Session, name: str, inspection: SharedInspection, stamp: Stamp | None) -> Iterator[Diagnostic]:
+    """Check that the files are there, their modes, and their recorded digests."""
+    recorded: Mapping[str, str] = stamp.outputs if stamp else {}
+    for path in sorted({*inspection.documents, *recorded, *inspection.files}):
+        secret = stamp is not None and path in stamp.secret
+        value, help_ = recorded.get(path, ""), "'keymint build' and 'keymint install' write it"
+        yield from as_installed(session, session.workspace.install / path, value, help_, secret=secret)
+    if stamp is None and inspection.files:
+        message = f"there is no record of the installed shared documents of {name}"
+        yield Diagnostic.note("record-missing", message, None, "'keymint install' makes one")

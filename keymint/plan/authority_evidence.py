@@ -8,7 +8,7 @@ more than one certificate, nothing that rests on it is claimed. Enclaves are no 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 
 from comarmor.errors import Defects, Diagnostic
@@ -17,17 +17,16 @@ from keymint.pki import certificates
 from keymint.pki.keys import PublicKey
 from keymint.plan import authority_files
 from keymint.plan.authority_files import AuthorityFiles
+from keymint.plan.build import is_current
+from keymint.plan.build_types import issuers_of
 from keymint.session import Inputs, Session, once
-
-Contradictions = Mapping[str, tuple[Diagnostic, ...]]
-"""Contradicting evidence by authority; contradictions of an issuer count for the authorities below it."""
 
 
 @once
-def contradictions(session: Session) -> Contradictions:
+def contradictions(session: Session) -> Mapping[str, tuple[Diagnostic, ...]]:
     """Return the contradictions of all authorities of a workspace that have any.
 
-    A missing certificate is no contradiction.
+    Those of an issuer count for the authorities below it. A missing certificate is no contradiction.
     """
     by_authority: dict[str, tuple[Diagnostic, ...]] = {}
     for authority in authority_files.in_order(session.profile.authorities):
@@ -38,9 +37,15 @@ def contradictions(session: Session) -> Contradictions:
     return by_authority
 
 
-def contradictions_for(contradictions: Contradictions, issuers: Iterable[str]) -> tuple[Diagnostic, ...]:
-    """Return the contradictions of some authorities, each once."""
-    return tuple(dict.fromkeys(each for issuer in issuers for each in contradictions.get(issuer, ())))
+def contradictions_for(session: Session, name: str) -> tuple[Diagnostic, ...]:
+    """Return the contradictions of the authorities that the enclave of a package rests on, each once.
+
+    Raises:
+        KeymintError: the package has defects.
+    """
+    known = contradictions(session)
+    issuers = issuers_of(session, session.package(name, built=is_current(session, name))) if known else ()
+    return tuple(dict.fromkeys(each for issuer in issuers for each in known.get(issuer, ())))
 
 
 def against(files: AuthorityFiles, key: PublicKey | None) -> tuple[Diagnostic, ...]:

@@ -31,7 +31,7 @@ from keymint.ir import SubjectRules
 from keymint.names import name_of, subject_of
 from keymint.plan import authority_evidence, proof_record, shared_proof, terms
 from keymint.plan.authority_files import chains_digest
-from keymint.plan.build_types import build_types_of, inputs_digest, issuers_of, prover_of
+from keymint.plan.build_types import build_types_of, inputs_digest, prover_of
 from keymint.plan.enclaves import enclave_digests, enclave_files, not_installed
 from keymint.plan.proof_results import EnclaveProof, ProofEffort, ProofResults, costliest
 from keymint.plan.shared_documents import load_packages, record_key, shared_folder, users
@@ -105,7 +105,6 @@ class ProofStage:
         self._policy = policy
         self._effort = effort
         self._unsigned = unsigned
-        self._contradictions = authority_evidence.contradictions(session)
         self._policy_digest = policy_digest(policy)
         self._chains_digest = chains_digest(session)
         self._digested = policy if isinstance(policy, DigestedPolicy) else None
@@ -154,11 +153,7 @@ class ProofStage:
             if defects := unread_of(session, session.package(name), unread):
                 return EnclaveProof(name, subject_of(name), diagnostics=defects, refuted=True)
             digests = {file: digest(content) for file, content in files.items()}
-        if self._contradictions and (
-            contradictions := authority_evidence.contradictions_for(
-                self._contradictions, issuers_of(session, session.package(name))
-            )
-        ):
+        if contradictions := authority_evidence.contradictions_for(session, name):
             return EnclaveProof(name, subject_of(name), diagnostics=contradictions)
         stamp, folder = session.state.stamp(STAGE, name), self._shown(name)
         current = stamp is not None and stamp.inputs == self._inputs_digest(name, digests, stamp.build_types)

@@ -11,7 +11,7 @@ from keymint.api import BuildType, Package, TrustAnchor, TrustAnchors
 from keymint.plan import authority_evidence
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.build import is_current
-from keymint.plan.build_types import build_types_of, issuers_of, prover_of, suffixes_read
+from keymint.plan.build_types import build_types_of, prover_of, suffixes_read
 from keymint.plan.enclaves import INSTALLED, enclave_files
 from keymint.plan.shared_install import shared_roles
 from keymint.plan.shared_proof import installed_documents
@@ -73,7 +73,6 @@ def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...
         KeymintError: a package has defects.
     """
     findings: list[Diagnostic] = []
-    contradictions = authority_evidence.contradictions(session)
     for name in names:
         files, unread = enclave_files(session, name)
         if not (files or unread):
@@ -82,8 +81,7 @@ def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...
         findings += unread_of(session, package, unread)
         if not files:
             continue
-        issuers = issuers_of(session, package)
-        findings += authority_evidence.contradictions_for(contradictions, issuers)
+        findings += authority_evidence.contradictions_for(session, name)
         folder = session.workspace.shown(session.enclave_folder(name))
         for build_type, plugin in build_types_of(session, package).items():
             if prover := prover_of(session, build_type):

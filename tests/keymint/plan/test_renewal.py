@@ -122,7 +122,7 @@ class TestWorkspace:
         session = session_of(ws)
         found = enclave_terms(session, "talker")
         assert found
-        assert [(each.what, each.authority, each.is_cut) for each in found.terms] == [
+        assert [(each.what, each.issuer, each.is_cut) for each in found.terms] == [
             (CERTIFICATE, "identity_ca", False),
             (PERMISSIONS, "permissions_ca", False),
         ]
