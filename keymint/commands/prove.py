@@ -90,15 +90,8 @@ def prove(
     more = dict.fromkeys((*deciding(session), *(deciding(ahead) if ahead else ())))
     found = (*proof_findings(session, results, strict=strict), *more, *unknown)
     diagnostics = [*_assumptions(results), *found, *unrecorded, *unexamined]
-    result = {
-        "at": terms.shown(results.now),
-        "until": _shown(_until(results)),
-        "in_force": _until(results) is not None and (with_register or None),
-        "not_examined": len(unexamined),
-        "assumptions": _taken(results),
-        "enclaves": [_enclave(enclave, results.now, run) for enclave in results.enclaves],
-        "shared": [_across(each, results.now, run) for each in results.shared],
-    }
+    in_force = _until(results) is not None and (with_register or None)
+    result = _result(run, results, unexamined, in_force)
     exit_code = findings_if(findings_exit(found) or (strict and results.outliving))
     return run.report(result, diagnostics, exit_code, workspace=session.workspace, notes=SHOWN_NOTES)
 
@@ -108,12 +101,22 @@ def _without_policy(run: Run, session: Session, names: Sequence[str], error: Key
     run.console.line(f"proved nothing about {counted(len(names), 'enclave')}: the policy cannot be read")
     found = (*error.diagnostics, *differences(session, names), *deciding(session), *unaccounted(session))
     unexamined = tuple(not_examined(session))
-    result: dict[str, Any] = {
-        "at": terms.shown(session.now), "until": None, "in_force": None, "not_examined": len(unexamined),
-        "assumptions": {}, "enclaves": [], "shared": [],
-    }  # fmt: skip
+    nothing = ProofResults((), (), session.state, {}, frozenset(), session.now)
+    result = _result(run, nothing, unexamined, None)
     diagnostics = tuple(dict.fromkeys((*found, *unexamined)))
     return run.report(result, diagnostics, ExitCode.FINDINGS, workspace=session.workspace, notes=SHOWN_NOTES)
+
+
+def _result(run: Run, results: ProofResults, unexamined: Sequence[Diagnostic], in_force: bool | None) -> dict[str, Any]:
+    return {
+        "at": terms.shown(results.now),
+        "until": _shown(_until(results)),
+        "in_force": in_force,
+        "not_examined": len(unexamined),
+        "assumptions": _taken(results),
+        "enclaves": [_enclave(enclave, results.now, run) for enclave in results.enclaves],
+        "shared": [_across(each, results.now, run) for each in results.shared],
+    }
 
 
 def _summary(run: Run, results: ProofResults, *, with_register: bool) -> None:

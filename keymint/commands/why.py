@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -20,8 +21,7 @@ from keymint.output.json import decision_json, edge_json, place_json, verdict_js
 from keymint.output.mismatches import (
     document_reason,
     enumerated,
-    mismatch_text,
-    remedy,
+    finding,
     request_text,
     rule_text,
     verb_of,
@@ -30,7 +30,6 @@ from keymint.output.report import Report, findings_if, members
 from keymint.plan.policy import load_policy
 from keymint.plan.trust_anchors import differences
 from keymint.session import Session
-from keymint.verify.mismatch import Mismatch
 from keymint.verify.usable_transports import choose, models
 from keymint.verify.why import Explanation, MatchedRule, Need, build_types, explain, granted_domains, request
 
@@ -92,28 +91,16 @@ def _mismatches(explanation: Explanation, granted: Sequence[DomainRange]) -> lis
     together: dict[tuple[str, int], list[str]] = {}
     for name, label in explanation.wrong.items():
         together.setdefault((document_reason(label), label.document.line), []).append(name)
-    return [
-        Diagnostic.error(
-            str(label.error),
-            mismatch_text(names, label, at_rule=True),
-            label.policy.where or label.document,
-            _remedy(label, granted),
-            explanation.edge.subject,
-        )
-        for names in together.values()
-        for label in [explanation.wrong[names[0]]]
-    ]
-
-
-def _remedy(label: Mismatch, granted: Sequence[DomainRange]) -> str:
-    """Return how to fix a mismatch; no build fixes a request in a domain that is not granted."""
-    edge = label.edge
+    found = [finding(names, [explanation.wrong[names[0]]]) for names in together.values()]
+    edge = explanation.edge
     if not granted or any(each.first <= edge.domain <= each.last for each in granted):
-        return remedy(label)
+        return found
+    # No build fixes a request in a domain that is not granted.
     domains = enumerated(
         [f"{each.first}" if each.first == each.last else f"{each.first}-{each.last}" for each in granted]
     )
-    return f"{edge.subject} is granted domain {domains}, not {edge.domain}: leave out --domain"
+    help_ = f"{edge.subject} is granted domain {domains}, not {edge.domain}: leave out --domain"
+    return [replace(each, help=help_) for each in found]
 
 
 def _lines(explanation: Explanation, place: Place) -> Iterator[str]:
