@@ -260,7 +260,8 @@ def _documents(
     for path, content in found.items():
         folder, _, name = path.rpartition("/")
         owner = owners.get(folder, "") if name == presented else ""
-        if owner and _names(found.get(f"{folder}/cert.pem", b"")) != (owner,):
+        beside = _certificates([found.get(f"{folder}/cert.pem", b"")]) if owner else ()
+        if [to_text(each.subject) for each in beside] != [owner]:
             owner = ""
         if content not in verified:
             verified[content] = _signed(content, signers, verify=not owner)
@@ -276,13 +277,6 @@ def _signed(content: bytes, signers: Iterable[bytes], *, verify: bool) -> Signed
         except KeymintError:
             continue
     return None
-
-
-def _names(pem: bytes) -> tuple[str, ...]:
-    try:
-        return tuple(to_text(each.subject) for each in certificates.load_bundle(pem)) if pem else ()
-    except KeymintError:
-        return ()
 
 
 def _remembered(session: Session, rights: SignedRights, content: bytes) -> PresentableDocument:
