@@ -81,15 +81,10 @@ def proven(
         warnings = [each for each in plan.diagnostics if each.code != HAND_EDITED or each.where not in by_edit]
         raise KeymintError.of([*warnings, *edits, *merged_packages(refused, shown)], ExitCode.FINDINGS)
     # Validity does not stop an installation: a certificate may become valid tomorrow.
-    known = {(each.code, subject) for each in plan.diagnostics for subject in (each.subject, "")}
-    validity = [each for each in dated_of(results) if (each.code, _subject_of(each)) not in known]
+    known = {each.code for each in plan.diagnostics}  # what the dates of the sources say already
+    validity = [each for each in dated_of(results) if each.code not in known]
     warnings = [replace(each, severity=Severity.WARNING) for each in (*diagnostics, *merged_packages(validity, shown))]
     return replace(plan, state=results.state).noting(*warnings)
-
-
-def _subject_of(diagnostic: Diagnostic) -> str:
-    """Return the subject of a diagnostic; an authority has none."""
-    return "" if diagnostic.code.startswith("authority-") else diagnostic.subject
 
 
 def _refused_edits(session: Session, plan: Plan, subjects: Collection[str]) -> list[Diagnostic]:

@@ -29,7 +29,6 @@ from keymint.output.mismatches import (
 from keymint.output.report import Report, findings_if, members
 from keymint.plan.policy import load_policy
 from keymint.plan.trust_anchors import differences
-from keymint.session import Session
 from keymint.verify.usable_transports import choose, models
 from keymint.verify.why import Explanation, MatchedRule, Need, build_types, explain, granted_domains, request
 
@@ -74,16 +73,10 @@ def why(
     explanation = explain(session, load_policy(session), edge, transports, partial(models, run.plugins))
 
     run.console.lines(_lines(explanation, run.place))
-    diagnostics = [*_strange(session, explanation), *_mismatches(explanation, granted)]
+    asked = (name_of(explanation.edge.subject),) if explanation.installed and explanation.packaged else ()
+    diagnostics = [*differences(session, asked), *_mismatches(explanation, granted)]
     result = _document(explanation, run.typed)
     return run.report(result, diagnostics, findings_if(diagnostics), workspace=session.workspace)
-
-
-def _strange(session: Session, explanation: Explanation) -> tuple[Diagnostic, ...]:
-    """Return diagnostics on authorities in the enclave that are not the workspace's."""
-    if not (explanation.installed and explanation.packaged):
-        return ()
-    return differences(session, (name_of(explanation.edge.subject),))
 
 
 def _mismatches(explanation: Explanation, granted: Sequence[DomainRange]) -> list[Diagnostic]:
