@@ -9,12 +9,13 @@ from datetime import datetime
 from comarmor.values import dataclass
 from keymint.api import LoadedPolicy, Role
 from keymint.errors import KeymintError
-from keymint.plan import build, create, install, lifetimes
+from keymint.plan import build, create, install
 from keymint.plan.enclaves import hidden, installed, installed_certificate, orphans
 from keymint.plan.register import withdrawn
 from keymint.plan.renewal import CERTIFICATE, EnclaveTerms, enclave_terms
 from keymint.plan.shared_documents import built_shared, is_current, users
 from keymint.plan.shared_install import installed_shared, is_installed
+from keymint.plan.terms import recalled
 from keymint.session import Session
 
 
@@ -123,7 +124,7 @@ def _row(session: Session, differing: Mapping[str, str], name: str, *, installed
     permissions_end, current = None, False
     try:
         current = built and build.is_current(session, name)
-        own = lifetimes.recalled(session, name, session.state.stamp(build.STAGE, name) if current else None)
+        own = recalled(session, name, session.state.stamp(build.STAGE, name) if current else None)
         if session.role(name) is Role.SUBJECT:
             permissions_end = next((each.last for each in own if each.what == "grant"), None)
     except KeymintError as error:

@@ -14,9 +14,9 @@ from keymint.api import ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
 from keymint.plan import authority_files, terms, token_keys
-from keymint.plan.authority_evidence import against
 from keymint.plan.authority_files import AuthorityFiles
 from keymint.plan.private_keys import key_defects
+from keymint.plan.trust_anchors import against
 from keymint.session import Inputs, Session
 
 
@@ -45,7 +45,8 @@ def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
             fingerprints.setdefault(authority.name, certificates.fingerprint(files.certificate))
             what, period = f"the certificate of {authority.name!r}", certificates.period(files.certificate)
             term = ValidityTerm("authority", what, files.certificate_file, (period,))
-            yield from terms.findings([term], session.now, "", within)
+            for found in terms.findings([term], session.now, "", within):
+                yield replace(found, help=found.help.replace("renew'", f"renew {authority.name}'"))
     with Defects() as defects:
         authority_files.require_own_keys(session, fingerprints)
     yield from defects.found

@@ -16,7 +16,7 @@ from keymint.errors import KeymintError
 from keymint.names import ROOT, subject_of
 from keymint.pki import certificates
 from keymint.pki.distinguished_names import to_text
-from keymint.plan import build, earlier_rights, identity_keys, key_record, lifetimes, revocation
+from keymint.plan import build, earlier_rights, identity_keys, key_record, revocation, terms
 from keymint.plan.authorities import MintedAuthority
 from keymint.plan.authority_files import chains_digest
 from keymint.plan.build_types import build_types_of, inputs_digest
@@ -99,7 +99,7 @@ class InstallStage:
         diagnostics = [*(diagnostic for each in planned for diagnostic in each.diagnostics), *foreign]
         diagnostics += _outdated(session, [each.name for each in planned if each.outdated])
         diagnostics += shared.diagnostics
-        diagnostics += lifetimes.findings({each.name: each.lifetimes for each in planned}, session)
+        diagnostics += terms.of_sources({each.name: each.lifetimes for each in planned}, session)
         diagnostics += [each for each in unaccounted(session) if not prune or each.code != "enclave-orphaned"]
         state = recorded(shared.state, STAGE, planned, (*removed, *withdrawn))
         steps += [withdraw(session, name, reason, changes) for name, reason in withdrawn.items()]
@@ -166,10 +166,10 @@ def _plan_enclave(
         )
     stamp = session.state.stamp(STAGE, name)
     if stamp and stamp.inputs == inputs and has_outputs(session, session.enclave_folder(name), stamp):
-        own = lifetimes.recalled(session, name, stamp)
+        own = terms.recalled(session, name, stamp)
         return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED), lifetimes=own)
     package, folder = session.package(name), session.enclave(name)
-    own = lifetimes.lifetimes(package)
+    own = terms.lifetimes(package)
     if identity_keys.is_awaited(package):
         return _awaiting(session, package)
     documents = build.built_documents(session, name)
@@ -213,7 +213,7 @@ def _plan_enclave(
         inputs,
         {file: item.digest for file, item in files.items()},
         tuple(file for file, item in files.items() if item.secret),
-        lifetimes=lifetimes.dump(own, workspace),
+        lifetimes=terms.dump(own, workspace),
     )
     return PackagePlan(
         name,
@@ -258,7 +258,7 @@ def _awaiting(session: Session, package: Package) -> PackagePlan:
         return PackagePlan(package.name, withdrawn=reason)
     kept = Step(STAGE, package.name, Action.KEPT, detail="waits for a request of its robot")
     diagnostics = (identity_keys.awaited(package),)
-    return PackagePlan(package.name, kept, diagnostics=diagnostics, lifetimes=lifetimes.lifetimes(package))
+    return PackagePlan(package.name, kept, diagnostics=diagnostics, lifetimes=terms.lifetimes(package))
 
 
 def _outdated(inputs: Inputs, names: Sequence[str]) -> Iterator[Diagnostic]:

@@ -29,13 +29,13 @@ from keymint.errors import KeymintError
 from keymint.executors import Pool
 from keymint.ir import SubjectRules
 from keymint.names import name_of, subject_of
-from keymint.plan import authority_evidence, proof_record, shared_proof, terms
+from keymint.plan import proof_record, shared_proof, terms
 from keymint.plan.authority_files import chains_digest
 from keymint.plan.build_types import build_types_of, inputs_digest, prover_of
 from keymint.plan.enclaves import enclave_digests, enclave_files, not_installed
 from keymint.plan.proof_results import EnclaveProof, ProofEffort, ProofResults, costliest
 from keymint.plan.shared_documents import load_packages, record_key, shared_folder, users
-from keymint.plan.trust_anchors import anchors_of, shared_anchors, unread_of
+from keymint.plan.trust_anchors import anchors_of, contradictions_for, shared_anchors, unread_of
 from keymint.session import Session
 from keymint.state import Stamp, digest
 
@@ -153,7 +153,7 @@ class ProofStage:
             if defects := unread_of(session, session.package(name), unread):
                 return EnclaveProof(name, subject_of(name), diagnostics=defects, refuted=True)
             digests = {file: digest(content) for file, content in files.items()}
-        if contradictions := authority_evidence.contradictions_for(session, name):
+        if contradictions := contradictions_for(session, name):
             return EnclaveProof(name, subject_of(name), diagnostics=contradictions)
         stamp, folder = session.state.stamp(STAGE, name), self._shown(name)
         current = stamp is not None and stamp.inputs == self._inputs_digest(name, digests, stamp.build_types)

@@ -17,12 +17,10 @@ from comarmor.errors import Defects
 from comarmor.values import dataclass
 from keymint.api import Issuance, Validity
 from keymint.pki import certificates, forms, periods
-from keymint.plan import lifetimes
 from keymint.plan.authority_files import in_order, with_issuers
 from keymint.plan.enclaves import INSTALLED, installed, installed_certificate
-from keymint.plan.lifetimes import Term
 from keymint.plan.revocation import list_of
-from keymint.plan.threshold import DEFAULT, Threshold
+from keymint.plan.terms import DEFAULT, Term, Threshold, recalled
 from keymint.session import Session, once
 
 CERTIFICATE, PERMISSIONS, LIST = "certificate", "permissions", "revocation list"
@@ -86,7 +84,7 @@ def enclave_terms(session: Session, name: str, *, as_recorded: bool = False) -> 
         return None
     ends = authority_ends(session)
     terms: list[Term] = []
-    for each in lifetimes.recalled(session, name, session.state.stamp(INSTALLED, name)):
+    for each in recalled(session, name, session.state.stamp(INSTALLED, name)):
         if each.what != CERTIFICATE:
             terms.append(replace(each, what=PERMISSIONS))
             continue

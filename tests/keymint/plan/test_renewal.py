@@ -12,7 +12,6 @@ import pytest
 
 from comarmor.errors import Origin
 from keymint.api import Issuance
-from keymint.plan.lifetimes import Term
 from keymint.plan.renewal import (
     CERTIFICATE,
     LIST,
@@ -25,7 +24,7 @@ from keymint.plan.renewal import (
     renewed,
     schedule,
 )
-from keymint.plan.threshold import DEFAULT, Threshold
+from keymint.plan.terms import DEFAULT, Term, Threshold
 from tests.conftest import NOW
 from tests.keymint.plan.sessions import session_of
 
