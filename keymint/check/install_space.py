@@ -3,20 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import timedelta
 
 from comarmor.errors import Diagnostic
 from keymint.api import Artifact, BuildOptions, SharedInspection
 from keymint.check.file_status import as_installed
 from keymint.errors import KeymintError
-from keymint.names import ROOT, subject_of
+from keymint.names import ROOT
 from keymint.plan import environment, gitignore
 from keymint.plan.build_types import shared_builder
-from keymint.plan.enclaves import INSTALLED, enclave_files, files_in, installed
+from keymint.plan.enclaves import INSTALLED, files_in, installed
 from keymint.plan.register import withdrawn
 from keymint.plan.shared_documents import build_shared, load_packages, record_key, users
-from keymint.plan.shared_files import build_types_in_use, copies_of
+from keymint.plan.shared_files import EnclaveChanges, build_types_in_use, copies_of, shared_copies
 from keymint.plan.shared_install import installed_shared
 from keymint.plan.shared_proof import enclaves_of
 from keymint.plan.trust_anchors import shared_anchors
@@ -53,26 +53,24 @@ def outside_enclaves(session: Session, within: timedelta) -> Iterator[Diagnostic
     empty = [folder for folder in folders if not session.tree.names(folder)]  # an error if one cannot be read
     for path in outside:
         relative = path.removeprefix(f"{workspace.install}/")
-        if path in own or path in targets or relative in known or relative == gitignore.NAME:
+        if path in own or path in targets or relative in known or relative in expected or relative == gitignore.NAME:
             continue
         if relative in own_scripts:  # a workspace that was not installed since they exist has none
             is_ours = environment.is_ours(session.tree.try_read(path) or b"")
             help_ = restores if is_ours else "rename it or remove it, and run 'keymint install'"
             yield from as_installed(session, path, digest(own_scripts[relative]), help_, _OTHER_SCRIPT)
-        elif relative in expected:
-            yield from as_installed(session, path, digest(expected[relative]), restores, _OTHER_COPY)
         else:
             message = "is in the install space, but belongs to no enclave"
             yield Diagnostic.warning("file-unexpected", message, workspace.origin(path), "remove it")
-    for relative in expected:
-        if session.tree.status(workspace.install / relative) is None:
-            yield from as_installed(session, workspace.install / relative, "", restores)
+    for relative, content in expected.items():
+        if (path := f"{workspace.install}/{relative}") not in own and path not in targets:
+            yield from as_installed(session, path, digest(content), restores, _OTHER_COPY)
     for folder in empty:
         message = "is an empty folder in the install space that Keymint did not create"
         yield Diagnostic.warning("folder-unexpected", message, workspace.origin(folder), "remove it")
 
 
-def _copies(session: Session, names: Iterable[str], outside: Iterable[str]) -> Mapping[str, bytes]:
+def _copies(session: Session, names: Sequence[str], outside: Iterable[str]) -> Mapping[str, bytes]:
     """Return the copies of enclaves' files that all installed build types have outside of them, by path.
 
     If all that have them were revoked, the copies stay for those that get a new key, and are compared with each other.
@@ -82,22 +80,14 @@ def _copies(session: Session, names: Iterable[str], outside: Iterable[str]) -> M
         names: the installed enclaves.
         outside: paths of the files outside of them.
     """
-    expected: dict[str, bytes] = {}
-    sources = set(session.packages())
-    artifacts = {
-        subject_of(name): {file: Artifact(content) for file, content in enclave_files(session, name)[0].items()}
-        for name in names
-        if name in sources or sources.isdisjoint(names)  # if all are hidden or orphaned, they still need the copies
-    }
-    left: dict[str, dict[str, Artifact]] = {}
-    if withdrawn(session):
-        left[""] = {path.rpartition("/")[2]: Artifact(session.tree.try_read(path) or b"") for path in outside}
-    for name in session.plugins.names("keymint.build_types") if artifacts or left else ():
-        build_type = session.plugins.build_type(name)
-        if session.profile.layout in build_type.LAYOUTS:
-            copies = copies_of(session, build_type, artifacts) or copies_of(session, build_type, left)
-            expected |= {path: artifact.content for path, artifact in copies.items()}
-    return expected
+    sources = frozenset(session.packages())
+    gone = frozenset(names) - sources if sources.intersection(names) else frozenset[str]()  # all hidden: they need them
+    found = shared_copies(session, EnclaveChanges(removed=gone))
+    if not any(found) and withdrawn(session):
+        left = {"": {path.rpartition("/")[2]: Artifact(session.tree.try_read(path) or b"") for path in outside}}
+        build_types = map(session.plugins.build_type, session.plugins.names("keymint.build_types"))
+        found = [copies_of(session, each, left) for each in build_types if session.profile.layout in each.LAYOUTS]
+    return {path: artifact.content for copies in found for path, artifact in copies.items()}
 
 
 # -- documents over all packages ------------------------------------------------------------------------------------

@@ -62,10 +62,9 @@ def replaced(
     """
     for build_type in build_types_of(session, package).values():
         if CERTIFICATE in before and (found := _compared(build_type, package, before, after, after[CERTIFICATE])):
-            comparison, until = found
-            if comparison.excess or comparison.reason:
+            comparison, until = found[0], min(found[1], certificates.load(after[CERTIFICATE]).not_valid_after_utc)
+            if (comparison.excess or comparison.reason) and until >= session.now:
                 excess = excess_of(package.subject, comparison.excess, comparison.reason)
-                until = min(until, certificates.load(after[CERTIFICATE]).not_valid_after_utc)
                 note = outliving(session, package.name, package.subject, excess, until)
                 yield replace(note, severity=Severity.WARNING)
         for layout in build_type.LAYOUTS.values() if session.state.stamp(INSTALLED, package.name) is None else ():

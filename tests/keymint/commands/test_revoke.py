@@ -366,6 +366,15 @@ def test_narrower_rights(provisioned: Path, keymint, policy: Path) -> None:
     assert "more than the policy" not in wider.err
 
 
+def test_earlier_rights_that_have_ended_are_no_news(provisioned: Path, keymint, policy: Path) -> None:
+    policy.write_text(policy.read_text().replace("<attachment>/chatter<", "<attachment>/other<"))
+    for days, expected in ((400, False), (200, True)):
+        shutil.copytree(provisioned, provisioned.with_name(str(days)))
+        late = {"SOURCE_DATE_EPOCH": str(NOW + days * 86400)}
+        outcome = keymint("provision", policy, "-w", provisioned.with_name(str(days)), "--json", env=late)
+        assert ("rights-outlive" in outcome.codes()) == expected
+
+
 @pytest.mark.parametrize("way", ["install", "provision", "profile"])
 def test_narrower_rights_are_revoked_on_request(provisioned: Path, keymint, policy: Path, way: str) -> None:
     old = {name: certificate(provisioned, name).serial_number for name in NAMES}
