@@ -30,7 +30,7 @@ from keymint.output.report import Report, findings_if, members
 from keymint.plan.policy import load_policy
 from keymint.plan.trust_anchors import differences
 from keymint.verify.usable_transports import choose, models
-from keymint.verify.why import Explanation, MatchedRule, Need, build_types, explain, granted_domains, request
+from keymint.verify.why import Explanation, MatchedRule, Need, explain, request, source_package
 
 _PERMISSIONS = [permission for permissions in LABELLED.values() for permission in permissions]
 Place = Callable[[Origin | None], str]
@@ -65,12 +65,14 @@ def why(
     Exit code 3: a transport disagrees with the policy, or the enclave does not trust the workspace's authorities.
     """
     session = run.session()
-    granted = granted_domains(session, subject)
+    package = source_package(session, subject)
+    granted = package.grant.domains if package else ()
     if domain is None:
         domain = granted[0].first if granted else 0
     edge = request(subject, permission, object_name, kind or "", partitions, domain)
-    transports = choose(run.plugins, chosen, Tier.DECISION, build_types(session, edge.subject))
-    explanation = explain(session, load_policy(session), edge, transports, partial(models, run.plugins))
+    build_types = package.build_types if package else session.profile.build_types
+    transports = choose(run.plugins, chosen, Tier.DECISION, build_types)
+    explanation = explain(session, load_policy(session), package, edge, transports, partial(models, run.plugins))
 
     run.console.lines(_lines(explanation, run.place))
     asked = (name_of(explanation.edge.subject),) if explanation.installed and explanation.packaged else ()
