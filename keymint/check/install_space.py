@@ -51,6 +51,9 @@ def outside_enclaves(session: Session, within: timedelta) -> Iterator[Diagnostic
     folders = [path for path, is_folder in entries if is_folder]
     restores = "'keymint install' restores it"
     empty = [folder for folder in folders if not session.tree.names(folder)]  # an error if one cannot be read
+    for relative, content in expected.items():
+        if (path := f"{workspace.install}/{relative}") not in own and path not in targets:
+            yield from as_installed(session, path, digest(content), restores, _OTHER_COPY)
     for path in outside:
         relative = path.removeprefix(f"{workspace.install}/")
         if path in own or path in targets or relative in known or relative in expected or relative == gitignore.NAME:
@@ -62,9 +65,6 @@ def outside_enclaves(session: Session, within: timedelta) -> Iterator[Diagnostic
         else:
             message = "is in the install space, but belongs to no enclave"
             yield Diagnostic.warning("file-unexpected", message, workspace.origin(path), "remove it")
-    for relative, content in expected.items():
-        if (path := f"{workspace.install}/{relative}") not in own and path not in targets:
-            yield from as_installed(session, path, digest(content), restores, _OTHER_COPY)
     for folder in empty:
         message = "is an empty folder in the install space that Keymint did not create"
         yield Diagnostic.warning("folder-unexpected", message, workspace.origin(folder), "remove it")
