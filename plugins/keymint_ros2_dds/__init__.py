@@ -50,6 +50,7 @@ class DdsSecurity:
     check_node = lazy("keymint_ros2_dds.node_start:check_node")
     compare = lazy("keymint_ros2_dds.foreign_documents:compare")
     compared = lazy("keymint_ros2_dds.proving.relation:compared")
+    compared_with = lazy("keymint_ros2_dds.proving.relation:compared_with")
     granted = lazy("keymint_ros2_dds.keystores.grants:granted")
 
     found = lazy("keymint_ros2_dds.keystores.found:found")
@@ -64,14 +65,12 @@ class DdsSecurity:
     differences = lazy("keymint_ros2_dds.examine:differences")
     prove = lazy("keymint_ros2_dds.proving:prove")
     terms = lazy("keymint_ros2_dds.proving:terms")
-    outliving = lazy("keymint_ros2_dds.proving.succession:outliving")
     PRESENTED = PERMISSIONS_P7S
     presented_until = lazy("keymint_ros2_dds.proving.presented:presented_until")
     choosers = lazy("keymint_ros2_dds.proving.presented:choosers")
     trusting_any_signer = lazy("keymint_ros2_dds.proving.presented:trusting_any_signer")
     excess = lazy("keymint_ros2_dds.proving.presented:excess")
-    changed_rights = lazy("keymint_ros2_dds.proving.succession:changed_rights")
-    distro_of = lazy("keymint_ros2_dds.proving.succession:distro_of")
+    distro_of = lazy("keymint_ros2_dds.proving.installed_distro:distro_of")
 
     is_remote = lazy("keymint_ros2_dds.kinds.elsewhere:is_remote")
     receive = lazy("keymint_ros2_dds.kinds.elsewhere:receive")
