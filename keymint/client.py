@@ -36,7 +36,7 @@ from keymint.output.console import Streams
 from keymint.output.report import Report
 from keymint.plan.create import CreateStage
 from keymint.plan.policy import load_policy, locations_digest
-from keymint.plan.threshold import DEFAULT, Threshold
+from keymint.plan.terms import DEFAULT, Threshold
 from keymint.session import Inputs, Session
 
 __all__ = ["Client", "Enclave", "KeymintError", "Threshold"]

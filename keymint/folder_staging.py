@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import shutil
 import stat
 from collections.abc import Collection, Iterator
 from dataclasses import field
@@ -76,17 +75,10 @@ class FolderContent:
             yield from inner.changed(f"{inside}{name}/")
 
 
-@dataclass(slots=True)
-class Carried:
-    """The entries carried over (files with their inodes, and folders), and the names of those left behind."""
-
-    files: dict[str, int] = field(default_factory=dict)
-    folders: dict[str, Carried] = field(default_factory=dict)
-    left: set[str] = field(default_factory=set)
-
-
-def stage(old: int, new_parent: int, name: str, shown: str, content: FolderContent) -> Carried | None:
-    """Create the replacement of a folder.
+def stage(
+    old: int, new_parent: int, name: str, shown: str, content: FolderContent, carried: dict[str, int], inside: str = ""
+) -> None:
+    """Create the replacement of a folder, unless it would be empty.
 
     Args:
         old: the existing folder, open.
@@ -94,9 +86,8 @@ def stage(old: int, new_parent: int, name: str, shown: str, content: FolderConte
         name: name of the replacement.
         shown: path of the existing folder, for messages.
         content: its new content.
-
-    Returns:
-        The entries carried over; None if the folder would be empty, and the replacement is not created.
+        carried: receives the inode of each file that is carried over, by its path.
+        inside: begin of these paths.
 
     Raises:
         KeymintError: the system refuses, a link or another kind of file is in the way, or a file system is mounted
@@ -110,42 +101,36 @@ def stage(old: int, new_parent: int, name: str, shown: str, content: FolderConte
         with opened_folder(name, new_parent) as new:
             give(new, (status.st_uid, status.st_gid))
             _copy_attributes(old, new)
-            carried = _carry(old, new, shown, content)
+            _carry(old, new, shown, content, carried, inside)
             for file, changed in content.files.items():
                 replaced = require_regular(old, shown, file, or_link=changed.replaces_link) or status
                 create(new, shown, file, changed, (replaced.st_uid, replaced.st_gid))
-            _add_folders(new, shown, content, staged=carried.folders)
-            if content.removes() and not (carried.files or carried.folders or content.writes()):
+            _add_folders(new, shown, content, [each.name for each in os.scandir(new) if each.is_dir()])
+            if content.removes() and not list(os.scandir(new)):
                 os.rmdir(name, dir_fd=new_parent)
-                return None
+                return
             mode = stat.S_IMODE(status.st_mode)
             os.fchmod(new, 0o700 if content.private and mode & 0o077 else mode)
-    return carried
 
 
-def _carry(old: int, new: int, shown: str, content: FolderContent) -> Carried:
+def _carry(old: int, new: int, shown: str, content: FolderContent, carried: dict[str, int], inside: str) -> None:
     """Carry over the entries that do not change, and stage the subfolders."""
-    carried = Carried(left={*content.files, *content.removed})
     mount = mount_of(old)
     for entry in sorted(os.scandir(old), key=lambda entry: entry.name):
         name = entry.name
         if is_temporary(name):
-            carried.left.add(name)
-        elif entry.is_dir(follow_symlinks=False):
+            continue
+        if entry.is_dir(follow_symlinks=False):
             if name in content.removed:
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
             with opened_folder(name, old) as inner:
                 if mount_of(inner) != mount:
                     refuse_mount(f"{shown}/{name}")
-                below = stage(inner, new, name, f"{shown}/{name}", content.folders.get(name, FolderContent()))
-            if below is None:
-                carried.left.add(name)
-            else:
-                carried.folders[name] = below
-        elif name not in carried.left:
+                below = content.folders.get(name, FolderContent())
+                stage(inner, new, name, f"{shown}/{name}", below, carried, f"{inside}{name}/")
+        elif name not in content.files and name not in content.removed:
             _link(old, new, f"{shown}/{name}", name)
-            carried.files[name] = entry.inode()
-    return carried
+            carried[f"{inside}{name}"] = entry.inode()
 
 
 def _add_folders(parent: int, shown: str, content: FolderContent, staged: Collection[str] = ()) -> None:
@@ -248,40 +233,3 @@ def refuse_mount(shown: str) -> NoReturn:
         help="unmount it; mount the folder above the enclaves instead",
         code="mount-refused",
     )
-
-
-def clear(parent: int, name: str, new: int | None, carried: Carried) -> None:
-    """Remove the old folder after the swap.
-
-    Entries that another process added in the meantime are moved to the new folder. If there is none, they stay, and so
-    does the folder.
-
-    Args:
-        parent: the open parent folder.
-        name: name of the old folder.
-        new: the new folder, open.
-        carried: the entries carried over.
-
-    Raises:
-        OSError: the system refuses.
-    """
-    with opened_folder(name, parent) as old:
-        for entry in sorted(os.scandir(old), key=lambda entry: entry.name):
-            below = carried.folders.get(entry.name)
-            if below is not None:
-                with contextlib.ExitStack() as opened:
-                    inner = None if new is None else opened.enter_context(opened_folder(entry.name, new))
-                    clear(old, entry.name, inner, below)
-            elif entry.name in carried.left and entry.is_dir(follow_symlinks=False):
-                shutil.rmtree(entry.name, dir_fd=old)
-            elif entry.name in carried.left or carried.files.get(entry.name) == entry.inode():
-                os.unlink(entry.name, dir_fd=old)
-            elif new is not None:
-                os.rename(entry.name, entry.name, src_dir_fd=old, dst_dir_fd=new)
-                with contextlib.suppress(FileNotFoundError):  # two names of one file: then nothing was renamed
-                    os.unlink(entry.name, dir_fd=old)
-    try:
-        os.rmdir(name, dir_fd=parent)
-    except OSError as error:
-        if new is not None or error.errno not in NOT_EMPTY:
-            raise

@@ -14,8 +14,8 @@ import os
 import stat
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from keymint.file_writing import opened_folder, reported, require_regular, temporary
-from keymint.folder_staging import NOT_EMPTY, Carried, clear
+from keymint.file_writing import is_temporary, opened_folder, reported, temporary
+from keymint.folder_staging import NOT_EMPTY
 from keymint.folder_swap import swap_in
 from keymint.open_folders import OpenFolders, Roots, close_to_others
 from keymint.staged import Exchange, Staged, remove_staged
@@ -37,7 +37,7 @@ def commit(roots: Roots, staged: Sequence[Staged], ready: Callable[[tuple[Exchan
     exchanges = [exchange for each in staged for exchange in each.exchanges]
     if not exchanges:
         return
-    inner = _inside_replaced(exchanges) if len(staged) > 1 else {}
+    inner = _inside_replaced(exchanges)
     groups = _in_order(_outer_first(exchanges, inner), roots)
     waiting = [exchange for group in reversed(groups) for exchange in reversed(group)]
     old: list[tuple[Exchange, str]] = []
@@ -62,7 +62,7 @@ def commit(roots: Roots, staged: Sequence[Staged], ready: Callable[[tuple[Exchan
                 _sync(group, folders, len({each.folder for each in group}), staged=False)
             cleared = [exchange for exchange, _ in old]
             while old:
-                _clear(*old[-1], folders)
+                _clear_away(*old[-1], folders)
                 old.pop()
             # A run takes its mark back after this, and the next run removes what is left only if there is a mark.
             _sync(cleared, folders, len({each.folder for each in cleared}), staged=False)
@@ -70,7 +70,7 @@ def commit(roots: Roots, staged: Sequence[Staged], ready: Callable[[tuple[Exchan
             remove_staged(waiting, folders)
             for exchange, left in old:
                 with contextlib.suppress(Exception):
-                    _clear(exchange, left, folders)
+                    _clear_away(exchange, left, folders)
             raise
 
 
@@ -105,7 +105,7 @@ def make_visible(folder: int, exchange: Exchange) -> str | None:
         The name that the old folder has now, if there is one.
     """
     name, staged = exchange.name, exchange.staged
-    if staged is not None and exchange.old is not None:
+    if staged is not None and exchange.replaces:
         return swap_in(folder, staged, name)
     if staged is not None:
         try:
@@ -113,57 +113,83 @@ def make_visible(folder: int, exchange: Exchange) -> str | None:
         except OSError as error:
             if error.errno not in NOT_EMPTY:
                 raise
-            _merge(folder, staged, folder, name, f"{exchange.folder}/{name}")
-    elif exchange.old is not None:
-        return _remove_folder(folder, name, exchange.old)
+            _move_into(exchange, folder, staged, (folder, name))  # another process created it meanwhile
+    elif exchange.replaces:
+        return _remove_folder(folder, exchange)
     else:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(name, dir_fd=folder)
     return None
 
 
-def _remove_folder(parent: int, name: str, expected: Carried) -> str | None:
+def _remove_folder(parent: int, exchange: Exchange) -> str | None:
     """Rename a folder away; return its temporary name."""
     away = temporary()
     try:
-        os.rename(name, away, src_dir_fd=parent, dst_dir_fd=parent)
+        os.rename(exchange.name, away, src_dir_fd=parent, dst_dir_fd=parent)
     except FileNotFoundError:
         return None
     except OSError as error:
         if error.errno != errno.EXDEV:
             raise
-        clear(parent, name, None, expected)  # overlayfs cannot rename a folder of a lower layer: remove file by file
+        # overlayfs cannot rename a folder of a lower layer: remove file by file
+        _move_into(exchange, parent, exchange.name)
         return None
     return away
 
 
-def _merge(parent: int, staged: str, target_parent: int, name: str, shown: str) -> None:
-    """Move what was staged as a new folder into a folder that another process created in the meantime."""
-    with opened_folder(staged, parent) as new, opened_folder(name, target_parent) as target:
-        if not stat.S_IMODE(os.fstat(new).st_mode) & 0o077:
+def _clear_away(exchange: Exchange, left: str, folders: OpenFolders) -> None:
+    """Remove the old folder of an exchange; what others put into it meanwhile moves to the place of the exchange."""
+    with reported(f"{exchange.folder}/{exchange.name}"):
+        parent = folders.open(exchange.folder)
+        if not _move_into(exchange, parent, left, (parent, exchange.name)):
+            os.rename(left, exchange.name, src_dir_fd=parent, dst_dir_fd=parent)
+
+
+def _move_into(
+    exchange: Exchange, parent: int, name: str, new: tuple[int, str] | None = None, inside: str = ""
+) -> bool:
+    """Remove a folder; what the run neither changes nor carried over moves to another one, also if it is staged.
+
+    Args:
+        exchange: the exchange of the folder, or of one around it.
+        parent: the open folder in which it is.
+        name: its name.
+        new: the open folder in which the other one is, and its name, if there is one.
+        inside: its path in the folder of the exchange, with a slash at its end.
+
+    Returns:
+        Whether it is removed; else there is no other one.
+
+    Raises:
+        OSError: the system refuses.
+    """
+    with opened_folder(name, parent) as old, contextlib.ExitStack() as opened:
+        target: int | None = None
+        with contextlib.suppress(FileNotFoundError):
+            target = opened.enter_context(opened_folder(new[1], new[0])) if new else None
+        if target is not None and not stat.S_IMODE(os.fstat(old).st_mode) & 0o077:
             close_to_others(target)
-        for entry in sorted(os.scandir(new), key=lambda each: each.name):
-            if not entry.is_dir(follow_symlinks=False):
-                require_regular(target, shown, entry.name)
-            try:
-                os.rename(entry.name, entry.name, src_dir_fd=new, dst_dir_fd=target)
-            except OSError as error:
-                if error.errno not in NOT_EMPTY:
-                    raise
-                _merge(new, entry.name, target, entry.name, f"{shown}/{entry.name}")
-        os.fsync(target)
-    os.rmdir(staged, dir_fd=parent)
-
-
-def _clear(exchange: Exchange, left: str, folders: OpenFolders) -> None:
-    """Remove the old folder of an exchange."""
-    with reported(f"{exchange.folder}/{exchange.name}"), contextlib.ExitStack() as opened:
-        parent, old = folders.open(exchange.folder), exchange.old or Carried()
-        new = opened.enter_context(opened_folder(exchange.name, parent)) if exchange.staged else None
-        clear(parent, left, new, old)
-        if new is None:
-            with contextlib.suppress(FileNotFoundError):  # what another process added meanwhile keeps its place
-                os.rename(left, exchange.name, src_dir_fd=parent, dst_dir_fd=parent)
+        for entry in sorted(os.scandir(old), key=lambda entry: entry.name):
+            path = f"{inside}{entry.name}"
+            is_ours = path in exchange.changed or exchange.carried.get(path) == entry.inode()
+            if entry.is_dir(follow_symlinks=False) and not is_temporary(entry.name):
+                inner = None if target is None else (target, entry.name)
+                is_ours = _move_into(exchange, old, entry.name, inner, f"{path}/")
+            elif is_ours:
+                os.unlink(entry.name, dir_fd=old)
+            if not is_ours and target is not None:
+                os.rename(entry.name, entry.name, src_dir_fd=old, dst_dir_fd=target)
+                with contextlib.suppress(FileNotFoundError):  # two names of one file: then nothing was renamed
+                    os.unlink(entry.name, dir_fd=old)
+                os.fsync(target)
+    try:
+        os.rmdir(name, dir_fd=parent)
+    except OSError as error:
+        if target is not None or error.errno not in NOT_EMPTY:
+            raise
+        return False
+    return True
 
 
 # -- what was staged inside of a folder that is replaced ---------------------------------------------------------
@@ -171,7 +197,7 @@ def _clear(exchange: Exchange, left: str, folders: OpenFolders) -> None:
 
 def _inside_replaced(exchanges: Iterable[Exchange]) -> dict[str, list[Exchange]]:
     """Return, for each folder that is replaced, the exchanges inside of it, which another process staged."""
-    replaced = {f"{each.folder}/{each.name}" for each in exchanges if each.staged and each.old is not None}
+    replaced = {f"{each.folder}/{each.name}" for each in exchanges if each.staged and each.replaces}
     inside: dict[str, list[Exchange]] = {}
     for exchange in exchanges if replaced else ():
         above = exchange.folder

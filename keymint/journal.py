@@ -7,12 +7,10 @@ names that are about to change. So the next run finishes what became visible in 
 
 from __future__ import annotations
 
-import contextlib
-import filecmp
 import itertools
 import os
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,12 +18,11 @@ from typing import Any
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
-from keymint.file_writing import check_component, is_temporary, reported
-from keymint.folder_staging import NOT_EMPTY, Carried
-from keymint.group_commit import make_visible
+from keymint.file_writing import check_component, is_temporary
+from keymint.group_commit import commit
 from keymint.names import listed
-from keymint.open_folders import OpenFolders
-from keymint.staged import Exchange
+from keymint.open_folders import OpenFolders, Roots
+from keymint.staged import Exchange, Staged
 from keymint.state import digest, sealed, unsealed
 
 MARK = "running"
@@ -115,8 +112,8 @@ class Journal:
     def dump(self, records: Path) -> bytes:
         """Return the journal as bytes; its paths are relative to the folder of records, so a workspace may be moved."""
         rows = [
-            (each.order, os.path.relpath(each.folder, records), each.name, each.staged, each.file,
-             each.old is not None, each.changed)
+            (each.order, os.path.relpath(each.folder, records), each.name, each.staged, each.file, each.replaces,
+             each.changed)
             for each in self.exchanges
         ]  # fmt: skip
         intent = (self.intent.command, self.intent.inputs, self.intent.packages)
@@ -154,15 +151,15 @@ def _exchange(
     for part in (name, *("/".join(changed).split("/") if changed else ()), *([staged] if staged else ())):
         check_component(part, folder)
     place = os.path.normpath(records / folder)
-    return Exchange(int(order), place, str(name), staged, bool(file), Carried() if replaces else None, dict(changed))
+    return Exchange(int(order), place, str(name), staged, bool(file), bool(replaces), dict(changed))
 
 
-def recovered(journal: Journal, folders: OpenFolders) -> Journal:
+def recovered(journal: Journal, roots: Roots) -> Journal:
     """Finish a run that became visible in part; of one that did not, nothing is changed.
 
     Args:
         journal: what it was about to change.
-        folders: opens the folders below the roots of the store.
+        roots: the roots of the store.
 
     Returns:
         The journal without names that are about to change.
@@ -170,16 +167,16 @@ def recovered(journal: Journal, folders: OpenFolders) -> Journal:
     Raises:
         KeymintError: the system refuses; it can be tried again.
     """
-    waiting = [_is_pending(each) for each in journal.exchanges]
-    finished = journal.finished or not (all(waiting) or any(map(_is_lost, journal.exchanges)))
+    exchanges = journal.exchanges
+    finished = journal.finished or not (all(map(_is_pending, exchanges)) or any(map(_is_lost, exchanges)))
     if finished:
-        for exchange in journal.exchanges:
-            if _is_pending(exchange):  # one may contain another one
-                with reported(f"{exchange.folder}/{exchange.name}"):
-                    _finish(exchange, folders)
+        for exchange in exchanges:
+            if _is_pending(exchange):  # asked late, since one may contain another one
+                commit(roots, [Staged((exchange,))], lambda _: None)
         synced: set[str] = set()
-        for folder in {each.folder for each in journal.exchanges if os.path.isdir(each.folder)}:
-            folders.sync(folder, synced)
+        with OpenFolders(roots, create=False) as folders:
+            for folder in {each.folder for each in exchanges if os.path.isdir(each.folder)}:
+                folders.sync(folder, synced)
     return replace(journal, exchanges=(), finished=finished)
 
 
@@ -187,17 +184,17 @@ def _is_pending(exchange: Exchange) -> bool:
     """Tell whether a name is not changed yet, and can be."""
     place = f"{exchange.folder}/{exchange.name}"
     if exchange.staged is None:
-        paths = [f"{place}/{path}" for path in exchange.changed] if exchange.old is not None else [place]
+        paths = [f"{place}/{path}" for path in exchange.changed] if exchange.replaces else [place]
         return any(map(os.path.lexists, paths))
     # After two names are exchanged, the former folder has the name of what was staged.
     return os.path.lexists(f"{exchange.folder}/{exchange.staged}") and (
-        exchange.old is None or not _has(place, exchange.changed)
+        not exchange.replaces or not _has(place, exchange.changed)
     )
 
 
 def _is_lost(exchange: Exchange) -> bool:
     """Tell whether a new name is not there, and what was staged for it is gone: another workspace removed it."""
-    names = (exchange.staged, exchange.name) if exchange.staged and exchange.old is None else ()
+    names = (exchange.staged, exchange.name) if exchange.staged and not exchange.replaces else ()
     return bool(names) and not any(os.path.lexists(f"{exchange.folder}/{name}") for name in names)
 
 
@@ -211,60 +208,3 @@ def _digest(path: str) -> str | None:
         return digest(Path(path).read_bytes())
     except OSError:
         return None
-
-
-def _finish(exchange: Exchange, folders: OpenFolders) -> None:
-    """Change a name, and keep what somebody changed meanwhile beside that which the run changes.
-
-    Raises:
-        OSError: the system refuses.
-    """
-    place = f"{exchange.folder}/{exchange.name}"
-    folders.open(exchange.folder)  # it must be below a root, without a link on the way
-    if exchange.staged is not None:
-        if exchange.old is not None:
-            _keep_others(place, f"{exchange.folder}/{exchange.staged}", exchange.changed)
-        make_visible(folders.open(exchange.folder), exchange)
-    elif exchange.old is None:
-        os.unlink(exchange.name, dir_fd=folders.open(exchange.folder))
-    else:
-        for path in exchange.changed:
-            with contextlib.suppress(FileNotFoundError, KeymintError):  # its folder is gone
-                above, _, name = f"{place}/{path}".rpartition("/")
-                os.unlink(name, dir_fd=folders.open(above))
-        for above in sorted({os.path.dirname(f"{place}/{path}") for path in exchange.changed}, reverse=True):
-            _remove_empty(above, exchange.folder)
-
-
-def _remove_empty(folder: str, top: str) -> None:
-    """Remove a folder and those above it, as far as they are empty and below another one."""
-    while folder.startswith(f"{top}/"):
-        try:
-            os.rmdir(folder)
-        except FileNotFoundError:
-            pass
-        except OSError as error:
-            if error.errno not in NOT_EMPTY:
-                raise
-            return
-        folder = os.path.dirname(folder)
-
-
-def _keep_others(old: str, new: str, changed: Mapping[str, str | None]) -> None:
-    """Move what was added or edited in a folder meanwhile, and what is staged inside of it, to its replacement."""
-    for path in _others(old, ""):
-        target = f"{new}/{path}"
-        if path in changed or (os.path.isfile(target) and filecmp.cmp(f"{old}/{path}", target, shallow=False)):
-            continue
-        os.makedirs(os.path.dirname(target), 0o700, exist_ok=True)
-        os.rename(f"{old}/{path}", target)
-
-
-def _others(folder: str, inside: str) -> Iterator[str]:
-    """Yield the paths of the files in a folder, and of what is staged in it."""
-    entries: Sequence[os.DirEntry[str]] = sorted(os.scandir(f"{folder}/{inside}"), key=lambda entry: entry.name)
-    for entry in entries:
-        if entry.is_dir(follow_symlinks=False) and not is_temporary(entry.name):
-            yield from _others(folder, f"{inside}{entry.name}/")
-        else:
-            yield f"{inside}{entry.name}"

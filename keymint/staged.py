@@ -11,7 +11,7 @@ import contextlib
 import os
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import field
+from dataclasses import field, replace
 
 from comarmor.values import dataclass
 from keymint.changes import File, FolderChange
@@ -25,7 +25,7 @@ from keymint.file_writing import (
     require_regular,
     temporary,
 )
-from keymint.folder_staging import Carried, FolderContent, add, mount_of, refuse_mount, stage
+from keymint.folder_staging import FolderContent, add, mount_of, refuse_mount, stage
 from keymint.open_folders import OpenFolders, Roots, close_to_others
 
 
@@ -39,8 +39,9 @@ class Exchange:
         name: the name of a file or folder.
         staged: the name, in the same folder, of what was staged for it; None if the name is removed.
         file: it is the name of a file.
-        old: the entries of the folder that is replaced or removed; None if a file changes, or a folder is new.
+        replaces: it is the name of a folder that is replaced or removed.
         changed: the files that change in that folder and below it, each with its new digest, or None if it is removed.
+        carried: the inode of each file in that folder or below it that its replacement has as well, by its path.
     """
 
     order: int
@@ -48,8 +49,9 @@ class Exchange:
     name: str
     staged: str | None
     file: bool = False
-    old: Carried | None = None
+    replaces: bool = False
     changed: Mapping[str, str | None] = field(default_factory=dict)
+    carried: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,9 +163,9 @@ class Staging:
         shown = f"{around}/{name}"
         with reported(shown):
             if content.removes():
-                if not content.writes() and (emptied := _emptied(old, content)) is not None:
+                if not content.writes() and _is_emptied(old, content):
                     gone = dict(content.changed())
-                    self._exchanges.append(Exchange(content.order, around, name, None, old=emptied, changed=gone))
+                    self._exchanges.append(Exchange(content.order, around, name, None, replaces=True, changed=gone))
                     return
                 content.removed.intersection_update(os.listdir(old))
         changing = {*content.files, *content.removed}
@@ -171,10 +173,11 @@ class Staging:
             with reported(shown):
                 if mount_of(old) != mount_of(parent):
                     refuse_mount(shown)
+                carried: dict[str, int] = {}
                 with self._temporary(content.order, parent, around, name) as staged:
-                    carried = stage(old, parent, staged, shown, content)
+                    stage(old, parent, staged, shown, content, carried)
             new = dict(content.changed())
-            self._exchanges[-1] = Exchange(content.order, around, name, staged, old=carried, changed=new)
+            self._exchanges[-1] = replace(self._exchanges[-1], replaces=True, changed=new, carried=carried)
             return
         if content.private:
             with reported(shown):
@@ -213,24 +216,19 @@ class Staging:
         self._exchanges.append(Exchange(order, shown, name, staged, file))
 
 
-def _emptied(old: int, content: FolderContent) -> Carried | None:
-    """Return the entries of a folder that would be empty, or None if something would be left in it."""
-    gone = Carried()
+def _is_emptied(old: int, content: FolderContent) -> bool:
+    """Tell whether nothing would be left in a folder."""
     for entry in list(os.scandir(old)):
-        inner = content.folders.get(entry.name)
         if not entry.is_dir(follow_symlinks=False):
             if entry.name not in content.removed:
-                return None
-            gone.left.add(entry.name)
+                return False
             continue
-        if inner is None:
-            return None
+        if entry.name not in content.folders:
+            return False
         with opened_folder(entry.name, old) as opened:
-            below = _emptied(opened, inner)
-        if below is None:
-            return None
-        gone.folders[entry.name] = below
-    return gone
+            if not _is_emptied(opened, content.folders[entry.name]):
+                return False
+    return True
 
 
 def remove_staged(exchanges: Iterable[Exchange], folders: OpenFolders) -> None:

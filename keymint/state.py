@@ -48,7 +48,7 @@ class Stamp:
         outputs: digest of each file it wrote, by path relative to the package's folder in the stage's space.
         secret: which of them are secret.
         context: digest of other inputs that a stage compares separately: the options of a build, the policy of a proof.
-        lifetimes: when the result is in force, if the stage knows; see :mod:`keymint.plan.lifetimes`.
+        lifetimes: when the result is in force, if the stage knows; see :mod:`keymint.plan.terms`.
         build_types: names of the build types that made the result, if the stage knows.
     """
 

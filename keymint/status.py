@@ -7,42 +7,45 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 
 from comarmor.values import dataclass
-from keymint.api import LoadedPolicy, Role, Validity
+from keymint.api import LoadedPolicy, Role
 from keymint.errors import KeymintError
-from keymint.pki import certificates, forms
-from keymint.plan import build, create, install, lifetimes
-from keymint.plan.authority_files import trusted_chains
+from keymint.plan import build, create, install
 from keymint.plan.enclaves import hidden, installed, installed_certificate, orphans
 from keymint.plan.register import withdrawn
-from keymint.plan.renewal import EnclaveTerms, enclave_terms
+from keymint.plan.renewal import CERTIFICATE, EnclaveTerms, enclave_terms
 from keymint.plan.shared_documents import built_shared, is_current, users
 from keymint.plan.shared_install import installed_shared, is_installed
+from keymint.plan.terms import recalled
 from keymint.session import Session
 
 
 @dataclass(frozen=True, slots=True)
-class PackageRow:
-    """The status of one package.
+class StatusRow:
+    """The status of one package, or of the documents over all packages of a build type.
 
     Attributes:
-        package: its name.
+        package: its name; empty for such documents.
         stage: the last stage that it went through: ``source``, ``built`` or ``installed``; ``revoked`` if its
             certificate was revoked and its enclave removed; ``orphaned`` for an
             enclave without a source package, ``ignored`` for one whose package a KEYMINT_IGNORE hides.
         stale: the first verb that would do something for it, or empty.
         certificate_expires: end of validity of the installed certificate, UTC.
         permissions_expire: end of validity of the grant, UTC.
-        problem: one line when the package cannot be loaded.
+        problem: one line when the package cannot be loaded, or the documents cannot be built.
         terms: what of the installed enclave ends; None if it is not installed, or that is not known.
+        build_type: the build type of documents over all packages.
+        documents: their paths relative to the install space, as they were built last.
     """
 
     package: str
     stage: str
     stale: str
-    certificate_expires: datetime | None
-    permissions_expire: datetime | None
+    certificate_expires: datetime | None = None
+    permissions_expire: datetime | None = None
     problem: str = ""
     terms: EnclaveTerms | None = None
+    build_type: str = ""
+    documents: tuple[str, ...] = ()
 
     @property
     def renew_after(self) -> datetime | None:
@@ -55,7 +58,7 @@ class PackageRow:
         return self.terms.ends_with() if self.terms else ""
 
 
-def package_rows(session: Session, policy: LoadedPolicy | None) -> tuple[PackageRow, ...]:
+def package_rows(session: Session, policy: LoadedPolicy | None) -> tuple[StatusRow, ...]:
     """Return a row for every source package and every installed enclave, sorted by name.
 
     Args:
@@ -67,52 +70,32 @@ def package_rows(session: Session, policy: LoadedPolicy | None) -> tuple[Package
     stale = _differing(session, policy, names)
     rows = [_row(session, stale, name, installed=name in enclaves) for name in names]
     rows += [
-        PackageRow(name, "orphaned", "install --prune", _certificate_end(session, name), None)
-        for name in orphans(session)
+        StatusRow(name, "orphaned", "install --prune", _certificate_end(session, name)) for name in orphans(session)
     ]
-    rows += [PackageRow(name, "ignored", "", _certificate_end(session, name), None) for name in hidden(session)]
+    rows += [StatusRow(name, "ignored", "", _certificate_end(session, name)) for name in hidden(session)]
     return tuple(sorted(rows, key=lambda row: row.package))
 
 
-@dataclass(frozen=True, slots=True)
-class SharedRow:
-    """The status of the documents over all packages of a build type.
-
-    Attributes:
-        build_type: its name.
-        documents: their paths relative to the install space, as they were built last.
-        stage: ``source``, ``built`` or ``installed``.
-        stale: the first verb that would do something for them, or empty.
-        problem: one line when they cannot be built.
-    """
-
-    build_type: str
-    documents: tuple[str, ...]
-    stage: str
-    stale: str
-    problem: str = ""
-
-
-def shared_rows(session: Session) -> tuple[SharedRow, ...]:
+def shared_rows(session: Session) -> tuple[StatusRow, ...]:
     """Return a row for each build type that has documents over all packages."""
     try:
         of_types = users(session)
     except KeymintError as error:
-        return (SharedRow("", (), "source", "", str(error.diagnostics[0])),)
+        return (StatusRow("", "source", "", problem=str(error.diagnostics[0])),)
     return tuple(_shared_row(session, build_type) for build_type in of_types)
 
 
-def _shared_row(session: Session, build_type: str) -> SharedRow:
+def _shared_row(session: Session, build_type: str) -> StatusRow:
     try:
         built = built_shared(session, build_type)
         there = built is not None and installed_shared(session, built)
         current = built is not None and is_installed(session, build_type, built)
     except KeymintError as error:  # a file that is no file, or too large
-        return SharedRow(build_type, (), "source", "", str(error.diagnostics[0]))
+        return StatusRow("", "source", "", problem=str(error.diagnostics[0]), build_type=build_type)
     stage = "source" if built is None else "installed" if there else "built"
     is_stale = built is None or not is_current(session, build_type)
     stale = "build" if is_stale else "" if current else "install"
-    return SharedRow(build_type, tuple(built or ()), stage, stale)
+    return StatusRow("", stage, stale, build_type=build_type, documents=tuple(built or ()))
 
 
 def _certificate_end(session: Session, name: str) -> datetime | None:
@@ -120,33 +103,20 @@ def _certificate_end(session: Session, name: str) -> datetime | None:
     return certificate.not_valid_after_utc if certificate else None
 
 
-def _recorded_period(session: Session, name: str) -> tuple[datetime, datetime] | None:
-    """Return the validity of the certificate of an enclave that is as it was installed, without reading it.
-
-    It is cut to its issuer's, and in whole seconds.
-    """
-    for each in lifetimes.recalled(session, name, session.state.stamp(install.STAGE, name)):
-        if each.what == "certificate":
-            issuer = certificates.load_bundle(trusted_chains(session)[each.issuer])[0]
-            period = forms.cut(Validity(each.first, each.last), issuer)
-            return period.not_before, period.not_after
-    return None
-
-
-def _terms(session: Session, name: str, period: tuple[datetime, datetime] | None) -> EnclaveTerms | None:
+def _terms(session: Session, name: str, *, as_recorded: bool) -> EnclaveTerms | None:
     try:
-        return enclave_terms(session, name, period)
+        return enclave_terms(session, name, as_recorded=as_recorded)
     except KeymintError:
         return None  # the package has defects, which are its problem
 
 
-def _row(session: Session, differing: Mapping[str, str], name: str, *, installed: bool) -> PackageRow:
+def _row(session: Session, differing: Mapping[str, str], name: str, *, installed: bool) -> StatusRow:
     try:
         built = build.is_built(session, name)
         session.file_digests(name)
     except KeymintError as error:  # a file that is no file, or too large
         problem, end = str(error.diagnostics[0]), _certificate_end(session, name)
-        return PackageRow(name, "installed" if installed else "source", "", end, None, problem)
+        return StatusRow(name, "installed" if installed else "source", "", end, None, problem)
     stage = "installed" if installed else "built" if built else "source"
     if name in withdrawn(session):
         stage = "revoked"
@@ -154,23 +124,22 @@ def _row(session: Session, differing: Mapping[str, str], name: str, *, installed
     permissions_end, current = None, False
     try:
         current = built and build.is_current(session, name)
-        own = lifetimes.recalled(session, name, session.state.stamp(build.STAGE, name) if current else None)
+        own = recalled(session, name, session.state.stamp(build.STAGE, name) if current else None)
         if session.role(name) is Role.SUBJECT:
             permissions_end = next((each.last for each in own if each.what == "grant"), None)
     except KeymintError as error:
         stale, problem = "create", str(error.diagnostics[0])
     stale = stale or ("" if current else "build")
     if not stale and stage == "revoked":
-        return PackageRow(name, stage, "", None, permissions_end, problem)
-    period = None
-    if not stale and installed and install.is_current(session, name):
-        period = _recorded_period(session, name)
-    else:
+        return StatusRow(name, stage, "", None, permissions_end, problem)
+    current = not stale and installed and install.is_current(session, name)
+    if not current:
         is_unknown = session.tree.is_left_out(session.workspace.identity_key(name))
         stale = stale or ("" if installed and is_unknown else "install")
-    end = period[1] if period else _certificate_end(session, name)
-    terms = _terms(session, name, period) if installed else None
-    return PackageRow(name, stage, stale, end, permissions_end, problem, terms)
+    terms = _terms(session, name, as_recorded=current) if installed else None
+    end = next((each.last for each in terms.terms if each.what == CERTIFICATE), None) if terms else None
+    end = end or _certificate_end(session, name)
+    return StatusRow(name, stage, stale, end, permissions_end, problem, terms)
 
 
 def _differing(session: Session, policy: LoadedPolicy | None, names: Sequence[str]) -> Mapping[str, str]:

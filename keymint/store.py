@@ -140,8 +140,7 @@ class Store:
         if marked:
             found = journal.load(read_file(self._mark, MAX_RECORD) or b"", self._records)
             if found.exchanges:
-                with OpenFolders(self._roots, create=False) as folders:
-                    found = journal.recovered(found, folders)
+                found = journal.recovered(found, self._roots)
                 self._record(found)  # before anything is removed, by which it is told what became visible
         for path in _found(roots, is_temporary):
             with reported(path):

@@ -31,7 +31,8 @@ def each_of(*parts: str) -> set[str]:
 _DATED = "authority certificate grant revocation-list"
 F_STRINGS = {
     "f'{term.code}-{code}'": each_of(_DATED, "expired not-yet-valid never-valid"),
-    "f'{each.what}-{code}'": each_of("authority certificate grant", "expired not-yet-valid outlives-authority"),
+    "f'{term.code}-expires'": each_of("authority", "expires"),
+    "f'{each.what}-outlives-authority'": each_of("authority certificate grant", "outlives-authority"),
     "f'{code}-expired'": each_of("certificate grant revocation-list", "expired"),
     "f'{code}-not-yet-valid'": each_of("certificate grant revocation-list", "not-yet-valid"),
     "f'{code}-expires'": each_of("certificate grant revocation-list", "expires"),
@@ -41,7 +42,7 @@ F_STRINGS = {
     "f\"{option.replace(' ', '-')}-unknown\"": each_of("layout subject-format", "unknown"),
 }
 """The f-strings that give codes, and their values."""
-NO_CODES = {"32", "expired", "keymint-graph", "ls-files", "not-yet-valid", "outlives-authority", "python-pkcs11"}
+NO_CODES = {"32", "expired", "keymint-graph", "ls-files", "not-yet-valid", "python-pkcs11"}
 NO_CODES |= {"slot-description", "slot-id", "slot-manufacturer", "utf-8", "utf-8-sig"}
 """Literals in the files of variables, and parts of codes, which look like codes."""
 

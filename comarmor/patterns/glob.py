@@ -115,10 +115,33 @@ def after(glob: Glob, start: str) -> tuple[Glob, ...]:
     if text is not None:
         rest = text[len(start) :]
         return ((rest,) if rest else (),) if text.startswith(start) else ()
+    head = prefix(glob)
+    if head.startswith(start):
+        return (normalise((head.removeprefix(start), *glob[1:])) if start else glob,)
+    if not start.startswith(head):
+        return ()
     derivatives = {units(glob)}
     for char in start:
         derivatives = {rest for tokens in derivatives for rest in _derive(tokens, char)}
     return tuple(dict.fromkeys(normalise(tokens) for tokens in sorted(derivatives, key=len)))
+
+
+@lru_cache(maxsize=1 << 14)
+def before(glob: Glob, end: str) -> tuple[Glob, ...]:
+    """Return patterns of the names ``n`` for which a pattern matches ``n + end``: :func:`after`, read backwards."""
+    if not end:
+        return (glob,)
+    text = literal(glob)
+    if text is not None:
+        left = text.removesuffix(end)
+        return () if left == text else ((left,) if left else (),)
+    tail = suffix(glob)
+    if tail.endswith(end):
+        return (normalise((*glob[:-1], tail.removesuffix(end))),)
+    if not end.endswith(tail):
+        return ()
+    backwards = normalise(reversed(units(glob)))
+    return tuple(normalise(reversed(units(left))) for left in after(backwards, end[::-1]))
 
 
 def _derive(tokens: tuple[Token, ...], char: str) -> Iterator[tuple[Token, ...]]:

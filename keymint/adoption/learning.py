@@ -8,9 +8,9 @@ from dataclasses import field, replace
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.values import dataclass
+from keymint.adoption.policy import differences
 from keymint.api import (
     ComparisonTask,
-    Counterexample,
     DocumentComparer,
     FoundEnclave,
     FoundKeystore,
@@ -130,15 +130,7 @@ def _unproven(
         with learning.effort.limit(rules.rules):
             comparison = comparer.compared(task)
         if comparison.relation is not Relation.EQUAL:
-            example = comparison.missing or comparison.excess
-            reason = _example(example) if not comparison.reason else comparison.reason + costliest(rules.rules)
+            reason = comparison.reason + costliest(rules.rules) if comparison.reason else differences(comparison)
             message = f"{rules.subject}: the learned rules are not proven to mean what {each.file} means: {reason}"
             help_ = "simplify the document, or report a defect of Keymint if it is a simple one"
             yield Diagnostic.error("learn-unproven", message, None, help_, rules.subject)
-
-
-def _example(example: Counterexample | None) -> str:
-    if example is None:
-        return "unknown"
-    permits = "permits" if example.document.allowed else "does not permit"
-    return f"it {permits} to {example.endpoint.action} {example.endpoint.name!r}"

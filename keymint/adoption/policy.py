@@ -83,8 +83,7 @@ class Compared:
         found = self.comparison
         if found.relation is Relation.EQUAL:
             return None
-        shown = [_example(each) for each in (found.missing, found.excess) if each is not None]
-        message = f"is {found.relation} in comparison with the policy: {'; '.join(shown) or found.reason}"
+        message = f"is {found.relation} in comparison with the policy: {differences(found) or found.reason}"
         if found.relation is Relation.UNKNOWN:
             message = f"cannot be compared with the policy: {found.reason}"
         help_ = "change the policy; or leave it out, so that a policy is made from what is signed"
@@ -122,6 +121,11 @@ def compared(
             with effort.limit(of_subject.rules):
                 found.append(Compared(each.subject, comparer.compared(task), grant.file))
     return tuple(found)
+
+
+def differences(found: DocumentComparison) -> str:
+    """Return the shortest names on which a document and a policy differ, in words."""
+    return "; ".join(_example(each) for each in (found.missing, found.excess) if each is not None)
 
 
 def _example(example: Counterexample) -> str:

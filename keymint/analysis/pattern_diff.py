@@ -8,7 +8,7 @@ objects at once (:mod:`keymint.analysis.symbolic_search`); rules in both policie
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from functools import cache
+from functools import cache, partial
 from itertools import product
 
 from comarmor.patterns.decision_lists import Unknown, negated
@@ -19,7 +19,7 @@ from comarmor.rules import PARTS, PERMISSIONS, Effect
 from comarmor.values import dataclass
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_lists import PermissionKey, decision_list, deny_over_allow, find_permitted, overlap
-from keymint.analysis.subject_patterns import SubjectClass, example_subject, rules_of
+from keymint.analysis.subject_patterns import SubjectClass, rules_of
 from keymint.analysis.subject_templates import exact_halves, fill_placeholders, fit_pattern, placeholders
 from keymint.analysis.symbolic_rules import SymbolicRule, SymbolicRules
 from keymint.analysis.symbolic_search import EVERYBODY, SymbolicCondition, SymbolicEntry, find_subject
@@ -117,30 +117,20 @@ class PatternComparison:
         key: PermissionKey,
         rule: SymbolicRule,
         area: SubjectClass,
-        searches: Sequence[_AlternativeSearches],
+        searches: Sequence[_Alternatives],
         said: Sequence[Glob],
         listed: Sequence[SubjectClass],
     ) -> str | Unknown | None:
         """Return the first subject found by a search, else the reason why one of them is undecided."""
-
-        def check(subject: str) -> bool | Unknown:
-            return self._differs(key, rule.object, subject, said)
-
+        check = cache(partial(self._differs, key, rule.object, said))
         excluded = (*area.excluded, *self._matching_named(area.like))
         listed = [each for each in listed if not disjoint(each.like, area.like)]
-        example = example_subject(area.like)
-        if example is not None and not any(matches(each, example) for each in excluded):
-            if not any(example in each for each in listed) and check(example) is True:
-                return example
-            excluded = (*excluded, (example,))
         more = (SymbolicCondition(tuple(SymbolicEntry((EVERYBODY,), each) for each in said), some=False),)
         undecided: Unknown | None = None
         for alternatives in searches:
             answer: str | Unknown | None = None
-            for within, shape, conditions in alternatives:
-                answer = find_subject(
-                    key[0], within, shape, (*conditions, *more), check, excluded, self._budget, listed
-                )
+            for shape, each in alternatives:
+                answer = find_subject(key[0], area.like, shape, (*each, *more), check, excluded, self._budget, listed)
                 if not isinstance(answer, Unknown):
                     break
             if isinstance(answer, str):
@@ -148,42 +138,35 @@ class PatternComparison:
             undecided = undecided or answer
         return undecided
 
-    def _not_allowed_before(self, key: PermissionKey, rule: SymbolicRule, subjects: Glob) -> _AlternativeSearches:
+    def _not_allowed_before(self, key: PermissionKey, rule: SymbolicRule, subjects: Glob) -> _Alternatives:
         """Return the search for what a rule allows and no rule allowed before."""
         excluded = (
             *self._after.surely(key, Effect.DENY, subjects),
             *self._before.surely(key, Effect.ALLOW, subjects),
         )
-        return [(subjects, rule.object, (*rule.reach.conditions, SymbolicCondition(excluded, some=False)))]
+        return [(rule.object, (*rule.reach.conditions, SymbolicCondition(excluded, some=False)))]
 
     def _denied_before(
         self, key: PermissionKey, rule: SymbolicRule, subjects: Glob, lifted: Sequence[SymbolicRule]
-    ) -> Iterator[_AlternativeSearches]:
+    ) -> Iterator[_Alternatives]:
         """Yield searches for what a rule allows and a lifted rule denied before."""
-        overlapping = [denial for denial in lifted if _may_overlap(denial, rule, subjects)]
+        overlapping = [denial for denial in lifted if denial.may_meet(rule.object, SubjectClass(subjects))]
         if not overlapping:
             return
         denied = SymbolicCondition(self._after.surely(key, Effect.DENY, subjects), some=False)
         conditions = (*rule.reach.conditions, denied)
         entries = tuple(denial.entry() for denial in overlapping if not placeholders(denial.object))
         if entries:
-            yield [(subjects, rule.object, (*conditions, SymbolicCondition(entries, some=True)))]
+            yield [(rule.object, (*conditions, SymbolicCondition(entries, some=True)))]
         for denial in overlapping:
             if placeholders(denial.object):
-                yield self._alternatives(rule, subjects, denial, conditions)
+                both = (*conditions, *denial.reach.conditions, SymbolicCondition((denial.entry(),), some=True))
+                alternatives = [(denial.object, (*both, SymbolicCondition((rule.entry(),), some=True)))]
+                if placeholders(rule.object):
+                    alternatives.append((rule.object, both))
+                yield sorted(alternatives, key=_inexact_entries)
 
-    @staticmethod
-    def _alternatives(
-        rule: SymbolicRule, subjects: Glob, denial: SymbolicRule, conditions: _Conditions
-    ) -> _AlternativeSearches:
-        """Return alternative searches for what a rule allows and a denial with placeholders denied."""
-        both = (*conditions, *denial.reach.conditions, SymbolicCondition((denial.entry(),), some=True))
-        alternatives = [(subjects, denial.object, (*both, SymbolicCondition((rule.entry(),), some=True)))]
-        if placeholders(rule.object):
-            alternatives.append((subjects, rule.object, both))
-        return sorted(alternatives, key=_inexact_entries)
-
-    def _differs(self, key: PermissionKey, pattern: Glob, subject: str, said: Sequence[Glob]) -> bool | Unknown:
+    def _differs(self, key: PermissionKey, pattern: Glob, said: Sequence[Glob], subject: str) -> bool | Unknown:
         """Return True if only one policy allows a subject something that a pattern matches, besides what is ignored."""
         concrete, *ignored = (fill_placeholders(each, *exact_halves(subject)) for each in (pattern, *said))
         before, after = (decision_list(rules_of(policy, subject), key) for policy in self._policies)
@@ -192,21 +175,14 @@ class PatternComparison:
         return self._budget.verdict(find_permitted(key[0], shown, after, negated(before), budget=budget))
 
 
-_Conditions = tuple[SymbolicCondition, ...]
-_SearchArguments = tuple[Glob, Glob, _Conditions]
-"""Arguments of :func:`~keymint.analysis.symbolic_search.find_subject`: subjects, shape of the words, conditions."""
-_AlternativeSearches = list[_SearchArguments]
+_Search = tuple[Glob, tuple[SymbolicCondition, ...]]
+"""Arguments of :func:`~keymint.analysis.symbolic_search.find_subject`: shape of the words, and conditions."""
+_Alternatives = Sequence[_Search]
 """Searches with the same answer: any of them proves that there is no subject."""
 
 
-def _inexact_entries(search: _SearchArguments) -> int:
+def _inexact_entries(search: _Search) -> int:
     """Return the number of entries that cannot be rewritten exactly to the placeholders of the shape."""
-    _, shape, conditions = search
+    shape, conditions = search
     entries = (entry for each in conditions for entry in each.entries)
     return sum(not fit_pattern(entry.object, shape, *EVERYBODY, wide=False).exact for entry in entries)
-
-
-def _may_overlap(denial: SymbolicRule, rule: SymbolicRule, subjects: Glob) -> bool:
-    if not placeholders(denial.object) and not placeholders(rule.object) and disjoint(denial.object, rule.object):
-        return False
-    return any(not disjoint(one, subjects) for one in denial.reach.subjects)

@@ -8,7 +8,8 @@ from dataclasses import replace
 from itertools import product
 
 from comarmor.patterns.decision_lists import Unknown
-from comarmor.patterns.glob import literal, parse
+from comarmor.patterns.glob import literal
+from comarmor.patterns.tokens import STAR
 from comarmor.values import dataclass
 from keymint.analysis.pattern_diff import KEYS, PatternComparison, PatternDifference
 from keymint.analysis.query_budget import QueryBudget
@@ -32,20 +33,28 @@ class SubjectChanges:
 
     Attributes:
         subject: the subject; empty if unknown.
-        like: the pattern of a class of subjects of which it is an example; empty if the changes are its own. All that
-            the pattern matches and ``excluded`` does not change in this way, with their own namespace and name.
+        area: the class of subjects of which it is an example; None if the changes are its own. All of them change in
+            this way, with their own namespace and name.
         before: the older policy has a profile that applies to it.
         after: the newer one has.
         changes: gains first.
-        excluded: patterns of the subjects that are left out.
     """
 
     subject: str
-    like: str
+    area: SubjectClass | None
     before: bool
     after: bool
     changes: tuple[PermissionChange, ...]
-    excluded: tuple[str, ...] = ()
+
+    @property
+    def like(self) -> str:
+        """The pattern of the class; empty if there is none."""
+        return pattern_text(self.area.like) if self.area else ""
+
+    @property
+    def excluded(self) -> tuple[str, ...]:
+        """The patterns of the subjects that the class leaves out."""
+        return tuple(map(pattern_text, self.area.excluded)) if self.area else ()
 
 
 def diff_policies(old: LoadedPolicy, new: LoadedPolicy, budget: QueryBudget | None = None) -> list[SubjectChanges]:
@@ -66,12 +75,12 @@ def diff_policies(old: LoadedPolicy, new: LoadedPolicy, budget: QueryBudget | No
     own = {subject: _of_subject(old, new, subject, budget) for subject in sorted(named | {ROOT_ENCLAVE})}
     classes: list[SubjectChanges] = []
     if len(books) < len(written):
-        classes.append(_unknown("*", unknown_change(_UNWRITTEN)))
+        classes.append(_unknown(SubjectClass((STAR,)), unknown_change(_UNWRITTEN)))
     else:
         classes += _classes((old, new), (books[0], books[1]), own, budget)
     # The root enclave is a member of classes, although no profile means it.
     known = (each for each in classes if not any(change.unknown for change in each.changes))
-    if ROOT_ENCLAVE not in named and any(_is_member(each, ROOT_ENCLAVE) for each in known):
+    if ROOT_ENCLAVE not in named and any(each.area and ROOT_ENCLAVE in each.area for each in known):
         del own[ROOT_ENCLAVE]
     return [*(each for each in own.values() if each), *classes]
 
@@ -100,12 +109,12 @@ def _classes(
         for each in comparison.differences(key, SubjectClass(EVERY), (), listed):
             if isinstance(each.found, Unknown):
                 if budget.is_empty:
-                    yield _unknown(pattern_text(EVERY), unknown_change(budget.reason(each.found.reason)))
+                    yield _unknown(SubjectClass(EVERY), unknown_change(budget.reason(each.found.reason)))
                     return
                 change = PermissionChange(
                     comparison.gains, *key, each.rule.object, False, "", each.rule.where, each.found.reason
                 )
-                yield _unknown(pattern_text(each.within), change)
+                yield _unknown(SubjectClass(each.within), change)
                 continue
             alone = _of_subject(*policies, each.found, budget)
             if alone is None:
@@ -121,21 +130,11 @@ def _class_of(
     """Return a class of subjects that change as one of them does, or that are not listed besides that one."""
     area, changes, reason = finder.class_of(alone.subject, found, alone.changes)
     if reason:
-        return area, [alone, _like(_unknown("", unknown_change(f"not listed: {reason}")), area)]
+        return area, [alone, _unknown(area, unknown_change(f"not listed: {reason}"))]
     alike = replace(alone, changes=changes)
     others = ((name,) for name, each in own.items() if name in area and not _is_alike(alike, each, name))
     area = replace(area, excluded=(*area.excluded, *others))
-    return area, [alone if literal(area.like) else _like(alike, area)]
-
-
-def _like(changes: SubjectChanges, area: SubjectClass) -> SubjectChanges:
-    return replace(changes, like=pattern_text(area.like), excluded=tuple(map(pattern_text, area.excluded)))
-
-
-def _is_member(changes: SubjectChanges, subject: str) -> bool:
-    if not changes.like:
-        return False
-    return subject in SubjectClass(parse(changes.like), tuple(map(parse, changes.excluded)))
+    return area, [alone if literal(area.like) else replace(alike, area=area)]
 
 
 def _is_alike(found: SubjectChanges, each: SubjectChanges | None, name: str) -> bool:
@@ -161,7 +160,7 @@ def _of_subject(old: LoadedPolicy, new: LoadedPolicy, subject: str, budget: Quer
             _check_example(old, new, subject, change)
     if not changes and (before is None) is (after is None):
         return None
-    return SubjectChanges(subject, "", before is not None, after is not None, changes)
+    return SubjectChanges(subject, None, before is not None, after is not None, changes)
 
 
 def _check_example(old: LoadedPolicy, new: LoadedPolicy, subject: str, change: PermissionChange) -> None:
@@ -172,8 +171,8 @@ def _check_example(old: LoadedPolicy, new: LoadedPolicy, subject: str, change: P
         raise AssertionError(f"the policies do not differ on {edge} as reported")
 
 
-def _unknown(like: str, change: PermissionChange) -> SubjectChanges:
-    return SubjectChanges("", like, before=True, after=True, changes=(change,))
+def _unknown(area: SubjectClass, change: PermissionChange) -> SubjectChanges:
+    return SubjectChanges("", area, before=True, after=True, changes=(change,))
 
 
 def has_gains(changed: Iterable[SubjectChanges]) -> bool:

@@ -21,7 +21,6 @@ from comarmor.patterns.relations import TooComplexError
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.rules import Effect
 from comarmor.values import dataclass
-from keymint.analysis.deny_overlap import may_deny_something
 from keymint.analysis.expression_origins import ExpressionOrigin, ExpressionOrigins
 from keymint.analysis.findings import quoted_list, undecided
 from keymint.analysis.rule_lists import (
@@ -35,7 +34,9 @@ from keymint.analysis.rule_lists import (
     rule_patterns,
     universe,
 )
-from keymint.analysis.subject_patterns import with_distinct_rules
+from keymint.analysis.subject_patterns import SubjectClass, profile_subjects, with_distinct_rules
+from keymint.analysis.subject_templates import placeholders, symbolic_patterns
+from keymint.analysis.symbolic_rules import SymbolicRules
 from keymint.api import PolicyStructure
 from keymint.ir import Rule
 
@@ -92,7 +93,7 @@ class RedundantRules:
         self, subjects: Mapping[str, tuple[Rule, ...]], attachments: ExpressionOrigins, written: PolicyStructure | None
     ) -> None:
         self._attachments = attachments
-        self._written = written
+        self._book = SymbolicRules(written) if written else None
         self._subjects = {
             subject: _subject_rules(rules, subject, attachments)
             for subject, rules in with_distinct_rules(subjects.items())
@@ -211,13 +212,21 @@ class RedundantRules:
 
     def _may_deny_something(self, expression: _RuleExpression) -> bool:
         """Return True if a denial may have an effect for a subject that is no example."""
-        if self._written is None:
+        if self._book is None:
             return False
         expanded = (self._subjects[subject].expanded[expression] for subject in self._subjects_of[expression])
         clauses = {
             self._attachments.clause(rule, ExpressionOrigin(where, expression.number)) for rule, _, where in expanded
         }
-        return any(may_deny_something(self._written, *each) for each in clauses if each is not None)
+        return any(
+            # Any example shows whether rules overlap that do not depend on the subject.
+            placeholders((*pattern, *rule.object)) and rule.may_meet(pattern, SubjectClass(subjects))
+            for clause, at in filter(None, clauses)
+            for key in permission_keys(clause.rule)
+            for pattern in symbolic_patterns(clause, key, at)
+            for subjects in profile_subjects(clause.profiles)
+            for rule in self._book.applying(key, Effect.ALLOW, subjects)
+        )
 
     def _finding(self, code: str, expressions: Sequence[_RuleExpression], *, of_rule: bool) -> Diagnostic:
         rule, _, attached = self._an_expansion(expressions[0])

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 
 from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import DecisionList, Equal, ProofResult, Unknown, Witness, negated
-from comarmor.patterns.glob import Glob, parse, surround
+from comarmor.patterns.glob import Glob, parse
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import covers, disjoint
 from comarmor.patterns.tokens import STAR
-from comarmor.rules import PARTS, PERMISSIONS, Effect, parts
+from comarmor.rules import PARTS, PERMISSIONS, Effect
 from comarmor.values import dataclass
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_lists import (
@@ -24,6 +24,7 @@ from keymint.analysis.rule_lists import (
     object_patterns,
     overlap,
     part_lists,
+    part_patterns,
     restrict_allowed,
     universe,
 )
@@ -83,21 +84,21 @@ def rule_changes(old: Sequence[Rule], new: Sequence[Rule], budget: QueryBudget) 
     yield from _RuleComparison(False, new, old, budget).changes()
 
 
+@dataclass(frozen=True, slots=True)
 class _RuleComparison:
     """Finds what some rules allow and others do not.
 
-    Args:
+    Attributes:
         gains: the rules that allow it are the newer ones.
         before: the rules that do not allow it.
         after: the rules that do.
         budget: limit of the search.
     """
 
-    def __init__(self, gains: bool, before: Sequence[Rule], after: Sequence[Rule], budget: QueryBudget) -> None:
-        self._gains = gains
-        self._before = before
-        self._after = after
-        self._budget = budget
+    gains: bool
+    before: Sequence[Rule]
+    after: Sequence[Rule]
+    budget: QueryBudget
 
     def changes(self) -> Iterator[PermissionChange]:
         """Yield the changes, permissions without parts first; composite permissions cover those of their parts."""
@@ -105,10 +106,7 @@ class _RuleComparison:
         composite = [change for key in keys if key in PARTS for change in self._composite(key)]
         explained: dict[PermissionKey, list[Glob]] = {}
         for change in composite:
-            pieces = [
-                ((kind, part), surround("", change.objects, suffix))
-                for kind, part, suffix in parts(change.kind, change.permission)
-            ]
+            pieces = [*part_patterns(change.kind, change.permission, change.objects)]
             if all(self._is_changed(key, piece) for key, piece in pieces):
                 for key, piece in pieces:
                     explained.setdefault(key, []).append(piece)
@@ -120,26 +118,26 @@ class _RuleComparison:
         yield from composite
 
     def _is_changed(self, key: PermissionKey, piece: Glob) -> bool:
-        return self._is_whole(key[0], piece, decision_list(self._before, key), decision_list(self._after, key))
+        return self._is_whole(key[0], piece, decision_list(self.before, key), decision_list(self.after, key))
 
     def _find(self, kind: str, *lists: DecisionList) -> ProofResult:
-        return find_permitted(kind, *lists, budget=self._budget.next_query())
+        return find_permitted(kind, *lists, budget=self.budget.next_query())
 
     def _change(
         self, key: PermissionKey, objects: Glob, outcome: Witness | Unknown, whole: bool, where: Origin
     ) -> PermissionChange:
         if isinstance(outcome, Unknown):
-            return PermissionChange(self._gains, *key, objects, False, "", where, outcome.reason)
-        return PermissionChange(self._gains, *key, objects, whole, outcome.word, where)
+            return PermissionChange(self.gains, *key, objects, False, "", where, outcome.reason)
+        return PermissionChange(self.gains, *key, objects, whole, outcome.word, where)
 
     def _elementary(self, key: PermissionKey) -> list[PermissionChange]:
         """Return the changes for a kind and permission without parts."""
-        old, new = decision_list(self._before, key), decision_list(self._after, key)
-        if isinstance(difference(old, new, universe=universe(key[0]), budget=self._budget.next_query()), Equal):
+        old, new = decision_list(self.before, key), decision_list(self.after, key)
+        if isinstance(difference(old, new, universe=universe(key[0]), budget=self.budget.next_query()), Equal):
             return []
         denied = tuple(dict.fromkeys(pattern for block in old if not block.allows for pattern in block.patterns))
         changes: list[PermissionChange] = []
-        for rule in self._after:
+        for rule in self.after:
             if rule.effect is Effect.ALLOW:
                 for pattern in object_patterns(rule, key):
                     changes += self._of_pattern(pattern, old, new, denied, key, rule.origin)
@@ -173,13 +171,13 @@ class _RuleComparison:
         kind, permission = key
         candidates = {
             parse(expression): rule.origin
-            for rule in reversed(self._after)
+            for rule in reversed(self.after)
             if rule.effect is Effect.ALLOW and rule.kind == kind and permission in rule.permissions
             for expression in rule.expressions
         }
         if not candidates:
             return []
-        old, new = part_lists(self._before, kind, permission), part_lists(self._after, kind, permission)
+        old, new = part_lists(self.before, kind, permission), part_lists(self.after, kind, permission)
         changes: list[PermissionChange] = []
         for pattern, where in candidates.items():
             outcomes = [self._find(kind, allow_only(pattern), *new, negated(part)) for part in old]

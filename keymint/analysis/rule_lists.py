@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import string
 from collections.abc import Iterable, Iterator, Sequence
-from functools import lru_cache
 
 from comarmor.patterns.decision_lists import Block, DecisionList, Equal, ProofResult, SearchBudget, Universe
-from comarmor.patterns.glob import Glob, after, literal, normalise, parse, surround, units
+from comarmor.patterns.glob import Glob, before, normalise, parse, surround, units
 from comarmor.patterns.matching import matches
 from comarmor.patterns.possible_names import matches_ros_name
 from comarmor.patterns.printing import exact
@@ -53,6 +52,12 @@ def legal_names(kind: str) -> DecisionList:
 def permission_keys(rule: Rule) -> Iterator[PermissionKey]:
     """Yield the kinds and permissions of a rule, with composite permissions replaced by their parts."""
     yield from dict.fromkeys((kind, part) for each in rule.permissions for kind, part, _ in parts(rule.kind, each))
+
+
+def part_patterns(kind: str, permission: str, objects: Glob) -> Iterator[tuple[PermissionKey, Glob]]:
+    """Yield the permissions without parts, each with a pattern of its words, that make up a permission on objects."""
+    for part_kind, part, suffix in parts(kind, permission):
+        yield (part_kind, part), surround("", objects, suffix)
 
 
 def rule_patterns(rule: Rule, expression: str, key: PermissionKey) -> tuple[Glob, ...]:
@@ -122,22 +127,9 @@ def strip_suffix(decided: DecisionList, suffix: str) -> DecisionList:
     if not suffix:
         return decided
     return tuple(
-        Block(block.allows, tuple(left for pattern in block.patterns for left in before_suffix(pattern, suffix)))
+        Block(block.allows, tuple(left for pattern in block.patterns for left in before(pattern, suffix)))
         for block in decided
     )
-
-
-@lru_cache(maxsize=1 << 14)
-def before_suffix(pattern: Glob, suffix: str) -> tuple[Glob, ...]:
-    """Return patterns of the words that a pattern matches with the suffix appended."""
-    if not suffix:
-        return (pattern,)
-    name = literal(pattern)
-    if name is not None:
-        left = name.removesuffix(suffix)
-        return () if left == name else ((left,) if left else (),)
-    backwards = normalise(reversed(units(pattern)))
-    return tuple(normalise(reversed(units(left))) for left in after(backwards, suffix[::-1]))
 
 
 def allow_only(pattern: Glob) -> DecisionList:

@@ -7,27 +7,28 @@ rules where they matter, no member changes in another way, and no placeholder me
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import product
 
 from comarmor.patterns.decision_lists import Unknown, negated
-from comarmor.patterns.glob import Glob, literal, normalise, parse, surround
+from comarmor.patterns.glob import Glob, before, literal, normalise, parse
 from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection, maximal
 from comarmor.patterns.tokens import STAR
 from comarmor.rules import PARTS, Effect, parts
+from comarmor.values import dataclass
 from keymint.analysis.pattern_diff import KEYS, PatternComparison, PatternDifference
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_diff import PermissionChange
 from keymint.analysis.rule_lists import (
     PermissionKey,
     allow_only,
-    before_suffix,
     decision_list,
     find_permitted,
     overlap,
+    part_patterns,
 )
 from keymint.analysis.subject_patterns import SubjectClass, rules_of
 from keymint.analysis.subject_templates import (
@@ -42,7 +43,6 @@ from keymint.analysis.symbolic_search import (
     SymbolicCondition,
     SymbolicEntry,
     find_subject,
-    namespace_name_pairs,
 )
 from keymint.api import LoadedPolicy
 
@@ -54,30 +54,23 @@ class _NotAlikeError(Exception):
     """A class cannot be narrowed to members that change alike; the message tells why."""
 
 
+@dataclass(frozen=True, slots=True)
 class ClassFinder:
     """Finds the class of a subject that changes.
 
-    Args:
+    Attributes:
         policies: the older one and the newer one.
-        rules: the rules of both.
+        books: the rules of both.
         comparisons: what is gained, and what is lost.
         named: subjects that are no members of any class here.
         budget: limit of the search.
     """
 
-    def __init__(
-        self,
-        policies: tuple[LoadedPolicy, LoadedPolicy],
-        rules: tuple[SymbolicRules, SymbolicRules],
-        comparisons: Sequence[PatternComparison],
-        named: Iterable[str],
-        budget: QueryBudget,
-    ) -> None:
-        self._policies = policies
-        self._books = rules
-        self._comparisons = comparisons
-        self._named = tuple((name,) for name in named)
-        self._budget = budget
+    policies: tuple[LoadedPolicy, LoadedPolicy]
+    books: tuple[SymbolicRules, SymbolicRules]
+    comparisons: Sequence[PatternComparison]
+    named: Collection[str]
+    budget: QueryBudget
 
     def class_of(
         self, subject: str, found: PatternDifference, changes: Sequence[PermissionChange]
@@ -118,25 +111,25 @@ class ClassFinder:
         self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]
     ) -> Iterator[Sequence[Sequence[str]]]:
         """Yield nested profiles that must apply to all members or to none."""
-        for policy, book in zip(self._policies, self._books, strict=True):
+        for policy, book in zip(self.policies, self.books, strict=True):
             if policy.rules(subject) is None:
-                yield from (profiles for one, profiles in book.profiles.meeting(area.like) if _alive([one], area))
+                yield from (profiles for one, profiles in book.profiles.meeting(area.like) if area.overlaps([one]))
             else:
                 own = [profiles for _, profiles in book.profiles.matching(subject)]
                 yield from own if not any(_cut(area, subject, each) is None for each in own) else ()
         for key, objects in dict.fromkeys(_concerned(changes)):
             for rule in self._rules(key, area):
-                if _meets(rule, objects, area) and (_applies(rule, subject) or _alive(rule.reach.subjects, area)):
+                if rule.may_meet(objects, area):
                     yield rule.profiles
 
     def _by_change(self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]) -> SubjectClass | None:
         """Return the part without a member that changes in a way in which the subject does not."""
-        for comparison, key in product(self._comparisons, KEYS):
+        for comparison, key in product(self.comparisons, KEYS):
             said = [objects for one, objects in _covered(changes, comparison.gains) if one == key]
             for each in comparison.differences(key, area, said, ()):
                 if isinstance(each.found, Unknown):
                     raise _NotAlikeError(each.found.reason)
-                near = [rule for rule in self._rules(key, area) if _meets(rule, each.rule.object, area)]
+                near = [rule for rule in self._rules(key, area) if rule.may_meet(each.rule.object, area)]
                 for rule in near:
                     if (narrower := _cut(area, subject, rule.profiles)) is not None:
                         return narrower
@@ -146,13 +139,13 @@ class ClassFinder:
 
     def _by_claim(self, area: SubjectClass, subject: str, changes: Sequence[PermissionChange]) -> SubjectClass | None:
         """Return the part without a member for which a change is false because of its namespace or name."""
-        excluded = (*area.excluded, *self._named)
+        excluded = (*area.excluded, *((name,) for name in self.named))
         for after, allowed, key, objects in (claim for change in changes for claim in self._claims(change, subject)):
             entries = {
                 effect: tuple(
                     SymbolicEntry((EVERYBODY,), rule.object)
-                    for rule in self._books[after].applying(key, effect, area.like)
-                    if _applies(rule, subject) and _meets(rule, objects, area)
+                    for rule in self.books[after].applying(key, effect, area.like)
+                    if _applies(rule, subject) and rule.may_meet(objects, area)
                 )
                 for effect in Effect
             }
@@ -163,7 +156,7 @@ class ClassFinder:
             permitted = SymbolicCondition(entries[Effect.ALLOW], some=not allowed)
             check = partial(self._refutes, after, allowed, key, objects)
             for conditions in ((denied,), (permitted,)) if allowed else ((permitted, denied),):
-                found = find_subject(key[0], area.like, objects, conditions, check, excluded, self._budget)
+                found = find_subject(key[0], area.like, objects, conditions, check, excluded, self.budget)
                 if isinstance(found, Unknown):
                     raise _NotAlikeError(found.reason)
                 if found is not None:
@@ -172,7 +165,7 @@ class ClassFinder:
 
     def _rules(self, key: PermissionKey, area: SubjectClass) -> Iterator[SymbolicRule]:
         """Yield the rules of a permission that may apply to members, of both policies."""
-        for book, effect in product(self._books, Effect):
+        for book, effect in product(self.books, Effect):
             yield from book.applying(key, effect, area.like)
 
     def _claims(self, change: PermissionChange, subject: str) -> Iterator[tuple[bool, bool, PermissionKey, Glob]]:
@@ -183,7 +176,7 @@ class ClassFinder:
         """
         if not change.whole and placeholders(change.objects):
             raise _NotAlikeError("only a part of a pattern with {namespace} or {name} changes")
-        pieces = [*_pieces(change.kind, change.permission, change.objects if change.whole else (change.word,))]
+        pieces = [*part_patterns(change.kind, change.permission, change.objects if change.whole else (change.word,))]
         yield from ((change.gains, True, *each) for each in pieces)
         claims = [(not change.gains, False, *each) for each in pieces]
         denied = next((claim for claim in claims if self._refutes(*claim, subject) is False), None)
@@ -193,20 +186,20 @@ class ClassFinder:
 
     def _refutes(self, after: bool, allowed: bool, key: PermissionKey, objects: Glob, subject: str) -> bool | Unknown:
         """Return whether a statement of a change is false for a subject."""
-        decided = decision_list(rules_of(self._policies[after], subject), key)
+        decided = decision_list(rules_of(self.policies[after], subject), key)
         concrete = allow_only(fill_placeholders(objects, *exact_halves(subject)))
         sought = negated(decided) if allowed else decided
-        return self._budget.verdict(find_permitted(key[0], concrete, sought, budget=self._budget.next_query()))
+        return self.budget.verdict(find_permitted(key[0], concrete, sought, budget=self.budget.next_query()))
 
     def _with_placeholders(self, subject: str, change: PermissionChange) -> PermissionChange:
         """Return a change of a subject with the placeholders of the rule behind it."""
         halves = exact_halves(subject)
         (kind, part, suffix), *_ = parts(change.kind, change.permission)
         key, near = (kind, part), (subject,)
-        allowed = [rule.object for rule in self._books[change.gains].applying(key, Effect.ALLOW, near)]
-        denied = [rule.object for rule in self._books[not change.gains].applying(key, Effect.DENY, near)]
+        allowed = [rule.object for rule in self.books[change.gains].applying(key, Effect.ALLOW, near)]
+        denied = [rule.object for rule in self.books[not change.gains].applying(key, Effect.DENY, near)]
         both = [piece for one in allowed for other in denied for piece in overlap(one, other)]
-        written = (base for each in (*allowed, *denied, *both) for base in before_suffix(each, suffix))
+        written = (base for each in (*allowed, *denied, *both) for base in before(each, suffix))
         found = (each for each in written if fill_placeholders(each, *halves) == change.objects)
         return replace(change, objects=next(found, change.objects))
 
@@ -250,44 +243,22 @@ def _split(area: SubjectClass, subject: str, apart: Sequence[Glob]) -> SubjectCl
     return SubjectClass(like, tuple(each for each in area.excluded if not disjoint(each, like)))
 
 
-def _alive(subjects: Iterable[Glob], area: SubjectClass) -> list[Glob]:
-    """Return the overlaps of patterns with a class, without those that the class surely excludes."""
-    pieces = (piece for one in subjects for piece in overlap(area.like, one))
-    return [piece for piece in pieces if not any(covers(each, piece) for each in area.excluded)]
-
-
-def _meets(rule: SymbolicRule, objects: Glob, area: SubjectClass) -> bool:
-    """Return False if a rule is surely not about some objects, for any member of a class."""
-    if not placeholders((*rule.object, *objects)):
-        return not disjoint(rule.object, objects)
-    halves = (each for piece in _alive(rule.reach.subjects, area) for each in namespace_name_pairs(piece))
-    return any(
-        not disjoint(fill_placeholders(rule.object, *each), fill_placeholders(objects, *each)) for each in halves
-    )
-
-
 def _concerned(changes: Iterable[PermissionChange]) -> Iterator[tuple[PermissionKey, Glob]]:
     """Yield the permissions without parts, with objects, on which changes depend."""
     for change in changes:
-        yield from _pieces(change.kind, change.permission, change.objects)
+        yield from part_patterns(change.kind, change.permission, change.objects)
         for whole, implementing in PARTS.items():
             for kind, part, end in implementing:
                 if (kind, part) == (change.kind, change.permission):
-                    for base in before_suffix(change.objects, end):
-                        yield from _pieces(*whole, base)
-
-
-def _pieces(kind: str, permission: str, objects: Glob) -> Iterator[tuple[PermissionKey, Glob]]:
-    """Yield the permissions without parts, with objects, that make up a permission."""
-    for part_kind, part, end in parts(kind, permission):
-        yield (part_kind, part), surround("", objects, end)
+                    for base in before(change.objects, end):
+                        yield from part_patterns(*whole, base)
 
 
 def _covered(changes: Sequence[PermissionChange], gains: bool) -> Iterator[tuple[PermissionKey, Glob]]:
     """Yield the permissions without parts, with objects, that changes tell of."""
     for change in changes:
         if change.gains is gains and (change.whole or (change.kind, change.permission) not in PARTS):
-            yield from _pieces(change.kind, change.permission, change.objects)
+            yield from part_patterns(change.kind, change.permission, change.objects)
 
 
 def _subjects_with(namespaces: Sequence[Glob], names: Sequence[Glob]) -> Iterator[Glob]:

@@ -16,13 +16,13 @@ from comarmor.patterns.glob import Glob, literal, normalise, parse, units
 from comarmor.patterns.matching import matches
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.possible_names import matches_ros_name
-from comarmor.patterns.relations import TooComplexError, intersection
+from comarmor.patterns.relations import TooComplexError, covers, intersection
 from comarmor.patterns.steps import StepLimitError, cached, spend, step_limit
 from comarmor.patterns.tokens import Charset, Star
 from comarmor.ros_names import is_fully_qualified, is_subject
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
-from keymint.analysis.rule_lists import allow_only, find_permitted, pattern_text
+from keymint.analysis.rule_lists import allow_only, find_permitted, overlap, pattern_text
 from keymint.api import LoadedPolicy, PolicyStructure, StructuredPolicy, WrittenProfile, WrittenRule
 from keymint.ir import Rule
 
@@ -52,6 +52,11 @@ class SubjectClass:
     def __contains__(self, subject: str) -> bool:
         """Return whether a subject belongs to the class."""
         return matches(self.like, subject) and not any(matches(each, subject) for each in self.excluded)
+
+    def overlaps(self, patterns: Iterable[Glob]) -> list[Glob]:
+        """Return the overlaps of patterns with the class, without those that the class surely excludes."""
+        pieces = (piece for one in patterns for piece in overlap(self.like, one))
+        return [piece for piece in pieces if not any(covers(each, piece) for each in self.excluded)]
 
 
 def structure(policy: LoadedPolicy) -> PolicyStructure | None:

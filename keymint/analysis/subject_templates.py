@@ -43,9 +43,15 @@ class FittedPattern:
     exact: bool
 
 
-def symbolic_patterns(clause: WrittenRule, key: PermissionKey) -> tuple[Glob, ...]:
-    """Return the patterns of symbolic words of a rule, for a kind and permission without parts."""
-    expressions = clause.expand(f"/{NAMESPACE}/", NAME)
+def symbolic_patterns(clause: WrittenRule, key: PermissionKey, at: int | None = None) -> tuple[Glob, ...]:
+    """Return the patterns of symbolic words of a rule, for a kind and permission without parts.
+
+    Args:
+        clause: the rule.
+        key: the kind and permission.
+        at: index of one of its expressions; all by default.
+    """
+    expressions = clause.expand(f"/{NAMESPACE}/", NAME)[slice(None) if at is None else slice(at, at + 1)]
     return tuple(
         dict.fromkeys(
             pattern

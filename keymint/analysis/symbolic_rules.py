@@ -14,8 +14,8 @@ from comarmor.patterns.tokens import STAR
 from comarmor.rules import Effect
 from comarmor.values import dataclass
 from keymint.analysis.rule_lists import PermissionKey, permission_keys
-from keymint.analysis.subject_patterns import EVERY, profile_chain, profile_subjects
-from keymint.analysis.subject_templates import symbolic_patterns
+from keymint.analysis.subject_patterns import EVERY, SubjectClass, profile_chain, profile_subjects
+from keymint.analysis.subject_templates import fit_pattern, symbolic_patterns
 from keymint.analysis.symbolic_search import SymbolicCondition, SymbolicEntry, namespace_name_pairs
 from keymint.api import PolicyStructure
 
@@ -69,6 +69,16 @@ class SymbolicRule:
     def content(self) -> tuple[_Profiles, Glob]:
         """The rule without its place."""
         return self.profiles, self.object
+
+    def may_meet(self, objects: Glob, area: SubjectClass) -> bool:
+        """Return False if the rule is surely not about some objects, for any of some subjects.
+
+        Args:
+            objects: pattern of symbolic words.
+            area: the subjects.
+        """
+        halves = (each for piece in area.overlaps(self.reach.subjects) for each in namespace_name_pairs(piece))
+        return any(fit_pattern(self.object, objects, *each, wide=True).pieces for each in halves)
 
     def entry(self) -> SymbolicEntry:
         """Return the rule as an entry of a condition."""

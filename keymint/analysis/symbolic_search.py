@@ -22,7 +22,7 @@ from comarmor.patterns.tokens import STAR, Charset, charset
 from comarmor.values import dataclass
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_lists import RAW, SEPARATOR, universe
-from keymint.analysis.subject_patterns import SubjectClass, namespace_name_splits
+from keymint.analysis.subject_patterns import SubjectClass, example_subject, namespace_name_splits
 from keymint.analysis.subject_templates import (
     NAME,
     NAMESPACE,
@@ -100,6 +100,8 @@ def find_subject(
 ) -> str | Unknown | None:
     """Find a subject with a word that fulfils all conditions; None if there is provably none.
 
+    An example of the pattern is tried first.
+
     Args:
         kind: kind of the objects.
         subjects: pattern of the subjects.
@@ -111,6 +113,11 @@ def find_subject(
         listed: classes of subjects to ignore.
     """
     excluded = tuple(excluded)
+    example = example_subject(subjects)
+    if example is not None and example in SubjectClass(subjects, excluded):
+        if not any(example in each for each in listed) and check(example) is True:
+            return example
+        excluded = (*excluded, (example,))
     undecided: Unknown | None = None
     for namespace, name in _singled(namespace_name_pairs(subjects), placeholders(shape)):
         answer = _Search(kind, namespace, name, shape, conditions, budget).run(check, excluded, listed)

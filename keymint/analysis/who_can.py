@@ -4,25 +4,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import field
 
 from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import ProofResult, Unknown, Witness
-from comarmor.patterns.glob import Glob, literal
+from comarmor.patterns.glob import Glob, before, literal
 from comarmor.patterns.matching import matches
 from comarmor.rules import Effect, parts
 from comarmor.values import dataclass
 from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_lists import (
     allow_only,
-    before_suffix,
     find_permitted,
     matching_rule,
     overlap,
     part_lists,
     pattern_text,
 )
-from keymint.analysis.subject_patterns import can_exist, example_subject, named_subjects, rules_of, structure
-from keymint.analysis.symbolic_rules import SymbolicRule, SymbolicRules
+from keymint.analysis.subject_patterns import can_exist, named_subjects, rules_of, structure
+from keymint.analysis.symbolic_rules import SymbolicRules
 from keymint.analysis.symbolic_search import EVERYBODY, SymbolicCondition, SymbolicEntry, find_subject
 from keymint.api import LoadedPolicy
 from keymint.ir import Rule
@@ -74,48 +74,53 @@ def who_can(policy: LoadedPolicy, within: Glob, kind: str, permission: str, name
         yield from search.others(within, rules, frozenset(named))
 
 
+@dataclass(frozen=True, slots=True)
 class _HolderSearch:
     """Finds subjects with a permission.
 
-    Args:
+    Attributes:
         policy: the policy.
         kind: kind of the objects.
         permission: the permission.
         name: pattern of the objects.
+        budget: limit of the search.
     """
 
-    def __init__(self, policy: LoadedPolicy, kind: str, permission: str, name: Glob) -> None:
-        self._policy = policy
-        self._kind, self._permission, self._name = kind, permission, name
-        self._budget = QueryBudget()
+    policy: LoadedPolicy
+    kind: str
+    permission: str
+    name: Glob
+    budget: QueryBudget = field(default_factory=QueryBudget)
 
     def holder(self, subject: str, like: str = "") -> Iterator[PermissionHolder]:
         """Yield a subject if it has, or may have, the permission."""
-        rules = rules_of(self._policy, subject)
+        rules = rules_of(self.policy, subject)
         outcome = self._shortest_granted(rules)
         if isinstance(outcome, Unknown):
             yield PermissionHolder(subject, like, "", None, outcome.reason)
         elif isinstance(outcome, Witness):
-            rule = matching_rule(rules, Effect.ALLOW, self._kind, self._permission, outcome.word)
+            rule = matching_rule(rules, Effect.ALLOW, self.kind, self.permission, outcome.word)
             yield PermissionHolder(subject, like, outcome.word, rule.origin if rule else None)
 
     def _shortest_granted(self, rules: Sequence[Rule], budget: QueryBudget | None = None) -> ProofResult:
         """Find the shortest of the names on which rules grant the permission."""
-        lists = part_lists(rules, self._kind, self._permission)
+        lists = part_lists(rules, self.kind, self.permission)
         limit = budget.next_query(len(lists)) if budget else None
-        return find_permitted(self._kind, allow_only(self._name), *lists, budget=limit)
+        return find_permitted(self.kind, allow_only(self.name), *lists, budget=limit)
 
     def others(self, within: Glob, rules: SymbolicRules, named: frozenset[str]) -> Iterator[PermissionHolder]:
         """Yield an example for each pattern of subjects with the permission, other than the named subjects."""
-        (kind, part, suffix), *_ = parts(self._kind, self._permission)
+        (kind, part, suffix), *_ = parts(self.kind, self.permission)
         reported: set[Glob] = set()
         unknown: dict[Glob, str] = {}
         for rule in rules.all((kind, part), Effect.ALLOW).values():
             for subjects in (piece for one in rule.reach.subjects for piece in overlap(one, within)):
                 if subjects in reported:
                     continue
-                for shape in before_suffix(rule.object, suffix):
-                    answer = self._example(subjects, shape, rule, rules, named)
+                excluded = [(subject,) for subject in sorted(named) if matches(subjects, subject)]
+                conditions = (*rule.reach.conditions, *self._conditions(rules, subjects))
+                for shape in before(rule.object, suffix):
+                    answer = find_subject(self.kind, subjects, shape, conditions, self._check, excluded, self.budget)
                     if isinstance(answer, Unknown):
                         unknown.setdefault(subjects, answer.reason)
                     elif answer is not None:
@@ -126,31 +131,19 @@ class _HolderSearch:
             if subjects not in reported:
                 yield PermissionHolder("", pattern_text(subjects), "", None, reason)
 
-    def _example(
-        self, subjects: Glob, shape: Glob, rule: SymbolicRule, rules: SymbolicRules, named: frozenset[str]
-    ) -> str | Unknown | None:
-        first = example_subject(subjects)
-        tried = () if first is None or first in named else (first,)
-        for subject in tried:
-            if self._check(subject) is True:
-                return subject
-        excluded = [(subject,) for subject in dict.fromkeys((*tried, *sorted(named))) if matches(subjects, subject)]
-        conditions = (*rule.reach.conditions, *self._conditions(rules, subjects))
-        return find_subject(self._kind, subjects, shape, conditions, self._check, excluded, self._budget)
-
     def _conditions(self, rules: SymbolicRules, subjects: Glob) -> Iterator[SymbolicCondition]:
         """Yield the conditions of the rules; a composite permission requires all its parts."""
-        yield SymbolicCondition((SymbolicEntry((EVERYBODY,), self._name),), some=True)
-        for number, (kind, part, suffix) in enumerate(parts(self._kind, self._permission)):
+        yield SymbolicCondition((SymbolicEntry((EVERYBODY,), self.name),), some=True)
+        for number, (kind, part, suffix) in enumerate(parts(self.kind, self.permission)):
             key = (kind, part)
             yield SymbolicCondition(tuple(_without(rules.surely(key, Effect.DENY, subjects), suffix)), some=False)
             if number:
                 yield SymbolicCondition(tuple(_without(rules.perhaps(key, Effect.ALLOW, subjects), suffix)), some=True)
 
     def _check(self, subject: str) -> bool | Unknown:
-        return self._budget.verdict(self._shortest_granted(rules_of(self._policy, subject), self._budget))
+        return self.budget.verdict(self._shortest_granted(rules_of(self.policy, subject), self.budget))
 
 
 def _without(entries: Sequence[SymbolicEntry], suffix: str) -> Iterator[SymbolicEntry]:
     for entry in entries:
-        yield from (SymbolicEntry(entry.subjects, pattern) for pattern in before_suffix(entry.object, suffix))
+        yield from (SymbolicEntry(entry.subjects, pattern) for pattern in before(entry.object, suffix))

@@ -39,6 +39,7 @@ from keymint.api.building import SigningAuthority as SigningAuthority
 from keymint.api.capabilities import CommonNameIdentity as CommonNameIdentity
 from keymint.api.capabilities import InstalledNames as InstalledNames
 from keymint.api.capabilities import NameMapping as NameMapping
+from keymint.api.capabilities import NodeCheck as NodeCheck
 from keymint.api.capabilities import ProcessEnvironment as ProcessEnvironment
 from keymint.api.capabilities import RemoteCompiler as RemoteCompiler
 from keymint.api.capabilities import RevocationReader as RevocationReader
@@ -132,7 +133,6 @@ from keymint.api.proving import Counterexample as Counterexample
 from keymint.api.proving import ExcessRights as ExcessRights
 from keymint.api.proving import Holder as Holder
 from keymint.api.proving import InstalledDistro as InstalledDistro
-from keymint.api.proving import OutlivingRights as OutlivingRights
 from keymint.api.proving import PresentableDocument as PresentableDocument
 from keymint.api.proving import Presentation as Presentation
 from keymint.api.proving import PresentationTask as PresentationTask
@@ -142,7 +142,6 @@ from keymint.api.proving import Prover as Prover
 from keymint.api.proving import RemoteProver as RemoteProver
 from keymint.api.proving import SharedProofTask as SharedProofTask
 from keymint.api.proving import SharedProver as SharedProver
-from keymint.api.proving import Succession as Succession
 from keymint.api.proving import TrustAnchor as TrustAnchor
 from keymint.api.proving import TrustAnchors as TrustAnchors
 from keymint.api.proving import ValidityTerm as ValidityTerm

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 from comarmor.errors import Diagnostic
@@ -144,6 +144,19 @@ class RuleCheck(Protocol):
 
         Returns:
             Findings at the place of a rule, with stable codes; their severity is that of a build.
+        """
+
+
+@runtime_checkable
+class NodeCheck(Protocol):
+    """Optional capability of a build type: its transport refuses what a node creates, and so keeps it from starting."""
+
+    def check_node(self, rules: SubjectRules, distro: str) -> Iterable[Diagnostic]:
+        """Return notes on what cannot start with default options, each with a stable code and the subject.
+
+        Args:
+            rules: the rules of a subject.
+            distro: ROS 2 distribution of its nodes.
         """
 
 

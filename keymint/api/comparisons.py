@@ -9,7 +9,7 @@ from enum import StrEnum
 from typing import Protocol, runtime_checkable
 
 from comarmor.values import dataclass
-from keymint.api.packages import DomainRange
+from keymint.api.packages import DomainRange, Package
 from keymint.api.proving import Counterexample
 from keymint.ir import SubjectRules
 
@@ -83,4 +83,16 @@ class DocumentComparer(Protocol):
 
         Raises:
             KeymintError: a rule cannot be mapped; with ``file:line``. A document that cannot be read is ``unknown``.
+        """
+
+    def compared_with(self, content: bytes, name: str, package: Package) -> DocumentComparison:
+        """Compare a signed document, as the transport's standard reads it, with the rules of a package.
+
+        Args:
+            content: what is signed.
+            name: distinguished name of the certificate that it is presented with; see :attr:`keymint.api.Holder.name`.
+            package: the package.
+
+        Raises:
+            KeymintError: a rule cannot be mapped. A document that cannot be read is ``unknown``.
         """

@@ -84,6 +84,7 @@ class LearnedPolicy:
         missing: edges of the graph that the document allows and the existing policy does not.
         conflicts: edges that a DENY rule of the existing policy denies, so that no new rule can allow them.
         unused: rules of the existing policy that no edge of the graph uses.
+        notes: where an expression of the document stands for more than a name of the graph.
     """
 
     document: bytes
@@ -91,6 +92,7 @@ class LearnedPolicy:
     missing: tuple[Edge, ...]
     conflicts: tuple[Diagnostic, ...] = ()
     unused: tuple[Diagnostic, ...] = ()
+    notes: tuple[Diagnostic, ...] = ()
 
 
 @runtime_checkable

@@ -194,50 +194,6 @@ class ValidityTerm:
     models: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class OutlivingRights:
-    """Rights that earlier signed files of an enclave give, and its new ones do not.
-
-    Attributes:
-        example: one of them, in words.
-        until: the end of the earlier files, or of the certificate, UTC.
-    """
-
-    example: str
-    until: datetime
-
-
-@runtime_checkable
-class Succession(Protocol):
-    """Optional capability of a build type: compares the files of an enclave with those that replace them."""
-
-    def outliving(self, before: Mapping[str, bytes], after: Mapping[str, bytes]) -> OutlivingRights | None:
-        """Return rights that only the earlier files give although they fit the new certificate, or None.
-
-        What cannot be told counts as such a right.
-
-        Args:
-            before: the earlier files of the enclave by name.
-            after: the files that replace them.
-
-        Raises:
-            KeymintError: a file cannot be read.
-        """
-
-    def changed_rights(self, before: Mapping[str, bytes], after: Mapping[str, bytes]) -> str:
-        """Return an example of what only the earlier files permit, and one of what only the later ones do, in words.
-
-        The text is empty if both permit the same, each to the certificate of its own files.
-
-        Args:
-            before: the earlier files of the enclave by name.
-            after: the files that replace them.
-
-        Raises:
-            KeymintError: a file cannot be read.
-        """
-
-
 @runtime_checkable
 class InstalledDistro(Protocol):
     """Optional capability of a build type: signed documents tell for which distribution they were made."""

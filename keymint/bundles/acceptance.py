@@ -14,11 +14,11 @@ from datetime import datetime
 from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint.bundles.bundle import CERTIFICATE, KEY, Bundle, number_of, revocation_lists
-from keymint.bundles.in_force import require_in_force
 from keymint.bundles.manifest import Manifest, load
 from keymint.bundles.request import Request
 from keymint.errors import KeymintError
-from keymint.pki import certificates, keys
+from keymint.pki import certificates, certification_path, keys
+from keymint.pki import revocation_lists as crl
 
 RECORD = "bundle.json"
 """The file of an enclave that has the manifest of the bundle it came from."""
@@ -106,7 +106,7 @@ def accept(bundle: Bundle, present: Present, owner: Owner, now: datetime, where:
     _require_later(bundle, present, before, where)
     _require_expected(bundle, present, before, owner, where)
     key = _private_key(bundle, present, where)
-    require_in_force(bundle, now, where)
+    _require_in_force(bundle, now, where)
     wanted = {**bundle.files, **({KEY: key} if key else {}), RECORD: bundle.encoded}
     files = {name: content for name, content in wanted.items() if present.files.get(name) != content}
     # A key of an earlier request is of no use beside a certificate for another one.
@@ -248,6 +248,42 @@ def _is_key(pem: bytes, wanted: str) -> bool:
 
 
 # -- when it is for --------------------------------------------------------------------------------------------------
+
+
+def _require_in_force(bundle: Bundle, now: datetime, where: Origin) -> None:
+    """Require that nodes start with a bundle now: a list that has expired, e.g., keeps every node from starting."""
+    manifest = bundle.manifest
+    if not manifest.not_before <= now <= manifest.not_after:
+        raise KeymintError(
+            f"it is in force from {manifest.not_before:%Y-%m-%dT%H:%M:%SZ} to {manifest.not_after:%Y-%m-%dT%H:%M:%SZ}, "
+            f"and the clock of this machine is at {now:%Y-%m-%dT%H:%M:%SZ}",
+            where=where,
+            help="set the clock, or ask the authority for a new bundle",
+            code="bundle-dates",
+        )
+    chain = next(bundle.files[name] for name, each in bundle.authorities.items() if bundle.signer in each)
+    problems = certification_path.verify_chain(bundle.files[CERTIFICATE], chain, now, where)
+    if problems:
+        raise KeymintError(
+            f"its certificate is not valid: {problems[0].message}",
+            where=where,
+            help="ask the authority for a new bundle",
+            code="bundle-chain",
+        )
+    authorities = [each for of_file in bundle.authorities.values() for each in of_file]
+    for listed in bundle.lists:
+        by = [each for each in authorities if crl.is_by(listed, each)]
+        begin, end = crl.period(listed)
+        problem = "" if by and begin <= now <= end else "is not in force, or by another authority"
+        if by == [bundle.signer] and listed.get_revoked_certificate_by_serial_number(bundle.certificate.serial_number):
+            problem = "revokes its own certificate"
+        if problem:
+            raise KeymintError(
+                f"a revocation list of it {problem}: nodes would not start",
+                where=where,
+                help="ask the authority for a new bundle; 'keymint crl --refresh' issues the list again",
+                code="bundle-revoked",
+            )
 
 
 def _require_later(bundle: Bundle, present: Present, before: Manifest | None, where: Origin) -> None:

@@ -21,7 +21,6 @@ from keymint.check.enclaves import Examined, LoadedEnclave, examine, load
 from keymint.check.file_status import file_status
 from keymint.check.git_exposure import git_exposure
 from keymint.check.install_space import outside_enclaves
-from keymint.check.shared_documents import check_shared
 from keymint.errors import KeymintError
 from keymint.examine import keys
 from keymint.examine.keystore import deciding, staged
@@ -100,9 +99,7 @@ def _carry_out(_plugins: Plugins, task: Callable[[], Any]) -> Any:
 
 
 def _around(session: Session, within: timedelta) -> tuple[Diagnostic, ...]:
-    """Return the findings on the install space outside the enclaves."""
-    of_shared, files = check_shared(session, within)
-    return (*of_shared, *outside_enclaves(session, files))
+    return tuple(outside_enclaves(session, within))
 
 
 def _of_files(session: Session) -> tuple[Diagnostic, ...]:

@@ -10,11 +10,13 @@ from datetime import timedelta
 from cryptography import x509
 
 from comarmor.errors import Defects, Diagnostic
+from keymint.api import ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
-from keymint.plan import authority_files, token_keys
+from keymint.plan import authority_files, terms, token_keys
 from keymint.plan.authority_files import AuthorityFiles
 from keymint.plan.private_keys import key_defects
+from keymint.plan.trust_anchors import against
 from keymint.session import Inputs, Session
 
 
@@ -36,13 +38,15 @@ def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
                 if files.key or authority.certificate.key.uri
                 else f"restore it; {authority_files.new_authority_help(authority.name)}",
             )
-        elif files.certificate is None:
-            yield from _unreadable(files)
-        else:
+            continue
+        yield from _certificate(files, key, issuers)
+        if files.certificate is not None:
             issuers[authority.name] = files.certificate
             fingerprints.setdefault(authority.name, certificates.fingerprint(files.certificate))
-            yield from _certificate(files, files.certificate, key, issuers)
-            yield from _validity(session, files, files.certificate, within)
+            what, period = f"the certificate of {authority.name!r}", certificates.period(files.certificate)
+            term = ValidityTerm("authority", what, files.certificate_file, (period,))
+            for found in terms.findings([term], session.now, "", within):
+                yield replace(found, help=found.help.replace("renew'", f"renew {authority.name}'"))
     with Defects() as defects:
         authority_files.require_own_keys(session, fingerprints)
     yield from defects.found
@@ -77,50 +81,23 @@ def _key(inputs: Inputs, files: AuthorityFiles) -> Generator[Diagnostic, None, k
     return None
 
 
-def _unreadable(files: AuthorityFiles) -> Iterator[Diagnostic]:
-    where = files.certificate_file
-    help_ = "'keymint install' restores it" if files.key else "restore it from a backup"
-    with Defects() as defects:
-        certificates.public_key(certificates.load(files.content or b"", where), where)
-    yield from (replace(defect, help=help_) for defect in defects.found)
-
-
 def _certificate(
-    files: AuthorityFiles,
-    certificate: x509.Certificate,
-    key: keys.PublicKey | None,
-    issuers: Mapping[str, x509.Certificate],
+    files: AuthorityFiles, key: keys.PublicKey | None, issuers: Mapping[str, x509.Certificate]
 ) -> Iterator[Diagnostic]:
     """Check a certificate against its key, the certificates in use, and the profile."""
-    spec, public = files.authority.certificate, certificates.public_key(certificate)
-    defects = Defects()  # that would make an installation fail
-    if key is not None:
-        with defects:
-            authority_files.require_fit(files, key)
-    with defects:
-        authority_files.require_name(files)
-    if not defects.found:
-        with defects:
-            authority_files.require_known(files, public)
-    yield from defects.found
-    content, issuer = files.content or b"", issuers.get(spec.issuer)
-    if not defects.found and not authority_files.satisfies(content, spec, public, issuer):
+    spec, certificate = files.authority.certificate, files.certificate
+    defects = against(files, key)
+    if certificate is None:
+        help_ = "'keymint install' restores it" if files.key else "restore it from a backup"
+        defects = tuple(replace(defect, help=help_) for defect in defects)
+    yield from defects
+    if defects or certificate is None:
+        return
+    public, issuer = certificates.public_key(certificate), issuers.get(spec.issuer)
+    if not authority_files.satisfies(files.content or b"", spec, public, issuer):
         yield Diagnostic.error(
             "authority-drift",
             f"the certificate of {files.name!r} is not the one that the profile specifies",
             files.certificate_file,
             "run 'keymint install', which reissues it for the same key, and redeploy all enclaves",
         )
-
-
-def _validity(
-    inputs: Inputs, files: AuthorityFiles, certificate: x509.Certificate, within: timedelta
-) -> Iterator[Diagnostic]:
-    name, where, end = files.name, files.certificate_file, certificate.not_valid_after_utc
-    help_ = f"'keymint authority renew {name}' issues it again for the same key, as long as before"
-    if end < inputs.now:
-        message = f"the certificate of {name!r} expired on {end:%Y-%m-%d %H:%M} UTC"
-        yield Diagnostic.error("authority-expired", message, where, help_)
-    elif end < inputs.now + within:
-        message = f"the certificate of {name!r} expires on {end:%Y-%m-%d %H:%M} UTC"
-        yield Diagnostic.warning("authority-expires", message, where, help_)

@@ -11,7 +11,7 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, BuildType, Inspection, Package
 from keymint.changes import file_mode
-from keymint.check.file_status import link, linked_twice, modes
+from keymint.check.file_status import CHANGED, link, linked_twice, modes
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.pki import key_files, keys
@@ -236,5 +236,4 @@ def _on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterato
     for file, value in stamp.outputs.items():
         if file in files and digest(files[file]) != value:
             where, help_ = session.workspace.origin(f"{folder}/{file}"), f"'keymint install {name}' restores it"
-            message = "was changed after it was installed"
-            yield Diagnostic.error("file-changed", message, where, help_, subject)
+            yield Diagnostic.error("file-changed", CHANGED, where, help_, subject)

@@ -16,14 +16,17 @@ from functools import lru_cache
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from keymint.changes import file_mode
 from keymint.file_reading import FileStatus
 from keymint.pki import key_files
 from keymint.session import Inputs
+from keymint.state import digest
 
 _GROUP, _OTHERS = stat.S_IWGRP, stat.S_IWOTH
 _PEM = ".pem"
 
 
+CHANGED = "was changed after it was installed"
 _Entry = tuple[str, FileStatus]
 """The path of a file or folder of a space, and its status (of a link: of the link itself)."""
 
@@ -64,6 +67,28 @@ def modes(inputs: Inputs, path: Path | str, mode: int, subject: str) -> Iterator
             f"chmod {mode:o} {shown}",
             subject,
         )
+
+
+def as_installed(
+    inputs: Inputs, path: Path | str, value: str, help_: str, message: str = CHANGED, *, secret: bool = False
+) -> Iterator[Diagnostic]:
+    """Yield a finding for a file outside of the enclaves that is missing, has another mode, or was changed.
+
+    Args:
+        inputs: the workspace.
+        path: the file.
+        value: digest of what was installed; empty if that is not known.
+        help_: what restores it.
+        message: what is wrong with one that was changed.
+        secret: it is for its owner only.
+    """
+    where = inputs.workspace.origin(path)
+    if inputs.tree.status(path) is None:
+        yield Diagnostic.error("file-missing", "is missing", where, help_)
+        return
+    yield from modes(inputs, path, file_mode(secret=secret), "")
+    if value and inputs.tree.has_file(path) and digest(inputs.tree.try_read(path) or b"") != value:
+        yield Diagnostic.error("file-changed", message, where, help_)
 
 
 def link(inputs: Inputs, path: Path | str, subject: str) -> Diagnostic:

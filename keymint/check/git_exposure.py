@@ -22,17 +22,7 @@ _LIST = ("-c", "core.fsmonitor=false", "-c", "core.hooksPath=/dev/null", "ls-fil
 
 def git_exposure(inputs: Inputs) -> Iterator[Diagnostic]:
     """Yield the findings on the private keys in all spaces; none without a repository or without git."""
-    workspace = inputs.workspace
-    spaces = (
-        workspace.private,
-        workspace.install,
-        workspace.next_install,
-        workspace.build,
-        workspace.public,
-        workspace.src,
-        workspace.profile,
-    )
-    for space in spaces:
+    for space in inputs.workspace.spaces():
         if _in_repository(space.resolve()):
             yield from _of_space(inputs, space)
 

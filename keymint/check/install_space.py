@@ -3,26 +3,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from datetime import timedelta
 
 from comarmor.errors import Diagnostic
-from keymint.api import Artifact
-from keymint.check.file_status import modes
-from keymint.names import ROOT, subject_of
+from keymint.api import Artifact, BuildOptions, SharedInspection
+from keymint.check.file_status import as_installed
+from keymint.errors import KeymintError
+from keymint.names import ROOT
 from keymint.plan import environment, gitignore
-from keymint.plan.enclaves import enclave_files, files_in, installed
+from keymint.plan.build_types import shared_builder
+from keymint.plan.enclaves import INSTALLED, files_in, installed
 from keymint.plan.register import withdrawn
-from keymint.plan.shared_files import build_types_in_use, copies_of
+from keymint.plan.shared_documents import build_shared, load_packages, record_key, users
+from keymint.plan.shared_files import EnclaveChanges, build_types_in_use, copies_of, shared_copies
+from keymint.plan.shared_install import installed_shared
+from keymint.plan.shared_proof import enclaves_of
+from keymint.plan.trust_anchors import shared_anchors
 from keymint.session import Session
+from keymint.state import Stamp, digest
+
+_OTHER_COPY = "differs from the enclaves' content"
+_OTHER_SCRIPT = "differs from what Keymint writes, and shells that source it may use another keystore"
 
 
-def outside_enclaves(session: Session, known: Collection[str]) -> Iterator[Diagnostic]:
+def outside_enclaves(session: Session, within: timedelta) -> Iterator[Diagnostic]:
     """Yield the findings on the install space outside the enclaves.
 
     Args:
         session: the workspace and its profile.
-        known: files that are checked elsewhere, by path relative to the install space.
+        within: report what expires within this time.
     """
+    found, known = _shared(session, within)
+    yield from found
     workspace, names = session.workspace, installed(session)
     enclaves = {session.enclave_folder(name) for name in names if name != ROOT}
     own = {f"{session.enclave_folder(ROOT)}/{file}" for file in files_in(session, ROOT)} if ROOT in names else ()
@@ -36,57 +49,28 @@ def outside_enclaves(session: Session, known: Collection[str]) -> Iterator[Diagn
     )
     targets = set(map(session.tree.follows, files))
     folders = [path for path, is_folder in entries if is_folder]
+    restores = "'keymint install' restores it"
     empty = [folder for folder in folders if not session.tree.names(folder)]  # an error if one cannot be read
+    for relative, content in expected.items():
+        if (path := f"{workspace.install}/{relative}") not in own and path not in targets:
+            yield from as_installed(session, path, digest(content), restores, _OTHER_COPY)
     for path in outside:
         relative = path.removeprefix(f"{workspace.install}/")
-        if path in own or path in targets or relative in known or relative == gitignore.NAME:
+        if path in own or path in targets or relative in known or relative in expected or relative == gitignore.NAME:
             continue
-        if relative in own_scripts:
-            yield from _script(session, path, own_scripts[relative])
-        elif relative not in expected:
-            yield Diagnostic.warning(
-                "file-unexpected",
-                "is in the install space, but belongs to no enclave",
-                workspace.origin(path),
-                "remove it",
-            )
+        if relative in own_scripts:  # a workspace that was not installed since they exist has none
+            is_ours = environment.is_ours(session.tree.try_read(path) or b"")
+            help_ = restores if is_ours else "rename it or remove it, and run 'keymint install'"
+            yield from as_installed(session, path, digest(own_scripts[relative]), help_, _OTHER_SCRIPT)
         else:
-            yield from modes(session, path, 0o644, "")
-            if session.tree.has_file(path) and session.tree.try_read(path) != expected[relative]:
-                yield Diagnostic.error(
-                    "file-changed",
-                    "differs from the enclaves' content",
-                    workspace.origin(path),
-                    "'keymint install' restores it",
-                )
+            message = "is in the install space, but belongs to no enclave"
+            yield Diagnostic.warning("file-unexpected", message, workspace.origin(path), "remove it")
     for folder in empty:
         message = "is an empty folder in the install space that Keymint did not create"
         yield Diagnostic.warning("folder-unexpected", message, workspace.origin(folder), "remove it")
-    for relative in expected:
-        if session.tree.status(workspace.install / relative) is None:
-            yield Diagnostic.error(
-                "file-missing",
-                "is missing",
-                workspace.origin(workspace.install / relative),
-                "'keymint install' restores it",
-            )
 
 
-def _script(session: Session, path: str, expected: bytes) -> Iterator[Diagnostic]:
-    """Yield the findings on a script; a workspace that was not installed since they exist has none."""
-    yield from modes(session, path, 0o644, "")
-    content = session.tree.try_read(path) if session.tree.has_file(path) else None
-    if content is not None and content != expected:
-        is_ours = environment.is_ours(content)
-        yield Diagnostic.error(
-            "file-changed",
-            "differs from what Keymint writes, and shells that source it may use another keystore",
-            session.workspace.origin(path),
-            "'keymint install' restores it" if is_ours else "rename it or remove it, and run 'keymint install'",
-        )
-
-
-def _copies(session: Session, names: Iterable[str], outside: Iterable[str]) -> Mapping[str, bytes]:
+def _copies(session: Session, names: Sequence[str], outside: Iterable[str]) -> Mapping[str, bytes]:
     """Return the copies of enclaves' files that all installed build types have outside of them, by path.
 
     If all that have them were revoked, the copies stay for those that get a new key, and are compared with each other.
@@ -96,19 +80,68 @@ def _copies(session: Session, names: Iterable[str], outside: Iterable[str]) -> M
         names: the installed enclaves.
         outside: paths of the files outside of them.
     """
-    expected: dict[str, bytes] = {}
-    sources = set(session.packages())
-    artifacts = {
-        subject_of(name): {file: Artifact(content) for file, content in enclave_files(session, name)[0].items()}
-        for name in names
-        if name in sources or sources.isdisjoint(names)  # if all are hidden or orphaned, they still need the copies
-    }
-    left: dict[str, dict[str, Artifact]] = {}
-    if withdrawn(session):
-        left[""] = {path.rpartition("/")[2]: Artifact(session.tree.try_read(path) or b"") for path in outside}
-    for name in session.plugins.names("keymint.build_types") if artifacts or left else ():
-        build_type = session.plugins.build_type(name)
-        if session.profile.layout in build_type.LAYOUTS:
-            copies = copies_of(session, build_type, artifacts) or copies_of(session, build_type, left)
-            expected |= {path: artifact.content for path, artifact in copies.items()}
-    return expected
+    sources = frozenset(session.packages())
+    gone = frozenset(names) - sources if sources.intersection(names) else frozenset[str]()  # all hidden: they need them
+    found = shared_copies(session, EnclaveChanges(removed=gone))
+    if not any(found) and withdrawn(session):
+        left = {"": {path.rpartition("/")[2]: Artifact(session.tree.try_read(path) or b"") for path in outside}}
+        build_types = map(session.plugins.build_type, session.plugins.names("keymint.build_types"))
+        found = [copies_of(session, each, left) for each in build_types if session.profile.layout in each.LAYOUTS]
+    return {path: artifact.content for copies in found for path, artifact in copies.items()}
+
+
+# -- documents over all packages ------------------------------------------------------------------------------------
+
+
+def _shared(session: Session, within: timedelta) -> tuple[Iterable[Diagnostic], set[str]]:
+    """Return the findings on the installed documents over all packages of a build type, and the paths of these."""
+    diagnostics: list[Diagnostic] = []
+    files: set[str] = set()
+    try:
+        of_types = users(session)
+    except KeymintError as error:
+        return error.diagnostics, files
+    for name in of_types:
+        stamp = session.state.stamp(INSTALLED, record_key(name))
+        try:
+            inspection = _inspection(session, name, within)
+        except KeymintError as error:
+            diagnostics += error.diagnostics
+            files |= set(stamp.outputs if stamp else ())
+            continue
+        files |= inspection.files.keys()
+        builder = shared_builder(session, name)
+        found = builder.check_shared(inspection) if builder else ()
+        diagnostics += (*_on_disk(session, name, inspection, stamp), *found)
+    return dict.fromkeys(diagnostics), files
+
+
+def _inspection(session: Session, name: str, within: timedelta) -> SharedInspection:
+    packages = load_packages(session, name)
+    # What the options of a build accept was reported and accepted when the documents were built.
+    built = build_shared(session, name, packages, BuildOptions(allow_vendor_specific=True))
+    stamp = session.state.stamp(INSTALLED, record_key(name))
+    anchors = shared_anchors(session, packages, session.plugins.build_type(name))
+    return SharedInspection(
+        packages=packages,
+        documents=built.documents,
+        files=installed_shared(session, sorted({*built.documents, *(stamp.outputs if stamp else ())})),
+        enclaves=enclaves_of(session, name),
+        folder=session.workspace.shown(session.workspace.install),
+        layout=session.profile.layout,
+        chains={role: anchor.chain for role, anchor in anchors.items()},
+        now=session.now,
+        within_days=within / timedelta(days=1),
+    )
+
+
+def _on_disk(session: Session, name: str, inspection: SharedInspection, stamp: Stamp | None) -> Iterator[Diagnostic]:
+    """Check that the files are there, their modes, and their recorded digests."""
+    recorded: Mapping[str, str] = stamp.outputs if stamp else {}
+    for path in sorted({*inspection.documents, *recorded, *inspection.files}):
+        secret = stamp is not None and path in stamp.secret
+        value, help_ = recorded.get(path, ""), "'keymint build' and 'keymint install' write it"
+        yield from as_installed(session, session.workspace.install / path, value, help_, secret=secret)
+    if stamp is None and inspection.files:
+        message = f"there is no record of the installed shared documents of {name}"
+        yield Diagnostic.note("record-missing", message, None, "'keymint install' makes one")

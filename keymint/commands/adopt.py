@@ -22,6 +22,7 @@ from keymint.commands.proof_diagnostics import effort_of
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
+from keymint.examine.nodes import NODE_NOTES, node_notes, of_documents
 from keymint.output.keystores import as_json, summary
 from keymint.output.report import Report, findings_exit
 from keymint.session import Inputs
@@ -76,11 +77,14 @@ def adopt(
     options = PolicyOptions(chosen or None, profile_type, "keymint_ros2_comarmor")
     own, comparisons = _policy(run, build_type_name, found, policy, workspace, options, (accept, implicit))
     different = [each for each in (one.finding() for one in comparisons) if each]
-    found = replace(found, diagnostics=(*found.diagnostics, *(own.diagnostics if own else ()), *different))
+    target = options.distro or "jazzy"
+    rules = of_documents(run.plugins.build_type(build_type_name), files, found.enclaves, target)
+    nodes = node_notes(run.plugins, (build_type_name,), target, rules)
+    found = replace(found, diagnostics=(*found.diagnostics, *(own.diagnostics if own else ()), *different, *nodes))
     run.console.lines(summary(str(keystore), found, {each.subject: each.words for each in comparisons}))
     result = as_json(found, {each.subject: each.as_json() for each in comparisons})
     if not applied:
-        return run.report(result, found.diagnostics, findings_exit(found.diagnostics))
+        return run.report(result, found.diagnostics, findings_exit(found.diagnostics), notes=NODE_NOTES)
     run.recover(workspace)
     if run.resumes:
         return replace(run.finish(workspace), result=result)
@@ -97,7 +101,7 @@ def adopt(
         plan = plan_adoption(inputs, adoption)
         return replace(plan, diagnostics=(*notes, *plan.diagnostics, *left))
 
-    return replace(run.carry_out(workspace, make_plan), result=result)
+    return replace(run.carry_out(workspace, make_plan), result=result, notes=NODE_NOTES)
 
 
 def _policy(

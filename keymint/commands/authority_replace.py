@@ -107,19 +107,17 @@ def _outline(session: Session, name: str, before: Phase | None, reached: Phase |
 def _told(session: Session, name: str, before: Phase | None, reached: Phase | None, *, cancelled: bool) -> Diagnostic:
     """Return what is to be done on the robots before the next phase."""
     following = Phase.REISSUE if reached is Phase.DISTRIBUTE else Phase.END
-    go_on = f"'keymint authority replace {name} --phase {following}'"
+    go_on = f"then 'keymint authority replace {name} --phase {following}'"
     install_space, second = (
         session.workspace.shown(each) for each in (session.workspace.install, session.workspace.next_install)
     )
-    if reached is Phase.DISTRIBUTE:
-        text = f"{name!r}: all enclaves trust the present and the next authority: copy {install_space}/ to all robots"
-        help_ = f"restart them, in any order; then {go_on}"
-    elif reached is Phase.REISSUE:
-        text = f"{name!r}: the next authority issues: copy {install_space}/ to all robots"
-        help_ = f"restart them, in any order; then {go_on}"
-    elif reached is Phase.STAGE:
+    if reached is Phase.STAGE:
         text = f"{name!r}: a second keystore by the next authority is ready: copy {second}/ to all robots"
-        help_ = f"set ROS_SECURITY_KEYSTORE to it, and restart all of them together; then {go_on}"
+        help_ = f"set ROS_SECURITY_KEYSTORE to it, and restart all of them together; {go_on}"
+    elif reached is not None:
+        both = "all enclaves trust the present and the next authority"
+        what = both if reached is Phase.DISTRIBUTE else "the next authority issues"
+        text, help_ = f"{name!r}: {what}: copy {install_space}/ to all robots", f"restart them, in any order; {go_on}"
     elif cancelled:
         text, help_ = f"{name!r}: its key stays", f"copy {install_space}/ to the robots that got another one"
     elif before is None:

@@ -12,28 +12,28 @@ import click
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted
-from comarmor.values import dataclass
 from keymint.check import check as find
 from keymint.commands.durations import period
 from keymint.commands.options import FILE, packages_argument, standard_only_option, strict_option
-from keymint.commands.proof_diagnostics import dated_of, diagnostics_of, effort_of, merged_packages
+from keymint.commands.proof_diagnostics import effort_of, proof_findings
 from keymint.commands.run import Run
 from keymint.commands.user_files import write_outputs
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.examine.keystore import SHOWN_NOTES, proven_keystore
+from keymint.examine.nodes import NODE_NOTES, of_packages
 from keymint.examine.not_examined import not_examined
-from keymint.examine.rights import RIGHTS_OUTLIVE
 from keymint.executors import Pool
 from keymint.names import subject_of
 from keymint.output.report import Report, findings_if, folded
 from keymint.output.sarif import of_diagnostics
 from keymint.output.sarif import sarif as sarif_log
+from keymint.plan.earlier_rights import RIGHTS_OUTLIVE
 from keymint.plan.policy import lazy_policy
 from keymint.plan.policy_drift import uncreated
+from keymint.plan.proof_results import ProofEffort
 from keymint.plan.prove import NO_PROVER, STAGE
 from keymint.plan.register import with_enclaves
-from keymint.plan.terms import merged
 from keymint.session import Session
 from keymint.state import State
 
@@ -71,6 +71,7 @@ def check(
 
     Checks certificates, keys, signatures, schemas, dates, file modes, revocation lists, and whether the installed
     documents match the sources; proves that they permit exactly what the policy says, as 'keymint prove' does.
+    Notes subjects whose nodes cannot start with default options.
     docs/verification.md says in one table what each verb reads.
     Exit code 3: there are findings, or you may not read all of private/. NAME is a package [all].
     """
@@ -80,11 +81,12 @@ def check(
         findings, state = list(find(session, chosen, within, pool)), session.state
         if not no_prove:
             known = {(each.code, each.where and each.where.file) for each in findings}
-            proof = _Proof(run, pool, fresh=fresh, strict=strict, standard_only=allow_vendor_specific)
-            state, found = proof.results(session, with_enclaves(session, chosen, names))
+            effort = effort_of(run, standard_only=allow_vendor_specific)
+            enclaves = with_enclaves(session, chosen, names)
+            state, found = _proven(session, enclaves, effort, pool, fresh=fresh, strict=strict)
             findings += (each for each in found if (each.code, each.where and each.where.file) not in known)
     unexamined = tuple(not_examined(session))
-    findings += (each for each in (() if names else _uncreated(session, chosen)) if each not in findings)
+    findings += (each for each in _of_policy(session, chosen, complete=not names) if each not in findings)
     shown = folded((*findings, *unexamined))
     if sarif is not None:
         write_outputs(run, sarif, sarif_log("keymint check", {}, of_diagnostics(shown), run.typed))
@@ -101,43 +103,33 @@ def check(
     }
     outlive = strict and any(each.code == RIGHTS_OUTLIVE for each in shown)
     exit_code = findings_if(number or outlive or (unexamined and not without_private))
-    return run.report(result, shown, exit_code, workspace=session.workspace, notes=SHOWN_NOTES)
+    return run.report(result, shown, exit_code, workspace=session.workspace, notes=SHOWN_NOTES | NODE_NOTES)
 
 
-@dataclass(frozen=True, slots=True)
-class _Proof:
-    """How 'check' proves; the options are those of the verb."""
-
-    run: Run
-    pool: Pool
-    fresh: bool
-    strict: bool
-    standard_only: bool
-
-    def results(self, session: Session, names: Sequence[str]) -> tuple[State, tuple[Diagnostic, ...]]:
-        """Return the record to keep, and the findings of the proof; a workspace without a policy has none."""
-        if not session.profile.policies:
-            return session.state, ()
-        if self.fresh:
-            proven = tuple(session.state.stamps.get(STAGE, ()))
-            session = replace(session, state=session.state.updated(STAGE, {}, proven))
-        try:
-            policy, effort = lazy_policy(session), effort_of(self.run)
-            proof = proven_keystore(
-                session, names, policy, effort, lambda _: None, self.pool, standard_only=self.standard_only
-            )
-        except KeymintError as error:
-            return session.state, error.diagnostics
-        found = merged_packages(
-            (each for each in diagnostics_of(proof.results, strict=self.strict) if each.code != NO_PROVER),
-            lambda name: session.workspace.shown(session.enclave_folder(name)),
-        )
-        return proof.results.state, (*found, *merged(dated_of(proof.results)), *proof.outliving)
-
-
-def _uncreated(session: Session, known: Sequence[str]) -> Sequence[Diagnostic]:
-    """Return findings on subjects without a package, or on a policy that cannot be read."""
+def _proven(
+    session: Session, names: Sequence[str], effort: ProofEffort, pool: Pool, *, fresh: bool, strict: bool
+) -> tuple[State, tuple[Diagnostic, ...]]:
+    """Return the record to keep, and the findings of the proof; a workspace without a policy has none."""
+    if not session.profile.policies:
+        return session.state, ()
+    if fresh:
+        proven = tuple(session.state.stamps.get(STAGE, ()))
+        session = replace(session, state=session.state.updated(STAGE, {}, proven))
     try:
-        return uncreated(session, lazy_policy(session), known)
+        results = proven_keystore(session, names, lazy_policy(session), effort, lambda _: None, pool)
     except KeymintError as error:
-        return error.diagnostics
+        return session.state, error.diagnostics
+    found = proof_findings(session, results, strict=strict)
+    return results.state, tuple(each for each in found if each.code != NO_PROVER)
+
+
+def _of_policy(session: Session, names: Sequence[str], *, complete: bool) -> Sequence[Diagnostic]:
+    """Return notes on packages whose nodes cannot start, and, if these are all, findings on subjects without one.
+
+    If they are all, what keeps the policy from being read is a finding as well.
+    """
+    try:
+        policy = lazy_policy(session)
+        return (*(uncreated(session, policy, names) if complete else ()), *of_packages(session, policy, names))
+    except KeymintError as error:
+        return error.diagnostics if complete else ()

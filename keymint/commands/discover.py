@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import reduce
+from itertools import pairwise
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -26,6 +27,7 @@ from keymint.commands.run import Run
 from keymint.commands.user_files import deliver, exists, read_input
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
+from keymint.generated_names import NAMES_DIFFER, differing
 from keymint.graph import Graph
 from keymint.names import typed_subject
 from keymint.output.report import Report
@@ -119,8 +121,10 @@ def discover(
         **delivered,
         "graph": None if target else json.loads(content),
     }
-    diagnostics = tuple(dict.fromkeys(said for discovered in graphs for said in discovered.diagnostics))
-    return run.report(result, diagnostics, interrupted or ExitCode.DONE)
+    records = pairwise(source.interpret(each.graph, fold=not no_fold) for each in graphs)
+    differ = (note for one, other in records for note in differing(one, other))
+    diagnostics = tuple(dict.fromkeys((*(said for each in graphs for said in each.diagnostics), *differ)))
+    return run.report(result, diagnostics, interrupted or ExitCode.DONE, notes={NAMES_DIFFER})
 
 
 def _names(typed: Iterable[str]) -> dict[str, str]:

@@ -9,7 +9,7 @@ from datetime import timedelta
 import click
 
 from comarmor.regex import lazy_regex
-from keymint.plan.threshold import Threshold
+from keymint.plan.terms import Threshold
 
 _UNITS = {"h": timedelta(hours=1), "d": timedelta(days=1), "w": timedelta(weeks=1), "y": timedelta(days=365)}
 _ISO = lazy_regex(

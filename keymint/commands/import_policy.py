@@ -20,6 +20,7 @@ from keymint.commands.run import Run
 from keymint.commands.user_files import deliver, exists, read_input, refuse_replacing
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
+from keymint.examine.nodes import node_notes
 from keymint.output.report import Report
 from keymint.plan.foreign_policies import foreign_policy
 
@@ -82,7 +83,9 @@ def import_policy(
         f"{counted(len(proofs), 'subject')}: {same} proven to permit, for all names, what {importer.TOOL} lets it do"
     )
     subjects = [{"subject": proof.subject, "same": proof.is_same} for proof in proofs]
-    diagnostics = [*imported.diagnostics, *diagnostics_of(proofs, importer.TOOL), *_beside(run, policy, file)]
+    rules = ((each.rules, Origin(str(policy))) for each in imported.subjects)
+    nodes = node_notes(run.plugins, (importer.BUILD_TYPE,), policies.distro, rules)
+    diagnostics = [*imported.diagnostics, *diagnostics_of(proofs, importer.TOOL), *_beside(run, policy, file), *nodes]
     return run.report({**delivered, "subjects": subjects}, diagnostics, notes=True)
 
 

@@ -10,10 +10,18 @@ from pathlib import Path
 import click
 
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 from keymint.api import Bootstrap, ProfileSettings, WorkspaceProfile
 from keymint.changes import Action, Plan, Step
 from keymint.commands.build_type_names import build_types_of, transports_of
-from keymint.commands.options import DEFAULT_PROFILE_TYPE, PATH, ProfileOptions, profile_options
+from keymint.commands.options import (
+    DEFAULT_PROFILE_TYPE,
+    PATH,
+    PluginOption,
+    distro_option,
+    option_group,
+    valid_for_option,
+)
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
@@ -23,6 +31,51 @@ from keymint.plan.bootstrap import plan_init, policy_path, refuse_unsupported
 from keymint.plan.foreign_policies import foreign_policy
 from keymint.session import Inputs
 from keymint.workspace import PROFILE_MARKER, Workspace
+
+
+@dataclass(frozen=True, slots=True)
+class ProfileOptions:
+    """What shapes the profile of a new workspace; None for an option that was not given."""
+
+    profile_type: str | None
+    distro: str | None
+    domain: int | None
+    layout: str | None
+    subject_format: str | None
+    transports: tuple[str, ...] = ()
+    valid_for: str | None = None
+
+
+profile_options = option_group(
+    "profile",
+    ProfileOptions,
+    click.option(
+        "--profile-type",
+        cls=PluginOption,
+        group="keymint.profile_types",
+        help=f"Plugin that makes the profile; 'keymint plugins' lists them [{DEFAULT_PROFILE_TYPE}].",
+    ),
+    distro_option,
+    click.option(
+        "--transport",
+        "transports",
+        multiple=True,
+        metavar="NAME",
+        help="Transport to provision for; may be repeated [that of the profile type].",
+    ),
+    click.option("--domain", type=click.IntRange(0, 230), metavar="N", help="Domain id [0]."),
+    click.option(
+        "--layout",
+        metavar="NAME",
+        help="Layout of install/, of those that the transport has [the one that the distribution reads].",
+    ),
+    click.option(
+        "--subject-format",
+        metavar="NAME",
+        help="Form of subject names in certificates, of those that the profile type has [unique].",
+    ),
+    valid_for_option,
+)
 
 
 @verb(jobs=True, dry_run=True)

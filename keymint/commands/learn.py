@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import reduce
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +23,14 @@ from keymint.commands.run import Run
 from keymint.commands.user_files import read_input, show_written, write_outputs
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
-from keymint.graph import Edge
+from keymint.generated_names import NAMES_DIFFER, differing
+from keymint.graph import Edge, Graph
 from keymint.output.report import Report, findings_if
 from keymint.plan.foreign_policies import foreign_policy
 
 
 @verb(workspace=False, dry_run=True)
-@click.argument("graph", type=PATH, required=False)
+@click.argument("graphs", type=PATH, nargs=-1, metavar="[GRAPH]...")
 @click.option(
     "--from-keystore", "keystore", type=PATH, metavar="KEYSTORE",
     help="Learn from the signed documents of a keystore in place of a graph.",
@@ -38,7 +41,7 @@ from keymint.plan.foreign_policies import foreign_policy
 @policy_options
 def learn(
     run: Run,
-    graph: Path | None,
+    graphs: tuple[Path, ...],
     keystore: Path | None,
     policy: Path | None,
     output: Path | None,
@@ -52,7 +55,8 @@ def learn(
     keymint learn --from-keystore demo_keystore -o policy.xml
 
     GRAPH is JSON written by 'keymint discover'. Review the result: it allows everything that the system did during the
-    observation, even by an attacker, and nothing that it did not do.
+    observation, even by an attacker, and nothing that it did not do. Of several graphs, e.g. one of each start of the
+    system, the policy allows all edges; names that may change with each start are noted.
 
     With --policy the result contains only what EXISTING lacks; put both into one directory. Permissions of EXISTING
     that the graph does not use are listed.
@@ -63,13 +67,13 @@ def learn(
     Exit code 3: a DENY rule of EXISTING denies an edge of the graph.
     """
     if keystore is not None:
-        if graph is not None or policy is not None:
+        if graphs or policy is not None:
             raise usage_error(
                 "--from-keystore takes neither a graph nor --policy", "learn from one of them at a time, and compare "
                 "the results: keymint diff ONE OTHER",
             )  # fmt: skip
         return from_keystore(run, keystore, output, policy_options, force=force)
-    if graph is None:
+    if not graphs:
         raise usage_error(
             "the argument GRAPH is missing", "name a file of 'keymint discover', or a keystore: --from-keystore"
         )
@@ -79,10 +83,8 @@ def learn(
         raise KeymintError(f"the policy type {policy_options.policy_type!r} cannot learn", code="learn-unsupported")
     if policy_options.distro:
         policies.shipped()  # an unknown distribution is an error even without --policy
-    content = read_input(run, graph)
-    if looks_like_xml(content) and (foreign := foreign_policy(run.plugins, [run.setting.cwd / graph])):
-        raise foreign.refusal(str(graph))
-    wanted = graph_json.load(content, str(graph))
+    records = [_record(run, graph) for graph in graphs]
+    wanted = reduce(graph_json.merge, records)
     existing = policies.at(run.setting.cwd / policy, str(policy), foreign=False) if policy else None
     if output and existing:
         _refuse_overwriting(run, output, existing)
@@ -105,8 +107,21 @@ def learn(
         "missing": [_as_json(edge) for edge in learned.missing],
         "unused": [_place(found) for found in learned.unused],
     }
-    diagnostics = (*learned.conflicts, *learned.unused, *_about_domains(domains, output))
-    return run.report(result, diagnostics, findings_if(learned.conflicts))
+    differ = (note for pair in pairwise(records) for note in differing(*pair))
+    diagnostics = (*learned.conflicts, *learned.unused, *_about_domains(domains, output), *learned.notes, *differ)
+    return run.report(result, diagnostics, findings_if(learned.conflicts), notes={"learn-generated", NAMES_DIFFER})
+
+
+def _record(run: Run, path: Path) -> Graph:
+    """Return the graph of a file.
+
+    Raises:
+        KeymintError: it cannot be read, or is none; with its line.
+    """
+    content = read_input(run, path)
+    if looks_like_xml(content) and (foreign := foreign_policy(run.plugins, [run.setting.cwd / path])):
+        raise foreign.refusal(str(path))
+    return graph_json.load(content, str(path))
 
 
 def _about_domains(domains: Sequence[int], output: Path | None) -> Iterator[Diagnostic]:

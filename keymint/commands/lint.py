@@ -19,6 +19,7 @@ from keymint.commands.policies import Policies
 from keymint.commands.run import Run
 from keymint.commands.user_files import write_outputs
 from keymint.commands.verb import verb
+from keymint.examine.nodes import NODE_NOTES, node_notes, of_policy
 from keymint.output.report import Report, findings_exit
 from keymint.output.sarif import of_diagnostics
 from keymint.output.sarif import sarif as sarif_log
@@ -50,6 +51,7 @@ def lint(
     attachments that match no subject or object; profiles that never apply
     unused tunables; names that differ by a likely typing error
     rules that a transport cannot express, or that vendors decide differently
+    subjects whose nodes cannot start with default options (as notes)
 
     POLICY is a ComArmor file or directory, or a workspace [the current workspace]. A finding is true for all names and
     for every subject of the rule. docs/verification.md says in one table what each verb reads.
@@ -70,14 +72,15 @@ def lint(
             if diagnostic.code != "never-matches"
         ),
     ]
-    diagnostics = sorted_diagnostics(list(dict.fromkeys(diagnostics)))
+    number = len(set(diagnostics))
+    diagnostics += node_notes(run.plugins, chosen or policies.build_types, policies.distro, of_policy(loaded, named))
+    diagnostics = sorted_diagnostics(diagnostics)
     if sarif is not None:
         write_outputs(run, sarif, sarif_log("keymint lint", CODES, of_diagnostics(diagnostics), run.typed))
-    number = len(diagnostics)
     like = f" and {counted(len(others), 'pattern')} of subjects" if others else ""
     run.console.line(f"{counted(number, 'finding')} in the rules of {counted(len(named), 'subject')}{like}")
     result = {"subjects": named, "findings": number}
-    return run.report(result, diagnostics, findings_exit(diagnostics))
+    return run.report(result, diagnostics, findings_exit(diagnostics), notes=NODE_NOTES)
 
 
 def _checkers(run: Run, policies: Policies, chosen: Sequence[str]) -> Iterator[RuleCheck]:

@@ -230,51 +230,6 @@ valid_for_option = click.option(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class ProfileOptions:
-    """What shapes the profile of a new workspace; None for an option that was not given."""
-
-    profile_type: str | None
-    distro: str | None
-    domain: int | None
-    layout: str | None
-    subject_format: str | None
-    transports: tuple[str, ...] = ()
-    valid_for: str | None = None
-
-
-profile_options = option_group(
-    "profile",
-    ProfileOptions,
-    click.option(
-        "--profile-type",
-        cls=PluginOption,
-        group="keymint.profile_types",
-        help=f"Plugin that makes the profile; 'keymint plugins' lists them [{DEFAULT_PROFILE_TYPE}].",
-    ),
-    distro_option,
-    click.option(
-        "--transport",
-        "transports",
-        multiple=True,
-        metavar="NAME",
-        help="Transport to provision for; may be repeated [that of the profile type].",
-    ),
-    click.option("--domain", type=click.IntRange(0, 230), metavar="N", help="Domain id [0]."),
-    click.option(
-        "--layout",
-        metavar="NAME",
-        help="Layout of install/, of those that the transport has [the one that the distribution reads].",
-    ),
-    click.option(
-        "--subject-format",
-        metavar="NAME",
-        help="Form of subject names in certificates, of those that the profile type has [unique].",
-    ),
-    valid_for_option,
-)
-
-
 # -- building and installing -----------------------------------------------------------------------------------------
 
 

@@ -13,6 +13,7 @@ from keymint.commands.run import Run
 from keymint.names import name_of
 from keymint.plan import terms
 from keymint.plan.proof_results import EnclaveProof, ProofEffort, ProofResults
+from keymint.session import Session
 
 STATES = 500_000
 
@@ -35,14 +36,27 @@ def merged_packages(diagnostics: Iterable[Diagnostic], shown: Callable[[str], st
         yield group[0] if count <= 1 else replace(group[0], message=f"{group[0].message} [{count} packages]")
 
 
-def effort_of(run: Run, states: int = STATES, seconds: float = math.inf) -> ProofEffort:
+def effort_of(run: Run, states: int = STATES, seconds: float = math.inf, *, standard_only: bool = False) -> ProofEffort:
     """Return the limits of a proof: states per question, and seconds per enclave if the user asks for such a limit."""
-    return ProofEffort(states, lambda: _deadline(run.setting.monotonic, seconds))
+    return ProofEffort(states, lambda: _deadline(run.setting.monotonic, seconds), standard_only)
 
 
 def _deadline(clock: Callable[[], float], seconds: float) -> Callable[[], bool]:
     end = clock() + seconds
     return lambda: clock() < end
+
+
+def proof_findings(session: Session, results: ProofResults, *, strict: bool) -> tuple[Diagnostic, ...]:
+    """Return what a proof found: open claims, what is not valid now, and earlier rights that are wider.
+
+    Args:
+        session: the workspace and its profile.
+        results: the proof.
+        strict: exceptions of claims are errors.
+    """
+    found = (*diagnostics_of(results, strict=strict), *dated_of(results))
+    of_packages = merged_packages(found, lambda name: session.workspace.shown(session.enclave_folder(name)))
+    return (*of_packages, *results.outliving)
 
 
 def dated_of(results: ProofResults) -> Iterator[Diagnostic]:

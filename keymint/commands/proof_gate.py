@@ -19,7 +19,6 @@ from keymint.plan.built_documents import HAND_EDITED
 from keymint.plan.proof_results import EnclaveProof
 from keymint.plan.prove import NO_PROVER, ProofStage
 from keymint.plan.shared_proof import affected
-from keymint.plan.terms import merged
 from keymint.session import Session
 
 
@@ -31,8 +30,8 @@ def proof_stage(run: Run, policy: LoadedPolicy, request: InstallRequest) -> Call
         policy: the policy to prove.
         request: what the user asks for.
     """
-    standard_only = request.allow_vendor_specific
-    return partial(ProofStage, policy=policy, effort=effort_of(run), standard_only=standard_only, unsigned=True)
+    effort = effort_of(run, standard_only=request.allow_vendor_specific)
+    return partial(ProofStage, policy=policy, effort=effort, unsigned=True)
 
 
 def proven(
@@ -71,24 +70,21 @@ def proven(
         if diagnostic.code != NO_PROVER
         and not (diagnostic.subject in of_vendors and _goes_on(session, diagnostic.subject))
     ]
+
+    def shown(name: str) -> str:
+        return session.workspace.shown(session.workspace.build / name)
+
     if refused:
         edits = _refused_edits(session, plan, {each.subject for each in refused})
         by_edit = {each.where for each in edits}
         # Other warnings of the plan often name the cause, e.g. a changed policy.
         warnings = [each for each in plan.diagnostics if each.code != HAND_EDITED or each.where not in by_edit]
-        build = session.workspace.build
-        once = merged_packages(refused, lambda name: session.workspace.shown(build / name))
-        raise KeymintError.of([*warnings, *edits, *once], ExitCode.FINDINGS)
+        raise KeymintError.of([*warnings, *edits, *merged_packages(refused, shown)], ExitCode.FINDINGS)
     # Validity does not stop an installation: a certificate may become valid tomorrow.
-    known = {(each.code, subject) for each in plan.diagnostics for subject in (each.subject, "")}
-    validity = [each for each in dated_of(results) if (each.code, _subject_of(each)) not in known]
-    warnings = [replace(each, severity=Severity.WARNING) for each in (*diagnostics, *merged(validity))]
+    known = {each.code for each in plan.diagnostics}  # what the dates of the sources say already
+    validity = [each for each in dated_of(results) if each.code not in known]
+    warnings = [replace(each, severity=Severity.WARNING) for each in (*diagnostics, *merged_packages(validity, shown))]
     return replace(plan, state=results.state).noting(*warnings)
-
-
-def _subject_of(diagnostic: Diagnostic) -> str:
-    """Return the subject of a diagnostic; an authority has none."""
-    return "" if diagnostic.code.startswith("authority-") else diagnostic.subject
 
 
 def _refused_edits(session: Session, plan: Plan, subjects: Collection[str]) -> list[Diagnostic]:

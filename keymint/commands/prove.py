@@ -10,17 +10,18 @@ from typing import Any
 
 import click
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Diagnostic
 from comarmor.text import counted
 from keymint.api import Claim, Counterexample, Proof
 from keymint.changes import Action, Step
 from keymint.commands.options import Number, complete_package, standard_only_option, strict_option
-from keymint.commands.proof_diagnostics import STATES, dated_of, diagnostics_of, effort_of, merged_packages
+from keymint.commands.proof_diagnostics import STATES, effort_of, proof_findings
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
-from keymint.examine.keystore import SHOWN_NOTES, UNKNOWN_HISTORY, KeystoreProof, deciding, proven_keystore, staged
+from keymint.examine.keystore import SHOWN_NOTES, UNKNOWN_HISTORY, deciding, proven_keystore, staged
 from keymint.examine.not_examined import has_register, not_examined
+from keymint.output.json import line_json
 from keymint.output.report import Report, findings_exit, findings_if
 from keymint.plan import terms
 from keymint.plan.enclaves import unaccounted
@@ -32,6 +33,7 @@ from keymint.plan.register import with_enclaves
 from keymint.plan.trust_anchors import differences
 from keymint.session import Session
 
+_NOWHERE = {"file": None, "line": None}
 SHOWN = 5
 """Number of unprotected topics in the summary; ``--json`` lists all of them."""
 
@@ -74,39 +76,23 @@ def prove(
     except KeymintError as error:
         return _without_policy(run, session, chosen, error)
     with run.console.progress(len(chosen), run.setting.monotonic) as advance, run.pool() as pool:
-        proven = proven_keystore(
-            session, chosen, policy, effort_of(run, states, seconds),
-            lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), pool, standard_only=allow_vendor_specific,
+        results = proven_keystore(
+            session, chosen, policy, effort_of(run, states, seconds, standard_only=allow_vendor_specific),
+            lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), pool,
         )  # fmt: skip
-    results = proven.results
     unknown = () if names else (*unaccounted(session), *uncreated(session, policy, chosen))
     # What a cluster says is a result to show, but nothing that a later run may rely on.
     unrecorded = run.keep(session, results.state) if pool.trusted else ()
 
-    claims = [claim for enclave in results.all for claim in enclave.claims]
     unexamined, with_register = tuple(not_examined(session)), has_register(session)
     _summary(run, results, with_register=with_register)
-    is_proven = all(claim.proof is Proof.PROVEN and not (strict and claim.excepted) for claim in claims)
-    unread = any(enclave.diagnostics for enclave in results.all)
-    dated = tuple(terms.merged(dated_of(results)))
-    found = merged_packages(
-        diagnostics_of(results, strict=strict), lambda name: session.workspace.shown(session.enclave_folder(name))
-    )
     ahead = staged(session)
-    more = tuple(dict.fromkeys((*deciding(session), *(deciding(ahead) if ahead else ()), *proven.outliving)))
-    diagnostics = [*_assumptions(proven), *found, *dated, *more, *unknown, *unrecorded, *unexamined]
-    result = {
-        "at": terms.shown(results.now),
-        "until": _shown(_until(results)),
-        "in_force": _until(results) is not None and (with_register or None),
-        "not_examined": len(unexamined),
-        "assumptions": _taken(results),
-        "enclaves": [_enclave(enclave, results.now, run) for enclave in results.enclaves],
-        "shared": [_across(each, results.now, run) for each in results.shared],
-    }
-    exit_code = findings_if(
-        unread or dated or findings_exit((*unknown, *more)) or not is_proven or (strict and proven.outliving)
-    )
+    more = dict.fromkeys((*deciding(session), *(deciding(ahead) if ahead else ())))
+    found = (*proof_findings(session, results, strict=strict), *more, *unknown)
+    diagnostics = [*_assumptions(results), *found, *unrecorded, *unexamined]
+    in_force = _until(results) is not None and (with_register or None)
+    result = _result(run, results, unexamined, in_force)
+    exit_code = findings_if(findings_exit(found) or (strict and results.outliving))
     return run.report(result, diagnostics, exit_code, workspace=session.workspace, notes=SHOWN_NOTES)
 
 
@@ -115,12 +101,22 @@ def _without_policy(run: Run, session: Session, names: Sequence[str], error: Key
     run.console.line(f"proved nothing about {counted(len(names), 'enclave')}: the policy cannot be read")
     found = (*error.diagnostics, *differences(session, names), *deciding(session), *unaccounted(session))
     unexamined = tuple(not_examined(session))
-    result: dict[str, Any] = {
-        "at": terms.shown(session.now), "until": None, "in_force": None, "not_examined": len(unexamined),
-        "assumptions": {}, "enclaves": [], "shared": [],
-    }  # fmt: skip
+    nothing = ProofResults((), (), session.state, {}, frozenset(), session.now)
+    result = _result(run, nothing, unexamined, None)
     diagnostics = tuple(dict.fromkeys((*found, *unexamined)))
     return run.report(result, diagnostics, ExitCode.FINDINGS, workspace=session.workspace, notes=SHOWN_NOTES)
+
+
+def _result(run: Run, results: ProofResults, unexamined: Sequence[Diagnostic], in_force: bool | None) -> dict[str, Any]:
+    return {
+        "at": terms.shown(results.now),
+        "until": _shown(_until(results)),
+        "in_force": in_force,
+        "not_examined": len(unexamined),
+        "assumptions": _taken(results),
+        "enclaves": [_enclave(enclave, results.now, run) for enclave in results.enclaves],
+        "shared": [_across(each, results.now, run) for each in results.shared],
+    }
 
 
 def _summary(run: Run, results: ProofResults, *, with_register: bool) -> None:
@@ -182,12 +178,12 @@ def _taken(results: ProofResults) -> Mapping[str, Sequence[str]]:
     return {model: lines for model, lines in results.assumptions.items() if model in claimed or not claimed}
 
 
-def _assumptions(proven: KeystoreProof) -> Iterator[Diagnostic]:
+def _assumptions(results: ProofResults) -> Iterator[Diagnostic]:
     """Yield each assumption once, with the models that make it."""
     lines: dict[str, list[str]] = {}
-    if not proven.is_whole:
+    if not results.is_whole:
         yield Diagnostic.note("assumption", f"assumption: {UNKNOWN_HISTORY}")
-    for model, assumed in _taken(proven.results).items():
+    for model, assumed in _taken(results).items():
         for line in assumed:
             lines.setdefault(line, []).append(model)
     for line, models in lines.items():
@@ -200,22 +196,20 @@ def legible(name: str) -> str:
 
 
 def _enclave(enclave: EnclaveProof, now: datetime, run: Run) -> dict[str, Any]:
-    def until(claim: Claim) -> datetime | None:
-        return terms.end(terms.terms_of(enclave.terms, {claim.model}), now)
-
+    until = {each.model: terms.end(terms.terms_of(enclave.terms, {each.model}), now) for each in enclave.claims}
     return {
         "subject": enclave.subject,
         "proof": _whole(enclave),
         "until": _shown(terms.end(enclave.terms, now)),
         "unchanged": enclave.cached,
-        "claims": [_claim(claim, until(claim), run) for claim in enclave.claims],
+        "claims": [_claim(claim, until[claim.model], run) for claim in enclave.claims],
     }
 
 
 def _across(proof: EnclaveProof, now: datetime, run: Run) -> dict[str, Any]:
     """Return claims across subjects, in the form of an enclave's."""
     document = _enclave(proof, now, run)
-    return {"build_type": proof.build_type, "proof": document["proof"], **document, "subject": None}
+    return {"build_type": proof.build_types[0], "proof": document["proof"], **document, "subject": None}
 
 
 def _whole(enclave: EnclaveProof) -> Proof:
@@ -249,18 +243,12 @@ def _counterexample(counterexample: Counterexample, run: Run) -> dict[str, Any]:
         "policy": {
             "allowed": counterexample.policy.allowed,
             "reason": str(counterexample.policy.reason),
-            **_place(counterexample.policy.where, run),
+            **(line_json(counterexample.policy.where, run.typed) or _NOWHERE),
         },
         "document": {
             "allowed": counterexample.document.allowed,
             "reason": counterexample.document.reason,
-            **_place(counterexample.document.where, run),
+            **(line_json(counterexample.document.where, run.typed) or _NOWHERE),
             "deviation": counterexample.document.deviation,
         },
     }
-
-
-def _place(where: Origin | None, run: Run) -> Mapping[str, Any]:
-    if where is None:
-        return {"file": None, "line": None}
-    return {"file": run.typed(where.file), "line": where.line or None}

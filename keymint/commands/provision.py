@@ -15,16 +15,14 @@ from keymint.api import BuildOptions, LoadedPolicy
 from keymint.changes import Plan
 from keymint.commands.accepted_packages import AcceptanceOptions, accept, acceptance_options, release
 from keymint.commands.build import build_options, policy_slips, unknown_hints
-from keymint.commands.init import bootstrap_request, refuse_contradiction
+from keymint.commands.init import ProfileOptions, bootstrap_request, profile_options, refuse_contradiction
 from keymint.commands.options import (
     DEFAULT_PROFILE_TYPE,
     PATH,
     DocumentOptions,
     InstallRequest,
-    ProfileOptions,
     document_options,
     install_request,
-    profile_options,
     renew_option,
 )
 from keymint.commands.proof_gate import proof_stage, proven

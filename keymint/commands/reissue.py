@@ -17,8 +17,9 @@ from keymint.plan.authorities import plan_authorities
 from keymint.plan.authority_files import bundled
 from keymint.plan.build import BuildStage, is_current, options_as_built
 from keymint.plan.distribution import plan_distribution
+from keymint.plan.earlier_rights import RIGHTS_OUTLIVE
 from keymint.plan.enclaves import INSTALLED, with_sources
-from keymint.plan.install import RIGHTS_OUTLIVE, InstallStage
+from keymint.plan.install import InstallStage
 from keymint.plan.policy import policy_in_force
 from keymint.plan.register import complete_register
 from keymint.plan.revocation import plan_lists

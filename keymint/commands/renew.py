@@ -37,8 +37,7 @@ from keymint.plan.renewal import (
     schedule,
 )
 from keymint.plan.renewing import chosen, packages_of, refuse_new_authorities
-from keymint.plan.terms import shown
-from keymint.plan.threshold import Threshold
+from keymint.plan.terms import Threshold, shown
 from keymint.session import Session
 
 NOT_HERE = "authority-key-missing"

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 
@@ -27,9 +27,7 @@ from keymint.plan.create import packages_to_create
 from keymint.plan.policy import lazy_policy
 from keymint.plan.terms import days_left
 from keymint.session import Session
-from keymint.status import PackageRow, SharedRow, package_rows, shared_rows
-
-_Row = TypeVar("_Row", PackageRow, SharedRow)
+from keymint.status import StatusRow, package_rows, shared_rows
 
 
 @verb()
@@ -87,37 +85,26 @@ def _outliving(run: Run, session: Session, policy: LoadedPolicy) -> tuple[Diagno
     try:
         if not has_earlier(session):  # then none can permit more than the one in force
             return ()
-        return presented_rights(session, session.state, policy, effort_of(run), standard_only=False).outliving
+        return presented_rights(session, session.state, policy, effort_of(run)).outliving
     except KeymintError:  # a package has defects, which its row shows
         return ()
 
 
-def _show(run: Run, rows: Sequence[PackageRow], missing: Sequence[str], shared: Sequence[SharedRow]) -> None:
+def _show(run: Run, rows: Sequence[StatusRow], missing: Sequence[str], shared: Sequence[StatusRow]) -> None:
     """Show a table, and the problems."""
-    now = run.setting.now
-    cells = [
-        [
-            row.package,
-            row.stage,
-            row.stale or "-",
-            _when(row.certificate_expires, now),
-            _when(row.permissions_expire, now),
-            _renewal(row, now),
-        ]
-        for row in rows
-    ] + [[name, "-", "create", "-", "-", "-"] for name in missing]
-    cells += [
-        [", ".join(row.documents) or row.build_type or "shared documents", row.stage, row.stale or "-", "-", "-", "-"]
-        for row in shared
-    ]
+    now, cells = run.setting.now, []
+    for row in (*rows, *(StatusRow(name, "-", "create") for name in missing), *shared):
+        title = row.package or ", ".join(row.documents) or row.build_type or "shared documents"
+        ends = (_when(row.certificate_expires, now), _when(row.permissions_expire, now), _renewal(row, now))
+        cells.append([title, row.stage, row.stale or "-", *ends])
     run.console.table(["PACKAGE", "STAGE", "STALE", "CERTIFICATE", "PERMISSIONS", "RENEW AFTER"], cells)
-    run.console.lines(f"{row.package}: {row.problem}" for row in rows if row.problem)
-    run.console.lines(f"{each.build_type or 'shared documents'}: {each.problem}" for each in shared if each.problem)
+    problems = [(row.package or row.build_type or "shared documents", row.problem) for row in (*rows, *shared)]
+    run.console.lines(f"{whose}: {problem}" for whose, problem in problems if problem)
     if not cells:
         run.console.line("no packages; run 'keymint create --all'")
 
 
-def _as_typed(run: Run, row: _Row) -> _Row:
+def _as_typed(run: Run, row: StatusRow) -> StatusRow:
     """Return a row with the paths of its problem as the user would type them."""
     if not row.problem:
         return row
@@ -129,7 +116,7 @@ def _when(end: datetime | None, now: datetime) -> str:
     return f"{end:%Y-%m-%d} ({days_left(end, now)})" if end else "-"
 
 
-def _renewal(row: PackageRow, now: datetime) -> str:
+def _renewal(row: StatusRow, now: datetime) -> str:
     """Return from when on a package is renewed, or the authority that must be renewed before."""
     moment = row.renew_after
     if moment is None:
@@ -137,6 +124,6 @@ def _renewal(row: PackageRow, now: datetime) -> str:
     return f"{moment:%Y-%m-%d} ({'due' if moment <= now else f'{(moment - now).days} d'})"
 
 
-def _document(row: PackageRow) -> dict[str, Any]:
+def _document(row: StatusRow) -> dict[str, Any]:
     ends = members(row, "certificate_expires", "permissions_expire", "renew_after", "ends_with", "problem")
     return {"package": row.package, "subject": f"/{row.package}", **members(row, "stage", "stale"), **ends}

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -20,8 +21,7 @@ from keymint.output.json import decision_json, edge_json, place_json, verdict_js
 from keymint.output.mismatches import (
     document_reason,
     enumerated,
-    mismatch_text,
-    remedy,
+    finding,
     request_text,
     rule_text,
     verb_of,
@@ -29,10 +29,8 @@ from keymint.output.mismatches import (
 from keymint.output.report import Report, findings_if, members
 from keymint.plan.policy import load_policy
 from keymint.plan.trust_anchors import differences
-from keymint.session import Session
-from keymint.verify.mismatch import Mismatch
 from keymint.verify.usable_transports import choose, models
-from keymint.verify.why import Explanation, MatchedRule, Need, build_types, explain, granted_domains, request
+from keymint.verify.why import Explanation, MatchedRule, Need, explain, request, source_package
 
 _PERMISSIONS = [permission for permissions in LABELLED.values() for permission in permissions]
 Place = Callable[[Origin | None], str]
@@ -67,24 +65,20 @@ def why(
     Exit code 3: a transport disagrees with the policy, or the enclave does not trust the workspace's authorities.
     """
     session = run.session()
-    granted = granted_domains(session, subject)
+    package = source_package(session, subject)
+    granted = package.grant.domains if package else ()
     if domain is None:
         domain = granted[0].first if granted else 0
     edge = request(subject, permission, object_name, kind or "", partitions, domain)
-    transports = choose(run.plugins, chosen, Tier.DECISION, build_types(session, edge.subject))
-    explanation = explain(session, load_policy(session), edge, transports, partial(models, run.plugins))
+    build_types = package.build_types if package else session.profile.build_types
+    transports = choose(run.plugins, chosen, Tier.DECISION, build_types)
+    explanation = explain(session, load_policy(session), package, edge, transports, partial(models, run.plugins))
 
     run.console.lines(_lines(explanation, run.place))
-    diagnostics = [*_strange(session, explanation), *_mismatches(explanation, granted)]
+    asked = (name_of(explanation.edge.subject),) if explanation.installed and explanation.packaged else ()
+    diagnostics = [*differences(session, asked), *_mismatches(explanation, granted)]
     result = _document(explanation, run.typed)
     return run.report(result, diagnostics, findings_if(diagnostics), workspace=session.workspace)
-
-
-def _strange(session: Session, explanation: Explanation) -> tuple[Diagnostic, ...]:
-    """Return diagnostics on authorities in the enclave that are not the workspace's."""
-    if not (explanation.installed and explanation.packaged):
-        return ()
-    return differences(session, (name_of(explanation.edge.subject),))
 
 
 def _mismatches(explanation: Explanation, granted: Sequence[DomainRange]) -> list[Diagnostic]:
@@ -92,28 +86,16 @@ def _mismatches(explanation: Explanation, granted: Sequence[DomainRange]) -> lis
     together: dict[tuple[str, int], list[str]] = {}
     for name, label in explanation.wrong.items():
         together.setdefault((document_reason(label), label.document.line), []).append(name)
-    return [
-        Diagnostic.error(
-            str(label.error),
-            mismatch_text(names, label, at_rule=True),
-            label.policy.where or label.document,
-            _remedy(label, granted),
-            explanation.edge.subject,
-        )
-        for names in together.values()
-        for label in [explanation.wrong[names[0]]]
-    ]
-
-
-def _remedy(label: Mismatch, granted: Sequence[DomainRange]) -> str:
-    """Return how to fix a mismatch; no build fixes a request in a domain that is not granted."""
-    edge = label.edge
+    found = [finding(names, [explanation.wrong[names[0]]]) for names in together.values()]
+    edge = explanation.edge
     if not granted or any(each.first <= edge.domain <= each.last for each in granted):
-        return remedy(label)
+        return found
+    # No build fixes a request in a domain that is not granted.
     domains = enumerated(
         [f"{each.first}" if each.first == each.last else f"{each.first}-{each.last}" for each in granted]
     )
-    return f"{edge.subject} is granted domain {domains}, not {edge.domain}: leave out --domain"
+    help_ = f"{edge.subject} is granted domain {domains}, not {edge.domain}: leave out --domain"
+    return [replace(each, help=help_) for each in found]
 
 
 def _lines(explanation: Explanation, place: Place) -> Iterator[str]:
@@ -198,14 +180,7 @@ def _document(explanation: Explanation, typed: Callable[[str], str]) -> dict[str
         "nearest": rule(explanation.near) if explanation.near else None,
         "similar_subject": explanation.similar or None,
         "package": [rule(each) for each in explanation.package] if explanation.packaged else None,
-        "endpoints": [
-            {
-                "action": each.endpoint.action,
-                "name": each.endpoint.name,
-                "partitions": each.endpoint.partitions,
-            }
-            for each in explanation.needs
-        ],
+        "endpoints": [members(each.endpoint, "action", "name", "partitions") for each in explanation.needs],
         "installed": explanation.installed,
         "transports": [
             {"name": name, **verdict_json(label.verdict, label.reason, label.document, label.model, typed)}

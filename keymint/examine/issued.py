@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from cryptography import x509
+
 from comarmor.errors import Diagnostic
 from keymint.errors import KeymintError
 from keymint.pki import certificates, forms
@@ -14,6 +16,16 @@ from keymint.plan.enclaves import CERTIFICATE, installed_certificate, with_sourc
 from keymint.plan.register import complete_register, issuer_of, register_of
 from keymint.plan.terms import shown
 from keymint.session import Session
+
+
+def issued_here(session: Session) -> Iterator[tuple[str, x509.Certificate, x509.Certificate]]:
+    """Yield the packages with the certificate of their enclave and its issuer; others are reported with the chain."""
+    authorities = [issuer for _, _, issuer in issuers(session)]
+    for name in with_sources(session):
+        certificate = installed_certificate(session, name)
+        issuer = next((each for each in authorities if certificate and certificate.issuer == each.subject), None)
+        if certificate and issuer:
+            yield name, certificate, issuer
 
 
 def registered(session: Session) -> Iterator[Diagnostic]:
@@ -33,13 +45,8 @@ def registered(session: Session) -> Iterator[Diagnostic]:
                 yield from error.diagnostics
         return
     register = register_of(session)
-    authorities = [(issuer_of(issuer), issuer) for _, _, issuer in issuers(session)]
-    for name in with_sources(session):
-        certificate = installed_certificate(session, name)
-        found = next((each for each in authorities if certificate and certificate.issuer == each[1].subject), None)
-        if certificate is None or found is None:
-            continue  # reported with the chain
-        known = register.certificates.get((found[0], certificate.serial_number))
+    for name, certificate, issuer in issued_here(session):
+        known = register.certificates.get((issuer_of(issuer), certificate.serial_number))
         package = session.package(name, built=is_current(session, name))
         where = session.workspace.origin(f"{session.enclave_folder(name)}/{CERTIFICATE}")
         issue = f"'keymint install {name}' issues another one"
@@ -58,7 +65,7 @@ def registered(session: Session) -> Iterator[Diagnostic]:
             help_ = f"remove the enclave; 'keymint renew --rekey {name}' makes a new key and certificate"
             yield Diagnostic.error("certificate-revoked", message, where, help_, package.subject)
         else:
-            wanted = forms.cut(package.identity.validity, found[1])
+            wanted = forms.cut(package.identity.validity, issuer)
             if (first, last) != (wanted.not_before, wanted.not_after):
                 message = f"is in force from {shown(first)} to {shown(last)}, which is not what the sources ask for"
                 yield Diagnostic.warning("certificate-drift", message, where, issue, package.subject)

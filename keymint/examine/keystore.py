@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from comarmor.errors import Diagnostic
-from comarmor.values import dataclass
 from keymint import journal
 from keymint.api import LoadedPolicy, Phase
 from keymint.examine.issued import registered
 from keymint.examine.lists import lists_in_force, of_enclaves
-from keymint.examine.rights import RIGHTS_OUTLIVE, presented_rights
+from keymint.examine.rights import presented_rights
 from keymint.executors import Pool
+from keymint.plan.earlier_rights import RIGHTS_OUTLIVE
 from keymint.plan.enclaves import INSTALLED, with_sources
 from keymint.plan.proof_results import ProofEffort, ProofResults
 from keymint.plan.prove import prove
@@ -25,21 +25,6 @@ SHOWN_NOTES = frozenset({RIGHTS_OUTLIVE, "authority-key-missing", "not-examined"
 UNKNOWN_HISTORY = "nothing wider was signed before the register began to keep signed documents"
 
 
-@dataclass(frozen=True, slots=True)
-class KeystoreProof:
-    """What is proven about a keystore.
-
-    Attributes:
-        results: the claims about each enclave, about what subjects share, and about all certificates and documents.
-        outliving: a note for each earlier document that permits more than the policy and was not accepted.
-        is_whole: all documents that were ever signed are known.
-    """
-
-    results: ProofResults
-    outliving: tuple[Diagnostic, ...]
-    is_whole: bool
-
-
 def proven_keystore(
     session: Session,
     names: Sequence[str],
@@ -47,33 +32,29 @@ def proven_keystore(
     effort: ProofEffort,
     on_enclave: Callable[[str], None],
     pool: Pool,
-    *,
-    standard_only: bool = False,
-) -> KeystoreProof:
+) -> ProofResults:
     """Prove the claims about the enclaves of some packages, and about all that their certificates may present.
 
     Args:
         session: the workspace and its profile.
         names: names of packages.
         policy: the policy that the enclaves are compared with.
-        effort: limits of the search.
+        effort: what to claim, and limits of the search.
         on_enclave: called with each name after its proof.
         pool: where else to prove.
-        standard_only: accept differences between vendors and claim only what the standard says; nothing is recorded.
 
     Raises:
         KeymintError: a package has defects, or the pool is lost.
     """
-    results = prove(session, names, policy, effort, on_enclave, pool, standard_only=standard_only)
-    presented = presented_rights(session, results.state, policy, effort, standard_only=standard_only)
-    results = replace(results, shared=(*results.shared, *presented.proofs), state=presented.state)
+    results = prove(session, names, policy, effort, on_enclave, pool)
+    presented = presented_rights(session, results.state, policy, effort)
+    shared, enclaves = (*results.shared, *presented.shared), results.enclaves
     if (ahead := staged(session)) is not None:
         ready = tuple(name for name in with_sources(ahead) if name in names)
-        second = prove(ahead, ready, policy, effort, lambda _: None, pool, standard_only=standard_only)
-        results = replace(
-            results, enclaves=(*results.enclaves, *second.enclaves), shared=(*results.shared, *second.shared)
-        )
-    return KeystoreProof(results, presented.outliving, presented.is_whole)
+        second = prove(ahead, ready, policy, effort, lambda _: None, pool)
+        enclaves, shared = (*enclaves, *second.enclaves), (*shared, *second.shared)
+    known = replace(presented, assumptions=results.assumptions, standards=results.standards)
+    return replace(known, enclaves=enclaves, shared=shared)
 
 
 def deciding(session: Session) -> Iterator[Diagnostic]:

@@ -8,12 +8,13 @@ from collections.abc import Iterator, Mapping
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import counted, first_few
 from keymint.errors import KeymintError
+from keymint.examine.issued import issued_here
 from keymint.names import subject_of
 from keymint.pki import revocation_lists
 from keymint.plan.authority_files import issuers
 from keymint.plan.build import is_current
 from keymint.plan.build_types import build_types_of, revocation_files
-from keymint.plan.enclaves import enclave_files, installed_certificate, with_sources
+from keymint.plan.enclaves import enclave_files, with_sources
 from keymint.plan.register import issuer_of, register_of
 from keymint.plan.revocation import enclave_lists
 from keymint.session import Session, once
@@ -92,13 +93,10 @@ def _in_force(session: Session) -> frozenset[tuple[str, int, str]]:
         for each in register.certificates.values()
         if each.revoked is None and each.not_after >= session.now
     }
-    for name in with_sources(session):
-        certificate = installed_certificate(session, name)
-        for _, _, issuer in issuers(session):
-            if certificate is not None and certificate.issuer == issuer.subject:
-                key = issuer_of(issuer), certificate.serial_number
-                if not register.is_revoked(*key):
-                    known.add((*key, subject_of(name)))
+    for name, certificate, issuer in issued_here(session):
+        key = issuer_of(issuer), certificate.serial_number
+        if not register.is_revoked(*key):
+            known.add((*key, subject_of(name)))
     return frozenset(known)
 
 

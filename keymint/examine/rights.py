@@ -37,44 +37,25 @@ from keymint.names import ROOT, package_name, subject_of
 from keymint.pki import certificates, distinguished_names, smime
 from keymint.pki.distinguished_names import to_text
 from keymint.pki.mime import SignedDocument
-from keymint.plan import authority_files
+from keymint.plan import authority_files, earlier_rights, hardening
 from keymint.plan.authority_files import chains_digest
 from keymint.plan.build import is_current
-from keymint.plan.build_types import build_types_of, inputs_digest
+from keymint.plan.build_types import inputs_digest
+from keymint.plan.enclaves import installed_certificate
 from keymint.plan.proof_record import dump_claims, load_claims
-from keymint.plan.proof_results import EnclaveProof, ProofEffort
+from keymint.plan.proof_results import EnclaveProof, ProofEffort, ProofResults
 from keymint.plan.prove import STAGE, policy_digest
 from keymint.plan.register import issuer_of, register_of
 from keymint.plan.shared_documents import FOLDER
-from keymint.plan.terms import shown
 from keymint.register import database
 from keymint.register.register import SignedRights
 from keymint.session import Session, once
 from keymint.state import Stamp, State, digest
 
-RIGHTS_OUTLIVE = "rights-outlive"
-"""Code of the finding on earlier rights that are wider than the present ones, and stay good."""
 _MOST = 1 << 20
 """Largest file in bytes in which a certificate or a signed document is looked for."""
 _SIGNED, _CERTIFICATE = b"pkcs7-", b"-----BEGIN CERTIFICATE-----"
 _ACTION = "use of any signed document"
-
-
-@dataclass(frozen=True, slots=True)
-class PresentedRights:
-    """The claims that no certificate in force permits more than the policy, by any signed document.
-
-    Attributes:
-        proofs: the claims of each build type.
-        outliving: a note for each earlier document that permits more than the policy and was not accepted.
-        is_whole: all documents that were ever signed are known.
-        state: the record to keep: what is proven is not proven again until something changes.
-    """
-
-    proofs: tuple[EnclaveProof, ...]
-    outliving: tuple[Diagnostic, ...]
-    is_whole: bool
-    state: State
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,24 +64,21 @@ class _Outliving:
 
     name: str
     subject: str
-    message: str
+    excess: str
     until: datetime
 
 
 _Answer = tuple[tuple[Claim, ...], tuple[_Outliving, ...]]
 
 
-def presented_rights(
-    session: Session, state: State, policy: LoadedPolicy, effort: ProofEffort, *, standard_only: bool
-) -> PresentedRights:
+def presented_rights(session: Session, state: State, policy: LoadedPolicy, effort: ProofEffort) -> ProofResults:
     """Return the claims about all certificates in force and all signed documents of a workspace.
 
     Args:
         session: the workspace and its profile.
         state: the record to go on with.
         policy: its policy.
-        effort: limits of the search.
-        standard_only: claim only what the standard says.
+        effort: what to claim, and limits of the search.
 
     Raises:
         KeymintError: the register or a package has defects.
@@ -111,14 +89,15 @@ def presented_rights(
         build_type: object = session.plugins.build_type(name)
         if not isinstance(build_type, Presentation) or not (packages := _packages(session, name)):
             continue
-        question = _Question(session, policy, effort, build_type, packages, standard_only)
+        question = _Question(session, policy, effort, build_type, packages)
         claims, found, state = question.recorded(state, f"{FOLDER}/presented/{name}")
         for each in found:
             if each.until >= session.now:
-                outliving.setdefault(each.name, _note(session, each))
-        proofs.append(EnclaveProof("", claims, build_type=name))
+                note = earlier_rights.outliving(session, each.name, each.subject, each.excess, each.until)
+                outliving.setdefault(each.name, note)
+        proofs.append(EnclaveProof("", "", claims, build_types=(name,)))
     is_whole = not proofs or (has_register(session) and register_of(session).is_whole)
-    return PresentedRights(tuple(proofs), tuple(outliving.values()), is_whole, state)
+    return ProofResults((), tuple(proofs), state, {}, frozenset(), session.now, tuple(outliving.values()), is_whole)
 
 
 def has_earlier(session: Session) -> bool:
@@ -131,16 +110,6 @@ def has_earlier(session: Session) -> bool:
     return len(names) > len({*names} & {*session.packages()})
 
 
-def _note(session: Session, each: _Outliving) -> Diagnostic:
-    return Diagnostic.note(
-        RIGHTS_OUTLIVE,
-        f"{each.message}; whoever has its key may present them until {shown(each.until)}",
-        session.package_marker(each.name),
-        f"'keymint revoke {each.name} --reason superseded' ends them; 'keymint issued {each.name} --accept' keeps them",
-        each.subject,
-    )
-
-
 @dataclass(frozen=True, slots=True)
 class _Question:
     """What is asked about the documents of a build type; the attributes are those of :func:`presented_rights`."""
@@ -150,7 +119,6 @@ class _Question:
     effort: ProofEffort
     build_type: Presentation
     packages: Mapping[str, Package]
-    standard_only: bool
 
     def recorded(self, state: State, key: str) -> tuple[tuple[Claim, ...], tuple[_Outliving, ...], State]:
         """Return the answer from the record if it depends on the same bytes, and the record to keep."""
@@ -158,11 +126,11 @@ class _Question:
         inputs, context = self._inputs(), policy_digest(self.policy)
         known = _load(stamp) if stamp and (stamp.inputs, stamp.context) == (inputs, context) else None
         if (
-            known and known[0] <= session.now and not self.standard_only
+            known and known[0] <= session.now and not self.effort.standard_only
         ):  # earlier, documents may have been in force that are over by then
             return *known[1], state
         claims, outliving = self._answer()
-        if self.standard_only or any(claim.proof is not Proof.PROVEN for claim in claims):
+        if self.effort.standard_only or any(claim.proof is not Proof.PROVEN for claim in claims):
             return claims, outliving, state
         outputs = {"claims": dump_claims(claims), "outliving": _dump(session.now, outliving)}
         return claims, outliving, state.updated(STAGE, {key: Stamp(inputs, outputs, context=context)})
@@ -176,15 +144,15 @@ class _Question:
 
     def _answer(self) -> _Answer:
         session, build_type = self.session, self.build_type
-        found = _files(session)
-        holders = tuple(_holders(session, self.policy, self.packages, found))
+        files = _files(session)
+        holders = tuple(_holders(session, self.policy, self.packages, files))
         earlier = _earlier(session)
-        present = tuple(_documents(session, build_type.PRESENTED, self.packages, found))
+        present = tuple(_documents(session, build_type.PRESENTED, self.packages, files))
         remembered = tuple(_remembered(session, each, content) for content, each in earlier.items())
         own = tuple(each for each in present if each.proven_for)
         documents = (*own, *remembered, *present)
         task = PresentationTask(holders, documents, session.now, self.effort.states, self.effort.deadline())
-        models = build_type.choosers()[:1] if self.standard_only else build_type.choosers()
+        models = build_type.choosers()[:1] if self.effort.standard_only else build_type.choosers()
         claims: list[Claim] = []
         outliving: list[_Outliving] = []
         for each in build_type.excess(task):
@@ -193,10 +161,11 @@ class _Question:
             if known is None:
                 claims += failing
             elif failing and known.accepted is None:
-                message = _in_words(each.holder.subject, failing[0])
-                outliving.append(_Outliving(known.name, each.holder.subject, message, each.until))
+                subject, found = each.holder.subject, failing[0]
+                excess = earlier_rights.excess_of(subject, found.counterexample, found.reason)
+                outliving.append(_Outliving(known.name, subject, excess, each.until))
         failed = {claim.model for claim in claims}
-        excepted = dict.fromkeys(build_type.trusting_any_signer(), tuple(_signers(session, self.packages, found)))
+        excepted = dict.fromkeys(build_type.trusting_any_signer(), tuple(_signers(session, self.packages.values())))
         universe = _universe(holders, documents)
         claims += (
             Claim(each, _ACTION, (), universe, Proof.PROVEN, excepted=excepted.get(each, ()))
@@ -215,14 +184,8 @@ def _earlier(session: Session) -> Mapping[bytes, SignedRights]:
         raise database.damaged(session.workspace.origin(session.workspace.register)) from None
 
 
-def _in_words(subject: str, claim: Claim) -> str:
-    found = claim.counterexample
-    what = f"e.g. to {found.endpoint.action} {found.endpoint.name!r}" if found else f"perhaps: {claim.reason}"
-    return f"rights that were signed before allow {subject} more than the policy, {what}"
-
-
 def _dump(now: datetime, outliving: Iterable[_Outliving]) -> str:
-    rows = [(each.name, each.subject, each.message, each.until.isoformat()) for each in outliving]
+    rows = [(each.name, each.subject, each.excess, each.until.isoformat()) for each in outliving]
     return json.dumps([now.isoformat(), rows])
 
 
@@ -231,8 +194,8 @@ def _load(stamp: Stamp) -> tuple[datetime, _Answer] | None:
     try:
         at, rows = json.loads(stamp.outputs["outliving"])
         found = tuple(
-            _Outliving(str(name), str(subject), str(message), datetime.fromisoformat(end))
-            for name, subject, message, end in rows
+            _Outliving(str(name), str(subject), str(excess), datetime.fromisoformat(end))
+            for name, subject, excess, end in rows
         )
         return datetime.fromisoformat(at), (load_claims(stamp.outputs["claims"]), found)
     except (ValueError, TypeError, KeyError, IndexError):
@@ -257,8 +220,8 @@ def _packages(session: Session, build_type: str) -> Mapping[str, Package]:
 def _files(session: Session) -> Mapping[str, bytes]:
     """Return the files of the workspace that may have certificates or signed documents, by path; and of bundles."""
     workspace, tree = session.workspace, session.tree
-    spaces = (workspace.install, workspace.next_install, workspace.build, workspace.src, workspace.profile)
-    paths = [path for space in (*spaces, workspace.public) for path, is_folder in tree.walk(space) if not is_folder]
+    spaces = [space for space in workspace.spaces() if space != workspace.private]
+    paths = [path for space in spaces for path, is_folder in tree.walk(space) if not is_folder]
     paths += [f"{workspace.root}/{name}" for name, is_folder in tree.names(workspace.root) if not is_folder]
     found: dict[str, bytes] = {}
     for path in paths:
@@ -278,14 +241,6 @@ def _files(session: Session) -> Mapping[str, bytes]:
     return found
 
 
-def _authorities(session: Session) -> tuple[x509.Certificate, ...]:
-    """Return the certificates of all authorities, also of those that take the place of another one."""
-    found = [certificate for _, _, certificate in authority_files.issuers(session)]
-    rollovers = (each.issuance.rollover for each in session.profile.authorities)
-    found += (certificates.load(each.certificate) for each in rollovers if each)
-    return tuple(dict.fromkeys(found))
-
-
 def _documents(
     session: Session, presented: str, packages: Mapping[str, Package], found: Mapping[str, bytes]
 ) -> Iterator[PresentableDocument]:
@@ -293,7 +248,7 @@ def _documents(
 
     That in the enclave of a package, beside a certificate for the package's name, is verified and proven with it.
     """
-    signers = [certificates.to_pem(each) for each in _authorities(session)]
+    signers = [certificates.to_pem(each) for each in authority_files.trusted(session)]
     workspace, in_place = session.workspace, session.enclaves.relative_to(session.workspace.install)
     places = (workspace.install / in_place, workspace.next_install / in_place)
     owners = {
@@ -305,7 +260,8 @@ def _documents(
     for path, content in found.items():
         folder, _, name = path.rpartition("/")
         owner = owners.get(folder, "") if name == presented else ""
-        if owner and _names(found.get(f"{folder}/cert.pem", b"")) != (owner,):
+        beside = _certificates([found.get(f"{folder}/cert.pem", b"")]) if owner else ()
+        if [to_text(each.subject) for each in beside] != [owner]:
             owner = ""
         if content not in verified:
             verified[content] = _signed(content, signers, verify=not owner)
@@ -323,13 +279,6 @@ def _signed(content: bytes, signers: Iterable[bytes], *, verify: bool) -> Signed
     return None
 
 
-def _names(pem: bytes) -> tuple[str, ...]:
-    try:
-        return tuple(to_text(each.subject) for each in certificates.load_bundle(pem)) if pem else ()
-    except KeymintError:
-        return ()
-
-
 def _remembered(session: Session, rights: SignedRights, content: bytes) -> PresentableDocument:
     where = Origin(f"{session.workspace.shown(session.workspace.register)} ({subject_of(rights.name)})")
     return PresentableDocument(content, where)
@@ -344,7 +293,7 @@ def _holders(
     """Yield the certificates in force: those among some files, and those of the register that are not here."""
     register, now = register_of(session), session.now
     ends: dict[str, datetime] = {}
-    issuers = [(issuer_of(each), each) for each in _authorities(session)]
+    issuers = [(issuer_of(each), each) for each in authority_files.trusted(session)]
     seen: set[tuple[str, int]] = set()
     for certificate in _certificates(found.values()):
         issuer = next((key for key, each in issuers if _is_issued(certificate, each)), None)
@@ -406,16 +355,12 @@ def _is_issued(certificate: x509.Certificate, authority: x509.Certificate) -> bo
     return certificate != authority and certificates.is_issued_by(certificate, authority)
 
 
-def _signers(session: Session, packages: Mapping[str, Package], found: Mapping[str, bytes]) -> Iterator[str]:
-    """Yield an exception for each authority whose identities can sign documents as older releases verify them."""
-    for package in packages.values():
-        roles = [role for each in build_types_of(session, package).values() for role in each.authorities(package)]
-        if package.identity.issuer not in {role.name for role in roles if role.signs}:
-            continue
-        path = f"{session.enclave_folder(package.name)}/cert.pem"
-        own = list(_certificates([found.get(path, b"")]))
-        if own and certificates.can_sign_documents(own[0]) is None:
-            name = package.identity.issuer
+def _signers(session: Session, packages: Iterable[Package]) -> Iterator[str]:
+    """Yield an exception if there are identities that can sign documents as older releases verify them."""
+    both = hardening.signing_issuers(session)
+    for package in packages if both else ():
+        own, name = installed_certificate(session, package.name), package.identity.issuer
+        if name in both and own and certificates.can_sign_documents(own) is None:
             yield (
                 f"holders sign their own permissions: the authority {name!r} issues identities and signs documents, "
                 "and releases before CVE-2023-24010 was mended accept what an identity signs; 'keymint harden' has "

@@ -10,10 +10,10 @@ from keymint.names import subject_of
 from keymint.output.openmetrics import Gauge, moments
 from keymint.plan.renewal import CERTIFICATE, LIST, PERMISSIONS, authority_ends, authority_renewals
 from keymint.session import Session
-from keymint.status import PackageRow
+from keymint.status import StatusRow
 
 
-def gauges(session: Session, rows: Sequence[PackageRow]) -> tuple[Gauge, ...]:
+def gauges(session: Session, rows: Sequence[StatusRow]) -> tuple[Gauge, ...]:
     """Return the gauges of the installed enclaves and of the authorities.
 
     Args:
@@ -21,9 +21,7 @@ def gauges(session: Session, rows: Sequence[PackageRow]) -> tuple[Gauge, ...]:
         rows: the status of its packages.
     """
     terms = [row.terms for row in rows if row.terms is not None]
-    lists: dict[str, datetime] = {
-        term.authority: term.last for each in terms for term in each.terms if term.what == LIST
-    }
+    lists: dict[str, datetime] = {term.issuer: term.last for each in terms for term in each.terms if term.what == LIST}
     due = authority_renewals(session, terms)
 
     def of_enclaves(what: str) -> list[tuple[dict[str, str], datetime]]:

@@ -88,6 +88,20 @@ def remedy(mismatch: Mismatch) -> str:
     )
 
 
+def finding(transports: Sequence[str], mismatches: Sequence[Mismatch]) -> Diagnostic:
+    """Return the diagnostic on mismatches that have one cause for some transports."""
+    first, *others = mismatches
+    some = [f"{each.edge.permission} {each.edge.object.name}" for each in others[:_EXAMPLES]]
+    also = f"; also {len(others)} more: {', '.join(some)}{' …' if len(others) > len(some) else ''}"
+    return Diagnostic.error(
+        str(first.error),
+        mismatch_text(transports, first, at_rule=True) + (also if others else ""),
+        first.policy.where or first.document,
+        remedy(first),
+        first.edge.subject,
+    )
+
+
 def diagnostics(comparisons: Sequence[Comparison]) -> Iterator[Diagnostic]:
     """Yield one diagnostic for each cause: for all edges and transports that the same rules explain."""
     merged: dict[tuple[object, ...], tuple[list[str], list[Mismatch]]] = {}
@@ -96,16 +110,7 @@ def diagnostics(comparisons: Sequence[Comparison]) -> Iterator[Diagnostic]:
             edges = tuple(mismatch.edge for mismatch in mismatches)
             merged.setdefault((cause, edges), ([], mismatches))[0].append(comparison.transport)
     for transports, mismatches in merged.values():
-        first, *others = mismatches
-        some = [f"{each.edge.permission} {each.edge.object.name}" for each in others[:_EXAMPLES]]
-        also = f"; also {len(others)} more: {', '.join(some)}{' …' if len(others) > len(some) else ''}"
-        yield Diagnostic.error(
-            str(first.error),
-            mismatch_text(transports, first, at_rule=True) + (also if others else ""),
-            first.policy.where or first.document,
-            remedy(first),
-            first.edge.subject,
-        )
+        yield finding(transports, mismatches)
     for comparison in comparisons:
         if comparison.omitted:
             yield Diagnostic.warning(

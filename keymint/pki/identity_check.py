@@ -10,7 +10,7 @@ from functools import lru_cache
 
 from cryptography import x509
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Defects, Diagnostic, Origin
 from keymint.api import TrustAnchor, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import certificates, certification_path, distinguished_names, keys, public_keys
@@ -42,10 +42,14 @@ class IdentityCheck:
         """Return an error about a file; by default ``keymint install`` fixes it."""
         return Diagnostic.error(code, message, self._where(name), help_ or self._restore, self._subject)
 
+    def _warning(self, code: str, name: str, message: str, help_: str) -> Diagnostic:
+        """Return a warning about a file."""
+        return Diagnostic.warning(code, message, self._where(name), help_, self._subject)
+
     def _anchored(self, name: str, anchor: TrustAnchor) -> Iterator[Diagnostic]:
-        """Check that a file has an authority of the workspace."""
+        """Check that a file has the authority that the enclave must trust."""
         if self._files[name] != anchor.chain:
-            message = f"is not the certificate of the workspace's authority {anchor.name!r}, {anchor.file}"
+            message = f"is not the certificate of the authority {anchor.name!r}, {anchor.file}"
             help_ = "the enclave trusts another authority: find out who wrote it before 'keymint install' restores it"
             yield self._error("authority-differs", name, message, help_)
 
@@ -58,17 +62,20 @@ class IdentityCheck:
         """Check the path and the name of the certificate, which is there; the generator returns it if it can be read.
 
         Args:
-            authorities: the authorities of the workspace, PEM.
-            subject_name: the distinguished name that it must have.
+            authorities: the authorities that it must chain to, PEM.
+            subject_name: the distinguished name that it must have; empty if it may have any.
             at: see :func:`keymint.pki.certification_path.verify_chain`.
         """
         pem, where = self._files[CERTIFICATE], self._where(CERTIFICATE)
         try:
-            certificate, expected = certificates.load(pem, where), distinguished_names.parse(subject_name)
+            certificate = certificates.load(pem, where)
+            certificates.public_key(certificate, where)
+            expected = distinguished_names.parse(subject_name) if subject_name else certificate.subject
         except KeymintError as error:
             yield from map(self._for_subject, error.diagnostics)
             return None
-        yield from map(self._for_subject, certification_path.verify_chain(pem, authorities, at, where))
+        if authorities:  # else their file is missing, which is reported
+            yield from map(self._for_subject, certification_path.verify_chain(pem, authorities, at, where))
         if certificate.subject != expected:
             message = f"is for {to_text(certificate.subject)!r}, not {to_text(expected)!r}"
             yield self._error("certificate-subject", CERTIFICATE, message)
@@ -86,12 +93,10 @@ class IdentityCheck:
         pem = self._files.get(KEY)
         if pem is None:
             return
-        try:
-            matches = keys.matches(keys.public_of(pem, None, self._where(KEY)), certificate)
-        except KeymintError as error:
-            yield from map(self._for_subject, error.diagnostics)
-            return
-        if not matches:
+        unread = Defects()
+        own = unread.attempt(lambda: keys.public_of(pem, None, self._where(KEY)))
+        yield from map(self._for_subject, unread.found)
+        if own is not None and not keys.matches(own, certificate):
             yield self._error("key-mismatch", KEY, "is not the key of the certificate beside it")
 
 

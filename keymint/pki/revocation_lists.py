@@ -146,13 +146,22 @@ def _loaded(pem: bytes) -> RevocationList:
     crl = parse(pem)
     if crl.public_bytes(Encoding.PEM) != pem:
         raise ValueError
-    revocations = []
-    for entry in crl:
-        given = extensions.value(entry, x509.CRLReason)
-        reason = next((name for name, flag in _FLAGS.items() if given and given.reason is flag), "unspecified")
-        revocations.append(Revocation(entry.serial_number, entry.revocation_date_utc, reason))
     number = extensions.value(crl, x509.CRLNumber)
-    return RevocationList(to_text(crl.issuer), number.crl_number if number else 0, *period(crl), tuple(revocations))
+    return RevocationList(
+        to_text(crl.issuer), number.crl_number if number else 0, *period(crl), tuple(map(_revocation, crl))
+    )
+
+
+def _revocation(entry: x509.RevokedCertificate) -> Revocation:
+    given = extensions.value(entry, x509.CRLReason)
+    reason = next((name for name, flag in _FLAGS.items() if given and given.reason is flag), "unspecified")
+    return Revocation(entry.serial_number, entry.revocation_date_utc, reason)
+
+
+def entry(crl: x509.CertificateRevocationList, serial: int) -> Revocation | None:
+    """Return what a list says about a certificate; None if it is not revoked."""
+    found = crl.get_revoked_certificate_by_serial_number(serial)
+    return None if found is None else _revocation(found)
 
 
 def first(pem: bytes) -> x509.CertificateRevocationList | None:

@@ -123,25 +123,14 @@ def _plan_authority(
     if is_new:
         certificate, warnings = _new_certificate(files, key, above)
     else:
-        certificate, warnings = _certificate(_in_use(files, key.public_key()), key, above)
+        authority_files.require_rollover(files, key.public_key())
+        authority_files.require_in_use(files, key.public_key())
+        certificate, warnings = _certificate(files, key, above)
     changes += _stored(inputs, name, certificate)
     signer = SigningAuthority(name, certificate, pem, secret, token_key=key if spec.key.uri else None)
     issuer = certificates.Issuer(certificates.load(certificate), key)
     left_over = token_keys.left_over(files) if spec.key.uri else ()
     return MintedAuthority(issuer.certificate, (issuer, signer)), changes, (*warnings, *left_over)
-
-
-def _in_use(files: AuthorityFiles, key: keys.PublicKey) -> AuthorityFiles:
-    """Return the files of an authority whose key may be used.
-
-    Raises:
-        KeymintError: the key is not the one of the certificate, or of another authority than the enclaves trust.
-    """
-    authority_files.require_rollover(files, key)
-    authority_files.require_fit(files, key)
-    authority_files.require_name(files)
-    authority_files.require_known(files, key)
-    return files
 
 
 def _stored(inputs: Inputs, name: str, certificate: bytes) -> tuple[FolderChange, ...]:
@@ -242,8 +231,7 @@ def _without_key(files: AuthorityFiles, above: MintedAuthority | None, signing_e
     certificate = certificates.load(content, files.certificate_file)
     public_key = certificates.public_key(certificate, files.certificate_file)
     authority_files.require_rollover(files, public_key)
-    authority_files.require_known(files, public_key)
-    authority_files.require_name(files)
+    authority_files.require_in_use(files, public_key)
     if not keys.fits(public_key, spec.key) or not authority_files.satisfies(
         content, spec, public_key, above.certificate if above else None
     ):

@@ -211,18 +211,19 @@ def other(authority: Authority) -> str:
     return f"{authority.name}.{FORMER if rollover.phase is Phase.REISSUE else NEXT}"
 
 
+def trusted(session: Session) -> Mapping[x509.Certificate, str]:
+    """Return the authorities by their certificates: those in force, and those that take the place of another one."""
+    known = {certificate: name for _, name, certificate in issuers(session)}
+    rollovers = ((each.name, each.issuance.rollover) for each in session.profile.authorities)
+    return known | {certificates.load(each.certificate): name for name, each in rollovers if each}
+
+
 def authority_keys(session: Session) -> Mapping[str, str]:
     """Return the names of the authorities by the fingerprints of their keys, which none may have but they.
 
     While the key of an authority is replaced, it has two.
     """
-    known = [(name, certificate) for _, name, certificate in issuers(session)]
-    known += (
-        (each.name, certificates.load(each.issuance.rollover.certificate))
-        for each in session.profile.authorities
-        if each.issuance.rollover
-    )
-    return {certificates.fingerprint(certificate): name for name, certificate in known}
+    return {certificates.fingerprint(certificate): name for certificate, name in trusted(session).items()}
 
 
 def satisfies(pem: bytes, spec: CertificateSpec, key: keys.PublicKey, issuer: x509.Certificate | None) -> bool:
@@ -360,6 +361,17 @@ def require_known(files: AuthorityFiles, key: keys.PublicKey) -> None:
         help=f"restore {files.key_file} and {files.certificate_file}; {new_authority_help(files.name)}",
         code="authority-replaced",
     )
+
+
+def require_in_use(files: AuthorityFiles, key: keys.PublicKey) -> None:
+    """Require that a key is that of the certificate, and that nobody exchanged both.
+
+    Raises:
+        KeymintError: as :func:`require_fit`, :func:`require_name` and :func:`require_known`, in this order.
+    """
+    require_fit(files, key)
+    require_name(files)
+    require_known(files, key)
 
 
 def require_rollover(files: AuthorityFiles, key: keys.PublicKey) -> None:

@@ -16,7 +16,7 @@ from keymint.plan import authority_files
 from keymint.plan.authority_uses import Use, uses
 from keymint.plan.renewal import authority_renewals, installed_terms
 from keymint.plan.revocation import list_of
-from keymint.plan.threshold import DEFAULT
+from keymint.plan.terms import DEFAULT
 from keymint.session import Session
 
 

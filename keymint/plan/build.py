@@ -11,7 +11,7 @@ from keymint.api import BuildOptions, BuildResult, LoadedPolicy, Package
 from keymint.changes import Action, DocumentSize, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
 from keymint.names import subject_of
-from keymint.plan import identity_keys, lifetimes, shared_documents
+from keymint.plan import identity_keys, shared_documents, terms
 from keymint.plan.build_types import BUILD, build_types_of, inputs_digest, two_writers
 from keymint.plan.built_documents import kept, refuse_edits
 from keymint.plan.rule_places import RulePlaces
@@ -66,7 +66,7 @@ class BuildStage:
         session, steps = self._session, steps_of(planned)
         # Packages repeat the diagnostics of their authority: keep one of each.
         diagnostics = dict.fromkeys(diagnostic for each in planned for diagnostic in each.diagnostics)
-        diagnostics |= dict.fromkeys(lifetimes.findings({each.name: each.lifetimes for each in planned}, session))
+        diagnostics |= dict.fromkeys(terms.of_sources({each.name: each.lifetimes for each in planned}, session))
         built = replace(session, state=recorded(session.state, STAGE, planned))
         try:
             shared = shared_documents.plan_shared_build(built, self._options, force=self._force)
@@ -135,7 +135,7 @@ def _plan_package(session: Session, name: str, options: BuildOptions, *, force: 
     same = stamp is not None and stamp.context == options_digest and is_current(session, name)
     may_stay = stamp and same and not force and not renew and identity_keys.is_there(session, name)
     if stamp and may_stay and (step := kept(session, stamp, folder, name)):
-        return PackagePlan(name, step, lifetimes=lifetimes.recalled(session, name, stamp))
+        return PackagePlan(name, step, lifetimes=terms.recalled(session, name, stamp))
     package = session.package(name)
     built = _built(session, package, options)
     existing = {file: session.tree.read(f"{folder}/{file}") for file in built.documents}
@@ -152,12 +152,12 @@ def _plan_package(session: Session, name: str, options: BuildOptions, *, force: 
     outputs = {file: new.digest for file, new in files.items()}
     sizes = _sizes(built)
     step = Step(STAGE, name, action, (*minted, *changes), ", ".join(map(_smaller, sizes)), sizes)
-    own = lifetimes.lifetimes(package)
+    own = terms.lifetimes(package)
     made = Stamp(
         inputs_digest(session, name, package.build_types),
         outputs,
         context=options_digest,
-        lifetimes=lifetimes.dump(own, session.workspace),
+        lifetimes=terms.dump(own, session.workspace),
         build_types=package.build_types,
     )
     return PackagePlan(name, step, made, built.diagnostics, fingerprint=fingerprint, lifetimes=own)

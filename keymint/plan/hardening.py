@@ -56,7 +56,7 @@ def open_steps(session: Session) -> tuple[OpenStep, ...]:
         KeymintError: a package has defects.
     """
     found = []
-    if both := _signing_issuers(session):
+    if both := signing_issuers(session):
         cost = "a flag day: all documents are signed again, and all robots restart together with the new keystore"
         found.append(OpenStep(Weakness.AUTHORITY, both, flag_day=True, cost=cost))
     if lacking := tuple(lacks(session)):
@@ -73,7 +73,7 @@ def open_steps(session: Session) -> tuple[OpenStep, ...]:
     return tuple(found)
 
 
-def _signing_issuers(session: Session) -> tuple[str, ...]:
+def signing_issuers(session: Session) -> tuple[str, ...]:
     """Return the authorities that issue identities and sign documents."""
     found = uses(session)
     return tuple(

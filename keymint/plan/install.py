@@ -5,19 +5,18 @@ from __future__ import annotations
 
 import stat
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 
 from cryptography import x509
 
 from comarmor.errors import Diagnostic, Severity
-from keymint.api import Artifact, Package, Succession
+from keymint.api import Package
 from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
 from keymint.names import ROOT, subject_of
 from keymint.pki import certificates
 from keymint.pki.distinguished_names import to_text
-from keymint.plan import build, identity_keys, key_record, lifetimes, revocation
+from keymint.plan import build, earlier_rights, identity_keys, key_record, revocation, terms
 from keymint.plan.authorities import MintedAuthority
 from keymint.plan.authority_files import chains_digest
 from keymint.plan.build_types import build_types_of, inputs_digest
@@ -53,8 +52,6 @@ from keymint.session import Inputs, Session
 from keymint.state import Stamp, digest, digest_files
 
 STAGE = INSTALLED
-RIGHTS_OUTLIVE = "rights-outlive"
-"""Code of the finding that replaced rights are wider than the new ones, and stay good."""
 
 
 class InstallStage:
@@ -102,7 +99,7 @@ class InstallStage:
         diagnostics = [*(diagnostic for each in planned for diagnostic in each.diagnostics), *foreign]
         diagnostics += _outdated(session, [each.name for each in planned if each.outdated])
         diagnostics += shared.diagnostics
-        diagnostics += lifetimes.findings({each.name: each.lifetimes for each in planned}, session)
+        diagnostics += terms.of_sources({each.name: each.lifetimes for each in planned}, session)
         diagnostics += [each for each in unaccounted(session) if not prune or each.code != "enclave-orphaned"]
         state = recorded(shared.state, STAGE, planned, (*removed, *withdrawn))
         steps += [withdraw(session, name, reason, changes) for name, reason in withdrawn.items()]
@@ -169,10 +166,10 @@ def _plan_enclave(
         )
     stamp = session.state.stamp(STAGE, name)
     if stamp and stamp.inputs == inputs and has_outputs(session, session.enclave_folder(name), stamp):
-        own = lifetimes.recalled(session, name, stamp)
+        own = terms.recalled(session, name, stamp)
         return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED), lifetimes=own)
     package, folder = session.package(name), session.enclave(name)
-    own = lifetimes.lifetimes(package)
+    own = terms.lifetimes(package)
     if identity_keys.is_awaited(package):
         return _awaiting(session, package)
     documents = build.built_documents(session, name)
@@ -182,7 +179,8 @@ def _plan_enclave(
     if reason := register_of(session).barred(fingerprint):
         return PackagePlan(name, withdrawn=reason)
     artifacts, issued, warnings = sign(session, package, documents, authorities, (key_pem, public), existing)
-    outliving = (*_outliving(session, package, existing, artifacts), *_changed_rights(session, package, artifacts))
+    new = {file: artifact.content for file, artifact in artifacts.items()}
+    outliving = earlier_rights.replaced(session, package, existing, new)
     in_force = revocation.enclave_lists(session).get(package.identity.issuer)
     for file, artifact in artifacts.items():
         if in_force and artifact.content == in_force:
@@ -215,7 +213,7 @@ def _plan_enclave(
         inputs,
         {file: item.digest for file, item in files.items()},
         tuple(file for file, item in files.items() if item.secret),
-        lifetimes=lifetimes.dump(own, workspace),
+        lifetimes=terms.dump(own, workspace),
     )
     return PackagePlan(
         name,
@@ -228,13 +226,12 @@ def _plan_enclave(
         artifacts={file: artifacts[file] for file in copied if file in artifacts},
         outdated=is_recorded and not build.is_current(session, name),
         issued=issued,
-        signed=_signed(session, package, artifacts),
+        signed=_signed(session, package, new),
     )
 
 
-def _signed(session: Session, package: Package, artifacts: Mapping[str, Artifact]) -> tuple[SignedRights, ...]:
+def _signed(session: Session, package: Package, files: Mapping[str, bytes]) -> tuple[SignedRights, ...]:
     """Return the documents of an enclave that its holder presents, for the register."""
-    files = {file: artifact.content for file, artifact in artifacts.items()}
     subject = to_text(certificates.load(files[CERTIFICATE]).subject)
     return tuple(rights_of(package, build_types_of(session, package).values(), files, subject))
 
@@ -255,60 +252,13 @@ def _obsolete(
     return obsolete
 
 
-def _outliving(
-    session: Session, package: Package, existing: Mapping[str, bytes], artifacts: Mapping[str, Artifact]
-) -> Iterator[Diagnostic]:
-    """Yield a warning for each build type whose earlier signed files give more rights than those that replace them."""
-    new = {file: artifact.content for file, artifact in artifacts.items()}
-    if CERTIFICATE not in existing:
-        return
-    for build_type in build_types_of(session, package).values():
-        try:
-            found = build_type.outliving(existing, new) if isinstance(build_type, Succession) else None
-        except KeymintError:  # what cannot be read gives no rights
-            continue
-        if found is not None:
-            yield Diagnostic.warning(
-                RIGHTS_OUTLIVE,
-                f"the signed rights that are replaced allow more, e.g. to {found.example}, and their holder may "
-                f"present them until {shown(found.until)}",
-                session.workspace.origin(session.enclave_folder(package.name)),
-                f"'keymint revoke {package.name} --reason superseded' ends them; so does --revoke-superseded",
-                package.subject,
-            )
-
-
-def _changed_rights(session: Session, package: Package, artifacts: Mapping[str, Artifact]) -> Iterator[Diagnostic]:
-    """Yield a warning for each build type whose new files give other rights than those that nobody here installed.
-
-    They may lie where another layout has them, as in workspaces of 2018.
-    """
-    if session.state.stamp(STAGE, package.name) is not None:
-        return
-    new = {file: artifact.content for file, artifact in artifacts.items()}
-    own = build_types_of(session, package).values()
-    for build_type, layout in [(each, layout) for each in own for layout in each.LAYOUTS.values()]:
-        folder = session.workspace.install / layout.enclaves / package.name
-        if not isinstance(build_type, Succession) or not session.tree.has_file(folder / CERTIFICATE):
-            continue
-        with suppress(KeymintError):  # what cannot be read gives no rights
-            before = {file: session.tree.read(folder / file) or b"" for file in new}
-            if examples := build_type.changed_rights(before, new):
-                message = f"the new signed rights differ from those that they replace: {examples}"
-                help_ = (
-                    f"if that was not intended, see whether the robots have {session.profile.distro}, as <distro> says"
-                )
-                where = session.workspace.origin(folder)
-                yield Diagnostic.warning("rights-changed", message, where, help_, package.subject)
-
-
 def _awaiting(session: Session, package: Package) -> PackagePlan:
     """Return the plan for a package whose robot has not yet told its public key: its enclave stays, unless revoked."""
     if package.name in installed(session) and (reason := register_of(session).withdrawn(package.name)):
         return PackagePlan(package.name, withdrawn=reason)
     kept = Step(STAGE, package.name, Action.KEPT, detail="waits for a request of its robot")
     diagnostics = (identity_keys.awaited(package),)
-    return PackagePlan(package.name, kept, diagnostics=diagnostics, lifetimes=lifetimes.lifetimes(package))
+    return PackagePlan(package.name, kept, diagnostics=diagnostics, lifetimes=terms.lifetimes(package))
 
 
 def _outdated(inputs: Inputs, names: Sequence[str]) -> Iterator[Diagnostic]:

@@ -24,15 +24,17 @@ _SHOWN = 3
 
 @dataclass(frozen=True, slots=True)
 class ProofEffort:
-    """The limits of the search.
+    """What is claimed, and the limits of the search.
 
     Attributes:
         states: states that one search may visit.
         deadline: called for each enclave; returns a function that tells whether to continue.
+        standard_only: accept differences between vendors and claim only what the standard says; nothing is recorded.
     """
 
     states: int
     deadline: Callable[[], Callable[[], bool]]
+    standard_only: bool = False
 
     @contextmanager
     def limit(self, rules: Iterable[Rule]) -> Iterator[None]:
@@ -63,39 +65,26 @@ def costliest(rules: Iterable[Rule]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class EnclaveProof:
-    """The result for one enclave.
+    """The result for one enclave, or across all packages of a build type, and what becomes of its record.
 
     Attributes:
-        subject: its subject.
+        name: the package; of claims across subjects, their key in the record.
+        subject: its subject; empty for claims across subjects.
         claims: by model, action and domains; none if the enclave could not be read.
         cached: every claim was proven before, and nothing changed.
         diagnostics: files that could not be read, or that do not rest on the workspace's authorities.
         terms: when the documents are in force.
-        build_type: of claims across subjects, the build type; the subject is empty.
-    """
-
-    subject: str
-    claims: tuple[Claim, ...] = ()
-    cached: bool = False
-    diagnostics: tuple[Diagnostic, ...] = ()
-    terms: tuple[ValidityTerm, ...] = ()
-    build_type: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class PackageProof:
-    """The proof of one package, or across all packages of a build type, and what becomes of its record.
-
-    Attributes:
-        name: the package; of claims across subjects, their key in the record.
-        proof: the result.
-        build_types: the build types of the package.
+        build_types: the build types of the package; of claims across subjects, the one that they are about.
         stamp: the record to keep; None if it does not change.
         refuted: the proof must not be on record.
     """
 
     name: str
-    proof: EnclaveProof
+    subject: str
+    claims: tuple[Claim, ...] = ()
+    cached: bool = False
+    diagnostics: tuple[Diagnostic, ...] = ()
+    terms: tuple[ValidityTerm, ...] = ()
     build_types: tuple[str, ...] = ()
     stamp: Stamp | None = None
     refuted: bool = False
@@ -103,15 +92,17 @@ class PackageProof:
 
 @dataclass(frozen=True, slots=True)
 class ProofResults:
-    """The results for all enclaves.
+    """What is proven about a keystore.
 
     Attributes:
         enclaves: the result for each.
-        shared: the results across subjects, for each build type that has some.
+        shared: the results across subjects, for each build type that has some, and about all that may be presented.
         state: the record to keep.
         assumptions: assumptions of the claims, by model.
         standards: the models that are no vendor's: those that each prover names first.
         now: the time at which the claims are judged, UTC.
+        outliving: a note for each earlier document that permits more than the policy and was not accepted.
+        is_whole: all documents that were ever signed are known.
     """
 
     enclaves: tuple[EnclaveProof, ...]
@@ -120,6 +111,8 @@ class ProofResults:
     assumptions: Mapping[str, Sequence[str]]
     standards: frozenset[str]
     now: datetime
+    outliving: tuple[Diagnostic, ...] = ()
+    is_whole: bool = True
 
     @property
     def all(self) -> tuple[EnclaveProof, ...]:

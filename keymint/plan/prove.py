@@ -29,13 +29,13 @@ from keymint.errors import KeymintError
 from keymint.executors import Pool
 from keymint.ir import SubjectRules
 from keymint.names import name_of, subject_of
-from keymint.plan import authority_evidence, proof_record, shared_proof, terms
+from keymint.plan import proof_record, shared_proof, terms
 from keymint.plan.authority_files import chains_digest
-from keymint.plan.build_types import build_types_of, inputs_digest, issuers_of, prover_of, suffixes_read
-from keymint.plan.enclaves import INSTALLED, enclave_digests, enclave_files, not_installed
-from keymint.plan.proof_results import EnclaveProof, PackageProof, ProofEffort, ProofResults, costliest
+from keymint.plan.build_types import build_types_of, inputs_digest, prover_of
+from keymint.plan.enclaves import enclave_digests, enclave_files, not_installed
+from keymint.plan.proof_results import EnclaveProof, ProofEffort, ProofResults, costliest
 from keymint.plan.shared_documents import load_packages, record_key, shared_folder, users
-from keymint.plan.trust_anchors import anchors_of, shared_anchors
+from keymint.plan.trust_anchors import anchors_of, contradictions_for, shared_anchors, unread_of
 from keymint.session import Session
 from keymint.state import Stamp, digest
 
@@ -53,8 +53,6 @@ def prove(
     effort: ProofEffort,
     on_enclave: Callable[[str], None],
     pool: Pool,
-    *,
-    standard_only: bool,
 ) -> ProofResults:
     """Prove or refute the claims about the enclaves of some packages.
 
@@ -62,18 +60,17 @@ def prove(
         session: the workspace and its profile.
         names: names of packages.
         policy: the policy that the enclaves are compared with.
-        effort: limits of the search.
+        effort: what to claim, and limits of the search.
         on_enclave: called with each name after its proof.
         pool: where else to prove.
-        standard_only: accept differences between vendors and claim only what the standard says; nothing is recorded.
 
     Raises:
         KeymintError: a package has defects, or the pool is lost.
     """
-    stage = ProofStage(session, policy, effort, standard_only=standard_only, unsigned=False)
-    proven: list[PackageProof] = []
+    stage = ProofStage(session, policy, effort)
+    proven: list[EnclaveProof] = []
     parts: Iterable[Sequence[str]] = ([name] for name in names)
-    results: Iterable[list[PackageProof]] = ([stage.package(name)] for name in names)
+    results: Iterable[list[EnclaveProof]] = ([stage.package(name)] for name in names)
     if not pool.shares_memory:
         stage.ask(pool, names)
     elif len(divided := pool.parts(names, LEAST)) > 1:
@@ -97,22 +94,17 @@ class ProofStage:
     Args:
         session: the workspace and its profile.
         policy: the policy that the enclaves are compared with.
-        effort: limits of the search.
-        standard_only: claim only what the standard says; nothing is recorded.
+        effort: what to claim, and limits of the search.
         unsigned: the documents are about to be signed: messages cite the unsigned ones in the build space.
     """
 
     NAME = STAGE
 
-    def __init__(
-        self, session: Session, policy: LoadedPolicy, effort: ProofEffort, *, standard_only: bool, unsigned: bool
-    ) -> None:
+    def __init__(self, session: Session, policy: LoadedPolicy, effort: ProofEffort, *, unsigned: bool = False) -> None:
         self._session = session
         self._policy = policy
         self._effort = effort
-        self._standard_only = standard_only
         self._unsigned = unsigned
-        self._contradictions = authority_evidence.contradictions(session)
         self._policy_digest = policy_digest(policy)
         self._chains_digest = chains_digest(session)
         self._digested = policy if isinstance(policy, DigestedPolicy) else None
@@ -121,7 +113,7 @@ class ProofStage:
         self._asked: list[tuple[RemoteProver, object]] | None = None
         """What other machines are to prove; None while it is proven here."""
 
-    def results(self, proven: Sequence[PackageProof]) -> ProofResults:
+    def results(self, proven: Sequence[EnclaveProof]) -> ProofResults:
         """Put the proofs of some packages together, and add the claims across subjects."""
         across = tuple(self._across({each.name for each in proven}))
         stamps = {each.name: each.stamp for each in (*proven, *across) if each.stamp}
@@ -135,12 +127,11 @@ class ProofStage:
             if prover := prover_of(self._session, name):
                 assumptions |= prover.assumptions()
                 standards.update([*prover.assumptions()][:1])
-        proofs, shared = tuple(each.proof for each in proven), tuple(each.proof for each in across)
-        return ProofResults(proofs, shared, state, assumptions, frozenset(standards), self._session.now)
+        return ProofResults(tuple(proven), across, state, assumptions, frozenset(standards), self._session.now)
 
     def ask(self, pool: Pool, names: Sequence[str]) -> None:
         """Let other machines prove claims that are not cached; those that they do not prove are decided here."""
-        if self._standard_only:
+        if self._effort.standard_only:
             return
         self._asked = []
         for name in names:
@@ -152,54 +143,50 @@ class ProofStage:
                 for question, claims in zip(part, answers, strict=False):
                     prover.know(question, claims)
 
-    def package(self, name: str) -> PackageProof:
+    def package(self, name: str) -> EnclaveProof:
         """Prove the claims about one enclave, unless the proof is cached."""
         session = self._session
         digests = enclave_digests(session, name)
         files: Mapping[str, bytes] | None = None
         if digests is None:
             files, unread = enclave_files(session, name)
-            if defects := self._of_enclave(name, unread):
-                return PackageProof(name, EnclaveProof(subject_of(name), diagnostics=defects), refuted=True)
+            if defects := unread_of(session, session.package(name), unread):
+                return EnclaveProof(name, subject_of(name), diagnostics=defects, refuted=True)
             digests = {file: digest(content) for file, content in files.items()}
-        if self._contradictions and (
-            contradictions := authority_evidence.contradictions_for(
-                self._contradictions, issuers_of(session, session.package(name))
-            )
-        ):
-            return PackageProof(name, EnclaveProof(subject_of(name), diagnostics=contradictions))
+        if contradictions := contradictions_for(session, name):
+            return EnclaveProof(name, subject_of(name), diagnostics=contradictions)
         stamp, folder = session.state.stamp(STAGE, name), self._shown(name)
         current = stamp is not None and stamp.inputs == self._inputs_digest(name, digests, stamp.build_types)
         cached = proof_record.load(stamp, folder) if stamp and current else None
         if stamp and cached and self._same_rules(stamp, [subject_of(name)]):
             claims, validity = cached
             # The cache does not depend on the clock: whether documents are in force is checked at each run.
-            proof = EnclaveProof(subject_of(name), claims, cached=True, terms=validity)
-            return PackageProof(name, proof, stamp.build_types, self._of_policy(stamp, [subject_of(name)]))
+            proof = EnclaveProof(name, subject_of(name), claims, cached=True, terms=validity)
+            return replace(proof, build_types=stamp.build_types, stamp=self._of_policy(stamp, [subject_of(name)]))
         package = session.package(name)
         files = enclave_files(session, name)[0] if files is None else files
         build_types = tuple(build_types_of(session, package)) if files else ()
         inputs = self._inputs_digest(name, digests, build_types)
         rules = self._rules(package.subject)
         proof = self._proof(package, rules, files, folder)
-        return self._kept(name, proof, (rules,), Stamp(inputs, {}, build_types=build_types), folder)
+        return self._kept(proof, (rules,), Stamp(inputs, {}, build_types=build_types), folder)
 
-    def _across(self, names: Collection[str]) -> Iterator[PackageProof]:
+    def _across(self, names: Collection[str]) -> Iterator[EnclaveProof]:
         """Prove the claims across subjects of the build types that some packages have, unless these are cached."""
         for name, of_type in users(self._session).items():
             build_type: object = self._session.plugins.build_type(name)
             if isinstance(build_type, SharedProver) and not set(names).isdisjoint(of_type):
                 yield self._prove_across(name, of_type, build_type)
 
-    def _prove_across(self, name: str, names: Sequence[str], prover: SharedProver) -> PackageProof:
+    def _prove_across(self, name: str, names: Sequence[str], prover: SharedProver) -> EnclaveProof:
         session, key, folder = self._session, record_key(name), self._shared_folder
         enclaves = shared_proof.enclaves_of(session, name)
         inputs = shared_proof.inputs_digest(session, name, enclaves)
         stamp, subjects = session.state.stamp(STAGE, key), [subject_of(each) for each in names]
         cached = proof_record.load(stamp, folder) if stamp and stamp.inputs == inputs else None
         if stamp and cached and self._same_rules(stamp, subjects):
-            proof = EnclaveProof("", cached[0], cached=True, build_type=name)
-            return PackageProof(key, proof, stamp=self._of_policy(stamp, subjects))
+            proof = EnclaveProof(key, "", cached[0], cached=True, build_types=(name,))
+            return replace(proof, stamp=self._of_policy(stamp, subjects))
         rules = {subject: self._rules(subject) for subject in subjects}
         try:
             packages = load_packages(session, name)
@@ -217,32 +204,20 @@ class ProofStage:
             )
             with self._effort.limit(rule for each in rules.values() for rule in each.rules):
                 claims = _with_rules(prover.prove_shared(task), rules.values())
-            proof = EnclaveProof("", claims, build_type=name)
+            proof = EnclaveProof(key, "", claims)
         except KeymintError as error:
-            proof = EnclaveProof("", diagnostics=tuple(error.diagnostics), build_type=name)
-        return self._kept(key, proof, rules.values(), Stamp(inputs, {}, build_types=(name,)), folder)
+            proof = EnclaveProof(key, "", diagnostics=tuple(error.diagnostics))
+        return self._kept(proof, rules.values(), Stamp(inputs, {}, build_types=(name,)), folder)
 
-    def _kept(
-        self, key: str, proof: EnclaveProof, rules: Collection[SubjectRules], stamp: Stamp, folder: str
-    ) -> PackageProof:
+    def _kept(self, proof: EnclaveProof, rules: Collection[SubjectRules], stamp: Stamp, folder: str) -> EnclaveProof:
         """Return a proof with its record if all its claims are proven."""
-        if self._standard_only:
-            return PackageProof(key, proof, stamp.build_types)
+        proof = replace(proof, build_types=stamp.build_types)
+        if self._effort.standard_only:
+            return proof
         if proof.diagnostics or any(claim.proof is not Proof.PROVEN for claim in proof.claims):
-            return PackageProof(key, proof, stamp.build_types, refuted=True)
+            return replace(proof, refuted=True)
         stamp = replace(stamp, outputs=proof_record.dump(proof.claims, proof.terms, rules, folder))
-        return PackageProof(key, proof, stamp.build_types, self._of_policy(stamp, [each.subject for each in rules]))
-
-    def _of_enclave(self, name: str, unread: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
-        """Return the diagnostics of unreadable files that belong to the enclave, by the record or by their names."""
-        suffixes = suffixes_read(self._session, self._session.package(name))
-        stamp = self._session.state.stamp(INSTALLED, name)
-        files = [each.where.file.rpartition("/")[2] if each.where else "" for each in unread]
-        return tuple(
-            each
-            for each, file in zip(unread, files, strict=True)
-            if stamp is None or file in {*stamp.outputs, ""} or file.endswith(suffixes)
-        )
+        return replace(proof, stamp=self._of_policy(stamp, [each.subject for each in rules]))
 
     def _same_rules(self, stamp: Stamp, subjects: Iterable[str]) -> bool:
         """Tell whether the policy has the same rules for some subjects as when the stamp was made."""
@@ -274,7 +249,7 @@ class ProofStage:
     def _proof(self, package: Package, rules: SubjectRules, files: Mapping[str, bytes], folder: str) -> EnclaveProof:
         subject = package.subject
         if not files:
-            return EnclaveProof(subject, diagnostics=(not_installed(package.name, folder),))
+            return EnclaveProof(package.name, subject, diagnostics=(not_installed(package.name, folder),))
         claims: list[Claim] = []
         validity: list[ValidityTerm] = []
         defects = Defects()
@@ -294,7 +269,7 @@ class ProofStage:
                     anchors_of(self._session, package, build_types[name]),
                     self._effort.states,
                     self._effort.deadline(),
-                    self._standard_only,
+                    self._effort.standard_only,
                     self._unsigned,
                     shared_proof.installed_documents(self._session, name),
                     self._shared_folder,
@@ -305,7 +280,8 @@ class ProofStage:
                 models = {claim.model for claim in own} or prover.assumptions().keys()
                 validity += terms.terms_of(periods, models)
         of_subject = tuple(replace(each, subject=subject) for each in dict.fromkeys(defects.found))
-        return EnclaveProof(subject, tuple(claims), diagnostics=of_subject, terms=tuple(dict.fromkeys(validity)))
+        periods = tuple(dict.fromkeys(validity))
+        return EnclaveProof(package.name, subject, tuple(claims), diagnostics=of_subject, terms=periods)
 
     def _claims(self, prover: Prover, task: ProofTask) -> Sequence[Claim]:
         """Return the claims about an enclave; the policy grants nothing to infrastructure, which must be ours though.

@@ -9,50 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from datetime import datetime, timedelta
+from datetime import datetime
 
 from cryptography import x509
 
 from comarmor.errors import Defects
 from comarmor.values import dataclass
-from keymint.api import Issuance
-from keymint.pki import certificates, periods
-from keymint.plan import lifetimes
+from keymint.api import Issuance, Validity
+from keymint.pki import certificates, forms, periods
 from keymint.plan.authority_files import in_order, with_issuers
 from keymint.plan.enclaves import INSTALLED, installed, installed_certificate
 from keymint.plan.revocation import list_of
-from keymint.plan.threshold import DEFAULT, Threshold
+from keymint.plan.terms import DEFAULT, Term, Threshold, recalled
 from keymint.session import Session, once
 
 CERTIFICATE, PERMISSIONS, LIST = "certificate", "permissions", "revocation list"
-
-
-@dataclass(frozen=True, slots=True)
-class Term:
-    """The validity of one document.
-
-    Attributes:
-        what: :data:`CERTIFICATE`, :data:`PERMISSIONS` or :data:`LIST`.
-        first: its first moment, UTC.
-        last: the last moment in which it is in force, UTC; never later than its authority's.
-        authority: name of the authority that signed it.
-        is_cut: it ends with its authority, so that nothing is gained before that is renewed.
-    """
-
-    what: str
-    first: datetime
-    last: datetime
-    authority: str
-    is_cut: bool
-
-    @property
-    def length(self) -> timedelta:
-        """The time from begin to end."""
-        return self.last - self.first
-
-    def renew_after(self, threshold: Threshold) -> datetime:
-        """Return from when on it is due."""
-        return threshold.moment(self.first, self.last)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +44,7 @@ class EnclaveTerms:
 
     def ends_with(self) -> str:
         """Return the name of the authority that all of them end with; empty if some can be renewed."""
-        return min(self.terms, key=lambda each: each.last).authority if all(each.is_cut for each in self.terms) else ""
+        return min(self.terms, key=lambda each: each.last).issuer if all(each.is_cut for each in self.terms) else ""
 
     def first(self, threshold: Threshold = DEFAULT) -> Term | None:
         """Return the term that is due first, without what ends with its authority."""
@@ -95,7 +66,7 @@ def _authorities_here(session: Session) -> Mapping[str, x509.Certificate]:
     return {name: certificates.load_first(content) for name, content in contents.items() if content}
 
 
-def enclave_terms(session: Session, name: str, period: tuple[datetime, datetime] | None = None) -> EnclaveTerms | None:
+def enclave_terms(session: Session, name: str, *, as_recorded: bool = False) -> EnclaveTerms | None:
     """Return what of an installed enclave ends; None if it is not installed, or its certificate cannot be read.
 
     The dates are those of the certificate in the enclave, and of the permissions as they were when they were signed.
@@ -103,33 +74,30 @@ def enclave_terms(session: Session, name: str, period: tuple[datetime, datetime]
     Args:
         session: the workspace and its profile.
         name: the package.
-        period: the validity of the certificate, UTC, if it is known; else the certificate is read.
+        as_recorded: the enclave is as it was installed, so that its certificate need not be read.
 
     Raises:
         KeymintError: there is no record of the installation, and the package has defects.
     """
-    if period is None:
-        certificate = installed_certificate(session, name)
-        if certificate is None:
-            return None
-        period = certificates.period(certificate)
+    certificate = None if as_recorded else installed_certificate(session, name)
+    if certificate is None and not as_recorded:
+        return None
     ends = authority_ends(session)
     terms: list[Term] = []
-    for each in lifetimes.recalled(session, name, session.state.stamp(INSTALLED, name)):
-        end = ends.get(each.issuer)
-        if each.what == "certificate":
-            terms.append(_term(CERTIFICATE, *period, each.issuer, end))
-            if listed := list_of(session, each.issuer):
-                terms.append(_term(LIST, listed.this_update, listed.next_update, each.issuer, end))
-        else:
-            terms.append(_term(PERMISSIONS, each.first, each.last, each.issuer, end))
-    return EnclaveTerms(name, tuple(sorted(terms, key=lambda each: each.what)))
-
-
-def _term(what: str, first: datetime, last: datetime, authority: str, end: datetime | None) -> Term:
-    if end is None:
-        return Term(what, first, last, authority, is_cut=False)
-    return Term(what, first, min(last, end), authority, is_cut=last >= end)
+    for each in recalled(session, name, session.state.stamp(INSTALLED, name)):
+        if each.what != CERTIFICATE:
+            terms.append(replace(each, what=PERMISSIONS))
+            continue
+        if certificate is not None:
+            first, last = certificates.period(certificate)
+        else:  # cut to its issuer's, and in whole seconds
+            issued = forms.cut(Validity(each.first, each.last), _authorities_here(session)[each.issuer])
+            first, last = issued.not_before, issued.not_after
+        terms.append(replace(each, first=first, last=last))
+        if listed := list_of(session, each.issuer):
+            terms.append(replace(each, what=LIST, first=listed.this_update, last=listed.next_update))
+    in_force = (each.until(ends.get(each.issuer)) for each in terms)
+    return EnclaveTerms(name, tuple(sorted(in_force, key=lambda each: each.what)))
 
 
 def authority_renewals(session: Session, terms: Iterable[EnclaveTerms]) -> Mapping[str, datetime]:
@@ -138,10 +106,10 @@ def authority_renewals(session: Session, terms: Iterable[EnclaveTerms]) -> Mappi
     due: dict[str, datetime] = {}
     for each in terms:
         for term in each.terms:
-            if term.what != LIST and term.authority in ends:
-                moment = session.now if term.is_cut else ends[term.authority] - term.length
+            if term.what != LIST and term.issuer in ends:
+                moment = session.now if term.is_cut else ends[term.issuer] - term.length
                 moment = max(moment, _matters_from(session, term, DEFAULT))
-                due[term.authority] = min(due.get(term.authority, moment), moment)
+                due[term.issuer] = min(due.get(term.issuer, moment), moment)
     return due
 
 
@@ -151,7 +119,7 @@ def _matters_from(session: Session, term: Term, threshold: Threshold) -> datetim
     One that lasts half as long as the authority's certificate, or longer, ends near it in any case, as in a keystore of
     ``ros2 security``, where both last ten years. It has time until the document is due itself.
     """
-    authority = _authorities_here(session)[term.authority]
+    authority = _authorities_here(session)[term.issuer]
     length = authority.not_valid_after_utc - authority.not_valid_before_utc
     return term.renew_after(threshold) if 2 * term.length >= length else term.first
 
@@ -220,7 +188,7 @@ def schedule(session: Session, terms: Sequence[EnclaveTerms], threshold: Thresho
         for term in each.terms:
             after = term.renew_after(threshold)
             if term.what == LIST and not term.is_cut and after <= session.now:
-                due_lists.setdefault(term.authority, Due(term.authority, term, after))
+                due_lists.setdefault(term.issuer, Due(term.issuer, term, after))
         own = EnclaveTerms(each.name, tuple(term for term in each.terms if term.what != LIST))
         if first := own.first(threshold):
             moment = first.renew_after(threshold)
@@ -241,12 +209,12 @@ def _authorities(session: Session, terms: Sequence[EnclaveTerms], threshold: Thr
     cut: dict[str, dict[str, None]] = {}
     for each in terms:
         for term in each.terms:
-            end = ends.get(term.authority)
+            end = ends.get(term.issuer)
             if term.what == LIST or end is None or session.now < _matters_from(session, term, threshold):
                 continue
             if term.is_cut or periods.begin(session.now, term.length) + term.length > end:
-                cut.setdefault(term.authority, {})[each.name] = None
-    used = {term.authority for each in terms for term in each.terms}
+                cut.setdefault(term.issuer, {})[each.name] = None
+    used = {term.issuer for each in terms for term in each.terms}
     for name, end in ends.items():
         soon = name in used and threshold.left is not None and end - session.now <= threshold.left
         if name in cut or soon:

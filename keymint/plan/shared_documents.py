@@ -19,6 +19,7 @@ from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.plan.build_types import BUILD, build_types_of, inputs_digest, shared_builder
 from keymint.plan.built_documents import kept, refuse_edits
+from keymint.plan.stage import PackagePlan, recorded, steps_of
 from keymint.session import Session, once
 from keymint.state import Stamp, digest
 
@@ -45,17 +46,17 @@ def users(session: Session) -> Users:
     Raises:
         KeymintError: which build types a package has is unknown, because its sources have defects.
     """
-    names, recorded = session.packages(), session.state.stamps.get(STAGE, {})
+    names, before = session.packages(), session.state.stamps.get(STAGE, {})
     found: dict[str, tuple[str, ...]] = {}
     for name in names:
         with contextlib.suppress(KeymintError):  # raised below, if there are shared documents
-            known = recorded[name].build_types if name in recorded else ()
+            known = before[name].build_types if name in before else ()
             found[name] = known or tuple(build_types_of(session, session.package(name)))
     if not (shared := _shared(session, found)):
         return {}
     defects = Defects()
     for name in names:
-        if name not in found or (name in recorded and recorded[name].inputs != inputs_digest(session, name)):
+        if name not in found or (name in before and before[name].inputs != inputs_digest(session, name)):
             with defects, _blocking(session, shared, name):
                 found[name] = tuple(build_types_of(session, session.package(name)))
     defects.require_none()
@@ -160,44 +161,35 @@ def plan_shared_build(session: Session, options: BuildOptions, *, force: bool) -
     Raises:
         KeymintError: a package has defects, or packages contradict each other.
     """
-    of_types = users(session)
-    steps: list[Step] = []
-    stamps: dict[str, Stamp] = {}
-    diagnostics: list[Diagnostic] = []
-    written: dict[str, str] = {}
-    for name in of_types:
-        step, stamp, findings = _plan_documents(session, name, options, force=force)
-        steps.append(step)
-        diagnostics += findings
-        if stamp is not None:
-            stamps[record_key(name)] = stamp
-        recorded = stamp or session.state.stamp(STAGE, record_key(name))
-        for path in recorded.outputs if recorded else ():
-            if written.setdefault(path, name) != name:
+    planned = [_plan_documents(session, name, options, force=force) for name in users(session)]
+    gone = obsolete(session, STAGE, shared_folder(session))
+    state = recorded(session.state, STAGE, planned, gone)
+    writers: dict[str, str] = {}
+    for name in users(session):
+        for path in state.stamps[STAGE][record_key(name)].outputs:
+            if writers.setdefault(path, name) != name:
                 raise KeymintError(
-                    f"the build types {written[path]} and {name} both have a shared document {path}",
+                    f"the build types {writers[path]} and {name} both have a shared document {path}",
                     where=session.profile_marker(),
                     help="use them in different workspaces",
                     code="file-conflict",
                 )
-    gone = obsolete(session, STAGE, shared_folder(session), of_types)
-    state = session.state.updated(STAGE, stamps, gone)
-    return Plan((*steps, *gone.values()), state, tuple(dict.fromkeys(diagnostics)))
+    diagnostics = dict.fromkeys(each for plan in planned for each in plan.diagnostics)
+    return Plan((*steps_of(planned), *gone.values()), state, tuple(diagnostics))
 
 
-def obsolete(session: Session, stage: str, folder: Path, of_types: Users) -> dict[str, Step]:
+def obsolete(session: Session, stage: str, folder: Path) -> dict[str, Step]:
     """Return what removes the documents of build types that no package has any more, by the key of their record.
 
     Args:
         session: the workspace and its profile.
         stage: the stage that recorded them.
         folder: the folder that the recorded paths are relative to.
-        of_types: the packages of each build type.
     """
     gone: dict[str, Step] = {}
     for key, stamp in session.state.stamps.get(stage, {}).items():
         kind, _, build_type = key.partition("/")
-        if kind == FOLDER and build_type not in of_types:
+        if kind == FOLDER and build_type not in users(session):
             changes = removals(session, folder, stamp.outputs)
             gone[key] = Step(stage, "", Action.REMOVED, changes, f"shared documents of {build_type}")
     return gone
@@ -215,15 +207,13 @@ def written(folder: Path, files: Mapping[str, File]) -> tuple[FolderChange, ...]
     return tuple(FolderChange(parent, of_folder) for parent, of_folder in by_folder(folder, files).items())
 
 
-def _plan_documents(
-    session: Session, name: str, options: BuildOptions, *, force: bool
-) -> tuple[Step, Stamp | None, Sequence[Diagnostic]]:
+def _plan_documents(session: Session, name: str, options: BuildOptions, *, force: bool) -> PackagePlan:
     key, folder = record_key(name), shared_folder(session)
     stamp = session.state.stamp(STAGE, key)
     inputs, context = sources_digest(session, name), digest(repr(options))
     is_same = stamp is not None and (stamp.inputs, stamp.context) == (inputs, context) and not force
     if stamp and is_same and (step := kept(session, stamp, folder, "", ", ".join(stamp.outputs))):
-        return step, None, ()
+        return PackagePlan(key, step)
     built = build_shared(session, name, load_packages(session, name), options)
     left_over = set(stamp.outputs if stamp else ()) - set(built.documents)
     existing = {path: session.tree.read(folder / path) for path in (*built.documents, *left_over)}
@@ -235,4 +225,4 @@ def _plan_documents(
     shown = ", ".join(f"{path} {len(content):,} bytes" for path, content in built.documents.items())
     outputs = {path: digest(content) for path, content in built.documents.items()}
     made = Stamp(inputs, outputs, context=context, build_types=(name,))
-    return Step(STAGE, "", action, changes, shown), made, built.diagnostics
+    return PackagePlan(key, Step(STAGE, "", action, changes, shown), made, tuple(built.diagnostics))

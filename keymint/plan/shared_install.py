@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import cast
 
 from comarmor.errors import Diagnostic
-from keymint.api import AuthorityRole, BuildOptions, BuildType, Package, SharedCredentials, SharedDocuments
+from keymint.api import AuthorityRole, BuildType, Package, SharedCredentials, SharedDocuments
 from keymint.changes import Action, File, Plan, Step
 from keymint.errors import KeymintError
 from keymint.names import subject_of
@@ -20,8 +20,6 @@ from keymint.plan.authority_files import chains_digest, trusted_chains
 from keymint.plan.built_documents import OUTDATED, edits
 from keymint.plan.enclaves import INSTALLED, differing, has_outputs
 from keymint.plan.shared_documents import (
-    STAGE,
-    build_shared,
     built_shared,
     is_current,
     load_packages,
@@ -35,6 +33,7 @@ from keymint.plan.shared_documents import (
 )
 from keymint.plan.signers import Signers
 from keymint.plan.signing import authority_of
+from keymint.plan.stage import PackagePlan, recorded, steps_of
 from keymint.session import Session
 from keymint.state import Stamp, digest, digest_files
 from keymint.workspace import placed
@@ -57,11 +56,9 @@ def plan_shared_install(
     Raises:
         KeymintError: the documents were not built or cannot be signed, or are stale although enclaves are removed.
     """
-    steps: list[Step] = []
-    stamps: dict[str, Stamp] = {}
+    planned: list[PackagePlan] = []
     diagnostics: list[Diagnostic] = []
-    of_types = users(session)
-    for name, names in of_types.items():
+    for name, names in users(session).items():
         documents = built_shared(session, name)
         if documents is None:
             if not set(chosen).isdisjoint(names):
@@ -84,15 +81,12 @@ def plan_shared_install(
                 )
             message, help_ = "is stale; signing the existing build", "'keymint build' rebuilds it"
             diagnostics.append(Diagnostic.warning(OUTDATED, message, where, help_))
-        if is_installed(session, name, documents):
-            continue
-        step, stamp = _plan_documents(session, name, documents, authorities)
-        steps += [step] if step.changes else []
-        stamps[record_key(name)] = stamp
-        diagnostics += edits(session, record_key(name), shared_folder(session), documents)
-    gone = obsolete(session, INSTALLED, session.workspace.install, of_types)
-    state = session.state.updated(INSTALLED, stamps, gone)
-    return Plan((*steps, *gone.values()), state, tuple(diagnostics))
+        if not is_installed(session, name, documents):
+            planned.append(_plan_documents(session, name, documents, authorities))
+            diagnostics += edits(session, record_key(name), shared_folder(session), documents)
+    gone = obsolete(session, INSTALLED, session.workspace.install)
+    state = recorded(session.state, INSTALLED, planned, gone)
+    return Plan((*steps_of(planned), *gone.values()), state, tuple(diagnostics))
 
 
 def is_installed(session: Session, name: str, documents: Mapping[str, bytes]) -> bool:
@@ -133,25 +127,6 @@ def installed_shared(session: Session, documents: Iterable[str]) -> dict[str, by
     return found
 
 
-def shared_files(session: Session, build_type: str) -> dict[str, bytes]:
-    """Return the installed files that belong to the shared documents of a build type, by path.
-
-    Args:
-        session: the workspace and its profile.
-        build_type: name of the build type.
-
-    Raises:
-        KeymintError: a file cannot be read; or there is no record of the documents, and a package has defects.
-    """
-    key = record_key(build_type)
-    recorded = session.state.stamp(STAGE, key)
-    if recorded is not None:
-        return installed_shared(session, recorded.outputs)
-    accepting = BuildOptions(allow_vendor_specific=True)
-    built = build_shared(session, build_type, load_packages(session, build_type), accepting)
-    return installed_shared(session, built.documents)
-
-
 def belongs(path: str, documents: Iterable[str]) -> bool:
     """Tell whether a file belongs to one of some shared documents: it has its path, perhaps with a suffix."""
     return any(path == each or path.startswith(f"{each}.") for each in documents)
@@ -185,7 +160,7 @@ def _plan_documents(
     name: str,
     documents: Mapping[str, bytes],
     authorities: Mapping[str, MintedAuthority],
-) -> tuple[Step, Stamp]:
+) -> PackagePlan:
     build_type = session.plugins.build_type(name)
     loaded, chains = load_packages(session, name), trusted_chains(session)
     roles = {
@@ -217,7 +192,8 @@ def _plan_documents(
         tuple(path for path, file in files.items() if file.secret),
         build_types=(name,),
     )
-    return Step(INSTALLED, "", action, changes, f"{', '.join(documents)}, for all enclaves"), made
+    step = Step(INSTALLED, "", action, changes, f"{', '.join(documents)}, for all enclaves")
+    return PackagePlan(record_key(name), step if changes else None, made)
 
 
 def _inputs_digest(session: Session, name: str, documents: Mapping[str, bytes]) -> str:

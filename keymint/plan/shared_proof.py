@@ -6,35 +6,31 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from keymint import __version__
+from keymint.api import BuildOptions
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.plan.authority_files import chains_digest
 from keymint.plan.enclaves import INSTALLED, enclave_files, installed
-from keymint.plan.shared_documents import record_key, sources_digest, users
-from keymint.plan.shared_install import shared_files
+from keymint.plan.shared_documents import STAGE, build_shared, load_packages, record_key, sources_digest, users
+from keymint.plan.shared_install import installed_shared
 from keymint.session import Session, once
 from keymint.state import digest, digest_files
 
 
 @once
-def _read(session: Session, build_type: str) -> Mapping[str, bytes] | KeymintError:
-    """Return the installed shared documents of a build type, or why they cannot be read."""
-    try:
-        return shared_files(session, build_type)
-    except KeymintError as error:
-        return error
-
-
 def installed_documents(session: Session, build_type: str) -> Mapping[str, bytes]:
     """Return the installed shared documents of a build type, by path; none if it has none.
 
     Raises:
-        KeymintError: one cannot be read.
+        KeymintError: one cannot be read; or there is no record of the documents, and a package has defects.
     """
-    found = _read(session, build_type) if build_type in users(session) else {}
-    if isinstance(found, KeymintError):
-        raise KeymintError.of(found.diagnostics)
-    return found
+    if build_type not in users(session):
+        return {}
+    if built := session.state.stamp(STAGE, record_key(build_type)):
+        return installed_shared(session, built.outputs)
+    accepting = BuildOptions(allow_vendor_specific=True)
+    made = build_shared(session, build_type, load_packages(session, build_type), accepting)
+    return installed_shared(session, made.documents)
 
 
 @once
@@ -42,8 +38,10 @@ def documents_digest(session: Session, build_type: str) -> str:
     """Return the digest of the installed shared documents of a build type, or of why they cannot be read."""
     if build_type not in users(session):
         return ""
-    found = _read(session, build_type)
-    return digest(repr(found.diagnostics)) if isinstance(found, KeymintError) else digest_files(found)
+    try:
+        return digest_files(installed_documents(session, build_type))
+    except KeymintError as error:
+        return digest(repr(error.diagnostics))
 
 
 def enclaves_of(session: Session, build_type: str) -> Mapping[str, Mapping[str, bytes]]:

@@ -16,7 +16,7 @@ from keymint.api import Artifact
 from keymint.changes import Plan, Step
 from keymint.errors import KeymintError
 from keymint.plan import key_record
-from keymint.plan.lifetimes import Lifetime
+from keymint.plan.terms import Term
 from keymint.register.register import IssuedCertificate, SignedRights
 from keymint.session import Session
 from keymint.state import Stamp, State
@@ -51,7 +51,7 @@ class PackagePlan:
     diagnostics: tuple[Diagnostic, ...] = ()
     errors: tuple[Diagnostic, ...] = ()
     fingerprint: str = ""
-    lifetimes: tuple[Lifetime, ...] = ()
+    lifetimes: tuple[Term, ...] = ()
     build_types: tuple[str, ...] = ()
     artifacts: Mapping[str, Artifact] = field(default_factory=dict)
     outdated: bool = False

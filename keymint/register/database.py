@@ -7,7 +7,8 @@ It is made in memory, so that it is written like every other file: complete, ato
 from __future__ import annotations
 
 import contextlib
-from dataclasses import fields
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import Field, fields
 from datetime import UTC, datetime
 from typing import Any
 
@@ -22,40 +23,36 @@ _WITHOUT_RIGHTS = 1
 _MAX_NUMBER = 1 << 62
 _WAL = b"\2\2"
 """The header's versions of a database in write-ahead mode (SQLite file format, 1.3.3)."""
-_SCHEMA = f"""
-PRAGMA application_id = {_APPLICATION};
-PRAGMA user_version = {_VERSION};
-CREATE TABLE certificates (
-    number INTEGER PRIMARY KEY,
-    issuer TEXT NOT NULL,
-    serial TEXT NOT NULL,
-    authority TEXT NOT NULL,
-    name TEXT NOT NULL,
-    generation INTEGER NOT NULL,
-    not_before TEXT NOT NULL,
-    not_after TEXT NOT NULL,
-    key TEXT NOT NULL,
-    rights TEXT NOT NULL,
-    revoked TEXT,
-    reason TEXT NOT NULL,
-    UNIQUE (issuer, serial)
-);
-CREATE TABLE lists (issuer TEXT PRIMARY KEY, number INTEGER NOT NULL);
-CREATE TABLE bundles (name TEXT PRIMARY KEY, number INTEGER NOT NULL);
-CREATE TABLE rights (
-    number INTEGER PRIMARY KEY,
-    name TEXT NOT NULL,
-    generation INTEGER NOT NULL,
-    subject TEXT NOT NULL,
-    not_after TEXT NOT NULL,
-    compressed BLOB NOT NULL,
-    accepted TEXT
-);
-CREATE TABLE history (is_whole INTEGER NOT NULL);
-"""
-_RIGHTS = "name, generation, subject, not_after, compressed, accepted"
-_FIELDS = tuple(field.name for field in fields(IssuedCertificate))
-_COLUMNS = ", ".join(_FIELDS)
+_SERIAL = "serial"
+"""The field of a number of up to 160 bits, which is hexadecimal in the file."""
+_COLUMNS: Mapping[str, tuple[str, Any]] = {
+    "str": ("TEXT NOT NULL", str),
+    "int": ("INTEGER NOT NULL", int),
+    "bytes": ("BLOB NOT NULL", bytes),
+    "datetime": ("TEXT NOT NULL", str),
+    "datetime | None": ("TEXT", str | None),
+}
+"""The column of a field by its type, and the type of what is stored."""
+_TABLES = {"certificates": IssuedCertificate, "rights": SignedRights}
+"""Tables with a column for each field, in their order."""
+_NUMBERED = ("lists", "bundles")
+
+
+def _column(field: Field[Any]) -> tuple[str, Any]:
+    return _COLUMNS["str" if field.name == _SERIAL else str(field.type)]
+
+
+def _schema() -> Iterator[str]:
+    """Yield the statements that make an empty register."""
+    yield f"PRAGMA application_id = {_APPLICATION}"
+    yield f"PRAGMA user_version = {_VERSION}"
+    for table, kind in _TABLES.items():
+        columns = (f"{field.name} {_column(field)[0]}" for field in fields(kind))
+        yield f"CREATE TABLE {table} (number INTEGER PRIMARY KEY, {', '.join(columns)})"
+    yield f"CREATE UNIQUE INDEX issued ON certificates (issuer, {_SERIAL})"
+    yield "CREATE TABLE lists (issuer TEXT PRIMARY KEY, number INTEGER NOT NULL)"
+    yield "CREATE TABLE bundles (name TEXT PRIMARY KEY, number INTEGER NOT NULL)"
+    yield "CREATE TABLE history (is_whole INTEGER NOT NULL)"
 
 
 def load(content: bytes, where: Origin) -> Register:
@@ -87,36 +84,43 @@ def load(content: bytes, where: Origin) -> Register:
                 )
             if database.execute("PRAGMA quick_check").fetchone() != ("ok",):
                 raise damaged(where)
-            rows = database.execute(f"SELECT {_COLUMNS} FROM certificates ORDER BY number")  # noqa: S608 - constant
-            issued = [_certificate(row) for row in rows]
+            issued = _entries(database, "certificates")
+            _require_possible(issued)
             numbers, bundles = (dict(map(_numbered, database.execute(f"SELECT * FROM {name}"))) for name in _NUMBERED)  # noqa: S608 - constants
-            signed, is_whole = _signed(database) if version == _VERSION else ((), False)
+            signed, is_whole = (), False
+            if version == _VERSION:
+                signed = _entries(database, "rights")
+                ((is_whole,),) = database.execute("SELECT is_whole FROM history").fetchall()
     except (sqlite3.Error, ValueError, TypeError, OverflowError):
         raise damaged(where) from None
     known = {(each.issuer, each.serial): each for each in issued}
-    return Register(known, numbers, bundles, signed, is_whole)
+    return Register(known, numbers, bundles, signed, is_whole == 1)
 
 
-def _signed(database: Any) -> tuple[tuple[SignedRights, ...], bool]:
-    """Return the signed documents of a database, and whether it has all that were ever signed.
+def _entries(database: Any, table: str) -> tuple[Any, ...]:
+    """Return the entries of a table.
 
     Raises:
-        ValueError: a value is not one that :func:`dump` writes.
+        TypeError: a value is not one that :func:`dump` writes.
+        ValueError: the same.
     """
-    ((is_whole,),) = database.execute("SELECT is_whole FROM history").fetchall()
-    rows = database.execute(f"SELECT {_RIGHTS} FROM rights ORDER BY number")  # noqa: S608 - constant
-    return tuple(map(_rights, rows)), is_whole == 1
+    own = fields(_TABLES[table])
+    rows = database.execute(f"SELECT {', '.join(each.name for each in own)} FROM {table} ORDER BY number")  # noqa: S608 - constants
+    return tuple(_TABLES[table](*map(_value, own, row)) for row in rows)
 
 
-def _rights(row: tuple[Any, ...]) -> SignedRights:
-    name, generation, subject, end, compressed, accepted = row
-    kinds = (name, str), (subject, str), (end, str), (generation, int), (compressed, bytes)
-    if not all(isinstance(value, kind) for value, kind in kinds):
-        raise ValueError
-    return SignedRights(name, generation, subject, _moment(end), compressed, _moment(accepted) if accepted else None)
+def _value(field: Field[Any], stored: Any) -> Any:
+    if not isinstance(stored, _column(field)[1]):
+        raise TypeError
+    if field.name == _SERIAL:
+        return int(stored, 16)
+    return stored if stored is None or "datetime" not in str(field.type) else _moment(stored)
 
 
-_NUMBERED = ("lists", "bundles")
+def _require_possible(issued: Iterable[IssuedCertificate]) -> None:
+    for each in issued:
+        if each.generation < 0 or (each.revoked is None) != (not each.reason) or each.reason not in ("", *REASONS):
+            raise ValueError
 
 
 def dump(register: Register) -> bytes:
@@ -124,46 +128,24 @@ def dump(register: Register) -> bytes:
     import sqlite3  # noqa: PLC0415, TID251 - in memory only, and of no use to runs that issue nothing
 
     with contextlib.closing(sqlite3.connect(":memory:")) as database:
-        database.executescript(_SCHEMA)
-        database.executemany(
-            f"INSERT INTO certificates ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",  # noqa: S608 - constant
-            map(_row, register.certificates.values()),
-        )
-        database.executemany("INSERT INTO lists VALUES (?, ?)", sorted(register.numbers.items()))
-        database.executemany("INSERT INTO bundles VALUES (?, ?)", sorted(register.bundles.items()))
-        database.executemany(
-            f"INSERT INTO rights ({_RIGHTS}) VALUES (?, ?, ?, ?, ?, ?)",  # noqa: S608 - constant
-            (
-                (each.name, each.generation, each.subject, each.not_after.isoformat(), each.compressed,
-                 each.accepted and each.accepted.isoformat())
-                for each in register.rights
-            ),
-        )  # fmt: skip
+        for statement in _schema():
+            database.execute(statement)
+        entries = zip(_TABLES.items(), (register.certificates.values(), register.rights), strict=True)
+        for (table, kind), rows in entries:
+            names = [field.name for field in fields(kind)]
+            insert = f"INSERT INTO {table} ({', '.join(names)}) VALUES ({', '.join('?' * len(names))})"  # noqa: S608 - constants
+            database.executemany(insert, ([_stored(name, getattr(each, name)) for name in names] for each in rows))
+        for table, numbers in zip(_NUMBERED, (register.numbers, register.bundles), strict=True):
+            database.executemany(f"INSERT INTO {table} VALUES (?, ?)", sorted(numbers.items()))  # noqa: S608 - constants
         database.execute("INSERT INTO history VALUES (?)", (int(register.is_whole),))
         database.commit()
         return database.serialize()
 
 
-def _row(each: IssuedCertificate) -> tuple[object, ...]:
-    issuer, serial, *rest = (getattr(each, name) for name in _FIELDS)
-    return issuer, f"{serial:x}", *(value.isoformat() if isinstance(value, datetime) else value for value in rest)
-
-
-def _certificate(row: tuple[Any, ...]) -> IssuedCertificate:
-    """Return the certificate of a row.
-
-    Raises:
-        ValueError: a value is not one that :func:`dump` writes.
-    """
-    issuer, serial, authority, name, generation, first, last, key, rights, revoked, reason = row
-    texts = (issuer, serial, authority, name, first, last, key, rights, reason)
-    if not all(isinstance(each, str) for each in texts) or not isinstance(generation, int) or generation < 0:
-        raise ValueError
-    if (revoked is None) != (not reason) or reason not in ("", *REASONS):
-        raise ValueError
-    end = None if revoked is None else _moment(revoked)
-    period = _moment(first), _moment(last)
-    return IssuedCertificate(issuer, int(serial, 16), authority, name, generation, *period, key, rights, end, reason)
+def _stored(name: str, value: Any) -> object:
+    if name == _SERIAL:
+        return f"{value:x}"
+    return value.isoformat() if isinstance(value, datetime) else value
 
 
 def _moment(text: str) -> datetime:

@@ -13,7 +13,6 @@ from keymint.api import (
     ActionMapping,
     AppliedProfile,
     BuildType,
-    DomainRange,
     Enclave,
     Endpoint,
     LoadedPolicy,
@@ -123,29 +122,29 @@ def request(subject: str, permission: str, name: str, kind: str, partitions: Seq
     return Edge(typed_subject(subject), permission, Object(kind, name, tuple(sorted(set(partitions)))), domain)
 
 
-def granted_domains(session: Session, subject: str) -> tuple[DomainRange, ...]:
-    """Return the domains of the grant of a subject; none if it has no source package.
+def source_package(session: Session, subject: str) -> Package | None:
+    """Return the source package of a subject; None if it has none.
 
     Raises:
-        KeymintError: the source package has defects.
+        KeymintError: it has defects, or belongs to the infrastructure of a transport.
     """
-    package = _source_package(session, subject)
-    return package.grant.domains if package else ()
-
-
-def build_types(session: Session, subject: str) -> tuple[str, ...]:
-    """Return the names of the build types of a subject; those of new packages if it has no source package.
-
-    Raises:
-        KeymintError: the source package has defects.
-    """
-    package = _source_package(session, subject)
-    return package.build_types if package else session.profile.build_types
+    name = name_of(subject)
+    if name not in packages(session.tree, session.workspace.src):
+        return None
+    package = session.package(name)
+    if package.role is Role.INFRASTRUCTURE:
+        raise KeymintError(
+            f"{subject} has no rights to explain: it belongs to the infrastructure of a transport",
+            help="name a subject of the policy",
+            code="packages-none",
+        )
+    return package
 
 
 def explain(
     session: Session,
     policy: LoadedPolicy,
+    package: Package | None,
     edge: Edge,
     transports: Mapping[str, Mapping[str, Transport]],
     find_models: Callable[[str], Mapping[str, Transport]],
@@ -155,14 +154,14 @@ def explain(
     Args:
         session: the workspace and its profile.
         policy: its policy.
+        package: the source package of the subject, if it has one.
         edge: the request.
         transports: transports to ask, by build type and name, each usable at the tier ``decision``.
         find_models: returns transports of a build type that name the rule that decides.
 
     Raises:
-        KeymintError: the source package has defects, or a transport does not work.
+        KeymintError: a transport does not work.
     """
-    package = _source_package(session, edge.subject)
     views = _views(session, policy, package, edge)
     meanings = tuple(dict.fromkeys(each for view in views.values() for each in view.meanings(edge)))
     decisions = {name: view.policy.decide(edge) for name, view in views.items()}
@@ -265,20 +264,6 @@ def _labels(
                 verdicts = list(label_enclave(transport, enclave, [edge], Tier.DECISION))
                 (labels[each],) = explainer(each, enclave, verdicts)
     return labels
-
-
-def _source_package(session: Session, subject: str) -> Package | None:
-    name = name_of(subject)
-    if name not in packages(session.tree, session.workspace.src):
-        return None
-    package = session.package(name)
-    if package.role is Role.INFRASTRUCTURE:
-        raise KeymintError(
-            f"{subject} has no rights to explain: it belongs to the infrastructure of a transport",
-            help="name a subject of the policy",
-            code="packages-none",
-        )
-    return package
 
 
 def _rules_of_package(session: Session, package: Package, edges: Sequence[Edge]) -> Sequence[MatchedRule]:

@@ -7,10 +7,14 @@ its parts, and an endpoint in several partitions requires each of them.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+
 from keymint_comarmor.loaded import ComArmorPolicy
 
+from comarmor.errors import Diagnostic
 from keymint.api import LearnedPolicy, LoadedPolicy
 from keymint.errors import KeymintError
+from keymint.generated_names import generalised, is_generated
 from keymint.graph import Edge, Graph
 from keymint_ros2_comarmor.common_parts import share
 from keymint_ros2_comarmor.learned_document import document, fragment
@@ -51,7 +55,23 @@ def learn(graph: Graph, existing: LoadedPolicy | None, fragments: str) -> Learne
         missing=tuple(missing),
         conflicts=tuple(dict.fromkeys(conflicts)),
         unused=tuple(unused(policy, graph)) if policy else (),
+        notes=tuple(_generated(missing, needs)),
     )
+
+
+def _generated(edges: Iterable[Edge], subjects: Iterable[str]) -> Iterator[Diagnostic]:
+    """Yield a note for each expression that matches more than its name, and for each subject with a generated name."""
+    told: set[str] = set()
+    for edge in edges:
+        expression, what = generalised(edge.object.name, edge.object.kind)
+        if what and expression not in told:
+            told.add(expression)
+            message = f"{expression} stands for {edge.object.name}: {what} changes with each start"
+            yield Diagnostic.note("learn-generated", message, subject=edge.subject)
+    for subject in filter(is_generated, subjects):
+        message = f"the name of {subject} changes with each start, so its profile is about no enclave"
+        help_ = "record it with its enclave, or name it: keymint discover --subject ID=NAME"
+        yield Diagnostic.note("learn-generated", message, None, help_, subject)
 
 
 def _note(graph: Graph) -> str:

@@ -11,6 +11,7 @@ from comarmor.language.syntax import Attachment, ProfileRule
 from comarmor.patterns.printing import escape
 from comarmor.rules import PERMISSIONS, Effect
 from comarmor.values import dataclass
+from keymint.generated_names import generalised
 from keymint.graph import Edge
 
 Need = tuple[str, str, str, tuple[str, ...]]
@@ -85,19 +86,24 @@ def _order(item: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], set[str]]) 
 
 
 def literal(need: Need) -> Need:
-    """Return a need with an attachment that matches only its name, and expressions of its partitions."""
+    """Return a need with the attachment of its name, see :func:`expression`, and expressions of its partitions."""
     kind, name, permission, partitions = need
-    return kind, escape(name), permission, tuple(map(escape, partitions))
+    return kind, expression(name, kind), permission, tuple(map(escape, partitions))
+
+
+def expression(name: str, kind: str) -> str:
+    """Return an attachment that matches a name, or its end from a ``/`` on, whatever is made at run time in it."""
+    return generalised(escape(name), kind)[0]
 
 
 def templates(need: Need, subject: str) -> tuple[Need, ...]:
     """Return the attachments of a need that subjects may share: literal, and relative to the subject's name."""
     kind, name, permission, partitions = need
-    texts = [escape(name)]
+    texts = [expression(name, kind)]
     namespace = subject[: subject.rindex("/") + 1]
     if kind != "topic":
         if name == subject or name.startswith(f"{subject}/"):
-            texts.append("{namespace}{name}" + escape(name.removeprefix(subject)))
+            texts.append("{namespace}{name}" + expression(name.removeprefix(subject), kind))
         elif name.startswith(namespace) and namespace != "/":
-            texts.append("{namespace}" + escape(name.removeprefix(namespace)))
+            texts.append("{namespace}" + expression(name.removeprefix(namespace), kind))
     return tuple((kind, text, permission, tuple(map(escape, partitions))) for text in texts)

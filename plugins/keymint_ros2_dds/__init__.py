@@ -15,8 +15,8 @@ class DdsSecurity:
     """The build type for DDS Security 1.1 as Cyclone DDS and Fast DDS implement it.
 
     Implements :class:`keymint.api.BuildType`, :class:`keymint.api.NameMapping`, :class:`keymint.api.ActionMapping`,
-    :class:`keymint.api.RuleCheck`, :class:`keymint.api.ForeignDocuments`, :class:`keymint.api.DocumentComparer`,
-    :class:`keymint.api.GrantReader`,
+    :class:`keymint.api.RuleCheck`, :class:`keymint.api.NodeCheck`, :class:`keymint.api.ForeignDocuments`,
+    :class:`keymint.api.DocumentComparer`, :class:`keymint.api.GrantReader`,
     :class:`keymint.api.RevocationReader`, :class:`keymint.api.AuthorityChanges`,
     :class:`keymint.api.RemoteCompiler`, :class:`keymint.api.ProcessEnvironment`,
     :class:`keymint.api.KeystoreReader`, :class:`keymint.api.KeptDocuments`,
@@ -44,11 +44,13 @@ class DdsSecurity:
     keystore_variables = lazy("keymint_ros2_dds.process_environment:keystore_variables")
     enclave_variables = lazy("keymint_ros2_dds.process_environment:enclave_variables")
     check = lazy("keymint_ros2_dds.check:check")
-    check_all = lazy("keymint_ros2_dds.check_keystore:check_all")
+    check_all = lazy("keymint_ros2_dds.check:check_all")
 
     check_rules = lazy("keymint_ros2_dds.rule_check:check_rules")
+    check_node = lazy("keymint_ros2_dds.node_start:check_node")
     compare = lazy("keymint_ros2_dds.foreign_documents:compare")
     compared = lazy("keymint_ros2_dds.proving.relation:compared")
+    compared_with = lazy("keymint_ros2_dds.proving.relation:compared_with")
     granted = lazy("keymint_ros2_dds.keystores.grants:granted")
 
     found = lazy("keymint_ros2_dds.keystores.found:found")
@@ -60,17 +62,15 @@ class DdsSecurity:
     document_topics = lazy("keymint_ros2_dds.transports.enclave_files:document_topics")
 
     assumptions = lazy("keymint_ros2_dds.proving.claims:assumptions")
-    differences = lazy("keymint_ros2_dds.proving.anchor_check:differences")
+    differences = lazy("keymint_ros2_dds.examine:differences")
     prove = lazy("keymint_ros2_dds.proving:prove")
     terms = lazy("keymint_ros2_dds.proving:terms")
-    outliving = lazy("keymint_ros2_dds.proving.succession:outliving")
     PRESENTED = PERMISSIONS_P7S
     presented_until = lazy("keymint_ros2_dds.proving.presented:presented_until")
     choosers = lazy("keymint_ros2_dds.proving.presented:choosers")
     trusting_any_signer = lazy("keymint_ros2_dds.proving.presented:trusting_any_signer")
     excess = lazy("keymint_ros2_dds.proving.presented:excess")
-    changed_rights = lazy("keymint_ros2_dds.proving.succession:changed_rights")
-    distro_of = lazy("keymint_ros2_dds.proving.succession:distro_of")
+    distro_of = lazy("keymint_ros2_dds.proving.installed_distro:distro_of")
 
     is_remote = lazy("keymint_ros2_dds.kinds.elsewhere:is_remote")
     receive = lazy("keymint_ros2_dds.kinds.elsewhere:receive")

@@ -1,159 +1,163 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``keymint check``: findings on an installed enclave, from its files."""
+"""``keymint check``: findings on installed enclaves, from their files and their sources; codes are stable."""
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+from collections import defaultdict
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
-from functools import lru_cache
+from datetime import timedelta
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.patterns.decision_lists import SearchBudget
+from comarmor.patterns.tokens import PatternError
 from keymint.api import Inspection
 from keymint.errors import KeymintError
-from keymint.pki import certificates, keys, smime
+from keymint.pki import certificates, distinguished_names, smime
 from keymint_ros2_dds import authority_roles as roles
-from keymint_ros2_dds import check_governance, subject_name_text, token_key, vendor_limits
-from keymint_ros2_dds.credentials import CredentialCheck, revocation_period, subject_of
+from keymint_ros2_dds import governance_warnings, token_key, vendor_limits
+from keymint_ros2_dds.decision.semantics import STANDARD
+from keymint_ros2_dds.decision.subject_names import parts
 from keymint_ros2_dds.documents import dds_xml
-from keymint_ros2_dds.domains import in_words, uncovered
 from keymint_ros2_dds.emission import is_form_of
 from keymint_ros2_dds.enclave_layout import (
     CERTIFICATE,
-    CRL,
     GOVERNANCE,
+    GOVERNANCE_P7S,
     KEY,
     KEY_URI,
     PERMISSIONS,
     PERMISSIONS_P7S,
     PERMISSIONS_XML,
     enclave_files,
+    has_one_authority,
 )
-from keymint_ros2_dds.reading import dates, signed_governance, signed_permissions
-from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
-from keymint_ros2_dds.reading.signed_permissions import PermissionsDocument, as_ranges
-
-SLACK = timedelta(days=1)
-"""Fast DDS reads dates in the host's time zone, so a period must begin a day earlier and end a day later."""
-
-
-_DROPPED = (
-    "then running participants of Cyclone DDS drop it within a second and report nothing, those of Fast DDS 2.9 go on, "
-    "and neither connects again"
-)
-_AT_THE_END = {
-    "certificate": _DROPPED,
-    "grant": _DROPPED,
-    "revocation list": "then running participants refuse every new peer, and none starts",
-}
-"""What vendors do at the end of a period; ``tests/real/test_keystore_life.py`` measures it."""
-_UTC = "let its nodes run with TZ=UTC, or give it a validity of ten days or more"
+from keymint_ros2_dds.examine import Document, EnclaveRules
+from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance, cuts
+from keymint_ros2_dds.proving.protection import STRICT, Weaker, weaker
+from keymint_ros2_dds.reading import signed_governance, signed_permissions
 
 
 def check(inspection: Inspection) -> tuple[Diagnostic, ...]:
-    """Return findings on one installed enclave; codes are stable."""
-    return tuple(_EnclaveCheck(inspection).findings())
+    """Return findings on one installed enclave.
+
+    What the workspace's authorities vouch for is asked apart: :func:`keymint_ros2_dds.examine.differences`.
+    """
+    return tuple(_InstalledEnclave(inspection).findings())
 
 
-class _EnclaveCheck(CredentialCheck):
+def check_all(inspections: Sequence[Inspection]) -> tuple[Diagnostic, ...]:
+    """Return findings that concern several enclaves."""
+    return (*_shared_grants(inspections), *_shared_authorities(inspections), *_different_authorities(inspections))
+
+
+class _InstalledEnclave(EnclaveRules):
     """One enclave under inspection."""
 
     def __init__(self, inspection: Inspection) -> None:
         package = inspection.package
         restore = f"'keymint install {package.name}' writes it again"
-        super().__init__(inspection.files, inspection.folder, restore, package.subject)
+        super().__init__(inspection.files, inspection.folder, restore, package.subject, inspection.chains)
         self._inspection = inspection
-        self._names = enclave_files(inspection.layout, package.distro)
 
     def findings(self) -> Iterator[Diagnostic]:
-        yield from self._inventory()
-        yield from self._identity()
-        yield from self._revocations()
-        content = yield from self._signed(PERMISSIONS)
-        governance = yield from self._signed(GOVERNANCE)
-        if content is not None:
-            permissions = signed_permissions.read(content)
-            yield from self._grants(permissions)
-            if governance is not None:
-                yield from self._domains(permissions, signed_governance.read(governance))
+        inspection = self._inspection
+        when = inspection.now, timedelta(days=inspection.within_days)
+        names = enclave_files(inspection.layout, inspection.package.distro)
+        elsewhere = [KEY] if inspection.package.issuance.public_key else []
+        yield from self._key_uri()
+        yield from self.inventory(name for name in names if name not in elsewhere)
+        for name in (CERTIFICATE, KEY):
+            yield from map(self._of_another_tool, self.encoding(name))
+        yield from self.periods(when)
+        permissions = yield from self._sound(PERMISSIONS, signed_permissions.read)
+        governance = yield from self._sound(GOVERNANCE, signed_governance.read)
+        if permissions is not None:
+            yield from self.documents(permissions, governance, when)
         if governance is not None:
-            yield from check_governance.findings(self._inspection)
-        plain = self._files.get(PERMISSIONS_XML)
-        signed = self._content(PERMISSIONS) if content is None else content
-        if plain is not None and PERMISSIONS_XML in self._names and plain != signed:
-            yield self._error("document-differs", PERMISSIONS_XML, "is not the document that permissions.p7s signs")
+            yield from self._governance()
+        if PERMISSIONS_XML in names:
+            yield from self.plain_text(self._unverified())
 
-    def _warning(self, code: str, name: str, message: str, help_: str) -> Diagnostic:
-        return Diagnostic.warning(code, message, self._where(name), help_, self._subject)
-
-    def _inventory(self) -> Iterator[Diagnostic]:
-        key = self._inspection.package.identity.key
-        if key.uri and not token_key.is_uri(self._files.get(KEY_URI), key.uri):
+    def _key_uri(self) -> Iterator[Diagnostic]:
+        uri = self._inspection.package.identity.key.uri
+        if uri and not token_key.is_uri(self._files.get(KEY_URI), uri):
             problem = "is not the URI of the sources" if KEY_URI in self._files else "is missing"
             yield self._error("key-uri", KEY_URI, problem)
-        elif not key.uri and KEY_URI in self._files:
+        elif not uri and KEY_URI in self._files:
             message = f"replaces {KEY} where Fast DDS runs, although the key of the sources lies in a file"
             yield self._error("key-uri", KEY_URI, message, "remove it")
-        for name in self._names:
-            if name not in self._files and not (name == KEY and self._inspection.package.issuance.public_key):
-                yield self._error("file-missing", name, "is missing")
 
-    def _revocations(self) -> Iterator[Diagnostic]:
-        if period := revocation_period(self._files.get(CRL, b"")):
-            yield from self._validity("revocation list", CRL, *period, slack=timedelta(0))
-
-    def _identity(self) -> Iterator[Diagnostic]:
-        pem = self._files.get(CERTIFICATE, b"")
-        try:
-            period = certificates.period(certificates.load(pem))
-        except KeymintError:
-            return  # reported with the chain
-        if not certificates.is_canonical(pem):
-            yield self._altered(CERTIFICATE, "is not the canonical encoding of its certificate")
-        yield from self._validity("certificate", CERTIFICATE, *period, slack=timedelta(0))
-        if KEY in self._files and not keys.is_canonical(self._files[KEY]):
-            yield self._altered(KEY, "is not the canonical encoding of a private key")
-
-    def _altered(self, name: str, message: str) -> Diagnostic:
+    def _of_another_tool(self, altered: Diagnostic) -> Diagnostic:
         """Return the finding on a file in another form than Keymint writes; other tools write other forms."""
-        found = self._error("pem-altered", name, message)
         if not self._inspection.package.issuance.certificate:
-            return found
-        return replace(found, severity=Severity.NOTE, help="another tool wrote it, and it is kept as it is")
+            return altered
+        return replace(altered, severity=Severity.NOTE, help="another tool wrote it, and it is kept as it is")
 
-    def _content(self, kind: str) -> bytes | None:
+    def _unverified(self) -> bytes | None:
         try:
-            return smime.signed_content(self._files.get(f"{kind}.p7s", b""))
+            return smime.signed_content(self._files.get(PERMISSIONS_P7S, b""))
         except KeymintError:
             return None
 
-    def _signed(self, kind: str) -> Generator[Diagnostic, None, bytes | None]:
-        """Check a signed document; the generator returns its content if it is verified and valid, else None."""
-        name = f"{kind}.p7s"
-        signed = self._files.get(name)
-        if signed is None:
-            return None
-        where = self._where(name)
-        try:
-            content = smime.verify(signed, self._inspection.chains[roles.PERMISSIONS], where=where)
-        except KeymintError:
+    def _sound(
+        self, kind: str, reader: Callable[[bytes, str, int], Document]
+    ) -> Generator[Diagnostic, None, Document | None]:
+        """Check a signed document; the generator returns it if it is verified and valid, else None."""
+        name, package = f"{kind}.p7s", self._inspection.package
+        if (signed := self.signed(name)) is None:
             return None  # reported with the trust anchors
-        yield from map(self._for_subject, vendor_limits.check_size(len(signed), kind, self._inspection.package))
-        if not self._as_built(kind, content):
-            package = self._inspection.package.name
+        yield from map(self._for_subject, vendor_limits.check_size(len(self._files[name]), kind, package))
+        if not self._as_built(kind, signed.content):
             message = f"the sources build another {kind} document: they changed, or the built one was edited by hand"
-            help_ = f"'keymint build -f {package}' and 'keymint install {package}' write the document of the sources"
-            yield self._warning("drift", name, message, help_)
-        if _is_sound(content, kind):
-            return content
-        try:
-            root = dds_xml.read(content, kind, str(where))
-        except KeymintError as error:
-            yield from map(self._for_subject, error.diagnostics)
+            again = f"'keymint build -f {package.name}' and 'keymint install {package.name}'"
+            yield self._warning("drift", name, message, f"{again} write the document of the sources")
+        document = yield from self.read(name, reader)
+        if document is None or document.defects:
             return None
-        for hazard in dds_xml.hazards(content, root):
+        # What Keymint writes is known to have none.
+        plain = kind == PERMISSIONS and signed_permissions.is_plain(signed.content)
+        for hazard in () if plain else dds_xml.hazards(signed.content):
             yield self._warning("document-hazard", name, hazard, f"build it instead of editing it; {self._restore}")
-        return content
+        return document
+
+    def _governance(self) -> Iterator[Diagnostic]:
+        """Yield findings on what the sources leave open, and on what the signed governance protects less."""
+        package = self._inspection.package
+        for finding in governance_warnings.findings(package):
+            if finding.severity is Severity.WARNING and finding.code != governance_warnings.UNPROTECTED:
+                yield finding
+        if signed := self.signed(GOVERNANCE_P7S):
+            place = self._where(GOVERNANCE_P7S).file, signed.lines_before
+            governing = EnclaveGovernance(signed.content, place, package)
+            if governing.differs:
+                yield from dict.fromkeys(self._weaker_protection(governing))
+
+    def _weaker_protection(self, governing: EnclaveGovernance) -> Iterator[Diagnostic]:
+        subject, document = self._subject, governing.document
+        help_ = f"'keymint install {self._inspection.package.name}' signs what the sources build"
+
+        def finding(code: str, message: str, line: int) -> Diagnostic:
+            return Diagnostic.error(code, message, document.place(line), help_, subject)
+
+        for domains in cuts(governing.domains()):
+            rule = document.rule(domains.first)
+            if rule is None:
+                continue
+            expected = governing.source_rule(domains.first) or STRICT
+            try:
+                results = list(weaker(rule, expected, STANDARD, SearchBudget(governance_warnings.STATES), access=True))
+            except PatternError as error:
+                yield finding("governance-unread", str(error), rule.line)
+                continue
+            for result in results:
+                if isinstance(result, Weaker):
+                    scope = f" for {result.topic!r}" if result.topic else ""
+                    message = f"{result.tag} is {result.text}{scope}, but the sources require {result.required}"
+                    yield finding("governance-weaker", message, result.line)
+                else:
+                    message = f"whether it protects as much as the sources is unknown: {result.reason}"
+                    yield finding("governance-unknown", message, rule.line)
 
     def _as_built(self, kind: str, content: bytes) -> bool:
         """Tell whether a document is what the sources build, for permissions in any form with the same meaning."""
@@ -167,74 +171,63 @@ class _EnclaveCheck(CredentialCheck):
         except KeymintError:
             return False
 
-    def _grants(self, document: PermissionsDocument) -> Iterator[Diagnostic]:
-        if len(document.grants) != 1:
-            message = f"has {len(document.grants)} grants; vendors choose among several in different ways"
-            yield self._warning("grant-count", PERMISSIONS_P7S, message, "keep one grant")
-        grant = document.grants[0]
-        expected = self._certificate_subject()
-        if expected is not None and grant.subject_name != expected:
-            message = f"grants to {grant.subject_name!r}, but the certificate is for {expected!r}"
-            yield self._error("grant-subject", PERMISSIONS_P7S, message)
-        if grant.allows:
-            message = "allows by default on Cyclone DDS and OpenDDS, and denies on Fast DDS"
-            yield self._error("grant-default", PERMISSIONS_P7S, message, "make the default DENY")
-        begin, end = dates.standard(grant.not_before), dates.standard(grant.not_after)
-        if begin is not None and end is not None:
-            yield from self._validity("grant", PERMISSIONS_P7S, begin, end, slack=SLACK)
 
-    def _certificate_subject(self) -> str | None:
-        try:
-            return subject_name_text.render(subject_of(self._files.get(CERTIFICATE, b"")))
-        except KeymintError:
-            return None
+def _shared_grants(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
+    """Yield a finding for each identity that may use the permissions of another one on Cyclone DDS.
 
-    def _validity(
-        self, what: str, name: str, begin: datetime, end: datetime, *, slack: timedelta
-    ) -> Iterator[Diagnostic]:
-        now = self._inspection.now
-        code = what.replace(" ", "-")
-        verb = "crl --refresh" if name == CRL else f"renew {self._inspection.package.name}"
-        again = f"'keymint {verb}' issues it again"
-        renew = again if name == CRL else f"{again}, with later dates"
-        if now > end:
-            yield self._error(f"{code}-expired", name, f"the {what} expired on {_shown(end)}", renew)
-        elif now < begin:
-            message = f"the {what} is not valid before {_shown(begin)}"
-            later = f"compare the clock of this machine; if it is right, {again}"
-            yield self._error(f"{code}-not-yet-valid", name, message, later)
-        elif now + timedelta(days=self._inspection.within_days) >= end:
-            yield self._warning(
-                f"{code}-expires", name, f"the {what} expires on {_shown(end)}; {_AT_THE_END[what]}", renew
-            )
-        elif now + slack >= end or now - slack < begin:
-            message = (
-                f"the {what} is valid from {_shown(begin)} to {_shown(end)}, which is within a day of now: Fast DDS "
-                "reads these dates in its host's time zone"
-            )
-            is_renewable = now - slack >= begin and end - begin > 2 * slack
-            yield self._warning(f"{code}-slack", name, message, renew if is_renewable else _UTC)
-
-    def _domains(self, permissions: PermissionsDocument, governance: GovernanceDocument) -> Iterator[Diagnostic]:
-        governed = as_ranges(each for rule in governance.domain_rules for each in rule.domains)
-        granted = as_ranges(each for grant in permissions.grants for rule in grant.rules for each in rule.domains)
-        for item in uncovered(sorted(set(granted)), governed):
-            yield self._error(
-                "domain-uncovered", PERMISSIONS_P7S, f"grants in {in_words([item])}, which the governance lacks",
-                "add the domain to a domain rule of the governance",
+    It requires only that every part of the identity's name occurs in the grant's. So ``CN=/robot`` may use the grant
+    of ``CN=/robot/camera``, which every peer receives in a handshake.
+    """
+    subjects = [(inspection, name, parts(name)) for inspection in inspections if (name := _subject(inspection))]
+    holders: dict[str, set[int]] = defaultdict(set)
+    for number, (_, _, tokens) in enumerate(subjects):
+        for token in tokens:
+            holders[token].add(number)
+    for number, (inspection, name, tokens) in enumerate(subjects):
+        for other in sorted(set.intersection(*(holders[token] for token in tokens)) - {number}):
+            granted = subjects[other][0].package.subject
+            yield Diagnostic.warning(
+                "names-confused",
+                f"on Cyclone DDS the identity {name!r} can use the permissions of {granted}",
+                Origin(f"{inspection.folder}/{CERTIFICATE}"),
+                "give each subject_name an RDN that no other has, e.g. OU={unique}", inspection.package.subject,
             )  # fmt: skip
 
 
-@lru_cache(maxsize=16)
-def _is_sound(content: bytes, kind: str) -> bool:
-    """Tell whether a document is valid, and no vendor misreads it; most enclaves have the same governance."""
-    if kind == PERMISSIONS:
-        return signed_permissions.is_plain(content)
+def _subject(inspection: Inspection) -> str:
     try:
-        return not any(dds_xml.hazards(content, dds_xml.read(content, kind, kind)))
+        return distinguished_names.to_text(certificates.load(inspection.files.get(CERTIFICATE, b"")).subject)
     except KeymintError:
-        return False
+        return ""
 
 
-def _shown(moment: datetime) -> str:
-    return f"{moment.astimezone(UTC):%Y-%m-%d %H:%M} UTC"
+def _shared_authorities(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
+    """Yield one finding for each authority that both issues identities and signs permissions."""
+    reported: set[bytes] = set()
+    for inspection in inspections:
+        authority = inspection.chains[roles.PERMISSIONS]
+        if authority and authority == inspection.chains[roles.IDENTITY] and authority not in reported:
+            reported.add(authority)
+            # Where enclaves have no file for a second authority, the user cannot act on it.
+            one = has_one_authority(inspection.layout, inspection.package.distro)
+            severity = Severity.NOTE if one else Severity.WARNING
+            yield Diagnostic(
+                "authority-shared", severity,
+                f"the authority {inspection.package.grant.issuer!r} issues identities and signs permissions: on "
+                "older releases of DDS implementations an identity can sign permissions for itself (CVE-2023-24010)",
+                Origin(f"{inspection.folder}/{CERTIFICATE}"),
+                "use two authorities", inspection.package.subject,
+            )  # fmt: skip
+
+
+def _different_authorities(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
+    """Yield a finding for each enclave with another permissions authority; Fast DDS requires one for all."""
+    for inspection in inspections[1:]:
+        first = inspections[0]
+        if inspection.chains[roles.PERMISSIONS] != first.chains[roles.PERMISSIONS]:
+            yield Diagnostic.warning(
+                "authorities-differ",
+                f"its permissions are signed by {inspection.package.grant.issuer!r}, those of "
+                f"{first.package.subject} by {first.package.grant.issuer!r}: on Fast DDS they cannot communicate",
+                Origin(inspection.folder), "sign all permissions by one authority", inspection.package.subject,
+            )  # fmt: skip

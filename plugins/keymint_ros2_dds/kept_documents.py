@@ -15,11 +15,12 @@ from keymint.api import BuildOptions, Package, Relation
 from keymint.errors import KeymintError
 from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.compiling.compile import compile_rules
+from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.emission import Emitted, comparison
 from keymint_ros2_dds.enclave_layout import GOVERNANCE_XML, PERMISSIONS_XML
 from keymint_ros2_dds.keystores.governance import is_same
 from keymint_ros2_dds.proving.relation import compared
-from keymint_ros2_dds.reading import dates, signed_permissions
+from keymint_ros2_dds.reading import signed_permissions
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant
 from keymint_ros2_dds.settings import validity_of
 
@@ -62,7 +63,7 @@ def _other_header(package: Package, grant: DocumentGrant) -> str:
     subject, period = subject_name_text.of(package.grant), validity_of(package.grant)
     if grant.subject_name != subject:
         return f"it is for {grant.subject_name!r}, and the sources are for {subject!r}"
-    if (dates.standard(grant.not_before), dates.standard(grant.not_after)) != (period.not_before, period.not_after):
+    if STANDARD.period(grant) != (period.not_before, period.not_after):
         wanted = " to ".join(map(_shown, (period.not_before, period.not_after)))
         return f"it is valid from {grant.not_before} to {grant.not_after}, and the sources say {wanted}"
     return "it allows by default" if grant.allows else ""

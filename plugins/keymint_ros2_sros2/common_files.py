@@ -7,6 +7,7 @@ from collections.abc import Collection
 from functools import lru_cache
 from pathlib import Path
 
+from comarmor.errors import ComArmorError
 from comarmor.language.loading import load_included
 from comarmor.language.policy import Policy
 from comarmor.rules import Effect, Rule
@@ -46,6 +47,13 @@ def common_files(library: Path, subject: str, wanted: Collection[Atom]) -> dict[
 
 @lru_cache(maxsize=4)
 def _policies(library: Path) -> tuple[tuple[str, Policy], ...]:
-    """Return the files of the library, each in a profile for all subjects."""
-    names = (path.relative_to(library).as_posix() for path in sorted((library / _FOLDER).rglob("*.xml")))
-    return tuple((name, load_included(name, name, library)) for name in names)
+    """Return the files of the library, each in a profile for all subjects; without those that need a tunable."""
+    found: list[tuple[str, Policy]] = []
+    for path in sorted((library / _FOLDER).rglob("*.xml")):
+        name = path.relative_to(library).as_posix()
+        try:
+            found.append((name, load_included(name, name, library)))
+        except ComArmorError as error:
+            if any(each.code != "tunable" for each in error.diagnostics):
+                raise
+    return tuple(found)

@@ -3,28 +3,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from itertools import chain
 
-from comarmor.errors import Diagnostic, Origin
+from cryptography import x509
+from cryptography.x509.oid import ExtendedKeyUsageOID
+
+from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import quoted
 from keymint.api import Inspection, SharedInspection
 from keymint.errors import KeymintError
 from keymint.names import name_of
-from keymint_ros2_zenoh.credentials import check_credentials, first_common_name
+from keymint.pki import certificates, extensions
+from keymint.pki.identity_check import IdentityCheck
+from keymint_ros2_zenoh import requirements
+from keymint_ros2_zenoh.decision.admission import first_common_name, lacking_usage, names_host
 from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.documents.read import read
-from keymint_ros2_zenoh.emission import common_name, enclaves_of
+from keymint_ros2_zenoh.emission import common_name, enclaves_of, router_of
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, ROUTER, SESSION
-from keymint_ros2_zenoh.hazards import hazards
-from keymint_ros2_zenoh.settings import is_router
+from keymint_ros2_zenoh.settings import is_router, settings_of
 
 _INSTALL = "'keymint build' and 'keymint install' write the document of the sources"
 
 
 def check(inspection: Inspection) -> tuple[Diagnostic, ...]:
     """Return findings on one installed enclave; codes are stable."""
-    return tuple(_enclave(inspection))
+    return tuple(_EnclaveCheck(inspection).findings())
 
 
 def check_all(inspections: Sequence[Inspection]) -> tuple[Diagnostic, ...]:  # noqa: ARG001 - an interface
@@ -34,99 +41,125 @@ def check_all(inspections: Sequence[Inspection]) -> tuple[Diagnostic, ...]:  # n
 
 def check_shared(inspection: SharedInspection) -> tuple[Diagnostic, ...]:
     """Return findings on the router's configuration; its signature is one of the trust anchors. Codes are stable."""
-    return tuple(_router(inspection))
+    content, file = inspection.files.get(ROUTER), f"{inspection.folder}/{ROUTER}"
+    if content is None:
+        return ()  # reported already
+    names = {package.subject: common_name(package) for package in enclaves_of(inspection.packages)}
+
+    def of_router(found: Configuration) -> Iterator[Diagnostic]:
+        yield from requirements.holders(found, names, file)
+        yield from _installed_names(inspection, names)
+
+    return tuple(_examined(content, inspection.documents[ROUTER], file, _INSTALL, of_router))
 
 
-def _enclave(inspection: Inspection) -> Iterator[Diagnostic]:
-    package = inspection.package
-    names = (CERTIFICATE, KEY, IDENTITY_CA, *(() if is_router(package) else (SESSION,)))
-    restore = f"'keymint install {package.name}' writes it again"
-    for name in names:
-        if name not in inspection.files and not (name == KEY and package.issuance.public_key):
-            where = Origin(f"{inspection.folder}/{name}")
-            yield Diagnostic.error("file-missing", "is missing", where, restore, package.subject)
-    if is_router(package) and SESSION in inspection.files:
-        where = Origin(f"{inspection.folder}/{SESSION}")
-        message = "is the configuration of a session, but this enclave is the router's"
-        yield Diagnostic.warning("file-unexpected", message, where, "remove it", package.subject)
-    yield from check_credentials(inspection)
-    found, built = inspection.files.get(SESSION), inspection.documents.get(SESSION)
-    if found is None or built is None or is_router(package):
-        return
-    file = f"{inspection.folder}/{SESSION}"
-    help_ = f"'keymint build -f {package.name}' and 'keymint install {package.name}' write the document of the sources"
-    for each in (*_drift(found, built, file, help_), *_session(found, built, file)):
-        yield replace(each, subject=package.subject, help=each.help or help_)
+def _examined(
+    content: bytes, built: bytes, file: str, help_: str, more: Callable[[Configuration], Iterable[Diagnostic]]
+) -> Iterator[Diagnostic]:
+    """Yield findings on a configuration.
 
-
-def _drift(found: bytes, built: bytes, file: str, help_: str) -> Iterator[Diagnostic]:
-    if found != built:
+    Args:
+        content: the installed one.
+        built: what the sources build.
+        file: the installed file as the user would type it.
+        help_: help for findings without one.
+        more: returns further findings on what it says.
+    """
+    if content != built:
         message = "the sources build another document: they changed, or the built one was edited by hand"
         yield Diagnostic.warning("drift", message, Origin(file), help_)
-
-
-def _session(found: bytes, built: bytes, file: str) -> Iterator[Diagnostic]:
-    """Yield what is unsafe about a session's configuration."""
     try:
-        configuration = read(found, file)
+        found = read(content, file)
     except KeymintError as error:
         yield from error.diagnostics
         return
-    expected = read(built, file)
-    yield from hazards(configuration, expected, file)
-    [router] = expected.access_control.subjects
-    names = [subject.common_names for subject in configuration.access_control.subjects]
-    if names != [router.common_names]:
-        message = (
-            f"the only subject of its access control must be the router, {quoted(router.common_names[0])}: otherwise "
-            "others can stand for the router"
-        )
-        where = configuration.place("access_control/subjects", file)
-        yield Diagnostic.error("zenoh-router-pin", message, where)
+    usual = requirements.as_built(found, read(built, file), file), requirements.open_default(found, file)
+    for each in (*chain(*usual), *requirements.entries(found), *more(found)):
+        yield replace(each, help=each.help or help_)
 
 
-def _router(inspection: SharedInspection) -> Iterator[Diagnostic]:
-    found, built = inspection.files.get(ROUTER), inspection.documents.get(ROUTER)
-    file = f"{inspection.folder}/{ROUTER}"
-    if found is None:
-        return  # reported already
-    if built is not None:
-        yield from _drift(found, built, file, _INSTALL)
-    try:
-        configuration = read(found, file)
-    except KeymintError as error:
-        yield from error.diagnostics
-        return
-    findings = list(hazards(configuration, read(built, file), file)) if built is not None else []
-    for each in (*findings, *_subjects(inspection, configuration, file)):
-        yield replace(each, help=each.help or _INSTALL)
-
-
-def _subjects(inspection: SharedInspection, configuration: Configuration, file: str) -> Iterator[Diagnostic]:
-    """Yield subjects without a package, packages without a subject, and certificates that the router does not know."""
-    enclaves = {package.subject: common_name(package) for package in enclaves_of(inspection.packages)}
-    named = {name: subject for subject in configuration.access_control.subjects for name in subject.common_names}
-    for name, entry in named.items():
-        if name not in enclaves.values():
-            message = f"the common name {quoted(name)} has rights, but no package of the workspace has it"
-            yield Diagnostic.error("zenoh-subject-unknown", message, entry.where)
-    where = configuration.place("access_control/subjects", file)
-    for subject, name in enclaves.items():
-        if name not in named:
-            message = f"the common name {quoted(name)} is missing: {subject} has no rights"
-            yield Diagnostic.error("zenoh-subject-missing", message, where, _INSTALL, subject)
+def _installed_names(inspection: SharedInspection, names: Mapping[str, str]) -> Iterator[Diagnostic]:
+    """Yield certificates that the router knows by another name, or not at all."""
+    for subject, name in names.items():
+        try:
+            shown = first_common_name(inspection.enclaves[subject][CERTIFICATE])
+        except (KeyError, KeymintError):  # reported elsewhere
             continue
-        shown = _installed_name(inspection.enclaves.get(subject, {}))
-        if shown not in {None, name}:
-            message = f"the certificate of {subject} has the common name {quoted(shown or '')}, not {quoted(name)}"
+        if shown != name:
+            message = f"the certificate of {subject} has the common name {quoted(shown)}, not {quoted(name)}"
             place = Origin(f"{inspection.folder}/enclaves{subject}/{CERTIFICATE}")
             help_ = f"'keymint install {name_of(subject)}' writes it again"
             yield Diagnostic.error("zenoh-common-name", message, place, help_, subject)
 
 
-def _installed_name(files: Mapping[str, bytes]) -> str | None:
-    """Return the common name of an installed certificate; None if it cannot be read, which is reported elsewhere."""
-    try:
-        return first_common_name(files[CERTIFICATE])
-    except (KeyError, KeymintError):
-        return None
+class _EnclaveCheck(IdentityCheck):
+    """One enclave under inspection."""
+
+    def __init__(self, inspection: Inspection) -> None:
+        package = inspection.package
+        restore = f"'keymint install {package.name}' writes it again"
+        super().__init__(inspection.files, inspection.folder, restore, package.subject)
+        self._inspection = inspection
+        self._package = package
+        self._is_router = is_router(package)
+
+    def findings(self) -> Iterator[Diagnostic]:
+        for name in (CERTIFICATE, KEY, IDENTITY_CA, *(() if self._is_router else (SESSION,))):
+            if name not in self._files and not (name == KEY and self._package.issuance.public_key):
+                yield self._error("file-missing", name, "is missing")
+        if self._is_router and SESSION in self._files:
+            message = "is the configuration of a session, but this enclave is the router's"
+            yield self._warning("file-unexpected", SESSION, message, "remove it")
+        try:
+            certificate = certificates.load(self._files.get(CERTIFICATE, b""))
+        except KeymintError:
+            pass  # reported with the chain
+        else:
+            yield from self._dates(*certificates.period(certificate))
+            yield from self._usage(certificate)
+        yield from self._session()
+
+    def _warning(self, code: str, name: str, message: str, help_: str = "") -> Diagnostic:
+        return replace(self._error(code, name, message, help_), severity=Severity.WARNING)
+
+    def _dates(self, begin: datetime, end: datetime) -> Iterator[Diagnostic]:
+        """Yield why the certificate is not in force, or that it ends soon; both ends of its period count."""
+        now, within = self._inspection.now, timedelta(days=self._inspection.within_days)
+        help_ = f"'keymint renew {self._package.name}' issues it again, with later dates"
+        if now > end:
+            yield self._error("certificate-expired", CERTIFICATE, f"the certificate expired on {_shown(end)}", help_)
+        elif now < begin:
+            message = f"the certificate is not valid before {_shown(begin)}"
+            yield self._error("certificate-not-yet-valid", CERTIFICATE, message, "compare the clock of this machine")
+        elif end <= now + within:
+            message = f"the certificate expires on {_shown(end)}"
+            yield self._warning("certificate-expires", CERTIFICATE, message, help_)
+
+    def _usage(self, certificate: x509.Certificate) -> Iterator[Diagnostic]:
+        """Yield what a certificate lacks, or has too much: a router is a server of its host, all others are clients."""
+        usage = extensions.value(certificate, x509.ExtendedKeyUsage)
+        if lacking := lacking_usage(certificate, server=self._is_router):
+            message = f"its extendedKeyUsage lacks {lacking}, and Zenoh refuses it"
+            yield self._error("zenoh-key-usage", CERTIFICATE, message)
+        if not self._is_router and usage is not None and ExtendedKeyUsageOID.SERVER_AUTH in usage:
+            message = "is also for servers: its holder could pretend to be a router where names are not checked"
+            yield self._warning("zenoh-key-usage", CERTIFICATE, message)
+        host = settings_of(self._package).router.host
+        if self._is_router and not names_host(certificate, host):
+            message = f"its subjectAltName lacks the router's host {host!r}, so that no session connects to it"
+            yield self._error("zenoh-host-name", CERTIFICATE, message)
+
+    def _session(self) -> Iterator[Diagnostic]:
+        """Yield what is unsafe about the configuration of the sessions."""
+        content, built = self._files.get(SESSION), self._inspection.documents.get(SESSION)
+        if content is None or built is None:  # a router has none
+            return
+        name, file = self._package.name, f"{self._inspection.folder}/{SESSION}"
+        help_ = f"'keymint build -f {name}' and 'keymint install {name}' write the document of the sources"
+        router = common_name(router_of(self._package))
+        for each in _examined(content, built, file, help_, lambda found: requirements.unpinned(found, router, file)):
+            yield replace(each, subject=self._subject, help=each.help or help_)
+
+
+def _shown(moment: datetime) -> str:
+    return f"{moment.astimezone(UTC):%Y-%m-%d %H:%M} UTC"

@@ -12,7 +12,7 @@ from keymint.pki import certificates, smime
 from keymint_ros2_zenoh import signature as signatures
 from keymint_ros2_zenoh.authority_roles import ACCESS, IDENTITY
 from keymint_ros2_zenoh.documents.read import read
-from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, LAYOUTS, ROUTER, SESSION, SIGNATURE
+from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, ROUTER, SESSION, SIGNATURE
 from keymint_ros2_zenoh.settings import is_router
 
 
@@ -20,15 +20,14 @@ def install(
     package: Package,
     documents: Mapping[str, bytes],
     credentials: EnclaveCredentials,
-    layout: str,
+    layout: str,  # noqa: ARG001 - it has one
     installed: Mapping[str, bytes],  # noqa: ARG001 - nothing in an enclave is signed
 ) -> Mapping[str, Artifact]:
     """Return the files of an enclave by name; see :meth:`keymint.api.BuildType.install`.
 
     Raises:
-        KeymintError: the session's configuration is missing or not valid, or the layout is another build type's.
+        KeymintError: the session's configuration is missing or not valid.
     """
-    _require_layout(layout)
     files = {
         IDENTITY_CA: Artifact(credentials.chains[IDENTITY]),
         CERTIFICATE: Artifact(credentials.certificate),
@@ -50,7 +49,7 @@ def install_shared(
     packages: Sequence[Package],  # noqa: ARG001 - an interface
     documents: Mapping[str, bytes],
     credentials: SharedCredentials,
-    layout: str,
+    layout: str,  # noqa: ARG001 - it has one
     installed: Mapping[str, bytes],
 ) -> Mapping[str, Artifact]:
     """Return the router's configuration and its signature; see :meth:`keymint.api.SharedDocuments.install_shared`.
@@ -58,21 +57,11 @@ def install_shared(
     Raises:
         KeymintError: the configuration is missing or not valid.
     """
-    _require_layout(layout)
     content = _document(documents.get(ROUTER), ROUTER, "keymint build")
     present, in_force = installed.get(SIGNATURE), certificates.load_bundle(credentials.chains[ACCESS])[0]
     if present is None or signatures.problem(content, present, in_force):
         present = signatures.sign(content, smime.load_signer(credentials.signers[ACCESS]))
     return {ROUTER: Artifact(content), SIGNATURE: Artifact(present)}
-
-
-def _require_layout(layout: str) -> None:
-    if layout not in LAYOUTS:
-        raise KeymintError(
-            f"the layout {layout!r} has no place for configurations of Zenoh",
-            help=f"use {' or '.join(LAYOUTS)}",
-            code="layout-unknown",
-        )
 
 
 def _document(content: bytes | None, shown: str, command: str) -> bytes:

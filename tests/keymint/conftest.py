@@ -23,7 +23,7 @@ POLICY = """<profiles xmlns:xi="http://www.w3.org/2001/XInclude">
     </ros_topic>
   </profile>
   <profile name="listener">
-    <attachment>/robot1/listener</attachment>
+    <attachment>/robot1/listener</attachment><xi:include href="common/node.xml" parse="xml"/>
     <ros_topic qualifier="ALLOW">
       <attachment>/chatter</attachment>
       <permissions><ros_subscribe/></permissions>

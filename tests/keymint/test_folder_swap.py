@@ -24,6 +24,7 @@ from keymint import folder_swap
 from keymint.changes import File, FolderChange
 from keymint.errors import KeymintError
 from keymint.journal import Intent
+from keymint.staged import Staged
 from keymint.store import Store
 
 Folders = dict[str, dict[str, bytes]]
@@ -559,3 +560,36 @@ def test_folders_are_written_in_their_order_but_new_ones_before_those_inside(roo
         store.change([FolderChange(top / name, NEW) for name in names])
     # The root comes when its turn is: whoever names it last means it to be the last.
     assert order == ["z", "new", "new/inner", ".", "a"]
+
+
+@pytest.mark.parametrize("refused", [0, errno.EINVAL])
+def test_a_kill_loses_nothing_of_what_processes_staged_inside_of_each_other(tmp_path: Path, refused: int) -> None:
+    old = {"": {"a": b"old", "b": b"old"}, "robot": {"a": b"old", "b": b"old", "own": b"own"}, "robot/in": {"a": b""}}
+    new = {
+        "": {"a": b"new", "b": b"new"},
+        "robot": {"a": b"new", "b": b"new", "own": b"own"},
+        "robot/in": {"a": b"new"},
+    }
+
+    def staged(store: Store, top: Path) -> list[Staged]:
+        return [
+            store.stage([FolderChange(top / path, {"a": File(b"new"), "b": File(b"new")})]) for path in ("", "robot")
+        ] + [store.stage([FolderChange(top / "robot/in", {"a": File(b"new")})])]
+
+    seen = set()
+    for kill in range(200):
+        root = tmp_path / str(kill)
+        top = root / "install" / "enclaves"
+        write_down(top, old)
+        store = store_at(root)
+        store.begin(Intent())
+        made = staged(store, top)
+        watched = Watched(kill, refused=refused)
+        with contextlib.suppress(KilledError), watched.patched():
+            store.commit(made)
+            break
+        store_at(root).recover()
+        seen.add(found := visible(top) == {path or ".": files for path, files in new.items()})
+        assert found or visible(top) == {path or ".": files for path, files in old.items()}
+        assert left_behind(root) == []
+    assert seen == {False, True}

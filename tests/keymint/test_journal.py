@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from keymint import group_commit, journal
+from keymint import group_commit
 from keymint.changes import File, FolderChange
 from keymint.journal import Intent, Journal, intent_of
 from keymint.staged import Exchange
@@ -42,7 +42,7 @@ def files_in(folder: Path) -> dict[str, dict[str, bytes]]:
     return found
 
 
-def stopped(root: Path, monkeypatch: pytest.MonkeyPatch, at: int, module: object = group_commit) -> None:
+def stopped(root: Path, monkeypatch: pytest.MonkeyPatch, at: int, *, again: bool = False) -> None:
     """Change the three folders, or finish that, and stop before one of the three names changes."""
     made, calls = group_commit.make_visible, iter(range(100))
 
@@ -53,8 +53,8 @@ def stopped(root: Path, monkeypatch: pytest.MonkeyPatch, at: int, module: object
 
     store = store_of(root)
     with monkeypatch.context() as patch, contextlib.suppress(KeyboardInterrupt):
-        patch.setattr(module, "make_visible", stopping)
-        if module is journal:
+        patch.setattr(group_commit, "make_visible", stopping)
+        if again:
             store.recover()
             return
         store.begin(Intent("keymint build"))
@@ -83,7 +83,7 @@ def test_it_is_finished_or_dropped_as_a_whole(root: Path, monkeypatch: pytest.Mo
 @pytest.mark.parametrize("at", range(2))
 def test_a_run_that_finishes_it_may_be_stopped_as_well(root: Path, monkeypatch: pytest.MonkeyPatch, at: int) -> None:
     stopped(root, monkeypatch, 1)
-    stopped(root, monkeypatch, at, journal)
+    stopped(root, monkeypatch, at, again=True)
     assert store_of(root).recover() == Journal(Intent("keymint build"), finished=True)
     assert files_in(root / "src") == NEW
 

@@ -36,7 +36,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def require_clean(folder: Path, keymint: Keymint) -> None:
-    checked = keymint("check", "-w", folder / "ws")
+    checked = keymint("check", "-q", "-w", folder / "ws")
     assert (checked.code, checked.err) == (0, "")
     again = keymint("provision", folder / "policy.xml", "-w", folder / "ws")
     assert "nothing to do" in again.out
@@ -70,7 +70,7 @@ def test_two_runs_that_create_the_workspace_both_succeed(folder: Path, keymint: 
     require_clean(folder, keymint)
 
 
-READERS = (["check"], ["status"], ["prove"], ["verify", "-t", "omg"], ["install", "--dry-run"])
+READERS = (["check", "-q"], ["status"], ["prove"], ["verify", "-t", "omg"], ["install", "--dry-run"])
 
 
 @pytest.mark.parametrize("verb", READERS, ids=lambda verb: verb[0])
@@ -102,7 +102,7 @@ def test_no_reader_sees_the_unfinished_work_of_a_running_install(folder: Path, k
     looked = 0
     while renewals.poll() is None:
         checked = keymint("check", "-w", folder / "ws", "--json")
-        assert (checked.code, checked.codes()) == (0, []), checked.out
+        assert (checked.code, {*checked.codes()}) == (0, {"node-cannot-start"}), checked.out
         rows = keymint("status", "-w", folder / "ws", "--json").document["result"]["packages"]
         assert {(row["stage"], row["stale"]) for row in rows} == {("installed", None)}
         looked += 1

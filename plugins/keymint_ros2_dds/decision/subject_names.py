@@ -33,12 +33,13 @@ def parts_occur(grant: str, identity: str) -> bool:
     """
     if subject_name_text.has_empty_part(identity):
         return False
-    identity_parts, grant_parts = _parts(identity), _parts(grant)
+    identity_parts, grant_parts = parts(identity), parts(grant)
     most = max(len(identity_parts), len(grant_parts))
     return most <= subject_name_text.MAX_TOKENS and set(identity_parts) <= set(grant_parts)
 
 
-def _parts(name: str) -> list[str]:
+def parts(name: str) -> list[str]:
+    """Return the parts of a name that Cyclone DDS compares (``ac_check_subjects_are_equal``)."""
     return [part for part in re.split(r"[,/|]", name) if part]
 
 

@@ -9,7 +9,9 @@ How a participant announces its name differs between releases. The first of thes
 4. its entity name, when that is a legal name (``talker``, Ardent), completed by the namespace of the parameters that
    it serves or calls where these tell one;
 5. the one node whose parameters it serves (any ROS 2: a node serves its own);
-6. a name made from its GUID, with a warning.
+6. the one node whose type descriptions it serves (Iron and later); helper nodes with a generated name are left out if
+   there is another one;
+7. a name made from its GUID, with a warning.
 
 The topic ``ros_discovery_info`` lists the nodes of a participant, but not the endpoints of each. Since Foxy permissions
 are granted to enclaves, hence to participants.
@@ -25,12 +27,13 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.regex import lazy_regex
 from comarmor.text import first_few
 from keymint.errors import ExitCode, KeymintError
+from keymint.generated_names import is_generated
 from keymint.graph_json import legal_node
 from keymint_ros2_dds.discovery.capture import DiscoveredEndpoint, DiscoveredParticipant
 from keymint_ros2_dds.discovery.ros_entities import ros_name
 
 _GUID = lazy_regex(r"[0-9a-f]{8,32}\Z")
-_PARAMETERS = "/get_parameters"
+_PARAMETERS, _TYPES = "/get_parameters", "/get_type_description"
 _ASKED = "--subject GUID=NAME"
 _MOST = 4
 """Number of GUIDs in a message."""
@@ -51,20 +54,22 @@ def name_participants(
     """
     names = _given(participants, given)
     serves: dict[str, set[str]] = defaultdict(set)
+    describes: dict[str, set[str]] = defaultdict(set)
     meets: dict[str, set[str]] = defaultdict(set)
     for endpoint in endpoints:
         entity = ros_name(endpoint.object)
-        if entity is None or entity.part == "rt" or not entity.name.endswith(_PARAMETERS):
+        if entity is None or entity.part == "rt" or not entity.name.endswith((_PARAMETERS, _TYPES)):
             continue
-        node = entity.name.removesuffix(_PARAMETERS)
-        meets[endpoint.participant].add(node)
-        if (entity.part, endpoint.permission) == ("rq", "subscribe"):
-            serves[endpoint.participant].add(node)
+        node, is_server = entity.name.rpartition("/")[0], (entity.part, endpoint.permission) == ("rq", "subscribe")
+        if entity.name.endswith(_PARAMETERS):
+            meets[endpoint.participant].add(node)
+        if is_server:
+            (serves if entity.name.endswith(_PARAMETERS) else describes)[endpoint.participant].add(node)
     diagnostics: list[Diagnostic] = []
     for participant in sorted(participants):
         guid, how = participant.guid, "the name that you gave"
         if guid not in names:
-            how, names[guid] = _announced(participant, serves[guid], meets[guid])
+            how, names[guid] = _announced(participant, serves[guid], meets[guid], describes[guid])
         shown, name = f"participant {guid} in domain {participant.domain}", names[guid]
         if how:
             diagnostics.append(Diagnostic.note("subject-named", f"{shown} is {name}: {how}", subject=name))
@@ -101,13 +106,16 @@ def _shared(
         )
 
 
-def _announced(participant: DiscoveredParticipant, serves: set[str], meets: set[str]) -> tuple[str, str]:
+def _announced(
+    participant: DiscoveredParticipant, serves: set[str], meets: set[str], describes: set[str]
+) -> tuple[str, str]:
     """Return how a participant announces its name, and the name; nothing and one of its GUID if it does not.
 
     Args:
         participant: the participant.
         serves: the nodes whose parameters it serves.
         meets: the nodes whose parameters it serves or calls.
+        describes: the nodes whose type descriptions it serves.
     """
     fields = _fields(participant.user_data)
     enclave = fields.get("enclave", "")
@@ -123,6 +131,10 @@ def _announced(participant: DiscoveredParticipant, serves: set[str], meets: set[
     served = list(filter(legal_node, serves))
     if len(served) == 1:
         return "the node whose parameters it serves", served[0]
+    described = list(filter(legal_node, describes))
+    described = [node for node in described if not is_generated(node)] or described
+    if len(described) == 1 and not served:
+        return "the node whose type descriptions it serves", described[0]
     return "", f"/participant_{participant.guid[:24]}"
 
 

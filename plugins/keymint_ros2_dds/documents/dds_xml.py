@@ -166,8 +166,13 @@ def validate(document: etree._Element, kind: str, name: str) -> None:
     schema.validate(document, locate("keymint_ros2_dds", "schemas") / f"{kind}.xsd", name)
 
 
-def hazards(content: bytes, root: etree._Element) -> Iterator[str]:
-    """Yield the defects of a valid document that some vendor misreads or crashes on; one line each."""
+@lru_cache(maxsize=16)
+def hazards(content: bytes) -> tuple[str, ...]:
+    """Return the defects of a valid document that some vendor misreads or crashes on; most have the same governance."""
+    return tuple(_hazards(content, parse(content, "document")))
+
+
+def _hazards(content: bytes, root: etree._Element) -> Iterator[str]:
     if b"<!--" in content or b"<?" in content.removeprefix(b"<?xml"):
         yield "has a comment or a processing instruction, which Fast DDS misreads"
     if any(item.find("min") is None or item.find("max") is None for item in root.iter("id_range")):

@@ -14,12 +14,12 @@ from keymint.errors import KeymintError
 from keymint.pki import adoption, certificates, extensions, key_files, keys
 from keymint.pki.distinguished_names import to_text
 from keymint_ros2_dds.authority_roles import IDENTITY, PERMISSIONS
-from keymint_ros2_dds.enclave_layout import CA, IDENTITY_CA, PERMISSIONS_CA
+from keymint_ros2_dds.enclave_layout import CA
+from keymint_ros2_dds.examine import AUTHORITY_FILES
 from keymint_ros2_dds.keystores.contents import Contents
 from keymint_ros2_dds.keystores.enclaves import dates_of, exposure, is_exposed
 from keymint_ros2_dds.keystores.places import EnclavePlace
 
-_FILES = {IDENTITY: IDENTITY_CA, PERMISSIONS: PERMISSIONS_CA}
 _NAMES = {IDENTITY: "identity_ca", PERMISSIONS: "permissions_ca"}
 BOTH = "ca"
 """Name of an authority that has both roles."""
@@ -28,7 +28,9 @@ BOTH = "ca"
 def authorities(
     contents: Contents, enclaves: Iterable[EnclavePlace]
 ) -> tuple[tuple[FoundAuthority, ...], list[Diagnostic]]:
-    """Return the authorities that the enclaves trust, and the findings on them.
+    """Return the authorities that the first enclaves trust, and the findings on them.
+
+    The other enclaves are compared with them (:meth:`keymint_ros2_dds.examine.EnclaveRules.trust`).
 
     Args:
         contents: what the files of the keystore contain.
@@ -36,20 +38,16 @@ def authorities(
     """
     findings: list[Diagnostic] = []
     trusted: dict[str, str] = {}
-    for role, name in _FILES.items():
+    for role, name in AUTHORITY_FILES.items():
         for enclave in enclaves:
-            path = enclave.files.get(name) or enclave.files.get(CA, "")
-            if not path:
-                continue
-            first = trusted.setdefault(role, path)
-            if contents.read(first) != contents.read(path):
-                message = f"is another authority than that of other enclaves, {contents.place(first)}"
-                help_ = "a workspace has one authority for each role: adopt these enclaves as a keystore of their own"
-                findings.append(contents.error("adopt-authorities", path, message, help_, enclave.subject))
-    together = len(trusted) == len(_FILES) and len(set(map(contents.read, trusted.values()))) == 1
-    by_roles = {tuple(_FILES): trusted[IDENTITY]} if together else {(role,): path for role, path in trusted.items()}
+            if path := enclave.files.get(name) or enclave.files.get(CA):
+                trusted.setdefault(role, path)
+    by_content: dict[bytes, list[str]] = {}
+    for role, path in trusted.items():
+        by_content.setdefault(contents.read(path), []).append(role)
     found = []
-    for roles, path in by_roles.items():
+    for roles in map(tuple, by_content.values()):
+        path = trusted[roles[0]]
         authority, own = _authority(contents, path, roles)
         found += [authority] if authority else []
         findings += own
@@ -82,7 +80,7 @@ def _authority(contents: Contents, path: str, roles: tuple[str, ...]) -> tuple[F
         findings.append(contents.warning("adopt-authority-expired", path, message, help_))
     key_paths = contents.keys_of(certificate)
     findings += _about_key(contents, key_paths, name, path)
-    findings += _lacking(certificate, roles, path, contents)
+    findings += _lacking(certificate, roles, path, name, contents)
     public = certificates.public_key(certificate)
     kind = keys.kind_of(public)
     facts: dict[str, Any] = {
@@ -115,7 +113,7 @@ def _about_key(contents: Contents, key_paths: Sequence[str], name: str, path: st
 
 
 def _lacking(
-    certificate: x509.Certificate, roles: Sequence[str], path: str, contents: Contents
+    certificate: x509.Certificate, roles: Sequence[str], path: str, name: str, contents: Contents
 ) -> Iterator[Diagnostic]:
     """Yield a note for what the certificate lacks, or has too much of; each is the matter of a later step."""
     if len(roles) > 1:
@@ -124,11 +122,7 @@ def _lacking(
         )
         help_ = "CVE-2023-24010; 'keymint harden authority' makes a second one afterwards"
         yield contents.note("adopt-one-authority", path, message, help_)
-    lacks = [
-        name
-        for name, kind in (("keyUsage", x509.KeyUsage), ("subjectKeyIdentifier", x509.SubjectKeyIdentifier))
-        if extensions.value(certificate, kind) is None
-    ]
+    lacks = ", and ".join(each.message for each in adoption.lacking(certificate, name, contents.place(path)))
     if lacks:
-        message = f"lacks {' and '.join(lacks)} (RFC 5280, 4.2.1)"
-        yield contents.note("adopt-extensions", path, message, "'keymint harden identifiers' adds them afterwards")
+        help_ = "'keymint harden identifiers' adds it afterwards"
+        yield contents.note("adopt-extensions", path, lacks, help_)

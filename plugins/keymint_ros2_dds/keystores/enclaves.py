@@ -1,175 +1,169 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Examine an enclave that another tool made: what it has, and what is wrong with it."""
+"""Examine an enclave that another tool made: what it has, and what is wrong with it.
+
+The rules are those of ``keymint check`` (:mod:`keymint_ros2_dds.examine`). What an answer means for a keystore that is
+to be taken over stands in a table; a few more rules ask what only a workspace requires.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from datetime import timedelta
 from typing import Any
 
 from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.api import DomainRange, FoundEnclave, FoundGrant, Validity
+from keymint.api import DomainRange, FoundEnclave, FoundGrant, TrustAnchor, TrustAnchors, Validity
 from keymint.errors import KeymintError
 from keymint.names import name_of, package_name
-from keymint.pki import certificates, certification_path, keys, smime
+from keymint.pki import certificates, certification_path, keys
 from keymint.pki.distinguished_names import MAX_COMMON_NAME, attributes, to_text
-from keymint.pki.mime import SignedDocument
-from keymint_ros2_dds import subject_name_text
-from keymint_ros2_dds.domains import in_words, merged, uncovered
+from keymint_ros2_dds.authority_roles import IDENTITY
+from keymint_ros2_dds.decision.semantics import STANDARD
+from keymint_ros2_dds.domains import merged
 from keymint_ros2_dds.enclave_layout import (
     CA,
     CERTIFICATE,
     GOVERNANCE,
     GOVERNANCE_P7S,
     GOVERNANCE_XML,
-    IDENTITY_CA,
     KEY,
-    KEY_URI,
     PERMISSIONS,
-    PERMISSIONS_CA,
     PERMISSIONS_P7S,
     PERMISSIONS_XML,
 )
+from keymint_ros2_dds.examine import AUTHORITY_FILES, EnclaveRules
 from keymint_ros2_dds.keystores.contents import Contents
 from keymint_ros2_dds.keystores.places import EnclavePlace
-from keymint_ros2_dds.reading import dates, signed_governance, signed_permissions
-from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, as_ranges
+from keymint_ros2_dds.reading import signed_governance, signed_permissions
+from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
+from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, PermissionsDocument, as_ranges
 
+_ISSUE = "issue it again with the tool that made it, here and on the robots"
+_REMOVE = "take it out of the keystore; a new one for this name: 'keymint create', build and install afterwards"
+_VIEW: Mapping[str, tuple[str, str]] = {
+    "file-missing": ("adopt-file-missing", "restore it, or remove the enclave's folder if nothing uses it"),
+    "file-replaced": ("adopt-token", "write <pkcs11> into identities.xml afterwards; docs/keystore-life.md"),
+    "authority-differs": (
+        "adopt-authorities",
+        "a workspace has one authority for each role: adopt these enclaves as a keystore of their own",
+    ),
+    "revocation-list": ("adopt-revocations", ""),
+    "revocation-list-expired": ("adopt-revocations", _ISSUE),
+    "revocation-list-not-yet-valid": ("adopt-revocations", _ISSUE),
+    "key-mismatch": ("adopt-key-mismatch", "restore the key or the certificate; participants do not start with these"),
+    "pem-altered": ("adopt-encoding", "nothing: it stays as it is"),
+    "grant-count": ("adopt-grants", "sign a document with one grant"),
+    "grant-subject": ("adopt-grant-subject", "sign permissions for this certificate"),
+    "grant-default": ("adopt-default", "sign a document whose default is DENY"),
+    "grant-expired": ("adopt-grant-expired", ""),
+    "grant-not-yet-valid": ("adopt-grant-expired", ""),
+    "grant-never-valid": ("adopt-grant-dates", ""),
+    "schema": ("adopt-document", "sign a valid document"),
+    "domain-uncovered": (
+        "adopt-domain",
+        "'ros2 security' takes both from ROS_DOMAIN_ID: sign the permissions again with that of the robots",
+    ),
+    "document-differs": (
+        "adopt-document-differs",
+        "write the signed text into it (openssl smime -verify -noverify prints it), or remove it",
+    ),
+}
+"""The code and the help that the finding of a rule has here; without help that of the rule."""
+_WARNINGS = frozenset(("adopt-encoding", "adopt-grant-expired", "certificate-expired", "certificate-not-yet-valid"))
+"""Codes of what can be taken over as it is; other answers of the rules are errors."""
+_UNASKED = "grant-slack"
+"""Code of what is no matter of the keystore: a period that began today."""
 _EVERYTHING = frozenset(("*", "rt/*", "rq/*", "rr/*", "**"))
 """Expressions that leave nothing denied of a kind of ROS names."""
-_DATED = frozenset(("certificate-expired", "certificate-not-yet-valid"))
 
 
-def examined(contents: Contents, place: EnclavePlace) -> tuple[FoundEnclave, list[Diagnostic]]:
-    """Return an enclave and the findings on it; an error is a reason why it cannot be taken over as it is."""
+def examined(
+    contents: Contents, place: EnclavePlace, anchors: Mapping[str, TrustAnchor]
+) -> tuple[FoundEnclave, list[Diagnostic]]:
+    """Return an enclave and the findings on it; an error is a reason why it cannot be taken over as it is.
+
+    Args:
+        contents: what the files of the keystore contain.
+        place: where those of the enclave are.
+        anchors: the authorities of the keystore, by role.
+    """
     enclave = _Enclave(contents, place)
-    findings = list(enclave.findings())
+    findings = [enclave.viewed(each) for each in enclave.rules(anchors) if each.code != _UNASKED]
+    findings += enclave.of_workspace()
     return enclave.found(), [replace(each, subject=place.subject) for each in findings]
 
 
-class _Enclave:
-    """One enclave under examination; the findings fill its facts."""
+class _Enclave(EnclaveRules):
+    """One enclave under examination."""
 
     def __init__(self, contents: Contents, place: EnclavePlace) -> None:
+        files = {name: contents.read(path) for name, path in place.files.items()}
+        chains = {role: files.get(name) or files.get(CA, b"") for role, name in AUTHORITY_FILES.items()}
+        restore = "restore it, or make it again with the tool that made the keystore"
+        super().__init__(files, place.place, restore, place.subject, chains)
         self._contents = contents
         self._enclave = place
-        self._certificate: x509.Certificate | None = None
-        self._documents: dict[str, bytes] = {}
-        self._grant: DocumentGrant | None = None
-        self._found_grant: FoundGrant | None = None
-        self._domains: tuple[DomainRange, ...] = ()
-        self._facts: dict[str, Any] = {"place": place.place, "links": 0}
-
-    def found(self) -> FoundEnclave:
-        certificate = self._certificate
-        return FoundEnclave(
-            subject=self._enclave.subject,
-            files=self._enclave.files,
-            certificate=self._content(CERTIFICATE),
-            key=self._content(KEY) if self._facts["key"] == "matches" else b"",
-            key_spec=keys.kind_of(certificates.public_key(certificate)) if certificate else None,
-            subject_name=self._facts["subject_name"],
-            validity=Validity(*certificates.period(certificate)) if certificate else None,
-            grant_validity=self._grant_validity(),
-            domains=self._domains,
-            documents=self._documents,
-            grant=self._found_grant,
-            facts=self._facts,
-            exposed=self._facts["key"] == "matches" and is_exposed(self._contents, self._path(KEY)),
-        )
-
-    def findings(self) -> Iterator[Diagnostic]:
-        yield from self._inventory()
-        yield from self._identity()
-        yield from self._key()
-        permissions = yield from self._signed(PERMISSIONS)
-        governance = yield from self._signed(GOVERNANCE)
-        yield from self._permissions(permissions)
-        yield from self._governance(governance)
-
-    # -- files ---------------------------------------------------------------------------------------------------
-
-    def _path(self, name: str) -> str:
-        return self._enclave.files.get(name, "")
-
-    def _content(self, name: str) -> bytes:
-        path = self._path(name)
-        return self._contents.read(path) if path else b""
-
-    def _at(self, name: str) -> str:
-        """Return the path of a file, also of one that is missing."""
-        return self._path(name) or f"{self._enclave.place}/{name}"
+        self._needed = [
+            CERTIFICATE,
+            *(() if CA in files else AUTHORITY_FILES.values()),
+            PERMISSIONS_P7S,
+            GOVERNANCE_P7S,
+        ]
+        self._permissions: PermissionsDocument | None = None
+        self._governance: GovernanceDocument | None = None
 
     def _where(self, name: str) -> Origin:
-        return self._contents.place(self._at(name))
+        return self._contents.place(self._enclave.files.get(name) or f"{self._folder}/{name}")
 
-    def _error(self, code: str, name: str, message: str, help_: str) -> Diagnostic:
-        return self._contents.error(code, self._at(name), message, help_)
+    # -- the rules of every enclave ------------------------------------------------------------------------------
 
-    def _warning(self, code: str, name: str, message: str, help_: str) -> Diagnostic:
-        return self._contents.warning(code, self._at(name), message, help_)
+    def rules(self, anchors: Mapping[str, TrustAnchor]) -> Iterator[Diagnostic]:
+        """Yield what the rules of every enclave find, as ``keymint check`` says it."""
+        when = self._contents.keystore.now, timedelta(0)
+        yield from self.trust(TrustAnchors(anchors, "", ""), self._needed)
+        yield from self.encoding(CERTIFICATE)
+        yield from self.periods(when)
+        self._permissions = yield from self.read(PERMISSIONS_P7S, signed_permissions.read)
+        self._governance = yield from self.read(GOVERNANCE_P7S, signed_governance.read)
+        if self._permissions is not None:
+            yield from self.documents(self._permissions, self._governance, when)
+        if signed := self.signed(PERMISSIONS_P7S):
+            yield from self.plain_text(signed.content)
 
-    def _inventory(self) -> Iterator[Diagnostic]:
-        own = {name: self._contents.keystore.files[path] for name, path in sorted(self._enclave.files.items())}
-        self._facts["links"] = sum(bool(file.link) for file in own.values())
-        self._facts["modes"] = {name: f"{file.mode:04o}" for name, file in own.items() if not file.link}
-        self._facts["missing"] = []
-        for name in (CERTIFICATE, IDENTITY_CA, PERMISSIONS_CA, PERMISSIONS_P7S, GOVERNANCE_P7S):
-            if not self._path(name) and not (name in {IDENTITY_CA, PERMISSIONS_CA} and self._path(CA)):
-                self._facts["missing"].append(name)
-                help_ = "restore it, or remove the enclave's folder if nothing uses it"
-                yield self._error("adopt-file-missing", name, "is missing", help_)
+    def viewed(self, finding: Diagnostic) -> Diagnostic:
+        """Return what the finding of a rule means for a keystore that is to be taken over."""
+        code, help_ = _VIEW.get(finding.code, (finding.code, ""))
+        if finding.code == "revocation-list" and self.revocation:
+            code, help_ = "adopt-revoked", _REMOVE
+        severity = Severity.WARNING if code in _WARNINGS else Severity.ERROR
+        return replace(finding, code=code, severity=severity, help=help_ or finding.help)
+
+    # -- what a workspace requires -------------------------------------------------------------------------------
+
+    def of_workspace(self) -> Iterator[Diagnostic]:
+        """Yield the findings on what only a workspace requires."""
         try:
-            package_name(self._enclave.subject or "/x")
+            package_name(self._subject or "/x")
         except KeymintError as error:
             message = error.diagnostics[0].message
-            yield self._contents.error("adopt-path", self._enclave.place, message, "give the enclave another path")
-        if self._path(KEY_URI):
-            message = "says that the key lies in a token, which is not taken over"
-            help_ = "write <pkcs11> into identities.xml afterwards; docs/keystore-life.md"
-            yield self._error("adopt-token", KEY_URI, message, help_)
+            yield self._contents.error("adopt-path", self._folder, message, "give the enclave another path")
+        if self.certificate is not None:
+            yield from self._common_name(to_text(self.certificate.subject))
+        if KEY not in self._files:
+            message = "is not here: the enclave is taken over without it, and gets no other one"
+            yield Diagnostic.note("adopt-key-elsewhere", message, self._where(KEY), "nothing, if the robot has it")
+        elif self._key_state() != "unknown":
+            yield from exposure(self._contents, self._enclave.files[KEY], self._subject)
+        if grant := self._only_grant():
+            yield from self._of_grant(grant)
 
-    # -- identity ------------------------------------------------------------------------------------------------
-
-    def _trusted(self, name: str) -> bytes:
-        return self._content(name) or self._content(CA)
-
-    def _identity(self) -> Iterator[Diagnostic]:
-        self._facts |= {"chain": False, "subject_name": "", "named_like_path": False}
-        pem, where = self._content(CERTIFICATE), self._where(CERTIFICATE)
-        if not pem:
-            return
-        try:
-            certificate = certificates.load(pem, where)
-            certificates.public_key(certificate, where)
-        except KeymintError as error:
-            yield from error.diagnostics
-            return
-        self._certificate = certificate
-        self._facts["subject_name"] = to_text(certificate.subject)
-        self._facts["certificate"] = dates_of(certificate)
-        if issuer := self._trusted(IDENTITY_CA):
-            problems = certification_path.verify_chain(pem, issuer, self._contents.keystore.now, where)
-            self._facts["chain"] = all(each.code in _DATED for each in problems)
-            for each in problems:
-                dated = each.code in _DATED
-                yield replace(each, severity=Severity.WARNING if dated else Severity.ERROR)
-        yield from self._common_name(certificate)
-        if not certificates.is_canonical(pem):
-            message = "has text around its certificate, or encodes it in another way than 'keymint install' writes it"
-            yield self._warning("adopt-encoding", CERTIFICATE, message, "nothing: it stays as it is")
-
-    def _common_name(self, certificate: x509.Certificate) -> Iterator[Diagnostic]:
-        names = [value for kind, value in attributes(certificate.subject) if kind == "CN"]
-        by_content = self._path(CERTIFICATE) == self._enclave.place  # then the name is where the subject comes from
-        self._facts["named_like_path"] = names == [self._enclave.subject] or (
-            by_content and bool(self._enclave.subject)
-        )
-        subject_name = self._facts["subject_name"]
-        if any(len(name) > MAX_COMMON_NAME for name in names):
-            message = f"has a common name of {max(map(len, names))} characters; X.509 allows {MAX_COMMON_NAME}"
+    def _common_name(self, subject_name: str) -> Iterator[Diagnostic]:
+        longest = max(map(len, self._common_names()), default=0)
+        if longest > MAX_COMMON_NAME:
+            message = f"has a common name of {longest} characters; X.509 allows {MAX_COMMON_NAME}"
             help_ = "give the enclave a shorter path with the tool that made it; Keymint cannot issue this name again"
             yield self._error("adopt-name-length", CERTIFICATE, message, help_)
         elif subject_name == "CN=/":
@@ -178,104 +172,18 @@ class _Enclave:
             )
             help_ = "it stays as it is; a second RDN in its name mends it afterwards: 'keymint harden names'"
             yield self._warning("adopt-root", CERTIFICATE, message, help_)
-        elif not self._enclave.subject:
+        elif not self._subject:
             message = f"is for {subject_name!r}, whose common name is no name of a subject"
             help_ = "put its files into a folder enclaves/<path>/ with the names that ROS 2 reads"
             yield self._error("adopt-name", CERTIFICATE, message, help_)
-        elif not self._facts["named_like_path"]:
-            message = f"is for {subject_name!r}, but the path of its enclave is {self._enclave.subject}"
+        elif not self._is_named_like_path():
+            message = f"is for {subject_name!r}, but the path of its enclave is {self._subject}"
             yield self._warning("adopt-name", CERTIFICATE, message, "nothing: the name stays as it is")
 
-    def _key(self) -> Iterator[Diagnostic]:
-        pem, certificate = self._content(KEY), self._certificate
-        self._facts["key"] = "unknown" if pem else "elsewhere"
-        if not pem:
-            message = "is not here: the enclave is taken over without it, and gets no other one"
-            yield self._contents.note("adopt-key-elsewhere", self._at(KEY), message, "nothing, if the robot has it")
-            return
-        try:
-            public = keys.public_of(pem, None, self._where(KEY))
-        except KeymintError as error:
-            yield from error.diagnostics
-            return
-        if certificate is not None:
-            self._facts["key"] = "matches" if keys.matches(public, certificate) else "differs"
-        if self._facts["key"] == "differs":
-            help_ = "restore the key or the certificate; participants do not start with these"
-            yield self._error("adopt-key-mismatch", KEY, "is not the key of the certificate beside it", help_)
-        yield from exposure(self._contents, self._path(KEY), self._enclave.subject)
-
-    # -- documents -----------------------------------------------------------------------------------------------
-
-    def _signed(self, kind: str) -> Generator[Diagnostic, None, SignedDocument | None]:
-        """Check a signed document; the generator returns it if the signature verifies, else None."""
-        self._facts.setdefault("signatures", {})[kind] = False
-        name = f"{kind}.p7s"
-        signed, authority = self._content(name), self._trusted(PERMISSIONS_CA)
-        if not signed or not authority:
-            return None
-        try:
-            document = smime.read(signed, authority, where=self._where(name))
-        except KeymintError as error:
-            yield from error.diagnostics
-            return None
-        self._facts["signatures"][kind] = True
-        self._documents[f"{kind}.xml"] = document.content
-        return document
-
-    def _permissions(self, signed: SignedDocument | None) -> Iterator[Diagnostic]:
-        self._facts |= {"grants": [], "same_text": None, "domains": []}
-        if signed is None:
-            return
-        content, plain = signed.content, self._content(PERMISSIONS_XML)
-        self._facts["same_text"] = plain == content if plain else None
-        if plain and plain != content:
-            message = "is not the document that permissions.p7s signs, which is the one that participants read"
-            help_ = "write the signed text into it (openssl smime -verify -noverify prints it), or remove it"
-            yield self._error("adopt-document-differs", PERMISSIONS_XML, message, help_)
-        place = self._where(PERMISSIONS_P7S).file, signed.lines_before
-        try:
-            document = signed_permissions.read(content, *place)
-        except KeymintError as error:
-            yield from error.diagnostics
-            return
-        self._facts["grants"] = [_grant_facts(grant) for grant in document.grants]
-        if document.defect:
-            yield self._error("adopt-document", PERMISSIONS_P7S, document.defect, "sign a valid document")
-        if len(document.grants) != 1:
-            message = f"has {len(document.grants)} grants; vendors choose among several in different ways"
-            yield self._error("adopt-grants", PERMISSIONS_P7S, message, "sign a document with one grant")
-            return
-        self._grant = grant = document.grants[0]
-        self._found_grant = FoundGrant(content, *place, grant.subject_name)
-        yield from self._grant_header(grant)
-        yield from self._rules(grant)
-
-    def _grant_header(self, grant: DocumentGrant) -> Iterator[Diagnostic]:
-        expected = subject_name_text.of_any(self._certificate.subject) if self._certificate else grant.subject_name
-        if grant.subject_name != expected:
-            message = f"grants to {grant.subject_name!r}, but the certificate is for {expected!r}"
-            yield self._error("adopt-grant-subject", PERMISSIONS_P7S, message, "sign permissions for this certificate")
-        period = self._grant_validity()
-        if period is None:
-            message = f"its dates are {grant.not_before!r} and {grant.not_after!r}, expected xs:dateTime"
-            yield self._error("adopt-grant-dates", PERMISSIONS_P7S, message, "sign a document with valid dates")
-        elif not period.not_before <= self._contents.keystore.now <= period.not_after:
-            message = f"is in force from {_shown(period.not_before)} to {_shown(period.not_after)}, not now"
-            help_ = "'keymint renew' signs it again with later dates"
-            yield self._warning("adopt-grant-expired", PERMISSIONS_P7S, message, help_)
-
-    def _rules(self, grant: DocumentGrant) -> Iterator[Diagnostic]:
-        if grant.allows:
-            message = "allows by default, which Fast DDS denies"
-            yield self._error("adopt-default", PERMISSIONS_P7S, message, "sign a document whose default is DENY")
-        domains = {tuple(merged(as_ranges(rule.domains))) for rule in grant.rules}
-        if len(domains) == 1:
-            self._domains = next(iter(domains))
-        elif domains:
+    def _of_grant(self, grant: DocumentGrant) -> Iterator[Diagnostic]:
+        if grant.rules and not self._domains():
             message = "has rules for different domains, and a package has the same domains in all of its rules"
             yield self._error("adopt-domains", PERMISSIONS_P7S, message, "sign a document whose rules have the same")
-        self._facts["domains"] = [[each.first, each.last] for each in self._domains]
         allowed = {
             (criteria.action, topic)
             for rule in grant.rules
@@ -289,29 +197,100 @@ class _Enclave:
             help_ = "write a policy for it: 'ros2 security create_enclave' resets an existing enclave to this"
             yield self._warning("adopt-allows-all", PERMISSIONS_P7S, message, help_)
 
-    def _governance(self, signed: SignedDocument | None) -> Iterator[Diagnostic]:
-        self._facts["governance_domains"] = []
-        if signed is None:
-            return
+    # -- facts ---------------------------------------------------------------------------------------------------
+
+    def _common_names(self) -> list[str]:
+        subject = self.certificate.subject if self.certificate else x509.Name(())
+        return [value for kind, value in attributes(subject) if kind == "CN"]
+
+    def _is_named_like_path(self) -> bool:
+        """Tell whether the name of the certificate is the path, or the path is made of it."""
+        by_content = self._enclave.files.get(CERTIFICATE) == self._folder and bool(self._subject)
+        return self.certificate is not None and (by_content or self._common_names() == [self._subject])
+
+    def _key_state(self) -> str:
+        """Return whether the private key is that of the certificate, as a report says it."""
+        if KEY not in self._files:
+            return "elsewhere"
         try:
-            document = signed_governance.read(signed.content, self._where(GOVERNANCE_P7S).file, signed.lines_before)
-        except KeymintError as error:
-            del self._documents[GOVERNANCE_XML]
-            yield from error.diagnostics
-            return
-        if document.defect:
-            yield self._error("adopt-document", GOVERNANCE_P7S, document.defect, "sign a valid document")
-        governed = merged(as_ranges(each for rule in document.domain_rules for each in rule.domains))
-        self._facts["governance_domains"] = [[each.first, each.last] for each in governed]
-        if lacking := uncovered(self._domains, governed):
-            message = f"grants in {in_words(lacking)}, but the governance is for {in_words(governed)}"
-            help_ = "'ros2 security' takes both from ROS_DOMAIN_ID: sign the permissions again with that of the robots"
-            yield self._error("adopt-domain", PERMISSIONS_P7S, message, help_)
+            public = keys.public_of(self._files[KEY], None)
+        except KeymintError:
+            return "unknown"
+        if self.certificate is None:
+            return "unknown"
+        return "matches" if keys.matches(public, self.certificate) else "differs"
+
+    def _only_grant(self) -> DocumentGrant | None:
+        grants = self._permissions.grants if self._permissions else ()
+        return grants[0] if len(grants) == 1 else None
+
+    def _rights(self) -> FoundGrant | None:
+        grant, signed = self._only_grant(), self.signed(PERMISSIONS_P7S)
+        if grant is None or signed is None:
+            return None
+        return FoundGrant(signed.content, self._where(PERMISSIONS_P7S).file, signed.lines_before, grant.subject_name)
 
     def _grant_validity(self) -> Validity | None:
-        grant = self._grant
-        begin, end = (dates.standard(text) for text in (grant.not_before, grant.not_after)) if grant else (None, None)
-        return Validity(begin, end) if begin and end and begin < end else None
+        grant = self._only_grant()
+        period = STANDARD.period(grant) if grant else None
+        return Validity(*period) if period and period[0] < period[1] else None
+
+    def _domains(self) -> tuple[DomainRange, ...]:
+        """Return the domains of the only grant; none if its rules have different ones."""
+        grant = self._only_grant()
+        found = {tuple(merged(as_ranges(rule.domains))) for rule in grant.rules} if grant else set()
+        return found.pop() if len(found) == 1 else ()
+
+    def found(self) -> FoundEnclave:
+        """Return what the enclave has."""
+        certificate, has_key = self.certificate, self._key_state() == "matches"
+        signed = {name: self.signed(name) for name in (PERMISSIONS_P7S, GOVERNANCE_P7S)}
+        documents = {f"{name.removesuffix('.p7s')}.xml": each.content for name, each in signed.items() if each}
+        if self._governance is None:
+            documents.pop(GOVERNANCE_XML, None)
+        return FoundEnclave(
+            subject=self._subject,
+            files=self._enclave.files,
+            certificate=self._files.get(CERTIFICATE, b""),
+            key=self._files[KEY] if has_key else b"",
+            key_spec=keys.kind_of(certificates.public_key(certificate)) if certificate else None,
+            subject_name=to_text(certificate.subject) if certificate else "",
+            validity=Validity(*certificates.period(certificate)) if certificate else None,
+            grant_validity=self._grant_validity(),
+            domains=self._domains(),
+            documents=documents,
+            grant=self._rights(),
+            facts=self._facts(),
+            exposed=has_key and is_exposed(self._contents, self._enclave.files[KEY]),
+        )
+
+    def _facts(self) -> dict[str, Any]:
+        """Return what a report says; values are those of JSON."""
+        certificate, issuer = self.certificate, self._chains[IDENTITY]
+        files = {name: self._contents.keystore.files[path] for name, path in sorted(self._enclave.files.items())}
+        signed, plain = self.signed(PERMISSIONS_P7S), self._files.get(PERMISSIONS_XML)
+        governance = self._governance.domain_rules if self._governance else ()
+        return {
+            "place": self._folder,
+            "links": sum(bool(file.link) for file in files.values()),
+            "modes": {name: f"{file.mode:04o}" for name, file in files.items() if not file.link},
+            "missing": [name for name in self._needed if name not in self._files],
+            "chain": bool(certificate and issuer)
+            and not certification_path.verify_chain(self._files[CERTIFICATE], issuer, None),
+            "subject_name": to_text(certificate.subject) if certificate else "",
+            "named_like_path": self._is_named_like_path(),
+            **({"certificate": dates_of(certificate)} if certificate else {}),
+            "key": self._key_state(),
+            "signatures": {kind: self.signed(f"{kind}.p7s") is not None for kind in (PERMISSIONS, GOVERNANCE)},
+            "same_text": plain == signed.content if plain and signed else None,
+            "grants": [_grant_facts(each) for each in (self._permissions.grants if self._permissions else ())],
+            "domains": _as_json(self._domains()),
+            "governance_domains": _as_json(merged(as_ranges(each for rule in governance for each in rule.domains))),
+        }
+
+
+def _as_json(domains: Sequence[DomainRange]) -> list[list[int]]:
+    return [[each.first, each.last] for each in domains]
 
 
 def dates_of(certificate: x509.Certificate) -> dict[str, str]:

@@ -7,16 +7,17 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from comarmor.errors import Diagnostic
-from keymint.api import FoundAuthority, FoundEnclave, FoundKeystore, KeystoreFiles
+from keymint.api import FoundAuthority, FoundEnclave, FoundKeystore, KeystoreFiles, TrustAnchor
 from keymint.pki import keys
 from keymint_ros2_dds.authority_roles import IDENTITY
 from keymint_ros2_dds.authority_roles import PERMISSIONS as SIGNS
 from keymint_ros2_dds.enclave_layout import CRL, GOVERNANCE, GOVERNANCE_P7S, GOVERNANCE_XML, KEY, LAYOUTS, files
-from keymint_ros2_dds.keystores import governance, revocations
+from keymint_ros2_dds.keystores import governance
 from keymint_ros2_dds.keystores.authorities import authorities
 from keymint_ros2_dds.keystores.contents import Contents, contents
 from keymint_ros2_dds.keystores.enclaves import examined
 from keymint_ros2_dds.keystores.places import FORMS, Places, places
+from keymint_ros2_dds.keystores.revocations import newest_list
 
 _READ = frozenset(name for layout in LAYOUTS for name in files(layout))
 """Names of the files that participants read."""
@@ -32,17 +33,22 @@ def found(keystore: KeystoreFiles) -> FoundKeystore:
     where = places(content)
     trusted, diagnostics = authorities(content, where.enclaves)
     issuer = next((each for each in trusted if IDENTITY in each.roles), None)
-    lists = revocations.found_lists(content, where.enclaves, issuer)
-    listed = {CRL: lists.newest} if lists.newest and not where.layout else {}
+    newest, of_lists = newest_list(content, where, issuer) if issuer else ("", [])
+    diagnostics += of_lists
+    listed = {CRL: newest} if newest and not where.layout else {}
+    anchors = {
+        role: TrustAnchor(each.name, str(content.place(each.file)), each.certificate)
+        for each in trusted
+        for role in each.roles
+    }
     enclaves: list[FoundEnclave] = []
     for place in where.enclaves:
-        enclave, own = examined(content, replace(place, files={**place.files, **listed}))
+        enclave, own = examined(content, replace(place, files={**place.files, **listed}), anchors)
         enclaves.append(enclave)
         diagnostics += own
     defaults, of_governance = _defaults(content, enclaves, trusted)
     diagnostics += of_governance
     diagnostics += _doubled(content, enclaves)
-    diagnostics += revocations.examined(content, lists, enclaves, by_name=where.layout == "sros2")
     secrets = {content.read(path) for each in trusted for path in each.key_files}
     diagnostics += _in_the_way(content, where, secrets)
     return FoundKeystore(
@@ -54,7 +60,7 @@ def found(keystore: KeystoreFiles) -> FoundKeystore:
         kept=tuple(path for path in where.kept if content.read(path) not in secrets),  # nor links to them
         defaults=defaults,
         diagnostics=tuple(diagnostics),
-        revocation_lists={issuer.name: content.read(lists.newest)} if issuer and lists.newest else {},
+        revocation_lists={issuer.name: content.read(newest)} if issuer and newest else {},
     )
 
 

@@ -7,7 +7,7 @@ guides of openssl and RTI have no fixed names: one file for each certificate, ke
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 
 from cryptography import x509
 
@@ -18,6 +18,7 @@ from keymint.names import package_name
 from keymint.pki import certificates, extensions, key_files, smime
 from keymint.pki.distinguished_names import attributes
 from keymint_ros2_dds import subject_name_text
+from keymint_ros2_dds.decision.subject_names import same_name
 from keymint_ros2_dds.enclave_layout import (
     CA,
     CERTIFICATE,
@@ -28,7 +29,6 @@ from keymint_ros2_dds.enclave_layout import (
     PERMISSIONS_P7S,
 )
 from keymint_ros2_dds.keystores.contents import Contents, is_authority
-from keymint_ros2_dds.reading.signed_permissions import DocumentGrant
 
 FORMS: Mapping[str, str] = {
     "sros2": "made like 'ros2 security' of Foxy and later",
@@ -112,7 +112,9 @@ def _by_content(contents: Contents) -> Iterator[EnclavePlace]:
     for path, certificate in contents.certificates.items():
         if path in authorities:
             continue
-        documents = [file for file, each in contents.permissions.items() if _is_for(each.grants, certificate)]
+        name = subject_name_text.of_any(certificate.subject)
+        named = {file: [each.subject_name for each in found.grants] for file, found in contents.permissions.items()}
+        documents = [file for file, names in named.items() if any(same_name(each, name) for each in names)]
         if not documents:
             continue
         issuer = next((file for file, each in authorities.items() if _issued(certificate, each)), "")
@@ -132,11 +134,6 @@ def _is_read(contents: Contents, path: str, certificate: x509.Certificate) -> bo
     """Tell whether participants read the key of a certificate from a file with it: in PEM, as the first one."""
     content = contents.read(path)
     return key_files.pem_of(content, certificates.public_key(certificate)) == content
-
-
-def _is_for(grants: Sequence[DocumentGrant], certificate: x509.Certificate) -> bool:
-    name = subject_name_text.of_any(certificate.subject)
-    return any(grant.subject_name.strip() == name for grant in grants)
 
 
 def _issued(certificate: x509.Certificate, authority: x509.Certificate) -> bool:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
@@ -15,8 +14,8 @@ from keymint.pki.identity_check import enclave_file
 from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds.decision import OMG
 from keymint_ros2_dds.enclave_layout import CERTIFICATE, GOVERNANCE, PERMISSIONS
+from keymint_ros2_dds.examine import differences
 from keymint_ros2_dds.proving import validity_terms
-from keymint_ros2_dds.proving.anchor_check import differences
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
 from keymint_ros2_dds.proving.proof_cache import prove_content
 from keymint_ros2_dds.transports.enclave_files import subject_name
@@ -92,9 +91,4 @@ def _signed(
 
 
 def _subject_name(files: Mapping[str, bytes], folder: str) -> str:
-    return _name_in(enclave_file(files, folder, CERTIFICATE), f"{folder}/{CERTIFICATE}")
-
-
-@lru_cache(maxsize=16)
-def _name_in(certificate: bytes, file: str) -> str:
-    return subject_name(certificate, Origin(file))
+    return subject_name(enclave_file(files, folder, CERTIFICATE), Origin(f"{folder}/{CERTIFICATE}"))

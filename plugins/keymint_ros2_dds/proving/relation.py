@@ -13,9 +13,12 @@ from itertools import product
 from comarmor.patterns.decision_lists import DecisionList, Unknown, Witness
 from comarmor.patterns.proofs import implies
 from comarmor.patterns.tokens import PatternError
-from keymint.api import ComparisonTask, Counterexample, DocumentComparison, Relation
+from keymint.api import ComparisonTask, Counterexample, DocumentComparison, Package, Relation
 from keymint.errors import KeymintError
+from keymint.pki import distinguished_names
+from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.decision import OMG, read
+from keymint_ros2_dds.enclave_layout import PERMISSIONS_P7S
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.lower import lower
 from keymint_ros2_dds.proving import octets, permission_lists
@@ -25,6 +28,7 @@ from keymint_ros2_dds.proving.grant_periods import grant_periods
 from keymint_ros2_dds.proving.questions import ProofQuestion
 
 _SEMANTICS = OMG.semantics
+_STATES = 50_000
 
 
 def compared(task: ComparisonTask) -> DocumentComparison:
@@ -41,6 +45,20 @@ def compared(task: ComparisonTask) -> DocumentComparison:
     if refused := _SEMANTICS.refusal(document):
         return DocumentComparison(Relation.UNKNOWN, reason=refused)
     return _Comparison(ProofQuestion(document, task, lowered)).result()
+
+
+def compared_with(content: bytes, name: str, package: Package) -> DocumentComparison:
+    """Compare a document with the rules of a package; see :meth:`keymint.api.DocumentComparer.compared_with`.
+
+    Raises:
+        KeymintError: a rule cannot be mapped.
+    """
+    own, grant = subject_name_text.of_any(distinguished_names.parse(name)), package.grant
+    return compared(
+        ComparisonTask(
+            content, PERMISSIONS_P7S, 0, own, grant.rules, package.distro, grant.domains, _STATES, lambda: True
+        )
+    )
 
 
 _Found = tuple[str, Situation]

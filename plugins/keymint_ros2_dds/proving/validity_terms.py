@@ -13,9 +13,9 @@ from keymint.api import ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki.identity_check import certificate_terms
 from keymint_ros2_dds import subject_name_text
-from keymint_ros2_dds.credentials import revocation_period
 from keymint_ros2_dds.decision import VARIATIONS, read
 from keymint_ros2_dds.enclave_layout import CA, CERTIFICATE, CRL, IDENTITY_CA, PERMISSIONS_CA
+from keymint_ros2_dds.examine import revocation_period
 from keymint_ros2_dds.proving.grant_periods import following
 
 Period = tuple[datetime, datetime]

@@ -17,7 +17,7 @@ from operator import attrgetter
 from lxml import etree
 
 from comarmor.data import locate
-from comarmor.errors import ComArmorError
+from comarmor.errors import ComArmorError, Diagnostic
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from comarmor.xml import schema
@@ -116,13 +116,13 @@ def _line_ends(text: bytes) -> bytes:
 
 def of_schema(
     root: etree._Element, kind: str, file: str, own: Iterable[Quirk] = ()
-) -> tuple[ComArmorError | None, tuple[Quirk, ...]]:
-    """Return how a document violates its schema, as an error and as its quirk; if it does not, its own quirks by line.
+) -> tuple[tuple[Diagnostic, ...], tuple[Quirk, ...]]:
+    """Return how a document violates its schema, with that as its quirk; if it does not, its own quirks by line.
 
     Args:
         root: its root element.
         kind: ``permissions`` or ``governance``.
-        file: the document's file, for the error.
+        file: the document's file, for the defects.
         own: the quirks of a valid document.
     """
     try:
@@ -131,8 +131,8 @@ def of_schema(
         first = error.diagnostics[0]
         at = first.where.line if first.where and first.where.line else 1
         text = f"what the schema does not allow ({first.message})"
-        return error, (Quirk(at, text, UNMODELLED, UNMODELLED),)
-    return None, tuple(sorted(own, key=attrgetter("line")))
+        return error.diagnostics, (Quirk(at, text, UNMODELLED, UNMODELLED),)
+    return (), tuple(sorted(own, key=attrgetter("line")))
 
 
 def of_domain_ids(root: etree._Element) -> Iterator[Quirk]:

@@ -14,7 +14,7 @@ from functools import lru_cache
 
 from lxml import etree
 
-from comarmor.errors import Origin
+from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from comarmor.xml.reader import line, parse
 from keymint.errors import KeymintError
@@ -106,21 +106,21 @@ class GovernanceDocument:
     Attributes:
         file: its name, for people.
         domain_rules: in the order of the document.
-        violation: how it violates the schema, or an empty text.
+        defects: how it violates the schema.
         quirks: what may make vendors read it differently from a plain document, by line.
         offset: number of lines of the file before the document.
     """
 
     file: str
     domain_rules: tuple[DocumentDomainRule, ...]
-    violation: str
+    defects: tuple[Diagnostic, ...]
     quirks: tuple[Quirk, ...]
     offset: int = 0
 
     @property
     def defect(self) -> str:
         """Why the schema refuses it, or an empty text."""
-        return f"{self.place(self.quirks[0].line)}: the schema refuses it: {self.violation}" if self.violation else ""
+        return f"{self.defects[0].where}: the schema refuses it: {self.defects[0].message}" if self.defects else ""
 
     def place(self, line: int) -> Origin:
         """Return a line of the document as a place in its file."""
@@ -151,9 +151,10 @@ def read(content: bytes, file: str = GOVERNANCE_XML, offset: int = 0) -> Governa
         KeymintError: it is not well-formed, or not a governance document.
     """
     try:
-        return replace(_read(content), file=file, offset=offset)
+        found = _read(content)
     except KeymintError as error:
-        raise KeymintError.of(placed(error, file, offset)) from None
+        raise KeymintError.of(placed(error.diagnostics, file, offset)) from None
+    return replace(found, file=file, offset=offset, defects=placed(found.defects, file, offset))
 
 
 # Enclaves usually have the same governance.
@@ -163,11 +164,9 @@ def _read(content: bytes) -> GovernanceDocument:
     if root.tag != "dds" or root.find("domain_access_rules") is None:
         where = Origin(GOVERNANCE_XML, line(root))
         raise KeymintError("this is not a governance document", where=where, code="document-kind")
-    violation, document_quirks = quirks.of_schema(root, GOVERNANCE, GOVERNANCE_XML, _quirks(content, root))
+    defects, document_quirks = quirks.of_schema(root, GOVERNANCE, GOVERNANCE_XML, _quirks(content, root))
     rules = tuple(map(_domain_rule, root.iterfind("domain_access_rules/domain_rule")))
-    return GovernanceDocument(
-        GOVERNANCE_XML, rules, violation.diagnostics[0].message if violation else "", document_quirks
-    )
+    return GovernanceDocument(GOVERNANCE_XML, rules, defects, document_quirks)
 
 
 def _domain_rule(element: etree._Element) -> DocumentDomainRule:

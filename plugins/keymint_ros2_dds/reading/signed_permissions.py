@@ -157,12 +157,11 @@ def read(content: bytes, file: str = "permissions.xml", offset: int = 0) -> Perm
             raise KeymintError("this is not a permissions document", where=where, code="document-kind")
         grants = tuple(map(_grant, root.iterfind("permissions/grant")))
     except ComArmorError as error:
-        raise KeymintError.of(placed(error, file, offset)) from None
+        raise KeymintError.of(placed(error.diagnostics, file, offset)) from None
     crash = next(_crashes(root), None)
     own = chain(quirks.of_bytes(content), quirks.of_domain_ids(root), _quirks(root), filter(None, [crash]))
-    violation, document_quirks = quirks.of_schema(root, "permissions", file, own)
-    defects = placed(violation, file, offset) if violation else ()
-    return PermissionsDocument(file, grants, defects, document_quirks, crash, offset)
+    defects, document_quirks = quirks.of_schema(root, "permissions", file, own)
+    return PermissionsDocument(file, grants, placed(defects, file, offset), document_quirks, crash, offset)
 
 
 _TEXT = "[!-%'-;=?-~]"
@@ -258,11 +257,11 @@ def _plain(content: bytes) -> tuple[DocumentGrant, ...] | None:
     return (grant,)
 
 
-def placed(error: ComArmorError, file: str, offset: int) -> tuple[Diagnostic, ...]:
-    """Return the findings of an error, with their places in the file that has the document."""
+def placed(defects: Iterable[Diagnostic], file: str, offset: int) -> tuple[Diagnostic, ...]:
+    """Return the defects of a document, with their places in the file that has it."""
     return tuple(
         replace(item, where=Origin(file, item.where.line + offset) if item.where and item.where.line else Origin(file))
-        for item in error.diagnostics
+        for item in defects
     )
 
 

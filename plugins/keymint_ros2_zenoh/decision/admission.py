@@ -21,6 +21,15 @@ def common_name(certificate: x509.Certificate) -> str:
     return str(names[0].value) if names else ""
 
 
+def first_common_name(pem: bytes) -> str:
+    """Return the common name of a certificate in PEM.
+
+    Raises:
+        KeymintError: no certificate.
+    """
+    return common_name(certificates.load(pem))
+
+
 def refusal(certificate: bytes, authorities: bytes, at: datetime, *, server: bool) -> str:
     """Return why the other side of a link refuses a certificate, or an empty text.
 

@@ -93,26 +93,24 @@ class Automaton:
         return found
 
     def beside(self, nodes: frozenset[int], others: frozenset[int] = frozenset()) -> frozenset[int]:
-        """Return nodes without those that accept nothing that certain nodes beside them, or others, do not accept.
+        """Return nodes without each that accepts nothing that one which is left, or one of others, does not accept.
 
-        These are the rests of patterns that have only wildcards left. Without this, a search would distinguish which of
+        Asked are the rests of patterns that have only wildcards left. Without this, a search would distinguish which of
         many patterns a word matches, though it matches one of them however it goes on.
         """
         key = (nodes, others)
         found = self._beside.get(key)
         if found is None:
             kept = set(nodes)
-            for free in filter(self._free.__contains__, sorted(nodes | others)):
-                if free not in kept | others:  # of two that accept the same words one must stay
-                    continue
-                alone = frozenset((free,))
-                kept -= {each for each in kept if (each != free or free in others) and self._covers(alone, each)}
+            for node in sorted(nodes):
+                if any(self._covers(each, node) for each in ((kept - {node}) | others) & self._free):
+                    kept.remove(node)
             found = self._beside[key] = frozenset(kept)
         return found
 
-    def _covers(self, free: frozenset[int], node: int) -> bool:
-        """Return whether some nodes together accept all that a node does; False may also mean that it is not known."""
-        start = (free, node)
+    def _covers(self, node: int, inner: int) -> bool:
+        """Return whether a node accepts all that another one does; False may also mean that it is not known."""
+        start = (frozenset((node,)), inner)
         if start not in self._covered:
             seen, todo = {start}, [start]
             while todo:
@@ -133,9 +131,9 @@ class Automaton:
         own = (each for node in nodes for each in self._nodes[node].sets)
         return frozenset(after for outer, after in own if outer.intersection(members) == members)
 
-    def explicit(self, nodes: Iterable[int]) -> set[str]:
+    def explicit(self, nodes: Iterable[int]) -> frozenset[str]:
         """Return the characters that these nodes mention."""
-        return {char for node in nodes for char in self._nodes[node].chars}
+        return frozenset(char for node in nodes for char in self._nodes[node].chars)
 
     def sets(self) -> tuple[Charset, ...]:
         """Return all sets of characters that nodes have."""

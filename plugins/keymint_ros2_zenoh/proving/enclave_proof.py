@@ -3,21 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
-from comarmor.errors import Reason
+from comarmor.errors import Diagnostic, Reason
 from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDecision, Proof, ProofTask, Verdict
 from keymint.errors import KeymintError
 from keymint.pki.identity_check import enclave_file
-from keymint_ros2_zenoh.credentials import first_common_name
+from keymint_ros2_zenoh import requirements
+from keymint_ros2_zenoh.decision.admission import first_common_name
 from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.documents.read import read
 from keymint_ros2_zenoh.emission import common_name, router_of
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, ROUTER, SESSION
-from keymint_ros2_zenoh.proving import requirements
 from keymint_ros2_zenoh.proving.claims import MODEL, RightsQuestion, prove_rights
-from keymint_ros2_zenoh.proving.requirements import Shortcoming
 from keymint_ros2_zenoh.proving.router_side import RouterRights
 from keymint_ros2_zenoh.proving.trust import differences
 from keymint_ros2_zenoh.settings import is_router
@@ -76,33 +75,36 @@ def router_rights(content: bytes, file: str) -> RouterRights:
 
 def _connects(task: ProofTask, session: Configuration, router: str) -> Claim:
     """Return the claim that sessions exchange messages with the router alone."""
-    package = task.package
-    shortcomings = requirements.of_session(session, package, router, f"{task.folder}/{SESSION}")
+    package, file = task.package, f"{task.folder}/{SESSION}"
+    found = (
+        *requirements.by_itself(session, package, file),
+        *requirements.open_default(session, file),
+        *requirements.unpinned(session, router, file),
+    )
     unmodelled, domains = requirements.unmodelled(session, router=False), package.grant.domains
-    return configuration_claim(CONNECT, package.subject, _SESSIONS, shortcomings, _EXPECTED, unmodelled, domains)
+    return configuration_claim(CONNECT, package.subject, _SESSIONS, found, _EXPECTED, unmodelled, domains)
 
 
 def configuration_claim(
     action: str,
     subject: str,
     universe: str,
-    shortcomings: Iterable[Shortcoming],
+    found: Sequence[Diagnostic],
     expected: str,
     unmodelled: str = "",
     domains: tuple[DomainRange, ...] = (),
 ) -> Claim:
-    """Return a claim about a configuration, which its first shortcoming refutes.
+    """Return a claim about a configuration, which the first finding on it refutes.
 
     Args:
         action: the action of the claim.
         subject: whom it is about; empty for all.
         universe: what it covers, in words.
-        shortcomings: what refutes it.
+        found: what refutes it.
         expected: what should be, in words.
         unmodelled: why it is unknown; empty if it is not.
         domains: the domains that it covers.
     """
-    found = tuple(shortcomings)
     if not found:
         return Claim(MODEL, action, domains, universe, Proof.UNKNOWN if unmodelled else Proof.PROVEN, unmodelled)
     first, more = found[0], len(found) - 1

@@ -12,11 +12,10 @@ import string
 from collections import deque
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
-from itertools import pairwise
 
 from comarmor.patterns.decision_lists import BudgetError, Equal, ProofResult, SearchBudget, Unknown, Witness
 from comarmor.patterns.steps import StepLimitError, spend, step_limit
-from comarmor.patterns.tokens import MAX_CODE, Charset, charset
+from comarmor.patterns.tokens import Charset, charset, distinct_letters
 from comarmor.values import dataclass
 from keymint_ros2_zenoh.keyexpr.key_expr import VERBATIM
 from keymint_ros2_zenoh.proving.automaton import IN_CHUNK, START, Automaton
@@ -63,27 +62,26 @@ def difference(automaton: Automaton, left: Side, right: Side, budget: SearchBudg
 
 def _search(automaton: Automaton, left: Side, right: Side, budget: SearchBudget) -> ProofResult:
     count_state = budget.state_counter()
-    alphabet = _alphabet(frozenset((*automaton.sets(), IN_CHUNK, START, _LETTERS)))
+    sets = (*automaton.sets(), IN_CHUNK, START, _LETTERS)
     start = _State(left, right, _FIRST)
-    before: dict[_State, tuple[_State, str] | None] = {start: None}
-    todo = deque([start])
+    seen, todo = {start}, deque([(start, "")])
     while todo:
-        state = todo.popleft()
+        state, word = todo.popleft()
         count_state()
         if state.where in (_NAME, _FREE):
             permitted = _permits(automaton, state.left)
             if permitted is not _permits(automaton, state.right):
-                return Witness(_word(before, state)[:-1], permitted)
+                return Witness(word[:-1], permitted)
         nodes = tuple(_nodes(state))
-        for char in alphabet.letters(automaton.explicit(nodes)):
+        for char in _letters(automaton.explicit(nodes), sets):
             where = _next(state.where, char)
             if where is None:
                 continue
             spend(1 + len(nodes) // _SHARE)
             following = _State(_step(automaton, state.left, char), _step(automaton, state.right, char), where)
-            if following.left != following.right and following not in before:
-                before[following] = (state, char)
-                todo.append(following)
+            if following.left != following.right and following not in seen:
+                seen.add(following)
+                todo.append((following, word + char))
     return Equal()
 
 
@@ -114,16 +112,6 @@ def _permits(automaton: Automaton, side: Side) -> bool:
     )
 
 
-def _word(before: dict[_State, tuple[_State, str] | None], state: _State) -> str:
-    chars = []
-    step = before[state]
-    while step is not None:
-        state, char = step
-        chars.append(char)
-        step = before[state]
-    return "".join(reversed(chars))
-
-
 def _next(where: int, char: str) -> int | None:
     """Return where a word is after a character; None if no key of the universe goes on so."""
     if char == "/":
@@ -137,32 +125,7 @@ def _next(where: int, char: str) -> int | None:
     return _IN_NAME if where == _IN_NAME or char in _LETTERS else None
 
 
-@lru_cache(maxsize=64)
-def _alphabet(sets: frozenset[Charset]) -> _Alphabet:
-    return _Alphabet(sorted(sets, key=lambda each: each.ranges))
-
-
-class _Alphabet:
-    """The characters to try: those that patterns mention, and one of each class that no set distinguishes."""
-
-    def __init__(self, sets: Iterable[Charset]) -> None:
-        distinct = tuple(sets)
-        ends = (edge for each in distinct for low, high in each.ranges for edge in (low, high + 1))
-        edges = sorted({0, MAX_CODE + 1, *ends})
-        regions: dict[tuple[bool, ...], list[tuple[int, int]]] = {}
-        for low, beyond in pairwise(edges):
-            signature = tuple(chr(low) in each for each in distinct)
-            regions.setdefault(signature, []).append((low, beyond - 1))
-        self._classes = tuple(charset(ranges) for ranges in regions.values())
-        self._legible = tuple(tuple(char for char in _LEGIBLE if char in each) for each in self._classes)
-
-    def letters(self, explicit: set[str]) -> list[str]:
-        """Return the explicit characters and one other of each class, legible ones first."""
-        others = []
-        for members, legible in zip(self._classes, self._legible, strict=True):
-            other = next((char for char in legible if char not in explicit), None)
-            if other is None:
-                other = next((char for char in members.chars() if char not in explicit), None)
-            if other is not None:
-                others.append(other)
-        return sorted({*explicit, *others}, key=lambda char: (_LEGIBLE.find(char) % 1000, char))
+@lru_cache(maxsize=1 << 12)
+def _letters(explicit: frozenset[str], sets: tuple[Charset, ...]) -> tuple[str, ...]:
+    """Return the characters to try: those that patterns mention, and one other of each class that sets distinguish."""
+    return distinct_letters(set(explicit), sets, _LEGIBLE)

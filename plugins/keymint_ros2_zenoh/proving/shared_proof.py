@@ -3,15 +3,13 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 
-from comarmor.errors import Origin
 from keymint.api import Claim, Package, Proof, SharedProofTask
 from keymint.errors import KeymintError
+from keymint_ros2_zenoh import requirements
 from keymint_ros2_zenoh.authority_roles import ACCESS
-from keymint_ros2_zenoh.credentials import first_common_name
-from keymint_ros2_zenoh.documents.access_control import AclSubject
+from keymint_ros2_zenoh.decision.admission import first_common_name
 from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.documents.read import read
 from keymint_ros2_zenoh.emission import common_name
@@ -19,11 +17,9 @@ from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, ROUTER
 from keymint_ros2_zenoh.keyexpr.key_expr import parse
 from keymint_ros2_zenoh.keyexpr.relations import includes, intersects
 from keymint_ros2_zenoh.lowering.names import ADVANCED
-from keymint_ros2_zenoh.messages import Flow, Message, Permission
-from keymint_ros2_zenoh.proving import requirements
+from keymint_ros2_zenoh.messages import Flow, Message
 from keymint_ros2_zenoh.proving.claims import MODEL
 from keymint_ros2_zenoh.proving.enclave_proof import configuration_claim, router_rights
-from keymint_ros2_zenoh.proving.requirements import Shortcoming
 from keymint_ros2_zenoh.proving.router_side import RouterRights
 from keymint_ros2_zenoh.proving.trust import router_differences
 from keymint_ros2_zenoh.proving.wildcard_leaks import Leak, Rights, leaks
@@ -63,51 +59,21 @@ def _route(task: SharedProofTask, configuration: Configuration, file: str) -> Cl
     routers = [package for package in task.packages if is_router(package)]
     if len(routers) != 1:
         return Claim(MODEL, ROUTE, (), _ROUTE, Proof.UNKNOWN, f"the workspace has {len(routers)} packages of routers")
-    shortcomings = requirements.of_router(configuration, routers[0], file)
+    found = tuple(requirements.by_itself(configuration, routers[0], file))
     expected = "the router must decide on every message, by the certificate of its sender"
     unmodelled = requirements.unmodelled(configuration, router=True)
-    return configuration_claim(ROUTE, routers[0].subject, _ROUTE, shortcomings, expected, unmodelled)
+    return configuration_claim(ROUTE, routers[0].subject, _ROUTE, found, expected, unmodelled)
 
 
 def _identify(configuration: Configuration, names: Mapping[str, str], file: str) -> Claim:
     """Return the claim that each enclave has the rights of one entry, and nobody else has any."""
+    found = (
+        *requirements.open_default(configuration, file),
+        *requirements.entries(configuration),
+        *requirements.holders(configuration, names, file),
+    )
     expected = "each enclave must have one subject entry with its common name, and nobody else one"
-    return configuration_claim(IDENTIFY, "", _IDENTIFY, _entries(configuration, names, file), expected)
-
-
-def _entries(configuration: Configuration, names: Mapping[str, str], file: str) -> Iterator[Shortcoming]:
-    control = configuration.access_control
-    if not control.enabled:
-        yield Shortcoming("the access control is off", configuration.place("access_control", file))
-    if control.default_permission is not Permission.DENY:
-        place = configuration.place("access_control/default_permission", file)
-        yield Shortcoming("what no rule allows is allowed by default", place)
-    entries = Counter(name for subject in control.subjects for name in subject.common_names)
-    for subject, name in names.items():
-        others = [other for other, its in names.items() if its == name and other != subject]
-        if others:
-            yield Shortcoming(f"{subject} has the common name {name!r}, as {', '.join(others)} has", Origin(file))
-        if entries[name] != 1:
-            message = f"the common name {name!r} of {subject} is in {entries[name]} subject entries"
-            where = next((each.where for each in control.subjects if name in each.common_names), None)
-            yield Shortcoming(message, where or configuration.place("access_control/subjects", file))
-    known = set(names.values())
-    for entry in control.subjects:
-        problem = _problem(entry, known)
-        if problem:
-            yield Shortcoming(f"the subject {entry.id!r} {problem}", entry.where or Origin(file))
-
-
-def _problem(entry: AclSubject, known: Collection[str]) -> str:
-    """Return why an entry does not stand for one enclave; empty if it does."""
-    if not entry.common_names:
-        return "has no common name, so that it is everyone"
-    if len(entry.common_names) > 1:
-        return "has several common names"
-    if entry.depends_on_more:
-        return "depends on more than certificates"
-    [name] = entry.common_names
-    return "" if name in known else f"has the common name {name!r}, but no enclave of the workspace has it"
+    return configuration_claim(IDENTIFY, "", _IDENTIFY, found, expected)
 
 
 def _address(rights: RouterRights, names: Mapping[str, str]) -> Iterator[Claim]:

@@ -78,6 +78,7 @@ def test_derivatives_are_exact(expression, prefix, text):
     except PatternError:
         return
     assert any(matches(rest, text) for rest in glob.after(tokens, prefix)) == matches(tokens, prefix + text)
+    assert any(matches(rest, text) for rest in glob.before(tokens, prefix)) == matches(tokens, text + prefix)
 
 
 @given(expression=EXPRESSIONS, text=TEXTS)

@@ -77,7 +77,7 @@ def test_a_policy_that_means_something_else_is_not_returned(keystore) -> None:
         sros2_keystore.enclaves_of(POLICY.replace("<topic>x", "<topic>y")),
         ("2026-01-01T00:00:00", "2030-01-01T00:00:00"),
     )
-    with pytest.raises(KeymintError, match=r"not proven to mean .*: it does not permit to publish 'rt/x'"):
+    with pytest.raises(KeymintError, match=r"not proven to mean .*: it does not permit publish 'rt/x'"):
         learned(keystore, Stand(Comparer(document=other)))
     unknown = DocumentComparison(Relation.UNKNOWN, reason="not decided in time")
     with pytest.raises(KeymintError, match="not decided in time"):

@@ -177,6 +177,8 @@ def test_a_denial_may_have_an_effect_for_one_subject_of_a_pattern(tmp_path: Path
         ("{namespace}t", "{namespace}*", False),
         ("{namespace}{name}/t", "{namespace}{name}/u", True),
         ("{namespace}private/*", "{namespace}{name}/get", False),
+        ("/x/{name}", "/x/{name}/t", True),
+        ("/x/{name}", "/x/{namespace}t", False),
     ],
 )
 def test_rules_that_depend_on_the_subject_in_the_same_way(

@@ -11,7 +11,7 @@ RULE = '<ros_topic qualifier="ALLOW"><attachment>{}</attachment><permissions><ro
 def codes(keymint, folder: Path, attachment: str, expression: str) -> list[str]:
     profile = f'<profile name="p"><attachment>{attachment}</attachment>{RULE.format(expression)}</profile>'
     (folder / "p.xml").write_text(f"<profiles>{profile}</profiles>")
-    return keymint("lint", "p.xml", "--json").codes()
+    return [code for code in keymint("lint", "p.xml", "--json").codes() if code != "node-cannot-start"]
 
 
 def test_a_rule_with_a_name(keymint, tmp_path: Path) -> None:

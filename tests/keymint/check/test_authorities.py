@@ -6,6 +6,8 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+from tests.conftest import NOW
+
 
 def test_one_authority_for_both_jobs(keymint, policy: Path, tmp_path: Path) -> None:
     """A finding where it can be mended; a note in the layout that has no place for a second one."""
@@ -50,3 +52,21 @@ def test_without_the_password_of_an_authority(keymint, provisioned: Path) -> Non
     assert (without.code, without.codes()) == (0, ["password-missing"])
     wrong = keymint("check", "--json", cwd=provisioned, env={"ROOT_PASSWORD": "wrong"})
     assert (wrong.code, wrong.codes()) == (3, ["key-password"])
+
+
+def test_an_authority_that_is_not_valid_yet(keymint, provisioned: Path) -> None:
+    """The clock of this machine is years behind; no proof is needed to say so."""
+    outcome = keymint("check", "--no-prove", "--json", cwd=provisioned, env={"SOURCE_DATE_EPOCH": str(NOW // 2)})
+    found = [each for each in outcome.document["diagnostics"] if each["code"] == "authority-not-yet-valid"]
+    assert {each["file"] for each in found} == {f"public/{name}_ca.cert.pem" for name in ("identity", "permissions")}
+
+
+def test_a_certificate_that_no_enclave_rests_on_has_one_block(keymint, made: Path, provisioned: Path) -> None:
+    shutil.rmtree(provisioned / "install")
+    own = provisioned / "public/identity_ca.cert.pem"
+    foreign = (made / "foreign/public/identity_ca.cert.pem").read_bytes()
+    own.write_bytes(own.read_bytes() + foreign.replace(b"CERTIFICATE", b"X509 CRL"))
+    found = keymint("check", "--no-prove", "--json", cwd=provisioned).document["diagnostics"]
+    assert [each["code"] for each in found if each["file"] == "public/identity_ca.cert.pem"] == [
+        "certificate-ambiguous"
+    ]

@@ -72,6 +72,20 @@ def test_captures_add_up(keymint, tmp_path: Path) -> None:
     assert [found for found, _ in apart] == ["ros_call"] * 4 + ["ros_publish"]
 
 
+def test_names_that_change_between_two_records_are_noted(keymint, tmp_path: Path) -> None:
+    for name, topic in (("1", "rt/driver_8812/status"), ("2", "rt/driver_9120/status")):
+        (tmp_path / f"{name}.xml").write_bytes(system(participant("talker", [("publish", topic, "", [])])))
+    assert keymint("discover", "--from", "1.xml", "--append", "g.json").err == ""
+    outcome = keymint("discover", "--from", "2.xml", "--append", "g.json")
+    assert outcome.code == 0
+    assert outcome.err.startswith("note: /driver_8812/status in one record, /driver_9120/status in another: ")
+    assert "then write /driver_*/status in the policy" in outcome.err
+    assert [name for _, name in permissions((tmp_path / "g.json").read_bytes())] == [
+        "/driver_8812/status",
+        "/driver_9120/status",
+    ]
+
+
 def test_append_leaves_the_old_graph_when_the_result_goes_elsewhere(keymint, capture: str, tmp_path: Path) -> None:
     keymint("discover", "--from", capture, "-o", "g.json", "-q")
     before = (tmp_path / "g.json").read_bytes()

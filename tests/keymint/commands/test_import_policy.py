@@ -28,7 +28,10 @@ def foreign(tmp_path: Path) -> Path:
 
 def test_it_is_written_proven_and_ready_to_provision(keymint, tmp_path: Path) -> None:
     outcome = keymint("import", "robot.policy.xml")
-    assert (outcome.code, outcome.err) == (0, "")
+    assert outcome.code == 0
+    (note,) = outcome.err.splitlines()
+    assert note.startswith("robot.policy.xml: note: /talker: a node of this subject cannot start on Jazzy with")
+    assert "ros_discovery_info" not in note  # SROS2 allows it by itself
     assert outcome.out == (
         "comarmor.d/robot.xml written\n1 subject: 1 proven to permit, for all names, what SROS2 lets it do\n"
     )
@@ -42,8 +45,29 @@ def test_a_path_longer_than_a_common_name_is_imported_and_provisioned(keymint, f
     """Some versions of SROS2 issue certificates with such names (RFC 5280 allows 64 characters); ours are shortened."""
     path = f"/{'robot_' * 11}arm"
     foreign.write_text(policy().replace('path="/talker"', f'path="{path}"'))
-    assert keymint("import", "robot.policy.xml").err == ""
+    assert keymint("import", "robot.policy.xml", "--json").codes() == ["node-cannot-start"]
     assert keymint("provision", "comarmor.d", "-w", "ws").code == 0
+
+
+COMMON = (
+    '<profile ns="/" node="talker"><topics publish="ALLOW" subscribe="ALLOW"><topic>parameter_events</topic></topics>'
+    '<topics publish="ALLOW"><topic>rosout</topic></topics><topics subscribe="ALLOW"><topic>clock</topic></topics>'
+    '<services reply="ALLOW"><service>~/get_parameters</service></services></profile>'
+)
+"""What SROS2's own ``common/node.xml`` has, but for five of the six services."""
+
+
+@pytest.mark.parametrize("distro", ["humble", "jazzy"])
+def test_the_common_file_of_sros2_starts_no_node_from_iron_on(keymint, foreign: Path, distro: str) -> None:
+    foreign.write_text(policy().replace("</profiles>", COMMON + "</profiles>"))
+    outcome = keymint("import", "robot.policy.xml", "--distro", distro)
+    assert outcome.code == 0
+    if distro == "humble":
+        assert outcome.err == ""
+    else:
+        assert "it may not serve any …/get_type_description (include common/node.xml" in outcome.err
+    lone = keymint("import", "robot.policy.xml", "--distro", distro, "--no-implicit", "-o", "lone")
+    assert "it may not publish ros_discovery_info, subscribe ros_discovery_info" in lone.err
 
 
 def test_json(keymint) -> None:
@@ -74,7 +98,7 @@ def test_what_is_enforced_otherwise_takes_a_decision(keymint, foreign: Path, tmp
     assert not (tmp_path / "comarmor.d").exists()
     accepted = keymint("import", "robot.policy.xml", "--accept", "--json")
     assert accepted.code == 0
-    assert accepted.codes() == ["sros2-two-profiles", "import-changes"]
+    assert accepted.codes() == ["sros2-two-profiles", "import-changes", "node-cannot-start"]
     changes = accepted.document["diagnostics"][1]
     assert "SROS2's document does not permit it to publish 'rt/other'" in changes["message"]
     assert "(ros_publish /other), and the policy in ComArmor allows it" in changes["message"]
@@ -118,12 +142,13 @@ def test_other_files_of_the_folder_are_a_part_of_its_policy(keymint, tmp_path: P
     """The example of a new workspace, for one, would allow /talker more than SROS2 does."""
     assert keymint("init", "ws").code == 0
     outcome = keymint("import", "robot.policy.xml", "-o", "ws/profile/comarmor.d", "--json")
-    (found,) = outcome.document["diagnostics"]
+    found = outcome.document["diagnostics"][0]
     assert (outcome.code, found["code"], found["severity"]) == (0, "import-beside", "warning")
     assert "consists of talker_listener.xml too" in found["message"]
     assert keymint("diff", "robot.policy.xml", "ws/profile/comarmor.d").code == 3
     (tmp_path / "ws/profile/comarmor.d/talker_listener.xml").rename(tmp_path / "ws/profile/comarmor.d/x.test.xml")
-    assert keymint("import", "robot.policy.xml", "-o", "ws/profile/comarmor.d", "--json").codes() == []
+    again = keymint("import", "robot.policy.xml", "-o", "ws/profile/comarmor.d", "--json")
+    assert again.codes() == ["node-cannot-start"]
 
 
 def test_an_existing_file_is_kept_unless_forced(keymint, tmp_path: Path) -> None:

@@ -149,3 +149,61 @@ def test_the_domain_of_a_graph_is_not_forgotten(keymint, tmp_path: Path, domains
     assert [expected.strip("'") in each["message"] + each["help"] for each in said] == [True] * bool(expected)
     assert ("DDS domain" in (tmp_path / "p.xml").read_text()) == bool(expected)
     assert comarmor.load(tmp_path / "p.xml").subjects() == GRAPH.subjects
+
+
+def listening(address: str, driver: str) -> Graph:
+    """Return what a controller with a listener of tf2 does in one start: its helper node has a new name."""
+    return Graph.of(
+        [
+            *NODES,
+            does("/robot1/talker", "ros_execute", f"/transform_listener_impl_{address}/get_type_description"),
+            does("/robot1/talker", "ros_execute", f"/robot1/transform_listener_impl_{address}/get_type_description"),
+            does("/robot1/talker", "ros_publish", f"/driver_{driver}/status"),
+            does("/robot1/talker", "ros_publish", f"/arm_{driver[0]}"),
+        ]
+    )
+
+
+def test_a_policy_learned_from_one_start_holds_for_the_next(keymint, tmp_path: Path) -> None:
+    (tmp_path / "one.json").write_bytes(dump(listening("5581f0a3b2c0", "8812")))
+    outcome = keymint("learn", "one.json", "-o", "policy.xml")
+    assert outcome.code == 0
+    helper = "/transform_listener_impl_{}/get_type_description"
+    assert [line.split(": ")[:2] for line in outcome.err.splitlines()] == [
+        ["note", f"{namespace}{helper.format('*')} stands for {namespace}{helper.format('5581f0a3b2c0')}"]
+        for namespace in ("/robot1", "")
+    ]
+    policy = comarmor.load(tmp_path / "policy.xml")
+    for edge in listening("7f00aa12e9d0", "8812").edges:
+        assert policy.decide(edge.subject, edge.object.kind, edge.permission, edge.object.name).allowed, edge
+    for name in ("/transform_listener_impl_1/get_parameters", "/other/transform_listener_impl_1/get_type_description"):
+        assert not policy.decide("/robot1/talker", "ros_service", "ros_execute", name).allowed
+    assert not policy.decide("/robot1/talker", "ros_topic", "ros_publish", "/driver_9120/status").allowed
+    (tmp_path / "two.json").write_bytes(dump(listening("7f00aa12e9d0", "8812")))
+    again = keymint("learn", "two.json", "--policy", "policy.xml", "--json").document["result"]
+    assert again["missing"] == []
+
+
+def test_names_that_two_records_have_in_different_forms_are_suggested(keymint, tmp_path: Path) -> None:
+    for name, graph in (("one", listening("55", "8812")), ("two", listening("7f", "9120"))):
+        (tmp_path / f"{name}.json").write_bytes(dump(graph))
+    outcome = keymint("learn", "one.json", "two.json", "-o", "policy.xml", "--json")
+    notes = [each for each in outcome.document["diagnostics"] if each["code"] == "names-differ"]
+    assert [each["message"].split(":")[0] for each in notes] == [
+        "/arm_8 in one record, /arm_9 in another",
+        "/driver_8812/status in one record, /driver_9120/status in another",
+    ]
+    patterns = ("/arm_*", "/driver_*/status")
+    assert [each["help"] for each in notes] == [f"then write {each} in the policy" for each in patterns]
+    policy = comarmor.load(tmp_path / "policy.xml")
+    allowed = [n for n in range(10) if policy.decide("/robot1/talker", "ros_topic", "ros_publish", f"/arm_{n}").allowed]
+    assert allowed == [8, 9]
+    text = (tmp_path / "policy.xml").read_text()
+    assert (text.count("/transform_listener_impl_"), text.count("{namespace}transform_listener_impl_")) == (2, 0)
+
+
+def test_a_subject_named_after_a_process_is_noted(keymint, tmp_path: Path) -> None:
+    (tmp_path / "cli.json").write_bytes(dump(Graph.of([does("/_ros2cli_4711", "ros_subscribe", "/chatter")])))
+    outcome = keymint("learn", "cli.json", "-o", "policy.xml")
+    assert "note: the name of /_ros2cli_4711 changes with each start" in outcome.err
+    assert "<attachment>/_ros2cli_4711</attachment>" in (tmp_path / "policy.xml").read_text()

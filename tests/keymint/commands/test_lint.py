@@ -20,10 +20,56 @@ BAD = """<profiles><profile name="a"><attachment>/a</attachment>
 </profile></profiles>"""
 
 
-@pytest.mark.parametrize("name", ["fleet", "action", "add_two_ints", "talker_listener"])
+@pytest.mark.parametrize("name", ["fleet", "action", "operator", "talker_listener"])
 def test_the_examples_have_no_finding(keymint, name: str) -> None:
     outcome = keymint("lint", CHECKOUT / "examples" / name, "--json")
     assert (outcome.code, outcome.codes()) == (0, [])
+
+
+def test_an_example_reads_parameters_and_sets_none_on_purpose(keymint) -> None:
+    """Its README says with what kind of client that works."""
+    outcome = keymint("lint", CHECKOUT / "examples/add_two_ints", "--json")
+    assert (outcome.code, outcome.codes()) == (0, ["parameter-client-cannot-start"])
+
+
+TWO_ROBOTS = """<profiles xmlns:xi="http://www.w3.org/2001/XInclude">
+<tunable name="R"><value>/r1</value><value>/r2</value><value>/r3</value><value>/r4</value></tunable>
+<profile name="arm"><attachment>@{R}/arm</attachment>
+<ros_topic qualifier="ALLOW"><attachment>/x</attachment><permissions><ros_publish/></permissions></ros_topic></profile>
+<profile name="leg"><attachment>/leg</attachment><xi:include href="common/node.xml" parse="xml"/>
+<ros_parameter qualifier="ALLOW"><attachment>/r1/arm</attachment><permissions><ros_read/></permissions></ros_parameter>
+</profile>
+</profiles>"""
+
+
+def test_what_cannot_start_is_a_note_for_each_profile(keymint, tmp_path: Path) -> None:
+    (tmp_path / "p.xml").write_text(TWO_ROBOTS)
+    outcome = keymint("lint", "p.xml", "--sarif", "out.sarif")
+    assert outcome.code == 0
+    assert outcome.out.startswith("no findings in the rules of 5 subjects")
+    arms, leg = outcome.err.splitlines()
+    assert arms.startswith("p.xml:3: note: /r1/arm, /r2/arm, /r3/arm, …: a node of this subject cannot start on Jazzy")
+    assert leg.startswith("p.xml:6: note: /leg: a client of parameters")
+    assert keymint("lint", "p.xml", "-q").err == ""
+    run = json.loads((tmp_path / "out.sarif").read_text())["runs"][0]
+    noted = [(each["ruleId"], each["level"]) for each in run["results"]]
+    assert noted == [("node-cannot-start", "note"), ("parameter-client-cannot-start", "note")]
+    assert "get_type_description" not in keymint("lint", "p.xml", "--distro", "humble").err
+    assert keymint("lint", "p.xml", "--distro", "eloquent").err == ""
+    assert keymint("lint", "p.xml", "--build-type", "keymint_ros2_zenoh").err.count("cannot start") == 0
+
+
+def test_check_notes_it_too_and_is_content(keymint, tmp_path: Path) -> None:
+    (tmp_path / "p.xml").write_text(TWO_ROBOTS)
+    assert keymint("provision", "p.xml", "-w", "ws").code == 0
+    outcome = keymint("check", "-w", "ws", "--strict")
+    assert (outcome.code, outcome.out.startswith("checked 5 enclaves: no findings")) == (0, True)
+    assert [line.split(": a ")[0] for line in outcome.err.splitlines()] == [
+        "p.xml:6: note: /leg",
+        "p.xml:3: note: /r1/arm, /r2/arm, /r3/arm, …",
+    ]
+    one = keymint("check", "leg", "-w", "ws", "--json")
+    assert [each["subject"] for each in one.document["diagnostics"] if "start" in each["code"]] == ["/leg"]
 
 
 def test_findings(keymint, tmp_path: Path) -> None:
@@ -31,12 +77,14 @@ def test_findings(keymint, tmp_path: Path) -> None:
     outcome = keymint("lint", "p.xml", "--json", "--sarif", "out.sarif")
     assert outcome.code == 3
     listed = [(each["code"], each["file"], each["line"]) for each in outcome.document["diagnostics"]]
-    assert listed == [("deny-nothing", "p.xml", 3), ("portability-relay", "p.xml", 4)]
+    assert listed[0] == ("node-cannot-start", "p.xml", 1)
+    assert listed[1:] == [("deny-nothing", "p.xml", 3), ("portability-relay", "p.xml", 4)]
+    assert outcome.document["result"]["findings"] == 2
     run = json.loads((tmp_path / "out.sarif").read_text())["runs"][0]
     rules = [each["id"] for each in run["tool"]["driver"]["rules"]]
     for result in run["results"]:
         assert rules[result["ruleIndex"]] == result["ruleId"]
-    place = run["results"][0]["locations"][0]["physicalLocation"]
+    place = run["results"][1]["locations"][0]["physicalLocation"]
     assert place == {"artifactLocation": {"uri": "p.xml"}, "region": {"startLine": 3, "startColumn": 1}}
 
 
@@ -88,9 +136,10 @@ def test_all_transports_of_the_workspace_are_asked(keymint, tmp_path: Path) -> N
     for name in ("dds", "light"):
         assert keymint("init", name, "--policy", "p.xml", "--transport", name).code == 0
         found[name] = keymint("lint", name, "--json").codes()
-    assert found == {"dds": ["deny-nothing"], "light": ["light-kind", "deny-nothing", "light-kind", "light-kind"]}
+    light = ["light-kind", "deny-nothing", "light-kind", "light-kind"]
+    assert found == {"dds": ["node-cannot-start", "deny-nothing"], "light": light}
     both = ("--build-type", "keymint_ros2_dds", "--build-type", lighthouse.NAME)
-    assert keymint("lint", "p.xml", *both, "--json").codes() == found["light"]
+    assert sorted(keymint("lint", "p.xml", *both, "--json").codes()) == sorted([*light, "node-cannot-start"])
     assert keymint("lint", "p.xml", "--json").codes() == found["dds"]
 
 

@@ -10,12 +10,18 @@ from pathlib import Path
 import pytest
 
 from keymint.client import Client
-from tests.conftest import snapshot
+from tests.conftest import CHECKOUT, snapshot
 
 POLICY = """<profiles xmlns:xi="http://www.w3.org/2001/XInclude">
   <profile name="root">
     <attachment>/</attachment>
     <xi:include href="common/node/graph.xml" parse="xml"/>
+    <xi:include href="common/node/logging.xml" parse="xml"/>
+    <xi:include href="common/node/parameter_events.xml" parse="xml"/>
+    <ros_service qualifier="ALLOW">
+      <attachment>/one/get_type_description</attachment>
+      <permissions><ros_execute/></permissions>
+    </ros_service>
     <ros_topic qualifier="ALLOW">
       <attachment>/chatter</attachment>
       <permissions><ros_publish/><ros_subscribe/></permissions>
@@ -23,6 +29,7 @@ POLICY = """<profiles xmlns:xi="http://www.w3.org/2001/XInclude">
   </profile>
   <profile name="talker">
     <attachment>/talker</attachment>
+    <xi:include href="common/node.xml" parse="xml"/>
     <ros_topic qualifier="ALLOW"><attachment>/chatter</attachment><permissions><ros_publish/></permissions></ros_topic>
   </profile>
 </profiles>
@@ -66,6 +73,51 @@ def test_its_files_lie_around_the_other_enclaves(keymint, ws: Path) -> None:
     assert "nothing to do" in keymint("provision", "p.xml", "-w", ws).out
     assert keymint("build", "/", "-w", ws).code == keymint("install", "root-enclave", "-w", ws).code == 0
     assert snapshot(ws) == before
+
+
+SECTION = (CHECKOUT / "docs/deploying.md").read_text().split("## The root enclave")[1].split("\n## ")[0]
+EXAMPLE, TUNABLE = (block.removeprefix("xml\n") for block in SECTION.split("```")[1::2])
+"""The policy in the documentation as a user copies it, and what may stand in place of its services."""
+PARAMETERS = (
+    "describe_parameters", "get_parameter_types", "get_parameters", "list_parameters", "set_parameters",
+    "set_parameters_atomically",
+)  # fmt: skip
+
+
+NOT_ASKED = ('permission="publish" object="/chatter"', 'permission="call" object="*"')
+
+
+@pytest.mark.parametrize("distro", ["foxy", "humble", "iron", "jazzy", "rolling"])
+def test_a_plain_node_starts_in_the_root_enclave_of_the_documentation(keymint, tmp_path: Path, distro: str) -> None:
+    """What rclpy and rclcpp ask for, in their order (measured with real nodes on Humble and Jazzy)."""
+    asked = [
+        ("publish", "ros_discovery_info", "topic"), ("subscribe", "ros_discovery_info", "topic"),
+        ("publish", "/rosout", ""), ("publish", "/parameter_events", ""), ("subscribe", "/parameter_events", ""),
+        *(("execute", f"{node}/{name}", "") for node in ("/listener", "/robot1/any") for name in PARAMETERS),
+        ("execute", "/listener/get_type_description", ""), ("subscribe", "/clock", ""), ("subscribe", "/chatter", ""),
+    ]  # fmt: skip
+    allowed = "".join(
+        f'<allow subject="/" permission="{permission}" object="{name}"' + (f' kind="{kind}"' if kind else "") + "/>"
+        for permission, name, kind in asked
+    )
+    denied = "".join(f'<deny subject="/" {each}/>' for each in NOT_ASKED)
+    (tmp_path / "p.xml").write_text(EXAMPLE)
+    (tmp_path / "p.test.xml").write_text(f'<tests><test name="starts">{allowed}{denied}</test></tests>')
+    tested = keymint("test", "p.xml", "--distro", distro)
+    assert tested.code == 0, tested.err
+    assert f"{len(asked) + 2} of {len(asked) + 2} expectations hold" in tested.out
+    assert keymint("lint", "p.xml", "--distro", distro, "--json").codes() == []
+    assert keymint("provision", "p.xml", "-w", "ws", "--distro", distro).code == 0
+    assert is_sound(keymint, tmp_path / "ws")
+
+
+def test_the_names_of_its_nodes_may_stand_in_a_tunable(keymint, tmp_path: Path) -> None:
+    services = EXAMPLE[EXAMPLE.index("  <ros_service") : EXAMPLE.index("</ros_service>") + len("</ros_service>")]
+    (tmp_path / "p.xml").write_text(EXAMPLE.replace(services, TUNABLE))
+    assert keymint("lint", "p.xml", "--json").codes() == []
+    for name, answer in (("/listener", "yes: / ros_execute"), ("/talker", "no: / can never")):
+        asked = keymint("query", "p.xml", "can", "/", "execute", f"{name}/get_type_description")
+        assert asked.out.startswith(answer)
 
 
 def test_what_is_asked_about_it(keymint, ws: Path, tmp_path: Path) -> None:

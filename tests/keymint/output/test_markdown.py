@@ -45,7 +45,7 @@ def lines_of(*changes: SubjectChanges) -> list[str]:
 
 
 def test_gains_and_losses_have_a_line_each() -> None:
-    changes = SubjectChanges("/robot", "", before=True, after=True, changes=(GAIN, LOSS))
+    changes = SubjectChanges("/robot", None, before=True, after=True, changes=(GAIN, LOSS))
     assert list(as_text([changes], place)) == [
         "/robot:",
         "  + ros_publish /a/*, e.g. /a/ (new.xml:4)",
@@ -55,13 +55,13 @@ def test_gains_and_losses_have_a_line_each() -> None:
 
 
 def test_cells_escape_the_separator_of_columns() -> None:
-    lines = lines_of(SubjectChanges("/robot", "", before=True, after=True, changes=(GAIN, LOSS)))
+    lines = lines_of(SubjectChanges("/robot", None, before=True, after=True, changes=(GAIN, LOSS)))
     assert "| gains | `ros_publish` | `/a/*`, e.g. `/a/` | `new.xml:4` |" in lines
     assert "| loses | `ros_subscribe` | `/b\\|c` | `lib/common/node.xml:9` |" in lines
 
 
 def test_a_new_node_gets_one_line_for_each_file_of_the_library() -> None:
-    lines = lines_of(SubjectChanges("/robot", "", before=False, after=True, changes=(GAIN, LOSS)))
+    lines = lines_of(SubjectChanges("/robot", None, before=False, after=True, changes=(GAIN, LOSS)))
     assert "#### `/robot` (new)" in lines
     assert "… and the rule of `common/node.xml` (library)" in lines
     assert not any("/b" in line for line in lines)

@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
+from comarmor.errors import Origin
 from keymint.api import Issuance
 from keymint.plan.renewal import (
     CERTIFICATE,
     LIST,
     PERMISSIONS,
     EnclaveTerms,
-    Term,
     authority_ends,
     authority_renewals,
     enclave_terms,
@@ -24,7 +24,7 @@ from keymint.plan.renewal import (
     renewed,
     schedule,
 )
-from keymint.plan.threshold import DEFAULT, Threshold
+from keymint.plan.terms import DEFAULT, Term, Threshold
 from tests.conftest import NOW
 from tests.keymint.plan.sessions import session_of
 
@@ -35,7 +35,7 @@ END = CLOCK + 3650 * DAY
 
 def term(what: str = CERTIFICATE, first: int = 0, last: int = 90, authority: str = "ca", *, cut: bool = False) -> Term:
     """A document that begins and ends some days after the clock."""
-    return Term(what, CLOCK + first * DAY, CLOCK + last * DAY, authority, cut)
+    return Term(what, CLOCK + first * DAY, CLOCK + last * DAY, Origin("profile"), authority, cut)
 
 
 def planning(days: float = 0, end: datetime = END, issuer: str = "") -> Any:
@@ -121,7 +121,7 @@ class TestWorkspace:
         session = session_of(ws)
         found = enclave_terms(session, "talker")
         assert found
-        assert [(each.what, each.authority, each.is_cut) for each in found.terms] == [
+        assert [(each.what, each.issuer, each.is_cut) for each in found.terms] == [
             (CERTIFICATE, "identity_ca", False),
             (PERMISSIONS, "permissions_ca", False),
         ]

@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 from hypothesis import given
 from hypothesis import strategies as st
 
-from keymint.plan.threshold import DEFAULT, Threshold
+from keymint.plan.terms import DEFAULT, Threshold
 
 FIRST = datetime(2027, 1, 1, tzinfo=UTC)
 DAY = timedelta(days=1)

@@ -116,6 +116,7 @@ def test_drift(files):
         (b"2027-11-20T00:00:00", b"2026-12-20T00:00:00", "grant-expired"),
         (b"2026-11-20T00:00:00", b"2027-02-20T00:00:00", "grant-not-yet-valid"),
         (b"2027-11-20T00:00:00", b"2027-01-20T00:00:00", "grant-expires"),
+        (b"2027-11-20T00:00:00", b"2026-10-20T00:00:00", "grant-never-valid"),
         (b"2026-11-20T00:00:00", b"2026-12-31T12:00:00", "grant-slack"),
         (b"<id>0</id>", b"<id>0</id><id_range><min>4</min><max>5</max></id_range>", "domain-uncovered"),
         (b"<validity>", b"<surprise/><validity>", "schema"),
@@ -129,6 +130,13 @@ def test_documents_that_were_edited_and_signed_again(files, old, new, code):
     found = codes(edited(files, old, new))
     assert code in found
     assert ("drift" in found) is not (b"<!--" in new), "what means the same is no drift"
+
+
+def test_every_grant_is_judged(files):
+    grant = files["permissions.xml"].partition(b"<grant ")[2].partition(b"</grant>")[0]
+    other = grant.replace(b"CN=/talker,OU=x1", b"CN=/other,OU=x1").replace(b"2027-11-20T", b"2026-12-20T")
+    found = codes(edited(files, b"</grant>", b"</grant><grant " + other + b"</grant>"))
+    assert {"grant-count", "grant-subject", "grant-expired"} <= set(found)
 
 
 def test_permissions_xml_that_is_not_what_is_signed(files):

@@ -47,8 +47,6 @@ def test_what_is_not_installed() -> None:
     with pytest.raises(KeymintError, match=r"there is no zenoh/router\.json5") as shared:
         install_shared({}, {})
     assert shared.value.diagnostics[0].help == "run 'keymint build'"
-    with pytest.raises(KeymintError, match="layout 'flat' has no place"):
-        build_type.install(talker, build_type.build(talker, OPTIONS).documents, credentials(talker), "flat", {})
     with pytest.raises(KeymintError, match="must be one of"):
         build_type.install(talker, {"session.json5": b"{mode: 'clint'}"}, credentials(talker), "sros2", {})
     assert build_type.files("flat") == frozenset()

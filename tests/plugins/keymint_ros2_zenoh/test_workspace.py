@@ -69,6 +69,15 @@ def test_check_and_status_have_nothing_to_say(ws: Path, keymint: Callable) -> No
     assert not any(row["stale"] for row in rows)
 
 
+@pytest.mark.parametrize(("verb", "code"), [("build", "layout-unsupported"), ("install", "layout-unknown")])
+def test_a_layout_without_a_place_for_configurations(ws: Path, keymint: Callable, verb: str, code: str) -> None:
+    profile = ws / "profile/keymint_profile.xml"
+    profile.write_text(profile.read_text().replace("<layout>sros2<", "<layout>flat<"))
+    outcome = keymint(verb, "-w", ws, "--json")
+    assert outcome.code == 1
+    assert {each["code"] for each in outcome.document["diagnostics"]} == {code}
+
+
 def contents(ws: Path) -> dict[Path, bytes]:
     """Return all files but the recorded answers to commands."""
     return {path: path.read_bytes() for path in ws.rglob("*") if path.is_file() and not path.name.startswith("last-")}

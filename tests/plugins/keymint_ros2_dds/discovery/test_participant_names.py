@@ -25,6 +25,14 @@ def serves(node: str) -> DiscoveredEndpoint:
     return DiscoveredEndpoint(GUID, "subscribe", f"rq{node}/get_parametersRequest")
 
 
+def describes(node: str) -> DiscoveredEndpoint:
+    """Return what a server of type descriptions receives requests by, which each node is since Iron."""
+    return DiscoveredEndpoint(GUID, "subscribe", f"rq{node}/get_type_descriptionRequest")
+
+
+HELPER = "/transform_listener_impl_5581f0a3"
+
+
 @pytest.mark.parametrize(
     ("name", "user_data", "endpoints", "subject"),
     [
@@ -33,6 +41,18 @@ def serves(node: str) -> DiscoveredEndpoint:
         ("", b"enclave=/robot1/arm;", (), "/robot1/arm"),
         ("/", b"enclave=/;", (serves("/robot1/arm"),), "/robot1/arm"),
         ("/", b"enclave=/;\0", (serves("/a"), serves("/b")), f"/participant_{GUID[:24]}"),
+        ("/", b"enclave=/;", (describes("/robot1/arm"),), "/robot1/arm"),
+        ("/", b"enclave=/;", (describes("/robot1/arm"), describes(HELPER)), "/robot1/arm"),
+        ("/", b"enclave=/;", (serves("/arm"), describes("/arm"), describes("/helper")), "/arm"),
+        ("/", b"enclave=/;", (describes("/_ros2cli_4711"),), "/_ros2cli_4711"),
+        ("/", b"enclave=/;", (describes("/a"), describes("/b")), f"/participant_{GUID[:24]}"),
+        ("/", b"enclave=/;", (serves("/a"), serves("/b"), describes("/a")), f"/participant_{GUID[:24]}"),
+        (
+            "/",
+            b"enclave=/;",
+            (DiscoveredEndpoint(GUID, "publish", "rq/arm/get_type_descriptionRequest"),),  # a client of the arm
+            f"/participant_{GUID[:24]}",
+        ),
         ("whatever", b"name=arm;namespace=/robot1;", (), "/robot1/arm"),
         ("x", b"name=arm;namespace=/;", (), "/arm"),
         ("arm", b"", (serves("/robot1/arm"),), "/robot1/arm"),

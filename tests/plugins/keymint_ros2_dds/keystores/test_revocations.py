@@ -113,10 +113,16 @@ def test_an_enclave_that_is_revoked(keymint, keystore: Path, tmp_path: Path) -> 
     outcome = keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws")
     assert outcome.code == 1
     assert (
-        f"ks/enclaves/talker: error: its certificate, serial number {serial:x}, was revoked on 2026-01-15 (key-c"
-        in (outcome.err)
+        f"ks/enclaves/talker/crl.pem: error: revokes the certificate beside it, serial number {serial:x}, since "
+        "2026-01-15 (key-compromise): vendors refuse the participant (take it out of the keystore;" in outcome.err
     )
     assert not (tmp_path / "ws").exists()
+
+
+def test_only_the_list_of_its_own_authority_revokes_an_enclave(keymint, keystore: Path) -> None:
+    put(keystore, revoking(keystore, [serial_of(keystore, "talker")], other=True))
+    found = {code for code, _ in errors(keymint("adopt", "ks", "--json"))}
+    assert found == {"adopt-revocations"}
 
 
 @pytest.mark.parametrize("place", ["enclaves/talker/crl.pem", "public/crl.pem"])
@@ -145,9 +151,18 @@ def test_a_revocation_that_the_newest_list_lacks(keymint, keystore: Path) -> Non
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (lambda ks: revoking(ks, [OTHER], end=2026), "ended on 2026-02-01: no node with it starts"),
-        (lambda ks: revoking(ks, [OTHER], other=True), "is no revocation list of the authority 'ca': no node with it"),
-        (lambda _: b"revoked: nobody", "is no revocation list of the authority 'ca': no node with it starts"),
+        (
+            lambda ks: revoking(ks, [OTHER], end=2026),
+            "the revocation list expired on 2026-02-01 00:00 UTC (issue it again with the tool",
+        ),
+        (
+            lambda ks: revoking(ks, [OTHER], other=True),
+            "is not a revocation list of the certificate's issuer: vendors refuse the participant (remove it, or",
+        ),
+        (
+            lambda _: b"revoked: nobody",
+            "is not a revocation list in PEM: vendors refuse the participant (remove it, or replace it",
+        ),
         (lambda ks: b"text\n" + revoking(ks, [OTHER]), "(rewrite it, here and on the robots: openssl crl -in ks/encl"),
     ],
     ids=["ended", "another signer", "no list", "text"],

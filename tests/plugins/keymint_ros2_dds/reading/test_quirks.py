@@ -24,7 +24,7 @@ def test_a_plain_document_has_none() -> None:
     root = etree.fromstring(CONTENT)
     assert summary(CONTENT) == []
     assert list(quirks.of_domain_ids(root)) == []
-    assert quirks.of_schema(root, "permissions", "p.xml") == (None, ())
+    assert quirks.of_schema(root, "permissions", "p.xml") == ((), ())
 
 
 @given(st.lists(st.sampled_from([b"<!-- c -->", b"<!-- <x > &#1; -->", b"\n", b" "]), max_size=4), st.integers(0, 99))
@@ -79,9 +79,8 @@ def test_domain_ids(tag: str, text: str, cyclone: object, fast: object) -> None:
 
 def test_what_the_schema_does_not_allow_is_an_error_and_a_quirk() -> None:
     root = etree.fromstring(CONTENT.replace(b"<default>DENY</default>", b"\n<default>MAYBE</default>"))
-    error, (quirk,) = quirks.of_schema(root, "permissions", "p.xml")
-    assert error is not None
-    assert str(error.diagnostics[0].where) == f"p.xml:{quirk.line}"
-    assert error.diagnostics[0].message in quirk.text
+    (defect, *_), (quirk,) = quirks.of_schema(root, "permissions", "p.xml")
+    assert str(defect.where) == f"p.xml:{quirk.line}"
+    assert defect.message in quirk.text
     assert (quirk.cyclone, quirk.fast) == (UNMODELLED, UNMODELLED)
-    assert quirks.of_schema(root, "governance", "g.xml")[0] is not None
+    assert quirks.of_schema(root, "governance", "g.xml")[0]

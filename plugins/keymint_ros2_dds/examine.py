@@ -1,0 +1,308 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The rules about the files of one enclave, each in one place.
+
+A view asks some of them and says what an answer weighs: ``keymint check`` (:mod:`keymint_ros2_dds.check`), proofs
+(:func:`differences`) and ``keymint adopt`` (:mod:`keymint_ros2_dds.keystores.enclaves`), which compares a keystore of
+another tool with the authorities that it has itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from datetime import UTC, datetime, timedelta
+from functools import cached_property
+from typing import TypeVar
+
+from cryptography import x509
+
+from comarmor.errors import Defects, Diagnostic
+from keymint.api import TrustAnchors
+from keymint.errors import KeymintError
+from keymint.names import name_of
+from keymint.pki import certificates, keys, revocation_lists, smime
+from keymint.pki.identity_check import IdentityCheck, anchor_defects
+from keymint.pki.mime import SignedDocument
+from keymint_ros2_dds import authority_roles as roles
+from keymint_ros2_dds import subject_name_text, token_key
+from keymint_ros2_dds.decision.semantics import STANDARD
+from keymint_ros2_dds.domains import in_words, merged, uncovered
+from keymint_ros2_dds.enclave_layout import (
+    CA,
+    CERTIFICATE,
+    CRL,
+    GOVERNANCE_P7S,
+    IDENTITY_CA,
+    KEY,
+    KEY_URI,
+    PERMISSIONS_CA,
+    PERMISSIONS_P7S,
+    PERMISSIONS_XML,
+    enclave_files,
+)
+from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
+from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, PermissionsDocument, as_ranges
+
+IN_PLACE_OF = {f"{name.removesuffix('.pem')}.p11": name for name in (IDENTITY_CA, PERMISSIONS_CA, CERTIFICATE, KEY)}
+"""A file with a PKCS #11 URI that ROS 2 reads in place of another one, where the vendor takes such URIs.
+
+Source: ``get_security_files`` in ``security.cpp`` of rmw_dds_common, from Jazzy on, as rmw_fastrtps calls it.
+"""
+AUTHORITY_FILES = {roles.IDENTITY: IDENTITY_CA, roles.PERMISSIONS: PERMISSIONS_CA}
+"""The file of the authority that has a role; in the flat layout it may be one for both."""
+Document = TypeVar("Document", PermissionsDocument, GovernanceDocument)
+When = tuple[datetime, timedelta]
+"""The clock, UTC, and within which time an end is reported."""
+_SLACK = timedelta(days=1)
+"""Fast DDS reads dates in the host's time zone, so a period must begin a day earlier and end a day later."""
+_DROPPED = (
+    "then running participants of Cyclone DDS drop it within a second and report nothing, those of Fast DDS 2.9 go on, "
+    "and neither connects again"
+)
+_AT_THE_END = {
+    "certificate": _DROPPED,
+    "grant": _DROPPED,
+    "revocation list": "then running participants refuse every new peer, and none starts",
+}
+"""What vendors do at the end of a period; ``tests/real/test_keystore_life.py`` measures it."""
+_UTC = "let its nodes run with TZ=UTC, or give it a validity of ten days or more"
+
+
+def differences(
+    files: Mapping[str, bytes],
+    folder: str,
+    anchors: TrustAnchors,
+    shared: Mapping[str, bytes] | None = None,
+    shared_folder: str = "",
+) -> tuple[Diagnostic, ...]:
+    """Compare the trust anchors of an enclave with the authorities of the workspace.
+
+    Vendors trust the authorities in the enclave. If someone else issued all its files, they are consistent with each
+    other, so only a comparison with the workspace detects it. See :meth:`keymint.api.Prover.differences`.
+    """
+    del shared, shared_folder  # an enclave is complete
+    if missing := tuple(anchor_defects(anchors.authorities[role] for role in AUTHORITY_FILES)):
+        return missing
+    # Nobody but people read the unsigned permissions.
+    unneeded = {PERMISSIONS_XML, *([KEY] if anchors.public_key or anchors.key_uri else [])}
+    needed = [each for each in enclave_files(anchors.layout, anchors.distro) if each not in unneeded]
+    chains = {role: each.chain for role, each in anchors.authorities.items()}
+    found = EnclaveRules(files, folder, "'keymint install' restores it", "", chains).trust(anchors, needed)
+    # An encrypted key cannot be read without its password, so it is not compared with the certificate.
+    return tuple(each for each in found if each.code != "key-password")
+
+
+class EnclaveRules(IdentityCheck):
+    """The rules about the files of one enclave.
+
+    Args:
+        files: the enclave's files by name.
+        folder: its folder as the user would type it.
+        restore: help for a file that has to be written again.
+        subject: the subject of the findings, if they name it.
+        chains: the authorities that its certificate and its documents are verified with, PEM by role; empty bytes for
+            one that is missing.
+    """
+
+    def __init__(
+        self, files: Mapping[str, bytes], folder: str, restore: str, subject: str, chains: Mapping[str, bytes]
+    ) -> None:
+        super().__init__(files, folder, restore, subject)
+        self._chains = chains
+
+    # -- facts ---------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def certificate(self) -> x509.Certificate | None:
+        """The identity certificate; None if it is missing or damaged."""
+        try:
+            certificate = certificates.load(self._files.get(CERTIFICATE, b""))
+            certificates.public_key(certificate)
+        except KeymintError:
+            return None
+        return certificate
+
+    def signed(self, name: str) -> SignedDocument | None:
+        """Return a signed document; None if it is missing, or its signature does not verify."""
+        try:
+            return smime.read(self._files.get(name, b""), self._chains[roles.PERMISSIONS])
+        except KeymintError:
+            return None
+
+    @cached_property
+    def _list_problem(self) -> str:
+        """Why vendors refuse a participant with the revocation list, dates and what it revokes aside."""
+        if CRL not in self._files:
+            return ""
+        try:
+            issuer = certificates.load_bundle(self._chains[roles.IDENTITY])[0]
+        except KeymintError:
+            return ""  # reported with the authorities
+        return revocation_lists.problem(self._files[CRL], issuer)
+
+    @cached_property
+    def revocation(self) -> revocation_lists.Revocation | None:
+        """The entry of the certificate in the list beside it, which its issuer signed."""
+        crl = revocation_lists.first(self._files.get(CRL, b""))
+        if crl is None or self.certificate is None or self._list_problem:
+            return None
+        return revocation_lists.entry(crl, self.certificate.serial_number)
+
+    # -- what the authorities vouch for --------------------------------------------------------------------------
+
+    def trust(self, anchors: TrustAnchors, needed: Iterable[str]) -> Iterator[Diagnostic]:
+        """Yield the findings on the files with which vendors decide whom to trust.
+
+        Args:
+            anchors: what the enclave must rest on; its certificate may have any name if they have none.
+            needed: names of the files that it must have.
+        """
+        yield from self._in_place_of(anchors.key_uri)
+        yield from self.inventory(needed)
+        yield from self.revocation_list()
+        for role, name in (*AUTHORITY_FILES.items(), (roles.PERMISSIONS, CA)):
+            if name in self._files and role in anchors.authorities:  # also where the layout does not have it
+                yield from self._anchored(name, anchors.authorities[role])
+        if CERTIFICATE in self._files:
+            certificate = yield from self._certificate(self._chains[roles.IDENTITY], anchors.subject_name, None)
+            if certificate is not None:
+                yield from self._key(certificate, anchors.public_key)
+        unsigned, signer = Defects(), self._chains[roles.PERMISSIONS]
+        for name in (PERMISSIONS_P7S, GOVERNANCE_P7S):
+            if name in self._files and signer:
+                with unsigned:
+                    smime.read(self._files[name], signer, where=self._where(name))
+        yield from unsigned.found
+
+    def _in_place_of(self, key_uri: str) -> Iterator[Diagnostic]:
+        known = {KEY_URI} if token_key.is_uri(self._files.get(KEY_URI), key_uri) else set()
+        for name in sorted(self._files.keys() & IN_PLACE_OF.keys() - known):
+            message = (
+                f"replaces {IN_PLACE_OF[name]} in ROS 2 Jazzy and later, and Keymint cannot check what it refers to"
+            )
+            yield self._error("file-replaced", name, message, "remove it")
+
+    def inventory(self, needed: Iterable[str]) -> Iterator[Diagnostic]:
+        """Yield an error for each file that is not there."""
+        for name in needed:
+            if name not in self._files:
+                yield self._error("file-missing", name, "is missing")
+
+    def revocation_list(self) -> Iterator[Diagnostic]:
+        """Yield an error if vendors refuse a participant with the revocation list of the enclave, dates aside."""
+        problem, found = self._list_problem, self.revocation
+        if found:
+            when = f"serial number {found.serial:x}, since {found.at:%Y-%m-%d} ({found.reason})"
+            problem = f"revokes the certificate beside it, {when}"
+        if problem:
+            help_ = "remove it, or replace it with a list by the certificate's issuer"
+            yield self._error("revocation-list", CRL, f"{problem}: vendors refuse the participant", help_)
+
+    # -- what it says --------------------------------------------------------------------------------------------
+
+    def encoding(self, name: str) -> Iterator[Diagnostic]:
+        """Yield an error if the certificate or the key is in another form than Keymint writes."""
+        is_canonical, what = {
+            CERTIFICATE: (certificates.is_canonical, "its certificate"), KEY: (keys.is_canonical, "a private key"),
+        }[name]  # fmt: skip
+        if name in self._files and self.certificate is not None and not is_canonical(self._files[name]):
+            yield self._error("pem-altered", name, f"is not the canonical encoding of {what}")
+
+    def periods(self, when: When) -> Iterator[Diagnostic]:
+        """Yield the findings on the dates of the certificate and of the revocation list."""
+        if self.certificate is not None:
+            yield from self._period("certificate", CERTIFICATE, certificates.period(self.certificate), when)
+        if period := revocation_period(self._files.get(CRL, b"")):
+            yield from self._period("revocation list", CRL, period, when)
+
+    def read(
+        self, name: str, reader: Callable[[bytes, str, int], Document]
+    ) -> Generator[Diagnostic, None, Document | None]:
+        """Read a signed document; the generator returns it if it can be read, also if its schema does not allow it.
+
+        Args:
+            name: its file.
+            reader: reads what is signed, with the file and the number of lines before it there.
+        """
+        if (signed := self.signed(name)) is None:
+            return None  # reported with the authorities
+        unread, file = Defects(), self._where(name).file
+        document = unread.attempt(lambda: reader(signed.content, file, signed.lines_before))
+        yield from map(self._for_subject, document.defects if document else unread.found)
+        return document
+
+    def documents(
+        self, permissions: PermissionsDocument, governance: GovernanceDocument | None, when: When
+    ) -> Iterator[Diagnostic]:
+        """Yield the findings on what the signed documents say.
+
+        Args:
+            permissions: the signed permissions.
+            governance: the signed governance, if it can be read.
+            when: the clock, and within which time an end is reported.
+        """
+        if len(permissions.grants) != 1:
+            message = f"has {len(permissions.grants)} grants; vendors choose among several in different ways"
+            yield self._warning("grant-count", PERMISSIONS_P7S, message, "keep one grant")
+        for grant in permissions.grants:
+            yield from self._grant(grant, when)
+        if governance is not None:
+            governed = merged(as_ranges(each for rule in governance.domain_rules for each in rule.domains))
+            granted = as_ranges(each for grant in permissions.grants for rule in grant.rules for each in rule.domains)
+            if lacking := uncovered(merged(granted), governed):
+                message = f"grants in {in_words(lacking)}, but the governance is for {in_words(governed)}"
+                help_ = "add the domain to a domain rule of the governance"
+                yield self._error("domain-uncovered", PERMISSIONS_P7S, message, help_)
+
+    def _grant(self, grant: DocumentGrant, when: When) -> Iterator[Diagnostic]:
+        name = subject_name_text.of_any(self.certificate.subject) if self.certificate else grant.subject_name
+        if grant.subject_name != name:
+            message = f"grants to {grant.subject_name!r}, but the certificate is for {name!r}"
+            yield self._error("grant-subject", PERMISSIONS_P7S, message)
+        if grant.allows:
+            message = "allows by default on Cyclone DDS and OpenDDS, and denies on Fast DDS"
+            yield self._error("grant-default", PERMISSIONS_P7S, message, "make the default DENY")
+        if period := STANDARD.period(grant):
+            yield from self._period("grant", PERMISSIONS_P7S, period, when, _SLACK)
+        else:
+            message = f"its dates are {grant.not_before!r} and {grant.not_after!r}, expected two xs:dateTime in order"
+            yield self._error("grant-never-valid", PERMISSIONS_P7S, message, "sign a document with valid dates")
+
+    def plain_text(self, signed: bytes | None) -> Iterator[Diagnostic]:
+        """Yield an error if the unsigned permissions are others than those that participants read."""
+        if self._files.get(PERMISSIONS_XML, signed) != signed:
+            yield self._error("document-differs", PERMISSIONS_XML, "is not the document that permissions.p7s signs")
+
+    def _period(
+        self, what: str, name: str, period: tuple[datetime, datetime], when: When, slack: timedelta = timedelta(0)
+    ) -> Iterator[Diagnostic]:
+        """Yield the finding on dates that are over, are to come, or end soon; both ends of a period count."""
+        (now, within), (begin, end), code = when, period, what.replace(" ", "-")
+        verb = "crl --refresh" if name == CRL else f"renew {name_of(self._subject)}"
+        again = f"'keymint {verb}' issues it again"
+        renew = again if name == CRL else f"{again}, with later dates"
+        if now > end:
+            yield self._error(f"{code}-expired", name, f"the {what} expired on {_shown(end)}", renew)
+        elif now < begin:
+            message = f"the {what} is not valid before {_shown(begin)}"
+            later = f"compare the clock of this machine; if it is right, {again}"
+            yield self._error(f"{code}-not-yet-valid", name, message, later)
+        elif now + within >= end:
+            message = f"the {what} expires on {_shown(end)}; {_AT_THE_END[what]}"
+            yield self._warning(f"{code}-expires", name, message, renew)
+        elif now + slack >= end or now - slack < begin:
+            message = (
+                f"the {what} is valid from {_shown(begin)} to {_shown(end)}, which is within a day of now: Fast DDS "
+                "reads these dates in its host's time zone"
+            )
+            is_renewable = now - slack >= begin and end - begin > 2 * slack
+            yield self._warning(f"{code}-slack", name, message, renew if is_renewable else _UTC)
+
+
+def revocation_period(pem: bytes) -> tuple[datetime, datetime] | None:
+    """Return the validity period of a revocation list, in UTC; None for bytes that are not a revocation list."""
+    crl = revocation_lists.first(pem)
+    return None if crl is None else revocation_lists.period(crl)
+
+
+def _shown(moment: datetime) -> str:
+    return f"{moment.astimezone(UTC):%Y-%m-%d %H:%M} UTC"
