@@ -34,6 +34,10 @@ class ProcessFailedError(Exception):
     """The process hangs, has died, or does not know a command: not a decision of the vendor."""
 
 
+class ProcessDiedError(ProcessFailedError):
+    """The process has died."""
+
+
 class CommandProcess:
     """A process that answers each line that it reads with a line; :meth:`reap` always ends it.
 
@@ -78,7 +82,7 @@ class CommandProcess:
         code = self._process.wait(timeout=GRACE_SECONDS)
         self._errors.seek(0)
         said = self._errors.read().decode(errors="replace").strip()
-        return ProcessFailedError(f"{self._noun} died at {command!r} with exit code {code}: {said}")
+        return ProcessDiedError(f"{self._noun} died at {command!r} with exit code {code}: {said}")
 
     def reap(self) -> None:
         """Kill the process and close its streams; may be called again."""
