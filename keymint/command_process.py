@@ -50,9 +50,13 @@ class CommandProcess:
     def __init__(self, words: Sequence[str], environment: Mapping[str, str], noun: str) -> None:
         self._noun = noun
         self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
-        self._process = subprocess.Popen(  # noqa: S603 - no shell
-            words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors, env=dict(environment)
-        )
+        try:
+            self._process = subprocess.Popen(  # noqa: S603 - no shell
+                words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors, env=dict(environment)
+            )
+        except OSError:
+            self._errors.close()
+            raise
         self._input, self._output = cast("IO[bytes]", self._process.stdin), cast("IO[bytes]", self._process.stdout)
         self._pending = b""
 

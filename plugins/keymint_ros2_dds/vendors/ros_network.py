@@ -19,7 +19,7 @@ from keymint.command_process import MissingVendorError, ProcessFailedError
 from keymint_ros2_dds.vendors.participants import ProbeProcess, RefusedError
 
 _PROGRAM = str(Path(__file__).with_name("ros_node.py"))
-_UNSHARE = ("unshare", "--map-root-user", "--net", "--mount")
+UNSHARE = ("unshare", "--map-root-user", "--net", "--mount")
 _ENTER = ("nsenter", "--user", "--preserve-credentials", "--net", "--mount", "--target")
 _CYCLONEDDS = (
     "<CycloneDDS><Domain Id='any'><General><Interfaces><NetworkInterface address='127.0.0.1' multicast='false'/>"
@@ -46,6 +46,7 @@ class RosNetwork(ExitStack):
 
     Attributes:
         inside: the words that run a program in the network.
+        python: the Python of ROS.
         rmw: what the nodes use, e.g. ``rmw_cyclonedds_cpp``.
     """
 
@@ -60,7 +61,7 @@ class RosNetwork(ExitStack):
             "ROS_LOG_DIR": str(PRIVATE),
             "TZ": "UTC",
         }
-        self._python = ""
+        self.python = ""
         self.inside: tuple[str, ...] = ()
         self.rmw = ""
 
@@ -76,13 +77,13 @@ class RosNetwork(ExitStack):
         reason = "there is no python3"
         for python in _pythons(self._variables):
             try:
-                process = self._start((*_UNSHARE, python, _PROGRAM, "network"), self._variables)
+                process = self._start((*UNSHARE, python, _PROGRAM, "network"), self._variables)
                 _, answer = process.answer("network")
             except (OSError, ProcessFailedError) as error:
                 reason = " ".join(str(error).split()[-_WORDS_OF_AN_ERROR:])
                 continue
             pid, self.rmw = answer.split()
-            self.inside, self._python = (*_ENTER, pid), python
+            self.inside, self.python = (*_ENTER, pid), python
             return self
         raise MissingVendorError("ROS 2", f"no node of {distro} can run in a network of its own: {reason}", MISSING)
 
@@ -113,7 +114,7 @@ class RosNetwork(ExitStack):
             RefusedError: ROS does not create it.
             ProcessFailedError: its process fails.
         """
-        process = self._start((*self.inside, self._python, _PROGRAM), self.variables(install, domain))
+        process = self._start((*self.inside, self.python, _PROGRAM), self.variables(install, domain))
         answer, text = process.ask("OPEN", name or "keymint_stand_in", namespace, enclave)
         if answer != "OPENED":
             process.reap()
