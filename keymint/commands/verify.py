@@ -135,7 +135,8 @@ def verify(
         edges = sum(len(each.labels) for each in verified)
         _show(run, outcomes, len(subjects), edges)
         if tally is not None:
-            run.console.table(["OPERATION", "ASKED", "AGREED", "DENIED"], [[*map(str, row)] for row in tally.rows()])
+            rows = [[each, *map(str, row)] for each, row in sorted(tally.rows.items())]
+            run.console.table(["OPERATION", "ASKED", "AGREED", "DENIED"], rows)
             run.console.table(["TIMES", "ROS SAID"], [[str(each), text] for text, each in tally.texts.most_common()])
         _write(run, verified, sarif, junit)
         if report is not None:

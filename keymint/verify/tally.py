@@ -13,34 +13,26 @@ class Tally:
     """What a transport was asked, and what it answered.
 
     Attributes:
-        asked: number of edges by permission.
-        agreed: number of those that it decided as the policy does.
-        denied: number of those that it denied.
-        texts: number of denials by its words.
+        rows: by permission, the numbers of edges that were asked, decided as the policy does, and denied.
+        texts: number of denials by the transport's words.
     """
 
     def __init__(self) -> None:
-        self.asked: Counter[str] = Counter()
-        self.agreed: Counter[str] = Counter()
-        self.denied: Counter[str] = Counter()
+        self.rows: dict[str, list[int]] = {}
         self.texts: Counter[str] = Counter()
 
     def add(self, edge: Edge, verdict: Verdict, *, agreed: bool) -> None:
         """Count a verdict on an edge."""
-        self.asked[edge.permission] += 1
-        self.agreed[edge.permission] += agreed
+        row = self.rows.setdefault(edge.permission, [0, 0, 0])
+        for at, counts in enumerate((True, agreed, not verdict.allowed)):
+            row[at] += counts
         if not verdict.allowed:
-            self.denied[edge.permission] += 1
             self.texts[verdict.reason] += 1
-
-    def rows(self) -> list[tuple[str, int, int, int]]:
-        """Return each permission with the numbers of edges that were asked, agreed and denied."""
-        return [(each, self.asked[each], self.agreed[each], self.denied[each]) for each in sorted(self.asked)]
 
     def json(self) -> dict[str, object]:
         """Return the members of ``keymint verify --ros --json``."""
         names = ("permission", "asked", "agreed", "denied")
         return {
-            "operations": [dict(zip(names, row, strict=True)) for row in self.rows()],
+            "operations": [dict(zip(names, (each, *row), strict=True)) for each, row in sorted(self.rows.items())],
             "denials": [{"text": text, "count": count} for text, count in self.texts.most_common()],
         }

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -26,19 +26,17 @@ COUNTS: Counter[str] = Counter()
 """What the tests of this run have tried, for the report at the end."""
 
 
-def sourced() -> Mapping[str, str]:
-    """Return the environment with ROS 2 in it; pytest itself runs without its modules, whose plugins it would load."""
-    variables = dict(os.environ)
-    if modules := variables.pop("KEYMINT_ROS_PYTHONPATH", ""):
-        variables["PYTHONPATH"] = modules
-    return variables
+SOURCED = dict(os.environ)
+"""The environment with ROS 2 in it, before tests change theirs."""
+if _modules := SOURCED.pop("KEYMINT_ROS_PYTHONPATH", ""):
+    SOURCED["PYTHONPATH"] = _modules  # pytest itself runs without, because it would load the plugins there
 
 
 @pytest.fixture(scope="session")
 def usable() -> None:
     """Require a ROS 2 that can be run apart from all others."""
     try:
-        with RosNetwork(sourced()):
+        with RosNetwork(SOURCED):
             pass
     except MissingVendorError as error:
         if os.environ.get("KEYMINT_REQUIRE_ROS") == "1":
@@ -49,7 +47,7 @@ def usable() -> None:
 @pytest.fixture
 def ros(usable: None, tmp_path: Path) -> Iterator[RosSystem]:
     """Return a network without nodes; all its processes end with the test."""
-    with RosNetwork(sourced()) as network:
+    with RosNetwork(SOURCED) as network:
         yield RosSystem(network, tmp_path)
 
 

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from threading import Timer
 
 from keymint_ros2_dds.vendors.participants import ProbeProcess, RefusedError
 from keymint_ros2_dds.vendors.ros_network import RosNetwork
@@ -51,6 +52,7 @@ class RosSystem:
     def __init__(self, network: RosNetwork, folder: Path) -> None:
         self.network = network
         self.folder = folder
+        self._programs = 0
 
     # -- Keymint --------------------------------------------------------------------------------------------------
 
@@ -95,7 +97,8 @@ class RosSystem:
 
     def program(self, text: str, install: Path | None, *arguments: str) -> subprocess.Popen[str]:
         """Start a program of the user's in the Python of ROS; it ends with the test."""
-        file = self.folder / "program.py"
+        self._programs += 1
+        file = self.folder / f"program{self._programs}.py"
         file.write_text(text)
         started = subprocess.Popen(
             [*self.network.inside, self.network.python, "-u", file, *arguments],
@@ -153,13 +156,17 @@ def answered(client: ProbeProcess, server: ProbeProcess, seconds: float, text: s
 
 
 def first_line(process: subprocess.Popen[str], wanted: Callable[[str], bool]) -> str:
-    """Return the first line of a program that is wanted; all lines if there is none."""
+    """Return the first line of a program that is wanted; all that it prints in its time if there is none."""
     assert process.stdout is not None
+    end = Timer(2 * SECONDS, process.kill)
+    end.start()
     lines: list[str] = []
     for line in process.stdout:
         lines.append(line)
         if wanted(line):
+            end.cancel()
             return line
+    end.cancel()
     return "".join(lines)
 
 

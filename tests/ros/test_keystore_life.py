@@ -69,7 +69,7 @@ def test_a_narrowed_right_ends_for_the_old_files_too(ros: RosSystem) -> None:
 
 def test_a_certificate_ends_while_nodes_run(ros: RosSystem) -> None:
     end = datetime.now(UTC) + timedelta(seconds=60)
-    clock = str(int((end - timedelta(days=365)).timestamp()))
+    clock = str(int((end - timedelta(days=364)).timestamp()))  # certificates begin a day earlier
     (ros.folder / "ws.xml").write_text(PAIR)
     workspace = ros.folder / "ws"
     ros.keymint("provision", ros.folder / "ws.xml", "-w", workspace, clock=clock)

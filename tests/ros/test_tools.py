@@ -89,13 +89,14 @@ def test_ros2_keymint(ros: RosSystem) -> None:
     variables["PATH"] = os.pathsep.join((variables["PATH"], str(Path(sys.executable).parent)))
     ros2 = [*ros.network.inside, "ros2", "keymint"]
     assert "keymint" in run([*ros2, "--version"], variables, ros.folder, 0)
-    (ros.folder / "p.xml").write_text(
+    file = ros.folder / "p.xml"  # 'nsenter' leaves the current folder
+    file.write_text(
         f'<profiles xmlns:xi="http://www.w3.org/2001/XInclude"><profile name="a"><attachment>/a</attachment>{GRAPH}'
         f"{rule('ros_topic', '/b', 'ros_publish')}</profile></profiles>"
     )
-    run([*ros2, "provision", "p.xml", "-w", "made"], variables, ros.folder, 0)
+    run([*ros2, "provision", str(file), "-w", str(ros.folder / "made")], variables, ros.folder, 0)
     found = json.loads(
-        run([*ros2, "query", "p.xml", "who", "can", "publish", "/b", "--json"], variables, ros.folder, 0)
+        run([*ros2, "query", str(file), "who", "can", "publish", "/b", "--json"], variables, ros.folder, 0)
     )
     assert "/a" in json.dumps(found["result"])
     assert ros.refusal(ros.folder / "made/install", "/a") == ""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""As much of rclpy as a stand-in node uses; ``FAKE_ALLOWED`` lists what is allowed: ``publisher /chatter,client /reset``."""
+"""As much of rclpy as a stand-in node uses; ``FAKE_ALLOWED`` lists what is allowed: ``publisher /a,client /b``."""
 
 import os
 import sys
