@@ -56,7 +56,7 @@ class RosSystem:
 
     # -- Keymint --------------------------------------------------------------------------------------------------
 
-    def keymint(self, *arguments: object, code: int = 0, inside: bool = False, clock: str = "") -> str:
+    def keymint(self, *arguments: object, code: int = 0, inside: bool = False) -> str:
         """Run the command, in the network if ``inside``; return what it prints."""
         searched = os.pathsep.join(str(Path(entry).resolve()) for entry in sys.path if entry)
         variables = {**self.network.variables(None), "PYTHONPATH": searched}
@@ -64,8 +64,6 @@ class RosSystem:
         if "--ros" in arguments:  # in the user's shell both are on this path
             variables["PYTHONPATH"] = os.pathsep.join((ros, searched))
         variables.pop("SOURCE_DATE_EPOCH", None)
-        if clock:
-            variables["SOURCE_DATE_EPOCH"] = clock
         prefix = self.network.inside if inside else ()
         return run([*prefix, sys.executable, "-m", "keymint", *map(str, arguments)], variables, self.folder, code)
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import time
 from datetime import UTC, datetime, timedelta
@@ -68,12 +69,13 @@ def test_a_narrowed_right_ends_for_the_old_files_too(ros: RosSystem) -> None:
 
 
 def test_a_certificate_ends_while_nodes_run(ros: RosSystem) -> None:
+    workspace, install = ros.folder / "ws", ros.provision(PAIR)
     end = datetime.now(UTC) + timedelta(seconds=60)
-    clock = str(int((end - timedelta(days=364)).timestamp()))  # certificates begin a day earlier
-    (ros.folder / "ws.xml").write_text(PAIR)
-    workspace = ros.folder / "ws"
-    ros.keymint("provision", ros.folder / "ws.xml", "-w", workspace, clock=clock)
-    install = workspace / "install"
+    for name in ("identities.xml", "permissions.xml"):
+        file = workspace / "profile/package.defaults" / name
+        ends = f"<not_after>{end:%Y-%m-%dT%H:%M:%S}</not_after>"
+        file.write_text(re.sub("<not_after>.*</not_after>", ends, file.read_text()))
+    ros.provision(PAIR)
     talker, listener = pair(ros, install)
     assert delivered(talker, listener, max(1.0, (end - datetime.now(UTC)).total_seconds()))
     time.sleep(max(0.0, (end - datetime.now(UTC)).total_seconds()) + 2)

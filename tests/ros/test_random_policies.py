@@ -43,12 +43,7 @@ def test_nodes_may_do_what_test_and_verify_say(ros: RosSystem, counts: Counter[s
 
 def graph(answers: list[tuple[str, str, str, bool]]) -> dict[str, object]:
     """Return the graph of what was tried."""
-    kinds = {"publish": "topic", "subscribe": "topic", "call": "service", "execute": "service", "request": "action",
-             "operate": "action", "read": "parameter", "write": "parameter"}  # fmt: skip
-    edges = [
-        {"subject": subject, "permission": each, "object": name, "kind": f"ros_{kinds[each.removeprefix('ros_')]}"}
-        for subject, each, name, _ in answers
-    ]
+    edges = [{"subject": subject, "permission": each, "object": name} for subject, each, name, _ in answers]
     return {"format": "keymint-graph", "version": 1, "edges": edges}
 
 

@@ -58,7 +58,7 @@ def test_what_ros2_security_made_is_adopted_and_hardened_while_nodes_run(ros: Ro
     talker, listener = pair(ros, keystore)
     assert delivered(talker, listener, SECONDS)
     workspace = ros.folder / "ws"
-    ros.keymint("adopt", keystore, file, "--apply", "-w", workspace, code=3)
+    ros.keymint("adopt", keystore, file, "--apply", "-w", workspace)
     adopted = workspace / "install"
     ros.keymint("build", "-w", workspace)
     ros.keymint("install", "-w", workspace)

@@ -194,15 +194,18 @@ class StandIn:
         from rclpy.action import ActionClient, ActionServer  # noqa: PLC0415 - as late as rclpy
 
         kind = _fibonacci()
-        if permission == "ros_request":
-            return ActionClient(self._node, kind, name)
 
         def execute(goal: Any) -> Any:
             inbox.append(str(goal.request.order))
             goal.succeed()
             return kind.Result(sequence=[goal.request.order])
 
-        return ActionServer(self._node, kind, name, execute)
+        try:
+            if permission == "ros_request":
+                return ActionClient(self._node, kind, name)
+            return ActionServer(self._node, kind, name, execute)
+        except ValueError as error:  # so rclpy calls a denied service of an action
+            raise self._denial(str(error)) from None
 
     # -- what is sent ---------------------------------------------------------------------------------------------
 
