@@ -11,6 +11,7 @@ import os
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from keymint_ros2_dds.vendors.ros_network import RosNetwork
@@ -55,6 +56,18 @@ def ros(usable: None, tmp_path: Path) -> Iterator[RosSystem]:
 def counts() -> Counter[str]:
     """Return the counts of the report."""
     return COUNTS
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Let a worker of pytest-xdist hand over its counts."""
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["counts"] = dict(COUNTS)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any) -> None:
+    """Add the counts of a worker."""
+    COUNTS.update(node.workeroutput.get("counts", {}) if hasattr(node, "workeroutput") else {})
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -76,14 +76,14 @@ class RosSystem:
 
     # -- ROS ------------------------------------------------------------------------------------------------------
 
-    def node(self, install: Path | None, enclave: str, domain: int = 0, **names: str) -> ProbeProcess:
+    def node(self, install: Path | None, enclave: str, domain: int = 0) -> ProbeProcess:
         """Start a stand-in node."""
-        return self.network.node(install, enclave, domain, **names)
+        return self.network.node(install, enclave, domain)
 
-    def refusal(self, install: Path | None, enclave: str, domain: int = 0, **names: str) -> str:
+    def refusal(self, install: Path | None, enclave: str, domain: int = 0) -> str:
         """Return why no stand-in node starts, or an empty text."""
         try:
-            self.node(install, enclave, domain, **names).reap()
+            self.node(install, enclave, domain).reap()
         except RefusedError as error:
             return str(error)
         return ""

@@ -171,8 +171,8 @@ def install(ros: RosSystem) -> Path:
 def test_a_node_without_security_neither_sends_nor_receives(ros: RosSystem, install: Path) -> None:
     talker, listener = pair(ros, install)
     intruder, eavesdropper = (
-        ros.node(None, "/talker", name="intruder"),
-        ros.node(None, "/listener", name="eavesdropper"),
+        ros.node(None, "/talker"),
+        ros.node(None, "/listener"),
     )
     kept(intruder, "out", "ros_publish", "/chatter")
     kept(eavesdropper, "in", "ros_subscribe", "/chatter")

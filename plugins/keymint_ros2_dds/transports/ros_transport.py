@@ -17,7 +17,7 @@ from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9
 from keymint_ros2_dds.lowering.endpoints import endpoints, meanings
 from keymint_ros2_dds.transports.enclave_model import EnclaveModels
 from keymint_ros2_dds.vendors.participants import RefusedError
-from keymint_ros2_dds.vendors.ros_network import RosNetwork
+from keymint_ros2_dds.vendors.ros_network import PRIVATE, RosNetwork
 
 _NAME = lazy_regex(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 """The full names that rcl accepts (rmw, ``validate_full_topic_name.c``), but for two underscores in a row."""
@@ -56,12 +56,14 @@ class RosTransport:
         """See :meth:`keymint.api.Transport.label`. The reason of a denial is what ROS says, without the name."""
         self.usable().require(tier, "ros")
         models = EnclaveModels(enclaves, self._environment)
+        if any(each.install.is_relative_to(PRIVATE) for each in enclaves):
+            raise KeymintError(f"nodes see no file below {PRIVATE}", help="set TMPDIR", code="transport-unusable")
         try:
             with RosNetwork(self._environment.variables) as network:
                 for (subject, domain), group in groupby(edges, key=lambda edge: (edge.subject, edge.domain)):
                     yield from self._labelled(network, models, models.enclaves[subject], domain, group)
         except (MissingVendorError, ProcessFailedError) as error:
-            raise KeymintError(f"{subject}: {error}", code="transport-failed") from None
+            raise KeymintError(str(error), code="transport-failed") from None
 
     def _labelled(
         self, network: RosNetwork, models: EnclaveModels, enclave: Enclave, domain: int, edges: Iterable[Edge]

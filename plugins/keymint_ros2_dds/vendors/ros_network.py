@@ -56,7 +56,6 @@ class RosNetwork(ExitStack):
         self._variables |= {
             "CYCLONEDDS_URI": _CYCLONEDDS,
             "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
-            "PYTHONUNBUFFERED": "1",
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "ROS_LOG_DIR": str(PRIVATE),
             "TZ": "UTC",
@@ -98,24 +97,20 @@ class RosNetwork(ExitStack):
         keystore = {} if install is None else {"ROS_SECURITY_KEYSTORE": str(install)}
         return {**self._variables, **security, **keystore, "ROS_DOMAIN_ID": str(domain)}
 
-    def node(
-        self, install: Path | None, enclave: str, domain: int = 0, *, name: str = "", namespace: str = "/"
-    ) -> ProbeProcess:
+    def node(self, install: Path | None, enclave: str, domain: int = 0) -> ProbeProcess:
         """Start a node; its commands are those of :mod:`ros_node`.
 
         Args:
             install: the install space; None to start it without security.
             enclave: the enclave's path.
             domain: the domain id.
-            name: the node's name [that of a stand-in].
-            namespace: its namespace.
 
         Raises:
             RefusedError: ROS does not create it.
             ProcessFailedError: its process fails.
         """
         process = self._start((*self.inside, self.python, _PROGRAM), self.variables(install, domain))
-        answer, text = process.ask("OPEN", name or "keymint_stand_in", namespace, enclave)
+        answer, text = process.ask("OPEN", enclave)
         if answer != "OPENED":
             process.reap()
             raise RefusedError(text)

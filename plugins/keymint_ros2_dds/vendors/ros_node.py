@@ -6,7 +6,7 @@ network namespace instead; :mod:`ros_nodes` starts both. A node reads one comman
 by tabs, and answers each with a line:
 
 ================================  ======================================================================
-``OPEN name namespace enclave``   ``OPENED``, or ``REFUSED text``
+``OPEN enclave``                  ``OPENED``, or ``REFUSED text``
 ``TRY permission name``           ``ALLOWED``, or ``DENIED text``; what is created is deleted at once
 ``KEEP id permission name``       the same, and what is created stays
 ``SEND id text``                  ``SENT``, or ``UNMATCHED``: nobody is there who would get it
@@ -87,7 +87,7 @@ class StandIn:
         self._kept: dict[str, Any] = {}
         self._inbox: dict[str, deque[str]] = {}
 
-    def open(self, name: str, namespace: str, enclave: str) -> str:
+    def open(self, enclave: str) -> str:
         """Create the node with nothing that a node can do without: each right of its own is asked for by a command."""
         create, first = self._ros.node.Node.create_publisher, iter([_NoPublisher()])
 
@@ -100,7 +100,7 @@ class StandIn:
         options = ["--enclave", enclave, "--disable-rosout-logs", "-p", "start_type_description_service:=false"]
         try:
             self._ros.init(args=["--ros-args", *options])
-            self._node = Bare(name, namespace=namespace, enable_rosout=False, start_parameter_services=False)
+            self._node = Bare("keymint_stand_in", enable_rosout=False, start_parameter_services=False)
         except self._denial as error:
             return f"REFUSED {_line(error)}"
         return "OPENED"
@@ -162,11 +162,10 @@ class StandIn:
 
     def _makers(self, permission: str, name: str, inbox: deque[str]) -> list[Callable[[], Any]]:
         node, log, get = self._node, self._messages.Log, self._services.GetParameters
-        value = self._messages.ParameterValue
 
         def answer(request: Any, response: Any) -> Any:
             inbox.append(request.names[0])
-            response.values = [value(string_value=f"re: {request.names[0]}")]
+            response.values = [self._messages.ParameterValue(string_value=f"re: {request.names[0]}")]
             return response
 
         makers: dict[str, Callable[[str], Any]] = {

@@ -7,7 +7,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 
 
 class Node:
-    def __init__(self, name, *, namespace, use_global_arguments=True, **_options):
+    def __init__(self, name, *, namespace="/", use_global_arguments=True, **_options):
         self._made = []
         self.create_publisher(None, "/parameter_events", 10)
         if use_global_arguments is False:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
+from keymint_ros2_dds.transports import ros_transport
 from keymint_ros2_dds.vendors import ros_network
 from keymint_ros2_dds.vendors.participants import RefusedError
 from keymint_ros2_dds.vendors.ros_network import RosNetwork
@@ -126,6 +127,15 @@ def test_without_ros_it_says_what_is_missing(verified: Callable[..., Outcome]) -
     assert verified(options=("--tier", "exchange")).code == 2
 
 
+def test_files_that_nodes_would_not_see_are_an_error(
+    verified: Callable[..., Outcome], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(ros_transport, "PRIVATE", Path("/tmp"))
+    outcome = verified(*ALLOWED)
+    assert outcome.code == 1
+    assert "nodes see no file below /tmp (set TMPDIR)" in outcome.err
+
+
 def test_where_no_network_can_be_made_nothing_is_started(
     verified: Callable[..., Outcome], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -142,7 +152,7 @@ def test_a_node_refuses_to_start_in_a_network_of_others() -> None:
     variables = {**os.environ, **environment()}
     for words in ((), ("network",)):
         done = subprocess.run(
-            [sys.executable, program, *words], input="OPEN\ta\t/\t/a\n", env=variables, capture_output=True, text=True,
+            [sys.executable, program, *words], input="OPEN\t/a\n", env=variables, capture_output=True, text=True,
             check=True,
         )  # fmt: skip
         assert done.stdout.startswith("ERROR this network has")
