@@ -34,7 +34,6 @@ _CONFIGURES = (
 """Variables of the user's robot that would lead elsewhere."""
 PRIVATE = Path("/dev/shm")  # noqa: S108
 """The network has another one."""
-_WORDS_OF_AN_ERROR = 24
 MISSING = "source a ROS 2 whose rmw implementation is one of DDS; docs/verification.md, 'On your robot's ROS'"
 
 
@@ -79,7 +78,8 @@ class RosNetwork(ExitStack):
                 process = self._start((*UNSHARE, python, _PROGRAM, "network"), self._variables)
                 _, answer = process.answer("network")
             except (OSError, ProcessFailedError) as error:
-                reason = " ".join(str(error).split()[-_WORDS_OF_AN_ERROR:])
+                reason = str(error).splitlines()[-1]
+                self.close()
                 continue
             pid, self.rmw = answer.split()
             self.inside, self.python = (*_ENTER, pid), python
