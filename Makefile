@@ -7,12 +7,13 @@ BIN = $(VENV)/bin
 # One more than the cores: tests on real software mostly wait for it.
 WORKERS ?= $(shell expr $$(nproc) + 1)
 
-.PHONY: help setup vendors demo demo-zenoh test test-full test-all lint bench lock clean
+.PHONY: help setup vendors demo demo-zenoh test test-ros test-full test-all lint bench lock clean
 
 help:
 	@echo "make demo    provision the talker/listener example and show the keystore"
 	@echo "make demo-zenoh  the same for Zenoh; a talker and a listener exchange data, and others are refused"
 	@echo "make test    the complete suite, including the tests on real DDS and Zenoh software"
+	@echo "make test-ros  the tests on the ROS 2 that is sourced, in a network of their own"
 	@echo "make test-full  the same without sampling: all cases of every exhaustive test"
 	@echo "make test-all   the suite on every installed Python from 3.11 on"
 	@echo "make lint    ruff, mypy, import-linter"
@@ -33,6 +34,9 @@ demo-zenoh: setup
 
 test: setup vendors
 	@BIN=$(BIN) WORKERS=$(WORKERS) .ci/test $(PYTEST_ARGS)
+
+test-ros: setup
+	@BIN=$(BIN) .ci/test-ros $(PYTEST_ARGS)
 
 test-full: setup vendors
 	@KEYMINT_FULL=1 BIN=$(BIN) WORKERS=$(WORKERS) .ci/test $(PYTEST_ARGS)

@@ -36,8 +36,10 @@ from keymint.verify.parts import verified_in_parts
 from keymint.verify.scope import (
     VerificationScope,
     installed_scopes,
+    selective,
     subjects_of_graph,
 )
+from keymint.verify.tally import Tally
 from keymint.verify.usable_transports import choose
 from keymint.verify.verification import Verification
 
@@ -61,6 +63,12 @@ from keymint.verify.verification import Verification
     help="What to test: access-control code, endpoint creation, or data exchange.",
 )
 @click.option(
+    "--ros",
+    is_flag=True,
+    help="Ask the ROS 2 that is sourced: a stand-in node for each enclave tries each right and each near miss, in a "
+    "network of its own that has nothing but loopback.",
+)
+@click.option(
     "--limit", type=click.IntRange(0), default=1000, show_default=True, help="Mismatches to list per transport."
 )
 @click.option("--sarif", type=FILE, metavar="FILE", help="Write the mismatches as SARIF 2.1.0.")
@@ -77,6 +85,7 @@ def verify(
     graph: Path | None,
     chosen: tuple[str, ...],
     tier: str,
+    ros: bool,
     limit: int,
     sarif: Path | None,
     junit: Path | None,
@@ -94,12 +103,16 @@ def verify(
     Exit code 3: there are mismatches, or an enclave does not trust the workspace's authorities.
     """
     session = run.session()
+    if ros:
+        chosen, tier = (*chosen, "ros"), tier if tier == Tier.EXCHANGE else str(Tier.ADMISSION)
+    tally = Tally() if ros else None
     chosen_names = with_enclaves(session, run.names(session, names), names)
     there = installed_scopes(session, chosen_names)
     # A transport trusts the authorities in the enclave; they must be the workspace's.
     foreign = differences(session, chosen_names)
     policy = load_policy(session)
     groups = choose(run.plugins, chosen, Tier(tier), tuple(there.scopes))
+    scopes = {name: selective(there.scopes[name], group.values()) for name, group in groups.items()}
     transports = [transport for group in groups.values() for transport in group.values()]
     system = None if graph is None else subjects_of_graph(
         load(read_input(run, graph), str(graph)), there.enclaves, only=bool(names)
@@ -109,16 +122,22 @@ def verify(
     ) as copies:
         total = sum((1 + len(group)) * len(there.scopes[name].enclaves) for name, group in groups.items())
         with run.console.progress(total, run.setting.monotonic) as advance:
-            asking = Asking(Tier(tier), limit, lambda name, subject: advance(Step(name, subject, Action.UNCHANGED)))
+            asking = Asking(
+                Tier(tier), limit, lambda name, subject: advance(Step(name, subject, Action.UNCHANGED)), tally
+            )
             with run.pool() as pool:
                 verified = [
-                    verified_in_parts(pool, run.plugins, there.scopes[name], policy, system, copies, group, asking)
+                    verified_in_parts(pool, run.plugins, scopes[name], policy, system, copies, group, asking)
                     for name, group in groups.items()
                 ]
         subjects = tuple(sorted({subject for each in verified for subject in each.subjects}))
         outcomes = [outcome for each in verified for outcome in each.comparisons]
         edges = sum(len(each.labels) for each in verified)
         _show(run, outcomes, len(subjects), edges)
+        if tally is not None:
+            rows = [[each, *map(str, row)] for each, row in sorted(tally.rows.items())]
+            run.console.table(["OPERATION", "ASKED", "AGREED", "DENIED"], rows)
+            run.console.table(["TIMES", "ROS SAID"], [[str(each), text] for text, each in tally.texts.most_common()])
         _write(run, verified, sarif, junit)
         if report is not None:
             for each in verified:
@@ -128,7 +147,7 @@ def verify(
                 run.console.lines(f"{file} written" for file in write_report(run, folder, labelled))
     wrong = any(outcome.confusion.errors for outcome in outcomes)
     return run.report(
-        comparisons_json(outcomes, subjects, edges, run.typed),
+        comparisons_json(outcomes, subjects, edges, run.typed) | ({} if tally is None else tally.json()),
         (*foreign, *_unasked(there.scopes, groups, system, Tier(tier), chosen), *diagnostics(outcomes)),
         findings_if(wrong or foreign),
         workspace=session.workspace,

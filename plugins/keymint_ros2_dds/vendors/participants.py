@@ -134,7 +134,7 @@ class System(ExitStack):
         """
         index, self._opened = self._opened, self._opened + 1
         environment, words = self._vendor.start(self.first_port, index, conforming=conforming)
-        process = _ProbeProcess(self._vendor.program, environment)
+        process = ProbeProcess([str(self._vendor.program)], environment, "the probe")
         self.callback(process.reap)
         crl = CRL if revocations and (enclave / CRL).exists() else ""
         answer, reason = process.ask("OPEN", str(domain), str(enclave.resolve()), crl, *words)
@@ -147,7 +147,7 @@ class System(ExitStack):
 class ProbeParticipant:
     """A participant in a process of its own."""
 
-    def __init__(self, process: _ProbeProcess) -> None:
+    def __init__(self, process: ProbeProcess) -> None:
         self._process = process
         self._edges = 0
 
@@ -181,7 +181,7 @@ class ProbeParticipant:
 class ProbeEndpoint:
     """A writer or reader of a participant."""
 
-    def __init__(self, process: _ProbeProcess, name: str) -> None:
+    def __init__(self, process: ProbeProcess, name: str) -> None:
         self._process = process
         self._name = name
 
@@ -197,11 +197,8 @@ class ProbeEndpoint:
         return text if answer == "SAMPLE" else None
 
 
-class _ProbeProcess(CommandProcess):
+class ProbeProcess(CommandProcess):
     """A probe's process."""
-
-    def __init__(self, program: Path, environment: Mapping[str, str]) -> None:
-        super().__init__([str(program)], environment, "the probe")
 
     def ask(self, *words: str, seconds: float = 0.0) -> tuple[str, str]:
         """Send a command; return the first word of its answer, and the rest."""
@@ -214,10 +211,14 @@ class _ProbeProcess(CommandProcess):
             lines = list(map(_line_of, commands[begin : begin + _AT_ONCE]))
             self._send(lines[0], "".join(f"{line}\n" for line in lines).encode())
             for line in lines:
-                answer, _, rest = self._line(line, seconds).decode(errors="replace").partition(" ")
-                if answer == "ERROR":
-                    raise ProcessFailedError(f"{line!r} was answered with {rest!r}")
-                yield answer, rest
+                yield self.answer(line, seconds)
+
+    def answer(self, command: str, seconds: float = 0.0) -> tuple[str, str]:
+        """Return the first word of the answer to a command that was sent, and the rest."""
+        answer, _, rest = self._line(command, seconds).decode(errors="replace").partition(" ")
+        if answer == "ERROR":
+            raise ProcessFailedError(f"{command!r} was answered with {rest!r}")
+        return answer, rest
 
 
 def _line_of(words: Sequence[str]) -> str:
