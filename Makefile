@@ -7,9 +7,10 @@ BIN = $(VENV)/bin
 # One more than the cores: tests on real software mostly wait for it.
 WORKERS ?= $(shell expr $$(nproc) + 1)
 
-.PHONY: help setup vendors demo demo-zenoh test test-full test-all lint bench lock clean
+.PHONY: help setup vendors vendors-new demo demo-zenoh test test-full test-all lint bench lock clean
 
 help:
+	@echo "make vendors-new  unpack newer Fast DDS and Cyclone DDS from Debian into ~/.cache/keymint; nothing is installed"
 	@echo "make demo    provision the talker/listener example and show the keystore"
 	@echo "make demo-zenoh  the same for Zenoh; a talker and a listener exchange data, and others are refused"
 	@echo "make test    the complete suite, including the tests on real DDS and Zenoh software"
@@ -25,19 +26,22 @@ setup:
 vendors:
 	@.ci/setup-vendors.sh
 
+vendors-new:
+	@.ci/setup-vendors-new.sh
+
 demo: setup
 	@BIN=$(BIN) DEMO=$(DEMO) .ci/demo
 
 demo-zenoh: setup
 	@BIN=$(BIN) DEMO=$(ZENOH_DEMO) .ci/demo-zenoh
 
-test: setup vendors
+test: setup vendors vendors-new
 	@BIN=$(BIN) WORKERS=$(WORKERS) .ci/test $(PYTEST_ARGS)
 
-test-full: setup vendors
+test-full: setup vendors vendors-new
 	@KEYMINT_FULL=1 BIN=$(BIN) WORKERS=$(WORKERS) .ci/test $(PYTEST_ARGS)
 
-test-all: vendors
+test-all: vendors vendors-new
 	@WORKERS=$(WORKERS) .ci/test-all $(PYTEST_ARGS)
 
 lint: setup
