@@ -24,7 +24,8 @@ class Explainer:
         policy: the policy on endpoints.
         transports: the transports to explain, by name.
         find_models: returns, on first use, simulated transports by name, whose verdicts have the place of a rule;
-            ``name-1.2`` simulates ``name``. The first one explains transports without a simulation.
+            ``name-1.2`` simulates ``name``, ``name-1`` and ``name-1.2.3``. The first one explains transports without a
+            simulation.
     """
 
     def __init__(
@@ -54,8 +55,9 @@ class Explainer:
 
     def model_of(self, transport: str) -> str:
         """Return the name of the simulation that explains a transport, or an empty text."""
-        own = [name for name in self._models() if name.startswith(f"{transport}-")]
-        return next(iter(own or self._models()), "")
+        own = [name for name in self._models() if name.startswith((f"{transport}-", f"{transport}."))]
+        older = [name for name in self._models() if transport.startswith(f"{name}.")]
+        return next(iter(own or older or self._models()), "")
 
     def _modelled(
         self, transport: str, enclave: Enclave, wrong: Sequence[tuple[Edge, Verdict]]

@@ -112,7 +112,7 @@ class System(ExitStack):
 
     def __init__(self, vendor: Vendor) -> None:
         super().__init__()
-        self._vendor = vendor
+        self.vendor = vendor
         self._opened = 0
         self.first_port = 0
 
@@ -136,8 +136,8 @@ class System(ExitStack):
             RefusedError: the vendor refuses; the process has ended.
         """
         index, self._opened = self._opened, self._opened + 1
-        environment, words = self._vendor.start(self.first_port, index, conforming=conforming)
-        process = _ProbeProcess(self._vendor.program, environment)
+        environment, words = self.vendor.start(self.first_port, index, conforming=conforming)
+        process = _ProbeProcess(self.vendor.program, environment)
         self.callback(process.reap)
         crl = CRL if revocations and (enclave / CRL).exists() else ""
         answer, reason = process.ask("OPEN", str(domain), str(enclave.resolve()), crl, *words)
