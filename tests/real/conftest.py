@@ -119,8 +119,6 @@ def variation_of(vendor: Vendor) -> Variation:
 
 def variation(name: str) -> Variation:
     """Return a model by its name; skip the test if there is none."""
-    if name == "fastdds-3.3":
-        return FASTDDS_2_9
     if name not in VARIATIONS:
         pytest.skip(f"there is no model {name}")
     return VARIATIONS[name]
