@@ -47,14 +47,15 @@ unpack() {
 }
 
 missing=()
-mirror=$(. /etc/os-release && [ "$ID" = debian ] && apt-get update --print-uris 2>/dev/null |
-    sed -n "s|^'\(.*\)/dists/$VERSION_CODENAME/InRelease'.*|\1|p" | head -n 1) || mirror=
+release=$(. /etc/os-release && echo "$ID ${VERSION_CODENAME:-}")
+mirror=$(apt-get update --print-uris 2>/dev/null |
+    sed -n "s|^'\(.*\)/dists/${release#* }/InRelease'.*|\1|p" | head -n 1) || mirror=
 (umask 077 && mkdir -p "$cache")
 for vendor in "${vendors[@]}"; do
     read -r folder suite headers libraries <<<"$vendor"
     if [ -d "$cache/$folder" ]; then continue; fi
-    if [ -z "$mirror" ] || [ ! -e "$keyring" ]; then
-        missing+=("$folder (this is not Debian)")
+    if [ "${release% *}" != debian ] || [ -z "$mirror" ]; then
+        missing+=("$folder (apt has no source of Debian's releases)")
         continue
     fi
     set +e # in a condition, an error within the function would not end it

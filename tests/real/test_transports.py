@@ -10,7 +10,9 @@ from pathlib import Path
 
 import pytest
 from keymint_ros2_dds.transports import real_cyclonedds
+from keymint_ros2_dds.transports.participants_transport import RealTransport
 from keymint_ros2_dds.transports.simulated import Simulated
+from keymint_ros2_dds.vendors.participants import System
 
 from keymint.api import Enclave, EndpointTransport, Environment, Tier, Transport, Verdict
 from keymint.errors import KeymintError
@@ -110,6 +112,20 @@ def test_allowed_samples_are_delivered_and_an_intruder_is_refused(transport: Tra
     found = labelled(transport, pair, Tier.EXCHANGE, *EDGES)
     assert found[0].reason == "a sample was delivered with /listener"
     assert all(found[index].reason.endswith("; /listener refuses it as well") for index in (1, 2))
+
+
+def test_a_participant_that_does_not_conform_ignores_its_own_permissions(
+    transport: RealTransport, pair: list[Enclave]
+) -> None:
+    """Else its refusal, which the tier *exchange* reports, would be by its own side."""
+    with System(transport._vendor(nonconforming=True)) as system:
+        listener = system.open(pair[1].folder)
+        talker = system.open(pair[0].folder, conforming=False)
+        readers = [listener.edge("subscribe", topic.name) for topic in (Y, X)]
+        for topic in (Y, X):
+            talker.edge("publish", topic.name).write("hello")
+        assert readers[1].read(10.0) == "hello"
+        assert readers[0].read(0.5) is None
 
 
 def test_samples_are_exchanged_within_a_partition(

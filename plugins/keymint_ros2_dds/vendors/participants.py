@@ -62,6 +62,11 @@ class Vendor(ABC):
     nonconforming: Path | None = None
     version: Unpacked | None = None
 
+    @property
+    def command(self) -> tuple[str, ...]:
+        """The words that start the program."""
+        return (*(self.version.starter if self.version else ()), str(self.program))
+
     @abstractmethod
     def start(self, first_port: int, index: int, *, conforming: bool) -> tuple[Mapping[str, str], tuple[str, ...]]:
         """Return the environment variables of the process, and the vendor's further words of ``OPEN``.
@@ -137,7 +142,7 @@ class System(ExitStack):
         """
         index, self._opened = self._opened, self._opened + 1
         environment, words = self.vendor.start(self.first_port, index, conforming=conforming)
-        process = _ProbeProcess(self.vendor.program, environment)
+        process = _ProbeProcess(self.vendor.command, environment)
         self.callback(process.reap)
         crl = CRL if revocations and (enclave / CRL).exists() else ""
         answer, reason = process.ask("OPEN", str(domain), str(enclave.resolve()), crl, *words)
@@ -203,8 +208,8 @@ class ProbeEndpoint:
 class _ProbeProcess(CommandProcess):
     """A probe's process."""
 
-    def __init__(self, program: Path, environment: Mapping[str, str]) -> None:
-        super().__init__([str(program)], environment, "the probe")
+    def __init__(self, command: Sequence[str], environment: Mapping[str, str]) -> None:
+        super().__init__(command, environment, "the probe")
 
     def ask(self, *words: str, seconds: float = 0.0) -> tuple[str, str]:
         """Send a command; return the first word of its answer, and the rest."""

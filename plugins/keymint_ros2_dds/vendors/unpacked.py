@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Newer versions of vendors, which ``make vendors-new`` unpacks into the cache: each with its libraries and loader.
 
-Nothing of them is installed. A program that is built for one names its loader and its folder of libraries, because the
-machine's may be too old for it.
+Nothing of them is installed. A program that is built for one is started by its loader, because the machine's may be too
+old for its libraries.
 """
 
 from __future__ import annotations
@@ -36,27 +36,25 @@ class Unpacked:
     loader: Path
 
     @property
+    def starter(self) -> tuple[str, ...]:
+        """The words that come before a program, so that it runs with these libraries and no others."""
+        return str(self.loader), "--library-path", str(self.libraries)
+
+    @property
     def plugins(self) -> Path:
         """The folder of the security plugins of Cyclone DDS; Fast DDS has none."""
         return self.libraries / "libddsc0debian"
 
     def built(self, probe: Probe) -> Probe:
-        """Return a probe that is built from the headers and libraries of this version, and runs with them.
+        """Return a probe that is built from the headers and libraries of this version; :attr:`starter` starts it.
 
-        The run path (``DT_RPATH``) also holds for the libraries that a library needs, and comes before
-        ``LD_LIBRARY_PATH``. The machine's linker does not look for their libraries.
+        The libraries need a newer C library than the linker finds on the machine, so it does not look for that.
 
         Args:
             probe: how to build it with the machine's headers.
         """
-        linker = (
-            f"--dynamic-linker={self.loader}", f"-rpath={self.libraries}", "--disable-new-dtags",
-            "--allow-shlib-undefined",
-        )  # fmt: skip
-        folders = (
-            f"-I{self.headers}", f"-I{self.headers / self.libraries.name}", f"-L{self.libraries}",
-            *(word for option in linker for word in ("-Xlinker", option)),
-        )  # fmt: skip
+        headers = f"-I{self.headers}", f"-I{self.headers / self.libraries.name}"
+        folders = (*headers, f"-L{self.libraries}", "-Wl,--allow-shlib-undefined")
         return replace(probe, folders=folders, packages=(probe.compilers[0],))
 
 
