@@ -148,7 +148,7 @@ FASTDDS = Probe(
     ("-std=c++17", "-lfastrtps", "-lfastcdr"),
     FAST_PACKAGES,
 )
-FASTDDS_3 = replace(FASTDDS, arguments=("-std=c++17", "-lfastdds", "-lfastcdr"))
+FASTDDS_3 = replace(FASTDDS, arguments=("-std=c++17", "-lfastdds", "-lfastcdr"), packages=("g++",))
 """The same source; its headers are not the machine's (:mod:`unpacked`)."""
 FASTDDS_NONCONFORMING = Probe(
     "Fast DDS", "fastdds_nonconforming.c", ("gcc", "cc"), "stdbool.h", ("-std=gnu11", "-shared", "-fPIC"), FAST_PACKAGES
