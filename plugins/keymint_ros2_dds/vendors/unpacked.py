@@ -74,6 +74,7 @@ def unpacked(cache: Path, names: Iterable[str]) -> Unpacked:
         if loader is None:
             continue
         if not program_cache.is_ours_alone(folder):
-            raise MissingVendorError(name, f"others may write to {folder}", f"chmod 700 {folder}")
+            reason = f"others may write to {folder} or to a folder above it"
+            raise MissingVendorError(name, reason, "take this right from them (chmod)")
         return Unpacked(name.rpartition("-")[2], folder / name / "usr/include", loader.parent, loader)
     raise MissingVendorError(tried[0], f"no {' or '.join(tried)} in {folder}", HELP)
