@@ -32,7 +32,7 @@ class Software:
         ("fastdds", "2.14.6", "fastdds-2.11"),
         ("fastdds-3", "3.3.0", "fastdds-3.3"),
         ("fastdds-3", "3.1.2", "fastdds-2.11"),
-        ("fastdds", "2.6.4", "fastdds-2.11"),
+        ("fastdds", "2.6.4", "fastdds-2.9"),
         ("cyclonedds", "0.10.2", "cyclonedds-0.10"),
         ("cyclonedds-0.10.5", "0.10.5", "cyclonedds-0.10"),
         ("cyclonedds", "", "cyclonedds-0.10"),
