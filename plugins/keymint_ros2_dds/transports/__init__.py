@@ -12,7 +12,7 @@ from keymint.api.lazy import LazyTransport, lazy
 
 __all__ = [
     "ardent_cyclonedds", "ardent_cyclonedds_0_10", "ardent_omg", "cyclonedds_0_10", "fastdds_2_9", "omg",
-    "real_cyclonedds", "real_fastdds", "ros",
+    "real_cyclonedds", "real_cyclonedds_0_10_5", "real_fastdds", "real_fastdds_3", "ros",
 ]  # fmt: skip
 
 _SIMULATED = lazy("keymint_ros2_dds.transports.simulated:simulated")
@@ -25,6 +25,8 @@ fastdds_2_9 = _dds(lambda environment: _SIMULATED("fastdds-2.9", environment))
 real_cyclonedds = _dds(lazy("keymint_ros2_dds.transports.cyclonedds_transport:CycloneDDSTransport"))
 real_fastdds = _dds(lazy("keymint_ros2_dds.transports.participants_transport:FastDDSTransport"))
 ros = _dds(lazy("keymint_ros2_dds.transports.ros_transport:RosTransport"))
+real_fastdds_3 = _dds(lazy("keymint_ros2_dds.transports.participants_transport:FastDDS3Transport"))
+real_cyclonedds_0_10_5 = _dds(lazy("keymint_ros2_dds.transports.participants_transport:CycloneDDS0105Transport"))
 ardent_omg = _dds(lambda environment: _ARDENT(omg.open(environment)))
 ardent_cyclonedds_0_10 = _dds(lambda environment: _ARDENT(cyclonedds_0_10.open(environment)))
 ardent_cyclonedds = _dds(lambda environment: _ARDENT(real_cyclonedds.open(environment)))

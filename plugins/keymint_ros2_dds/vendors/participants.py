@@ -32,6 +32,7 @@ from keymint.command_process import CommandProcess, ProcessFailedError
 from keymint_ros2_dds.enclave_layout import CRL
 from keymint_ros2_dds.vendors import cyclone_access_control
 from keymint_ros2_dds.vendors.ports import FIRST_PARTICIPANT, free_ports
+from keymint_ros2_dds.vendors.unpacked import Unpacked
 
 _AT_ONCE = 32
 """Commands that are sent before their answers are read; they fit into a pipe."""
@@ -53,11 +54,18 @@ class Vendor(ABC):
         program: the vendor's built probe program.
         environment: environment variables of every process.
         nonconforming: the built library that makes a participant ignore its own permissions, if any.
+        version: the version in the cache that the programs are built from, if it is not the machine's.
     """
 
     program: Path
     environment: Mapping[str, str] = field(default_factory=dict, repr=False)
     nonconforming: Path | None = None
+    version: Unpacked | None = None
+
+    @property
+    def command(self) -> tuple[str, ...]:
+        """The words that start the program."""
+        return (*(self.version.starter if self.version else ()), str(self.program))
 
     @abstractmethod
     def start(self, first_port: int, index: int, *, conforming: bool) -> tuple[Mapping[str, str], tuple[str, ...]]:
@@ -82,7 +90,7 @@ class CycloneDDS(Vendor):
             f"<ParticipantIndex>{index}</ParticipantIndex><MaxAutoParticipantIndex>9</MaxAutoParticipantIndex>"
             f"<Ports><Base>{first_port}</Base><DomainGain>0</DomainGain></Ports></Discovery></Domain></CycloneDDS>"
         )
-        plugins = cyclone_access_control.library().folder
+        plugins = self.version.plugins if self.version else cyclone_access_control.library().folder
         environment = {**self.environment, "CYCLONEDDS_URI": configuration}
         if conforming:
             return environment, (str(plugins),)
@@ -109,7 +117,7 @@ class System(ExitStack):
 
     def __init__(self, vendor: Vendor) -> None:
         super().__init__()
-        self._vendor = vendor
+        self.vendor = vendor
         self._opened = 0
         self.first_port = 0
 
@@ -133,8 +141,8 @@ class System(ExitStack):
             RefusedError: the vendor refuses; the process has ended.
         """
         index, self._opened = self._opened, self._opened + 1
-        environment, words = self._vendor.start(self.first_port, index, conforming=conforming)
-        process = ProbeProcess([str(self._vendor.program)], environment, "the probe")
+        environment, words = self.vendor.start(self.first_port, index, conforming=conforming)
+        process = ProbeProcess(self.vendor.command, environment, "the probe")
         self.callback(process.reap)
         crl = CRL if revocations and (enclave / CRL).exists() else ""
         answer, reason = process.ask("OPEN", str(domain), str(enclave.resolve()), crl, *words)
