@@ -71,8 +71,10 @@ def why(
     if domain is None:
         domain = granted[0].first if granted else 0
     edge = request(subject, permission, object_name, kind or "", partitions, domain)
-    transports = choose(run.plugins, chosen, Tier.DECISION, build_types(session, edge.subject))
-    explanation = explain(session, load_policy(session), edge, transports, partial(models, run.plugins))
+    transports = choose(run.plugins, chosen, Tier.DECISION, build_types(session, edge.subject), session.profile.distro)
+    explanation = explain(
+        session, load_policy(session), edge, transports, partial(models, run.plugins, distro=session.profile.distro)
+    )
 
     run.console.lines(_lines(explanation, run.place))
     diagnostics = [*_strange(session, explanation), *_mismatches(explanation, granted)]

@@ -60,7 +60,7 @@ class VerificationPart:
         copies = self.copies
 
         def find_models() -> Mapping[str, Transport]:
-            return copies.read_by(models(plugins, self.scope.build_type))
+            return copies.read_by(models(plugins, self.scope.build_type, distro=self.scope.names.distro))
 
         return verification(self.scope, self.policy, *self.rows(), copies.read_by(transports), find_models, self.asking)
 
