@@ -12,13 +12,19 @@ from keymint.api import Inspection
 from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
 from keymint_ros2_dds import authority_roles as roles
+from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.credentials import subject_of
 from keymint_ros2_dds.enclave_layout import CERTIFICATE, has_one_authority
 
 
 def check_all(inspections: Sequence[Inspection]) -> tuple[Diagnostic, ...]:
     """Return findings that concern several enclaves; codes are stable."""
-    return (*_shared_grants(inspections), *_shared_authorities(inspections), *_different_authorities(inspections))
+    return (
+        *_doubled_attributes(inspections),
+        *_shared_grants(inspections),
+        *_shared_authorities(inspections),
+        *_different_authorities(inspections),
+    )
 
 
 def _tokens(name: str) -> frozenset[str]:
@@ -46,6 +52,15 @@ def _shared_grants(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
                 Origin(f"{inspection.folder}/{CERTIFICATE}"),
                 "give each subject_name an RDN that no other has, e.g. OU={unique}", inspection.package.subject,
             )  # fmt: skip
+
+
+def _doubled_attributes(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
+    for inspection in inspections:
+        name = _subject(inspection)
+        if name and (confused := subject_name_text.twice(distinguished_names.parse(name))):
+            where = Origin(f"{inspection.folder}/{CERTIFICATE}")
+            help_ = "let its authority issue names with each attribute once, e.g. one CN and one OU"
+            yield Diagnostic.warning("names-confused", confused, where, help_, inspection.package.subject)
 
 
 def _subject(inspection: Inspection) -> str:

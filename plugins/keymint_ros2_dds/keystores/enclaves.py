@@ -168,6 +168,8 @@ class _Enclave:
             by_content and bool(self._enclave.subject)
         )
         subject_name = self._facts["subject_name"]
+        if confused := subject_name_text.twice(certificate.subject):
+            yield self._warning("names-confused", CERTIFICATE, confused, "'keymint harden names' gives it another name")
         if any(len(name) > MAX_COMMON_NAME for name in names):
             message = f"has a common name of {max(map(len, names))} characters; X.509 allows {MAX_COMMON_NAME}"
             help_ = "give the enclave a shorter path with the tool that made it; Keymint cannot issue this name again"

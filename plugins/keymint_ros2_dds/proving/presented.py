@@ -21,7 +21,7 @@ from keymint.pki import distinguished_names
 from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.decision import VARIATIONS, read, shipped
 from keymint_ros2_dds.decision.semantics import STANDARD, Semantics, TopicCheck
-from keymint_ros2_dds.decision.subject_names import tokens
+from keymint_ros2_dds.decision.subject_names import is_odd, needed, tokens
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.lowering.lower import lower
 from keymint_ros2_dds.proving.claims import prove_document
@@ -78,10 +78,11 @@ class _Identities:
     def __init__(self, holders: Iterable[Holder]) -> None:
         names = ((each, distinguished_names.parse(each.name)) for each in holders)
         own = [(_Identity(each, subject_name_text.of_any(name)), name) for each, name in names]
-        words = [tokens(each.name) for each, _ in own]
+        words = [needed(each.name) for each, _ in own]
         frequent = Counter(word for of_name in words for word in of_name)
         self._by_word: dict[str, list[_Identity]] = {}
         self._odd: list[_Identity] = []
+        self._all = [each for each, _ in own]
         for (each, name), of_name in zip(own, words, strict=True):
             kinds = [attribute.oid for attribute in name]
             if len(set(kinds)) < len(kinds) or not of_name:
@@ -92,6 +93,9 @@ class _Identities:
 
     def of(self, names: Iterable[str]) -> list[_Identity]:
         """Return the identities that one of some names of grants may match."""
+        names = list(names)
+        if any(map(is_odd, names)):
+            return self._all
         words = {word for name in names for word in tokens(name)}
         found = [each for word in sorted(words & self._by_word.keys()) for each in self._by_word[word]]
         return [*found, *self._odd]

@@ -125,7 +125,9 @@ ALSO = {"13": "11", "19": "3"}
 """Rows whose documents one vendor decides by another row."""
 
 
-@pytest.mark.parametrize("variation", [each for each in VARIATIONS.values() if each is not OMG], ids=lambda variation: variation.name)
+@pytest.mark.parametrize(
+    "variation", [each for each in VARIATIONS.values() if each is not OMG], ids=lambda variation: variation.name
+)
 @pytest.mark.parametrize("case", CASES, ids=[f"{case.row} {number}" for number, case in enumerate(CASES)])
 def test_a_difference_is_explained_by_its_row(variation, case: Case) -> None:
     found = explain(lambda asked: allows(asked, case), variation)
