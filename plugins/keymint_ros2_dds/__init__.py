@@ -62,6 +62,9 @@ class DdsSecurity:
 
     assumptions = lazy("keymint_ros2_dds.proving.claims:assumptions")
     models = lazy("keymint_ros2_dds.proving.claims:models")
+    VENDORS = ("cyclonedds", "fastdds")
+    installed_vendors = lazy("keymint_ros2_dds.vendors.advisories:installed_vendors")
+    advisories = lazy("keymint_ros2_dds.vendors.advisories:advisories")
     differences = lazy("keymint_ros2_dds.proving.anchor_check:differences")
     prove = lazy("keymint_ros2_dds.proving:prove")
     terms = lazy("keymint_ros2_dds.proving:terms")

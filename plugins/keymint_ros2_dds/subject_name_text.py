@@ -88,7 +88,7 @@ def of_any(name: x509.Name) -> str:
 def twice(name: x509.Name) -> str:
     """Return what vendors make of a name that has an attribute twice, or an empty text for any other name.
 
-    Fast DDS compares the first one of a type in the order of RFC 2253 (:func:`keymint_ros2_dds.decision.subject_names`).
+    Fast DDS compares the first one of a type in the order of RFC 2253 (``keymint_ros2_dds.decision.subject_names``).
     """
     kinds = [kind for kind, _ in distinguished_names.attributes(name)]
     doubled = next((kind for kind in kinds if kinds.count(kind) > 1), "")
