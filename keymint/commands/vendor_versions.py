@@ -31,9 +31,11 @@ def advisories(run: Run, given: str | None) -> Iterator[Diagnostic]:
     Raises:
         KeymintError: the list is malformed, or names an unknown vendor; a usage error.
     """
-    plugins = [run.plugins.build_type(name) for name in run.plugins.names("keymint.build_types")] if given else []
+    if given is None:
+        return
+    plugins: list[object] = [run.plugins.build_type(name) for name in run.plugins.names("keymint.build_types")]
     by_vendor = {name: each for each in plugins if isinstance(each, VendorAdvisories) for name in each.VENDORS}
-    if given and given != INSTALLED:
+    if given != INSTALLED:
         for name, version in _listed(given, by_vendor):
             yield from by_vendor[name].advisories(name, version)
         return
