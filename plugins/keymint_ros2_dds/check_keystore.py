@@ -57,7 +57,8 @@ def _shared_grants(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
 def _doubled_attributes(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
     for inspection in inspections:
         name = _subject(inspection)
-        if name and (confused := subject_name_text.twice(distinguished_names.parse(name))):
+        kinds = [part.partition("=")[0] for part in name.split(",")]
+        if len({*kinds}) < len(kinds) and (confused := subject_name_text.twice(distinguished_names.parse(name))):
             where = Origin(f"{inspection.folder}/{CERTIFICATE}")
             help_ = "let its authority issue names with each attribute once, e.g. one CN and one OU"
             yield Diagnostic.warning("names-confused", confused, where, help_, inspection.package.subject)

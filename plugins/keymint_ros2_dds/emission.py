@@ -81,7 +81,10 @@ def emit(package: Package, options: BuildOptions) -> Emitted:
 
 def _refusing(package: Package) -> str:
     """Return the models of what the distribution ships that find no permissions of this very name."""
-    name = subject_name_text.of(package.grant)
+    try:
+        name = subject_name_text.of(package.grant)
+    except KeymintError:
+        return ""  # reported where the document is written
     names = {model: VARIATIONS[model].semantics for model in shipped(package.distro)}
     return ", ".join(model for model, each in names.items() if not each.selects(each.reads_text(name), name))
 

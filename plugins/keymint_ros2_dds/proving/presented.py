@@ -129,8 +129,8 @@ def _of_document(
         yield from _unread(task, given, str(error.diagnostics[0]))
         return
     for identity in identities.of(_readings(document)):
-        by_reading = {each: _chosen(document, identity, each) for each in _CHOOSING}
-        chosen = {name: by_reading[each] for name, each in _SEMANTICS.items()}
+        by_reading = {id(each): _chosen(document, identity, each) for each in _CHOOSING}
+        chosen = {name: by_reading[id(each)] for name, each in _SEMANTICS.items()}
         ends = _until(document, (grant for grants in chosen.values() for grant in grants))
         if ends is None or ends < task.now:
             continue
@@ -155,29 +155,26 @@ def _to_prove(
     """Return the models whose claims are not proven with the enclave itself."""
     if identity.holder.name != known:
         return [name for name, grants in chosen.items() if grants]
-    proven = [(chosen[name], _SEMANTICS[name]) for name in shipped(task.distro or identity.holder.distro)]
-    return [
-        name
-        for name, grants in chosen.items()
-        if not any(_have_same_rights(grants, _SEMANTICS[name], *other) for other in proven)
-    ]
+    proven = shipped(task.distro or identity.holder.distro)
+    return [name for name in chosen if name not in proven and not any(_alike(chosen, name, each) for each in proven)]
 
 
-def _have_same_rights(
-    grants: Sequence[DocumentGrant], semantics: Semantics, others: Sequence[DocumentGrant], other: Semantics
-) -> bool:
-    """Tell whether two models permit the same, as far as the choice of grants and their semantics tell.
+def _alike(chosen: Mapping[str, Sequence[DocumentGrant]], name: str, other: str) -> bool:
+    """Tell whether two models choose the same grants, and permit the same by them, as far as their semantics tell.
 
     Without a denial no topic check decides: what publishes or subscribes may also create its topic.
     """
+    grants = chosen[name]
+    if [*map(id, grants)] != [*map(id, chosen[other])]:
+        return False
     allow_only = all(rule.allows for grant in grants for rule in grant.rules)
-    same = [*map(id, grants)] == [*map(id, others)]
-    return same and _of_rights(semantics, without_check=allow_only) == _of_rights(other, without_check=allow_only)
+    return _rights(name, without_check=allow_only) == _rights(other, without_check=allow_only)
 
 
 @lru_cache(maxsize=64)
-def _of_rights(semantics: Semantics, *, without_check: bool) -> Semantics:
-    """Return semantics without what chooses a grant, and perhaps without the topic check."""
+def _rights(name: str, *, without_check: bool) -> Semantics:
+    """Return the semantics of a model without what chooses a grant, and perhaps without the topic check."""
+    semantics = _SEMANTICS[name]
     check = TopicCheck.NONE if without_check else semantics.topic_check
     return replace(semantics, selects=STANDARD.selects, topic_check=check)
 
