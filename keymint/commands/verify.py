@@ -13,7 +13,7 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted
 from keymint.api import Tier, Transport
 from keymint.changes import Action, Step
-from keymint.commands.options import FILE, PATH, packages_argument, transport_option
+from keymint.commands.options import FILE, PATH, packages_argument, transport_option, vendors_of_option
 from keymint.commands.policies import workspace_library_rules
 from keymint.commands.run import Run
 from keymint.commands.user_files import read_input, write_outputs
@@ -55,6 +55,7 @@ from keymint.verify.verification import Verification
     "names that probe its patterns].",
 )
 @transport_option
+@vendors_of_option
 @click.option(
     "--tier",
     type=click.Choice([str(tier) for tier in Tier]),
@@ -84,6 +85,7 @@ def verify(
     names: tuple[str, ...],
     graph: Path | None,
     chosen: tuple[str, ...],
+    distro: str | None,
     tier: str,
     ros: bool,
     limit: int,
@@ -102,7 +104,7 @@ def verify(
 
     Exit code 3: there are mismatches, or an enclave does not trust the workspace's authorities.
     """
-    session = run.session()
+    session = run.session().for_vendors_of(distro)
     if ros:
         chosen, tier = (*chosen, "ros"), tier if tier == Tier.EXCHANGE else str(Tier.ADMISSION)
     tally = Tally() if ros else None
@@ -111,7 +113,7 @@ def verify(
     # A transport trusts the authorities in the enclave; they must be the workspace's.
     foreign = differences(session, chosen_names)
     policy = load_policy(session)
-    groups = choose(run.plugins, chosen, Tier(tier), tuple(there.scopes))
+    groups = choose(run.plugins, chosen, Tier(tier), tuple(there.scopes), session.vendors_of or session.profile.distro)
     scopes = {name: selective(there.scopes[name], group.values()) for name, group in groups.items()}
     transports = [transport for group in groups.values() for transport in group.values()]
     system = None if graph is None else subjects_of_graph(

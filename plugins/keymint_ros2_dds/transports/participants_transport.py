@@ -11,7 +11,7 @@ from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.command_process import MissingVendorError
 from keymint.errors import KeymintError
 from keymint.graph import Column, Edge
-from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, VARIATIONS, Variation
+from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, FASTDDS_3_3, Variation
 from keymint_ros2_dds.transports import admission, enclave_files
 from keymint_ros2_dds.transports.delivery import exchange
 from keymint_ros2_dds.transports.enclave_model import EnclaveModels
@@ -143,7 +143,7 @@ class FastDDS3Transport(FastDDSTransport):
     """Fast DDS 3, unpacked into the cache."""
 
     NAME = "fastdds-3"
-    MODEL = VARIATIONS.get("fastdds-3.3", FASTDDS_2_9)
+    MODEL = FASTDDS_3_3
     PROBE = probe_builds.FASTDDS_3
     UNPACKED = ("fastdds-3.3.0", "fastdds-3.1.2")
 
