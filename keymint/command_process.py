@@ -34,6 +34,10 @@ class ProcessFailedError(Exception):
     """The process hangs, has died, or does not know a command: not a decision of the vendor."""
 
 
+class ProcessDiedError(ProcessFailedError):
+    """The process has died."""
+
+
 class CommandProcess:
     """A process that answers each line that it reads with a line; :meth:`reap` always ends it.
 
@@ -46,9 +50,13 @@ class CommandProcess:
     def __init__(self, words: Sequence[str], environment: Mapping[str, str], noun: str) -> None:
         self._noun = noun
         self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
-        self._process = subprocess.Popen(  # noqa: S603 - no shell
-            words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors, env=dict(environment)
-        )
+        try:
+            self._process = subprocess.Popen(  # noqa: S603 - no shell
+                words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors, env=dict(environment)
+            )
+        except OSError:
+            self._errors.close()
+            raise
         self._input, self._output = cast("IO[bytes]", self._process.stdin), cast("IO[bytes]", self._process.stdout)
         self._pending = b""
 
@@ -78,7 +86,7 @@ class CommandProcess:
         code = self._process.wait(timeout=GRACE_SECONDS)
         self._errors.seek(0)
         said = self._errors.read().decode(errors="replace").strip()
-        return ProcessFailedError(f"{self._noun} died at {command!r} with exit code {code}: {said}")
+        return ProcessDiedError(f"{self._noun} died at {command!r} with exit code {code}: {said}")
 
     def reap(self) -> None:
         """Kill the process and close its streams; may be called again."""

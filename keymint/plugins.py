@@ -30,6 +30,7 @@ from keymint.api import (
     ProfileType,
     Transport,
     TransportType,
+    VendorModels,
 )
 from keymint.errors import ExitCode, KeymintError
 
@@ -239,9 +240,17 @@ class Plugins:
         """Return the name of the build type whose files a transport reads; see :meth:`load`."""
         return cast("TransportType", self.load("keymint.transports", transport)).BUILD_TYPE
 
-    def transports_of(self, build_type: str) -> Sequence[str]:
-        """Return the names of the transports that read what a build type builds, sorted."""
-        return [name for name in self.names("keymint.transports") if self.read_by(name) == build_type]
+    def transports_of(self, build_type: str, distro: str = "") -> Sequence[str]:
+        """Return the names of the transports that read what a build type builds, sorted.
+
+        Args:
+            build_type: name of the build type.
+            distro: leave out models of what this ROS 2 distribution does not ship; empty for all.
+        """
+        plugin: object = self.build_type(build_type) if distro else None
+        others = plugin.models().keys() - plugin.models(distro) if isinstance(plugin, VendorModels) else frozenset()
+        named = (name for name in self.names("keymint.transports") if name not in others)
+        return [name for name in named if self.read_by(name) == build_type]
 
     def graph_source(self, name: str, where: Origin | None = None) -> GraphSource:
         """Return the graph source of this name; see :meth:`load`."""

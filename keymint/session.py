@@ -160,13 +160,26 @@ class Session(Inputs):
     Attributes:
         profile: the profile.
         profile_digest: digest of everything that the profile was loaded from.
+        vendors_of: the ROS 2 distribution for whose vendors claims are made, if that is not the profile's.
     """
 
     profile: WorkspaceProfile
     profile_digest: str
+    vendors_of: str = ""
     _packages: dict[tuple[str, str, bool], Package] = field(default_factory=dict, repr=False, compare=False)
     _made_of_sources: dict[tuple[Any, ...], Any] = field(default_factory=dict, repr=False, compare=False)
     _made: dict[tuple[Any, ...], Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def for_vendors_of(self, distro: str | None) -> Self:
+        """Return the session with claims for the vendors of a distribution; None: the profile's.
+
+        Raises:
+            KeymintError: the distribution is unknown; the exit code is that of a usage error.
+        """
+        if distro is None or distro == self.profile.distro:
+            return self
+        self.profile_type.library(distro)
+        return replace(self, vendors_of=distro)
 
     def made(self, key: tuple[Any, ...], make: Callable[[], _T], *, of_sources: bool = False) -> _T:
         """Return a value that depends on this session only, made at the first call.

@@ -302,7 +302,8 @@ def _certificate(common_name: str, issuer: _Credential | None, form: Form) -> _C
     key = ec.generate_private_key(ec.SECP256R1())
     # SROS2 issues names that are longer than X.520 allows, which cryptography refuses by now.
     with warnings.catch_warnings(action="ignore"):
-        name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common_name, _validate=False)])
+        common_names = common_name.split("+")  # several make a name that no tool of ROS makes
+        name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, each, _validate=False) for each in common_names])
     constraints = x509.BasicConstraints(ca=issuer is None, path_length=1 if issuer is None else None)
     builder = (
         x509.CertificateBuilder()

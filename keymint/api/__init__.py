@@ -45,6 +45,8 @@ from keymint.api.capabilities import RemoteCompiler as RemoteCompiler
 from keymint.api.capabilities import RevocationReader as RevocationReader
 from keymint.api.capabilities import RuleCheck as RuleCheck
 from keymint.api.capabilities import SharedDocuments as SharedDocuments
+from keymint.api.capabilities import VendorAdvisories as VendorAdvisories
+from keymint.api.capabilities import VendorModels as VendorModels
 from keymint.api.certificates import Authority as Authority
 from keymint.api.certificates import AuthorityIssuance as AuthorityIssuance
 from keymint.api.certificates import CertificateSpec as CertificateSpec
@@ -151,6 +153,7 @@ from keymint.api.transports import Enclave as Enclave
 from keymint.api.transports import Endpoint as Endpoint
 from keymint.api.transports import EndpointTransport as EndpointTransport
 from keymint.api.transports import Environment as Environment
+from keymint.api.transports import SelectiveTransport as SelectiveTransport
 from keymint.api.transports import Tier as Tier
 from keymint.api.transports import Transport as Transport
 from keymint.api.transports import TransportType as TransportType

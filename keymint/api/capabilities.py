@@ -71,6 +71,38 @@ class ProcessEnvironment(Protocol):
 
 
 @runtime_checkable
+class VendorModels(Protocol):
+    """Optional capability of a build type: claims are made for the versions of vendors that a distribution ships."""
+
+    def models(self, distro: str = "") -> Mapping[str, str]:
+        """Return how each model that claims are made for is known: specified, measured, or from sources.
+
+        A simulated transport may have the name of a model.
+
+        Args:
+            distro: the ROS 2 distribution; empty for all models.
+        """
+
+
+@runtime_checkable
+class VendorAdvisories(Protocol):
+    """Optional capability of a build type: known vulnerabilities of the software that reads its files."""
+
+    VENDORS: tuple[str, ...]
+    """Names of the vendors that advisories are known for."""
+
+    def installed_vendors(self, environment: Mapping[str, str]) -> Mapping[str, Sequence[str]]:
+        """Return the versions of each vendor that are installed on this machine; none that is not found.
+
+        Args:
+            environment: variables, of which some name folders of installed software.
+        """
+
+    def advisories(self, vendor: str, version: str) -> Sequence[Diagnostic]:
+        """Return a finding for each known vulnerability of access control that affects a version of a vendor."""
+
+
+@runtime_checkable
 class RemoteCompiler(Protocol):
     """Optional capability of a build type: other machines, which nobody vouches for, may compile for it."""
 

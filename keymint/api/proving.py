@@ -44,7 +44,7 @@ class TrustAnchors:
         public_key: the subject's public key (PEM), from the package, if its private key is elsewhere; then the enclave
             need not have that, and its certificate must be for this key. Empty if the workspace has the private key.
         key_uri: URI of the private key in the subject's token, from the package; empty if it lies in a file.
-        distro: ROS 2 distribution, whose nodes may look for other files than those of another one.
+        distro: ROS 2 distribution, whose nodes may look for other files, and whose vendors have other versions.
     """
 
     authorities: Mapping[str, TrustAnchor]
@@ -255,6 +255,7 @@ class PresentationTask:
         now: the time from which on documents count, UTC.
         states: the most states that the search for one answer may visit.
         go_on: polled; the search ends when it returns False.
+        distro: ROS 2 distribution for whose vendors each enclave is proven apart; empty: that of the holder.
     """
 
     holders: Sequence[Holder]
@@ -262,6 +263,7 @@ class PresentationTask:
     now: datetime
     states: int
     go_on: Callable[[], bool]
+    distro: str = ""
 
 
 @dataclass(frozen=True, slots=True)

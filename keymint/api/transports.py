@@ -178,6 +178,17 @@ class EndpointTransport(Transport, Protocol):
         """
 
 
+@runtime_checkable
+class SelectiveTransport(Transport, Protocol):
+    """Optional capability of a transport that cannot be asked about every edge.
+
+    ``verify`` then asks all transports of the run what these can be asked, and does not ask for single endpoints.
+    """
+
+    def asked(self, enclave: Enclave, edge: Edge) -> Sequence[Edge]:
+        """Return the edges that it can be asked about in place of an edge; none if there is none like it."""
+
+
 class TransportType(Protocol):
     """The registered entry point of a transport: opens it, without side effects.
 

@@ -18,6 +18,7 @@ from keymint.commands.options import FILE, packages_argument, standard_only_opti
 from keymint.commands.proof_diagnostics import effort_of, proof_findings
 from keymint.commands.run import Run
 from keymint.commands.user_files import write_outputs
+from keymint.commands.vendor_versions import advisories, vendors_option
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.examine.keystore import SHOWN_NOTES, proven_keystore
@@ -55,6 +56,7 @@ from keymint.state import State
 @standard_only_option
 @strict_option
 @click.option("--sarif", type=FILE, metavar="FILE", help="Write the findings as SARIF 2.1.0.")
+@vendors_option
 @click.option("--without-private", is_flag=True, help="Exit with 0 although you may not read all of private/.")
 def check(
     run: Run,
@@ -65,6 +67,7 @@ def check(
     allow_vendor_specific: bool,
     strict: bool,
     sarif: Path | None,
+    vendors: str | None,
     without_private: bool,
 ) -> Report:
     """Compare the installed keystore with its expected state, and prove it.
@@ -86,6 +89,7 @@ def check(
             state, found = _proven(session, enclaves, effort, pool, fresh=fresh, strict=strict)
             findings += (each for each in found if (each.code, each.where and each.where.file) not in known)
     unexamined = tuple(not_examined(session))
+    findings += advisories(run, vendors)
     findings += (each for each in _of_policy(session, chosen, complete=not names) if each not in findings)
     shown = folded((*findings, *unexamined))
     if sarif is not None:

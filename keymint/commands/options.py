@@ -370,6 +370,12 @@ kind_option = click.option(
     type=click.Choice(tuple(PERMISSIONS)),
     help="Kind of OBJECT; 'topic' is a raw topic of the transport [a name that begins with '/' is a ROS name].",
 )
+vendors_of_option = click.option(
+    "--distro",
+    metavar="NAME",
+    help="Ask for the versions of vendors that this ROS 2 distribution ships [the workspace's]. Names of the transport "
+    "stay those of the workspace.",
+)
 transport_option = click.option(
     "-t",
     "--transport",

@@ -14,7 +14,7 @@ from comarmor.errors import Diagnostic
 from comarmor.text import counted
 from keymint.api import Claim, Counterexample, Proof
 from keymint.changes import Action, Step
-from keymint.commands.options import Number, complete_package, standard_only_option, strict_option
+from keymint.commands.options import Number, complete_package, standard_only_option, strict_option, vendors_of_option
 from keymint.commands.proof_diagnostics import STATES, effort_of, proof_findings
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
@@ -55,21 +55,28 @@ SHOWN = 5
 )
 @standard_only_option
 @strict_option
+@vendors_of_option
 def prove(
-    run: Run, names: tuple[str, ...], seconds: float, states: int, allow_vendor_specific: bool, strict: bool
+    run: Run,
+    names: tuple[str, ...],
+    seconds: float,
+    states: int,
+    allow_vendor_specific: bool,
+    strict: bool,
+    distro: str | None,
 ) -> Report:
     """Prove that installed documents permit exactly what the policy allows, for all names.
 
-    Reads the documents in install/ as the transport's standard and each vendor do, and compares them with the policy
-    for all names at once. A difference is shown as a shortest counterexample, with the rule of the policy
-    and the rule of the document. Proofs are cached until something changes; validity periods are checked on each run.
-    -v lists the assumptions of the proof. ENCLAVE is a package [all].
+    Reads the documents in install/ as the transport's standard does, and as each vendor that the distribution ships,
+    and compares them with the policy for all names at once. A difference is shown as a shortest counterexample, with
+    the rule of the policy and the rule of the document. Proofs are cached until something changes; validity periods
+    are checked on each run. -v lists the assumptions of the proof. ENCLAVE is a package [all].
     docs/verification.md says in one table what each verb reads.
 
     Exit code 3: a claim is refuted or unknown, or with --strict has an exception; a certificate or grant is expired or
     not yet valid; an enclave does not trust the workspace's authorities; or an enclave has no source package.
     """
-    session = run.session(auditing=True)
+    session = run.session(auditing=True).for_vendors_of(distro)
     chosen = with_enclaves(session, run.names(session, names), names)
     try:
         policy = lazy_policy(session)  # loaded only if something is to be proven
@@ -81,8 +88,8 @@ def prove(
             lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), pool,
         )  # fmt: skip
     unknown = () if names else (*unaccounted(session), *uncreated(session, policy, chosen))
-    # What a cluster says is a result to show, but nothing that a later run may rely on.
-    unrecorded = run.keep(session, results.state) if pool.trusted else ()
+    # What a cluster says, or what holds for another distribution, is a result to show: no later run may rely on it.
+    unrecorded = run.keep(session, results.state) if pool.trusted and not session.vendors_of else ()
 
     unexamined, with_register = tuple(not_examined(session)), has_register(session)
     _summary(run, results, with_register=with_register)
@@ -101,7 +108,7 @@ def _without_policy(run: Run, session: Session, names: Sequence[str], error: Key
     run.console.line(f"proved nothing about {counted(len(names), 'enclave')}: the policy cannot be read")
     found = (*error.diagnostics, *differences(session, names), *deciding(session), *unaccounted(session))
     unexamined = tuple(not_examined(session))
-    nothing = ProofResults((), (), session.state, {}, frozenset(), session.now)
+    nothing = ProofResults((), (), session.state, {}, frozenset(), {}, session.now)
     result = _result(run, nothing, unexamined, None)
     diagnostics = tuple(dict.fromkeys((*found, *unexamined)))
     return run.report(result, diagnostics, ExitCode.FINDINGS, workspace=session.workspace, notes=SHOWN_NOTES)
@@ -114,6 +121,7 @@ def _result(run: Run, results: ProofResults, unexamined: Sequence[Diagnostic], i
         "in_force": in_force,
         "not_examined": len(unexamined),
         "assumptions": _taken(results),
+        "models": {model: results.evidence.get(model) for model in _taken(results)},
         "enclaves": [_enclave(enclave, results.now, run) for enclave in results.enclaves],
         "shared": [_across(each, results.now, run) for each in results.shared],
     }
@@ -132,7 +140,7 @@ def _summary(run: Run, results: ProofResults, *, with_register: bool) -> None:
     parts += [f"{refuted} refuted"] * bool(refuted)
     parts += [f"{len(open_) - refuted} unknown"] * (len(open_) > refuted)
     parts += [f"{counted(unread, 'enclave')} could not be read"] * bool(unread)
-    models = ", ".join(_taken(results))
+    models = ", ".join(_with_evidence(results))
     of_these = f" ({cached} cached)" if cached else ""
     enclaves = f"{counted(count, 'enclave')}{of_these}{f' for {models}' if models else ''}"
     say(f"proved {enclaves}: {', '.join(parts)}{_when(results, with_register=with_register)}")
@@ -170,6 +178,15 @@ def _excepted(results: ProofResults) -> Iterator[str]:
     for enclave in results.all:
         for claim in enclave.claims:
             yield from (f"{enclave.subject or 'all subjects'}, {exception}" for exception in claim.excepted)
+
+
+def _with_evidence(results: ProofResults) -> Iterator[str]:
+    """Yield the models with a claim about an enclave, and how each is known if no specification says it."""
+    claimed = {claim.model for enclave in results.enclaves for claim in enclave.claims}
+    for model in _taken(results):
+        if model in claimed or not claimed:
+            how = "" if model in results.standards else results.evidence.get(model, "")
+            yield f"{model} ({how})" if how else model
 
 
 def _taken(results: ProofResults) -> Mapping[str, Sequence[str]]:

@@ -13,7 +13,7 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted
 from keymint.api import Tier, Transport
 from keymint.changes import Action, Step
-from keymint.commands.options import FILE, PATH, packages_argument, transport_option
+from keymint.commands.options import FILE, PATH, packages_argument, transport_option, vendors_of_option
 from keymint.commands.policies import workspace_library_rules
 from keymint.commands.run import Run
 from keymint.commands.user_files import read_input, write_outputs
@@ -36,8 +36,10 @@ from keymint.verify.parts import verified_in_parts
 from keymint.verify.scope import (
     VerificationScope,
     installed_scopes,
+    selective,
     subjects_of_graph,
 )
+from keymint.verify.tally import Tally
 from keymint.verify.usable_transports import choose
 from keymint.verify.verification import Verification
 
@@ -53,12 +55,19 @@ from keymint.verify.verification import Verification
     "names that probe its patterns].",
 )
 @transport_option
+@vendors_of_option
 @click.option(
     "--tier",
     type=click.Choice([str(tier) for tier in Tier]),
     default=str(Tier.DECISION),
     show_default=True,
     help="What to test: access-control code, endpoint creation, or data exchange.",
+)
+@click.option(
+    "--ros",
+    is_flag=True,
+    help="Ask the ROS 2 that is sourced: a stand-in node for each enclave tries each right and each near miss, in a "
+    "network of its own that has nothing but loopback.",
 )
 @click.option(
     "--limit", type=click.IntRange(0), default=1000, show_default=True, help="Mismatches to list per transport."
@@ -76,7 +85,9 @@ def verify(
     names: tuple[str, ...],
     graph: Path | None,
     chosen: tuple[str, ...],
+    distro: str | None,
     tier: str,
+    ros: bool,
     limit: int,
     sarif: Path | None,
     junit: Path | None,
@@ -93,13 +104,17 @@ def verify(
 
     Exit code 3: there are mismatches, or an enclave does not trust the workspace's authorities.
     """
-    session = run.session()
+    session = run.session().for_vendors_of(distro)
+    if ros:
+        chosen, tier = (*chosen, "ros"), tier if tier == Tier.EXCHANGE else str(Tier.ADMISSION)
+    tally = Tally() if ros else None
     chosen_names = with_enclaves(session, run.names(session, names), names)
     there = installed_scopes(session, chosen_names)
     # A transport trusts the authorities in the enclave; they must be the workspace's.
     foreign = differences(session, chosen_names)
     policy = load_policy(session)
-    groups = choose(run.plugins, chosen, Tier(tier), tuple(there.scopes))
+    groups = choose(run.plugins, chosen, Tier(tier), tuple(there.scopes), session.vendors_of or session.profile.distro)
+    scopes = {name: selective(there.scopes[name], group.values()) for name, group in groups.items()}
     transports = [transport for group in groups.values() for transport in group.values()]
     system = None if graph is None else subjects_of_graph(
         load(read_input(run, graph), str(graph)), there.enclaves, only=bool(names)
@@ -109,16 +124,22 @@ def verify(
     ) as copies:
         total = sum((1 + len(group)) * len(there.scopes[name].enclaves) for name, group in groups.items())
         with run.console.progress(total, run.setting.monotonic) as advance:
-            asking = Asking(Tier(tier), limit, lambda name, subject: advance(Step(name, subject, Action.UNCHANGED)))
+            asking = Asking(
+                Tier(tier), limit, lambda name, subject: advance(Step(name, subject, Action.UNCHANGED)), tally
+            )
             with run.pool() as pool:
                 verified = [
-                    verified_in_parts(pool, run.plugins, there.scopes[name], policy, system, copies, group, asking)
+                    verified_in_parts(pool, run.plugins, scopes[name], policy, system, copies, group, asking)
                     for name, group in groups.items()
                 ]
         subjects = tuple(sorted({subject for each in verified for subject in each.subjects}))
         outcomes = [outcome for each in verified for outcome in each.comparisons]
         edges = sum(len(each.labels) for each in verified)
         _show(run, outcomes, len(subjects), edges)
+        if tally is not None:
+            rows = [[each, *map(str, row)] for each, row in sorted(tally.rows.items())]
+            run.console.table(["OPERATION", "ASKED", "AGREED", "DENIED"], rows)
+            run.console.table(["TIMES", "ROS SAID"], [[str(each), text] for text, each in tally.texts.most_common()])
         _write(run, verified, sarif, junit)
         if report is not None:
             for each in verified:
@@ -128,7 +149,7 @@ def verify(
                 run.console.lines(f"{file} written" for file in write_report(run, folder, labelled))
     wrong = any(outcome.confusion.errors for outcome in outcomes)
     return run.report(
-        comparisons_json(outcomes, subjects, edges, run.typed),
+        comparisons_json(outcomes, subjects, edges, run.typed) | ({} if tally is None else tally.json()),
         (*foreign, *_unasked(there.scopes, groups, system, Tier(tier), chosen), *diagnostics(outcomes)),
         findings_if(wrong or foreign),
         workspace=session.workspace,

@@ -70,9 +70,10 @@ def why(
     if domain is None:
         domain = granted[0].first if granted else 0
     edge = request(subject, permission, object_name, kind or "", partitions, domain)
-    build_types = package.build_types if package else session.profile.build_types
-    transports = choose(run.plugins, chosen, Tier.DECISION, build_types)
-    explanation = explain(session, load_policy(session), package, edge, transports, partial(models, run.plugins))
+    build_types, distro = package.build_types if package else session.profile.build_types, session.profile.distro
+    transports = choose(run.plugins, chosen, Tier.DECISION, build_types, distro)
+    explain_by = partial(models, run.plugins, distro=distro)
+    explanation = explain(session, load_policy(session), package, edge, transports, explain_by)
 
     run.console.lines(_lines(explanation, run.place))
     asked = (name_of(explanation.edge.subject),) if explanation.installed and explanation.packaged else ()

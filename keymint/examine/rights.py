@@ -97,7 +97,7 @@ def presented_rights(session: Session, state: State, policy: LoadedPolicy, effor
                 outliving.setdefault(each.name, note)
         proofs.append(EnclaveProof("", "", claims, build_types=(name,)))
     is_whole = not proofs or (has_register(session) and register_of(session).is_whole)
-    return ProofResults((), tuple(proofs), state, {}, frozenset(), session.now, tuple(outliving.values()), is_whole)
+    return ProofResults((), tuple(proofs), state, {}, frozenset(), {}, session.now, tuple(outliving.values()), is_whole)
 
 
 def has_earlier(session: Session) -> bool:
@@ -140,7 +140,7 @@ class _Question:
         files = (part for path in _files(session) for part in (path, session.tree.digest(path.partition(":")[0]) or ""))
         sources = (inputs_digest(session, name) for name in self.packages)
         register = session.tree.digest(session.workspace.register) or ""
-        return digest(__version__, chains_digest(session), register, *sources, *files)
+        return digest(__version__, session.vendors_of, chains_digest(session), register, *sources, *files)
 
     def _answer(self) -> _Answer:
         session, build_type = self.session, self.build_type
@@ -151,7 +151,9 @@ class _Question:
         remembered = tuple(_remembered(session, each, content) for content, each in earlier.items())
         own = tuple(each for each in present if each.proven_for)
         documents = (*own, *remembered, *present)
-        task = PresentationTask(holders, documents, session.now, self.effort.states, self.effort.deadline())
+        task = PresentationTask(
+            holders, documents, session.now, self.effort.states, self.effort.deadline(), session.vendors_of
+        )
         models = build_type.choosers()[:1] if self.effort.standard_only else build_type.choosers()
         claims: list[Claim] = []
         outliving: list[_Outliving] = []

@@ -100,6 +100,7 @@ class ProofResults:
         state: the record to keep.
         assumptions: assumptions of the claims, by model.
         standards: the models that are no vendor's: those that each prover names first.
+        evidence: how each model is known, where its prover tells.
         now: the time at which the claims are judged, UTC.
         outliving: a note for each earlier document that permits more than the policy and was not accepted.
         is_whole: all documents that were ever signed are known.
@@ -110,6 +111,7 @@ class ProofResults:
     state: State
     assumptions: Mapping[str, Sequence[str]]
     standards: frozenset[str]
+    evidence: Mapping[str, str]
     now: datetime
     outliving: tuple[Diagnostic, ...] = ()
     is_whole: bool = True

@@ -24,6 +24,7 @@ from keymint.api import (
     SharedProofTask,
     SharedProver,
     ValidityTerm,
+    VendorModels,
 )
 from keymint.errors import KeymintError
 from keymint.executors import Pool
@@ -123,11 +124,14 @@ class ProofStage:
             state = state.updated(STAGE, stamps, refuted)
         assumptions: dict[str, Sequence[str]] = {}
         standards: set[str] = set()
+        evidence: dict[str, str] = {}
         for name in dict.fromkeys(name for each in proven for name in each.build_types):
             if prover := prover_of(self._session, name):
                 assumptions |= prover.assumptions()
                 standards.update([*prover.assumptions()][:1])
-        return ProofResults(tuple(proven), across, state, assumptions, frozenset(standards), self._session.now)
+                evidence |= prover.models() if isinstance(prover, VendorModels) else {}
+        known = frozenset(standards), evidence
+        return ProofResults(tuple(proven), across, state, assumptions, *known, self._session.now)
 
     def ask(self, pool: Pool, names: Sequence[str]) -> None:
         """Let other machines prove claims that are not cached; those that they do not prove are decided here."""
@@ -304,7 +308,9 @@ class ProofStage:
         """Return the digest of everything that a proof depends on, except the policy."""
         shared = (shared_proof.documents_digest(self._session, each) for each in build_types)
         files = (part for item in sorted(digests.items()) for part in item)
-        return digest(inputs_digest(self._session, name), self._chains_digest, __version__, *shared, "", *files)
+        of_vendors = filter(None, [self._session.vendors_of])
+        built = inputs_digest(self._session, name)
+        return digest(built, self._chains_digest, __version__, *of_vendors, *shared, "", *files)
 
     def _rules(self, subject: str) -> SubjectRules:
         """Return the policy's rules for a subject; none for infrastructure, even if a profile is for every subject."""

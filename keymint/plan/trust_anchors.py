@@ -37,7 +37,8 @@ def anchors_of(session: Session, package: Package, build_type: BuildType) -> Tru
     """
     authorities = {role.role: _anchor(session, (role.name,)) for role in build_type.authorities(package)}
     identity, layout, public_key = package.identity, session.profile.layout, package.issuance.public_key
-    return TrustAnchors(authorities, identity.subject_name, layout, public_key, identity.key.uri, package.distro)
+    distro = session.vendors_of or package.distro
+    return TrustAnchors(authorities, identity.subject_name, layout, public_key, identity.key.uri, distro)
 
 
 def shared_anchors(session: Session, packages: Iterable[Package], build_type: BuildType) -> Mapping[str, TrustAnchor]:

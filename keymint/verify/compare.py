@@ -14,6 +14,7 @@ from keymint.api import Enclave, Tier, Transport, Verdict
 from keymint.errors import KeymintError
 from keymint.graph import ConfusionMatrix, Edge
 from keymint.verify.mismatch import Comparison, Mismatch
+from keymint.verify.tally import Tally
 
 ENCLAVE_REFUSED = "enclave-refused"
 """Code of the error of a transport that refuses a complete enclave."""
@@ -30,11 +31,13 @@ class Asking:
         tier: the tier of the test.
         limit: mismatches to keep for each transport; all are counted.
         on_subject: called with the name of a transport, or ``policy``, and a subject after all edges of the subject.
+        tally: counts the answers, if any.
     """
 
     tier: Tier
     limit: int
     on_subject: Callable[[str, str], None]
+    tally: Tally | None = None
 
 
 def compare(
@@ -70,6 +73,8 @@ def compare(
             allowed = next(expected)
             decided = verdict.allowed if not verdict.partial else not allowed
             counts[allowed][decided] += 1
+            if asking.tally is not None:
+                asking.tally.add(edge, verdict, agreed=allowed == decided)
             if allowed != decided:
                 by_subject[subject] = by_subject.get(subject, 0) + 1
                 if len(findings) + len(wrong) < asking.limit:

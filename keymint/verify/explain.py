@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -16,6 +17,8 @@ from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.mismatch import Mismatch
 from keymint.verify.usable_transports import names_rules
 
+_VERSION = re.compile(r"-[\d.]+$")
+
 
 class Explainer:
     """Explains the labels of transports; a real one is explained by its simulation.
@@ -24,7 +27,7 @@ class Explainer:
         policy: the policy on endpoints.
         transports: the transports to explain, by name.
         find_models: returns, on first use, simulated transports by name, whose verdicts have the place of a rule;
-            ``name-1.2`` simulates ``name``. The first one explains transports without a simulation.
+            ``name-1.2`` simulates ``name`` from that version on. The first one explains what has no simulation.
     """
 
     def __init__(
@@ -34,7 +37,9 @@ class Explainer:
         find_models: Callable[[], Mapping[str, Transport]],
     ) -> None:
         self._policy = policy
-        self._explains_itself = frozenset(name for name, each in transports.items() if names_rules(each.usable()))
+        usable = {name: each.usable() for name, each in transports.items()}
+        self._explains_itself = frozenset(name for name, each in usable.items() if names_rules(each))
+        self._versions = {name: each.version for name, each in usable.items()}
         self._models = cache(find_models)
 
     def __call__(self, transport: str, enclave: Enclave, wrong: list[tuple[Edge, Verdict]]) -> list[Mismatch]:
@@ -53,9 +58,15 @@ class Explainer:
         ]
 
     def model_of(self, transport: str) -> str:
-        """Return the name of the simulation that explains a transport, or an empty text."""
-        own = [name for name in self._models() if name.startswith(f"{transport}-")]
-        return next(iter(own or self._models()), "")
+        """Return the name of the simulation that explains a transport, or an empty text.
+
+        Of those of its software, that is the latest one that is not newer than the transport, else the oldest.
+        """
+        software = _VERSION.sub("", transport)
+        own = [name for name in self._models() if _VERSION.sub("", name) == software != name]
+        known = [name for name in own if _number(name) <= _number(self._versions.get(transport, ""))]
+        oldest = min(own, key=_number, default=next(iter(self._models()), ""))
+        return max(known, key=_number, default=oldest)
 
     def _modelled(
         self, transport: str, enclave: Enclave, wrong: Sequence[tuple[Edge, Verdict]]
@@ -74,6 +85,11 @@ class Explainer:
             (model, name) if _alike(model, verdict) else (verdict, "")
             for (_, verdict), model in zip(wrong, models, strict=True)
         ]
+
+
+def _number(text: str) -> tuple[int, ...]:
+    """Return the version at the end of a name, or that a text is, to compare it with others."""
+    return tuple(map(int, re.findall(r"\d+", text.rpartition("-")[2])))
 
 
 def _alike(one: Verdict, other: Verdict) -> bool:

@@ -16,7 +16,7 @@ from keymint.verify.copies import Copies, placed
 from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.mismatch import Comparison
 from keymint.verify.rows import EdgeRows
-from keymint.verify.scope import VerificationScope, common_objects, edges_of_graph, edges_of_policy
+from keymint.verify.scope import VerificationScope, common_objects, edges_of_graph, edges_of_policy, selected
 from keymint.verify.usable_transports import models, names_rules
 from keymint.verify.verification import Verification, verification
 
@@ -51,9 +51,11 @@ class VerificationPart:
     def rows(self) -> tuple[tuple[str, ...], EdgeRows]:
         """Return the subjects, and a function that yields all edges to ask about."""
         if self.graph is not None:
-            return edges_of_graph(self.graph, self.scope)
+            subjects, rows = edges_of_graph(self.graph, self.scope)
+            return subjects, selected(rows, self.scope)
         own = {subject: self.copies.enclaves[subject] for subject in self.scope.enclaves}
-        return tuple(own), edges_of_policy(self.policy, replace(self.scope, enclaves=own), self.common)
+        rows = edges_of_policy(self.policy, replace(self.scope, enclaves=own), self.common)
+        return tuple(own), selected(rows, self.scope)
 
     def verified(self, plugins: Plugins, transports: Mapping[str, Transport]) -> Verification:
         """Compare transports with the policy; errors as :func:`keymint.verify.verification.verification`."""

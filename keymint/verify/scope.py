@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, lru_cache
 from itertools import groupby
@@ -13,7 +13,18 @@ from typing import TypeVar
 
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
-from keymint.api import ActionMapping, BuildType, Enclave, InstalledNames, LoadedPolicy, NameMapping, Package, Role
+from keymint.api import (
+    ActionMapping,
+    BuildType,
+    Enclave,
+    InstalledNames,
+    LoadedPolicy,
+    NameMapping,
+    Package,
+    Role,
+    SelectiveTransport,
+    Transport,
+)
 from keymint.errors import KeymintError
 from keymint.graph import LABELLED, Column, Edge, Graph, Object, column
 from keymint.ir import SubjectRules
@@ -66,6 +77,7 @@ class VerificationScope:
         enclaves: installed enclaves by subject, sorted.
         namings: the naming of each subject, if the build type has one.
         domains: the first domain of each subject's grant.
+        select: returns the edges to ask about in place of an edge [the edge].
     """
 
     build_type: str
@@ -73,6 +85,7 @@ class VerificationScope:
     enclaves: Mapping[str, Enclave]
     namings: Mapping[str, Naming]
     domains: Mapping[str, int]
+    select: Callable[[Enclave, Edge], Sequence[Edge]] | None = None
 
     def about(self, subjects: Iterable[str]) -> VerificationScope:
         """Return the scope of some of the subjects."""
@@ -166,6 +179,25 @@ def naming_of(inputs: Inputs, package: Package, build_type: str) -> Naming | Non
     """Return the naming of a package for one of its build types, or None if that has none."""
     mapping = inputs.plugins.build_type(build_type, inputs.package_marker(package.name))
     return Naming(mapping, package.distro) if isinstance(mapping, NameMapping) else None
+
+
+def selective(scope: VerificationScope, transports: Iterable[Transport]) -> VerificationScope:
+    """Return a scope with the edges that transports can be asked about; one of them at most selects."""
+    select = next((each.asked for each in transports if isinstance(each, SelectiveTransport)), None)
+    return replace(scope, select=select)
+
+
+def selected(rows: EdgeRows, scope: VerificationScope) -> EdgeRows:
+    """Return a function that yields rows with the edges that the transports of a scope can be asked about."""
+    select = scope.select
+    if select is None:
+        return rows
+
+    def row_of(row: EdgeRow) -> EdgeRow:
+        found = (each for edge in row for each in select(scope.enclaves[row.subject], edge))
+        return EdgeRow(row.subject, Column(tuple(dict.fromkeys(found))))
+
+    return lambda: map(row_of, rows())
 
 
 def subjects_of_graph(graph: Graph, known: Collection[str], *, only: bool) -> Graph:

@@ -11,7 +11,7 @@ from keymint.plugins import Plugins
 
 
 def choose(
-    plugins: Plugins, chosen: Sequence[str], tier: Tier, build_types: Sequence[str]
+    plugins: Plugins, chosen: Sequence[str], tier: Tier, build_types: Sequence[str], distro: str = ""
 ) -> Mapping[str, Mapping[str, Transport]]:
     """Return the transports to test by build type, then name: the chosen ones, or all that are usable at a tier.
 
@@ -20,6 +20,7 @@ def choose(
         chosen: names of transports; empty to choose all that are usable.
         tier: the tier of the test.
         build_types: those of the packages; transports that read what other ones build are not used.
+        distro: ROS 2 distribution; models of what it does not ship are used only if they are chosen; empty for all.
 
     Returns:
         The build types with a transport, in the given order.
@@ -31,7 +32,7 @@ def choose(
     if chosen:
         used = _named(plugins, chosen, tier, build_types)
     else:
-        known = {name: plugins.transport(name) for each in build_types for name in plugins.transports_of(each)}
+        known = {name: plugins.transport(name) for each in build_types for name in plugins.transports_of(each, distro)}
         used = {name: each for name, each in known.items() if usable_by_default(each.usable(), tier)}
     if not used:
         raise KeymintError(
@@ -87,9 +88,9 @@ def names_rules(usable: Availability) -> bool:
     return usable.tiers == (Tier.DECISION,)
 
 
-def models(plugins: Plugins, build_type: str) -> dict[str, Transport]:
+def models(plugins: Plugins, build_type: str, *, distro: str = "") -> dict[str, Transport]:
     """Return the transports of a build type that name the rule that decides; one without a version comes first."""
-    names = sorted(plugins.transports_of(build_type), key=lambda name: ("-" in name, name))
+    names = sorted(plugins.transports_of(build_type, distro), key=lambda name: ("-" in name, name))
     usable = {name: plugins.transport(name).usable() for name in names}
     named = [name for name, each in usable.items() if names_rules(each) and usable_by_default(each, Tier.DECISION)]
     return {name: plugins.transport(name) for name in named}

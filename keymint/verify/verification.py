@@ -80,6 +80,8 @@ def verification(
             )
         edges = chain.from_iterable(rows())
         outcome = compare(name, transport, scope.enclaves, edges, labels, explain, asking)
+        if scope.select is not None:
+            return outcome
         return with_halves(
             outcome, transport, scope.enclaves, rows(), labels, endpoint_policy, scope.namings, explain, asking.limit
         )

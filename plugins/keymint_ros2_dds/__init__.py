@@ -20,7 +20,8 @@ class DdsSecurity:
     :class:`keymint.api.RevocationReader`, :class:`keymint.api.AuthorityChanges`,
     :class:`keymint.api.RemoteCompiler`, :class:`keymint.api.ProcessEnvironment`,
     :class:`keymint.api.KeystoreReader`, :class:`keymint.api.KeptDocuments`,
-    :class:`keymint.api.Prover`, :class:`keymint.api.RemoteProver` and :class:`keymint.api.Presentation`.
+    :class:`keymint.api.Prover`, :class:`keymint.api.VendorModels`, :class:`keymint.api.VendorAdvisories`,
+    :class:`keymint.api.RemoteProver` and :class:`keymint.api.Presentation`.
     """
 
     API = API_VERSION
@@ -62,6 +63,10 @@ class DdsSecurity:
     document_topics = lazy("keymint_ros2_dds.transports.enclave_files:document_topics")
 
     assumptions = lazy("keymint_ros2_dds.proving.claims:assumptions")
+    models = lazy("keymint_ros2_dds.proving.claims:models")
+    VENDORS = ("cyclonedds", "fastdds")
+    installed_vendors = lazy("keymint_ros2_dds.vendors.advisories:installed_vendors")
+    advisories = lazy("keymint_ros2_dds.vendors.advisories:advisories")
     differences = lazy("keymint_ros2_dds.examine:differences")
     prove = lazy("keymint_ros2_dds.proving:prove")
     terms = lazy("keymint_ros2_dds.proving:terms")

@@ -69,6 +69,7 @@ class _InstalledEnclave(EnclaveRules):
         yield from self.inventory(name for name in names if name not in elsewhere)
         for name in (CERTIFICATE, KEY):
             yield from map(self._of_another_tool, self.encoding(name))
+        yield from self.name()
         yield from self.periods(when)
         permissions = yield from self._sound(PERMISSIONS, signed_permissions.read)
         governance = yield from self._sound(GOVERNANCE, signed_governance.read)

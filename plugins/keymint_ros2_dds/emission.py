@@ -16,7 +16,7 @@ from keymint.api import BuildOptions, Claim, ComparisonTask, Grant, Package, Pro
 from keymint.errors import KeymintError
 from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.compiling.compile import Compiled, compile_rules, vendor_notes
-from keymint_ros2_dds.decision import OMG
+from keymint_ros2_dds.decision import OMG, VARIATIONS, shipped
 from keymint_ros2_dds.documents import dds_xml, permissions_document
 from keymint_ros2_dds.enclave_layout import PERMISSIONS, PERMISSIONS_XML
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
@@ -69,8 +69,24 @@ def emit(package: Package, options: BuildOptions) -> Emitted:
             document means what the rules mean.
     """
     compiled = compile_rules(package.grant, package.distro, options)
+    if not options.allow_vendor_specific and (refusing := _refusing(package)):
+        message = (
+            f"{refusing} finds no permissions of {subject_name_text.of(package.grant)!r}: an attribute is there twice"
+        )
+        help_ = "write each attribute once, e.g. one CN and one OU, or build with --allow-vendor-specific"
+        raise KeymintError(message, where=package.grant.origin, help=help_, code="portability-subject-name")
     with step_limit(STEPS):
         return _smallest_proven(package, options, compiled)
+
+
+def _refusing(package: Package) -> str:
+    """Return the models of what the distribution ships that find no permissions of this very name."""
+    try:
+        name = subject_name_text.of(package.grant)
+    except KeymintError:
+        return ""  # reported where the document is written
+    names = {model: VARIATIONS[model].semantics for model in shipped(package.distro)}
+    return ", ".join(model for model, each in names.items() if not each.selects(each.reads_text(name), name))
 
 
 def _smallest_proven(package: Package, options: BuildOptions, compiled: Compiled) -> Emitted:
@@ -124,7 +140,7 @@ def _not_proven(document: bytes) -> list[tuple[str, str, str]]:
 
 def _claims(package: Package, compiled: Compiled, document: bytes) -> tuple[Claim, ...]:
     """Return the claims about a document: by the standard only, if the user accepted that vendors differ."""
-    models = None if compiled.portable else (OMG.name,)
+    models = None if compiled.portable and not _refusing(package) else (OMG.name,)
     return prove_content(comparison(package, document), models=models, lowered=compiled.lowered)
 
 

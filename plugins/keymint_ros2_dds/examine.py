@@ -207,6 +207,12 @@ class EnclaveRules(IdentityCheck):
         if name in self._files and self.certificate is not None and not is_canonical(self._files[name]):
             yield self._error("pem-altered", name, f"is not the canonical encoding of {what}")
 
+    def name(self) -> Iterator[Diagnostic]:
+        """Yield a warning if vendors confuse the name of the certificate with others."""
+        if self.certificate is not None and (confused := subject_name_text.twice(self.certificate.subject)):
+            help_ = "let its authority issue names with each attribute once, e.g. one CN and one OU"
+            yield self._warning("names-confused", CERTIFICATE, confused, help_)
+
     def periods(self, when: When) -> Iterator[Diagnostic]:
         """Yield the findings on the dates of the certificate and of the revocation list."""
         if self.certificate is not None:

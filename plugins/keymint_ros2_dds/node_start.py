@@ -46,7 +46,8 @@ _Lists = Mapping[str, DecisionList]
 
 def check_node(rules: SubjectRules, distro: str) -> Iterator[Diagnostic]:
     """Yield notes on what cannot start; see :meth:`keymint.api.NodeCheck.check_node`."""
-    if DISTROS.index(distro) < DISTROS.index("foxy"):
+    known = [*DISTROS]  # the oldest first
+    if known.index(distro) < known.index("foxy"):
         return  # not measured
     try:
         lowered = lower(rules, distro)
@@ -55,7 +56,7 @@ def check_node(rules: SubjectRules, distro: str) -> Iterator[Diagnostic]:
     lists = {action: of_policy(lowered, action, pairs=False) for action in ("publish", "subscribe")}
     release = distro.capitalize()
     missing = [words for words, action, topic in _ALWAYS if not permits(lists[action], topic)]
-    if DISTROS.index(distro) >= DISTROS.index("iron") and not _may_serve(lists, _TYPES, rules.subject):
+    if known.index(distro) >= known.index("iron") and not _may_serve(lists, _TYPES, rules.subject):
         missing.append(f"serve any …{_TYPES}")
     if missing:
         message = f"a node of this subject cannot start on {release} with its default options: it may not "

@@ -85,6 +85,20 @@ def of_any(name: x509.Name) -> str:
         return name.rfc4514_string()
 
 
+def twice(name: x509.Name) -> str:
+    """Return what vendors make of a name that has an attribute twice, or an empty text for any other name.
+
+    Fast DDS compares the first one of a type in the order of RFC 2253 (``keymint_ros2_dds.decision.subject_names``).
+    """
+    kinds = [kind for kind, _ in distinguished_names.attributes(name)]
+    doubled = next((kind for kind in kinds if kinds.count(kind) > 1), "")
+    shown = distinguished_names.to_text(name)
+    return doubled and (
+        f"has {doubled} twice in its name {shown!r}: Fast DDS from 2.11 on confuses it with names that have "
+        f"one {doubled} twice, and may refuse its own permissions"
+    )
+
+
 def has_empty_part(text: str) -> bool:
     """Tell whether a name has an empty part before its end, between ``,``, ``/`` and ``|``.
 

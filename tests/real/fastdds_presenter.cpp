@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Preloaded into a participant of Fast DDS 2.9, it presents another permissions document to its peers than that of its
+// Preloaded into a participant of Fast DDS 2.9 or 3, it presents another permissions document to its peers than that of its
 // enclave: the file KEYMINT_PRESENTED.
 
 #include <cstdlib>
@@ -9,11 +9,17 @@
 
 #include <dlfcn.h>
 
+#if __has_include(<fastdds/config.hpp>)
+#include <fastdds/rtps/common/Token.hpp>
+using eprosima::fastdds::rtps::DataHolder;
+#define LIBRARY "7fastdds"
+#else
 #include <fastdds/rtps/common/Token.h>
-
 using eprosima::fastrtps::rtps::DataHolder;
+#define LIBRARY "8fastrtps"
+#endif
 
-#define NAME "_ZN8eprosima8fastrtps4rtps8security11Permissions32get_permissions_credential_token"                      \
+#define NAME "_ZN8eprosima" LIBRARY "4rtps8security11Permissions32get_permissions_credential_token"                      \
              "EPPNS1_10DataHolderERKNS2_6HandleERNS2_17SecurityExceptionE"
 
 bool present(void*, DataHolder**, const void*, void*) __asm__(NAME);

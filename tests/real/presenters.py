@@ -32,5 +32,7 @@ def presenting(vendor: Vendor, cache: Path, permissions: Path) -> Vendor:
         permissions: the signed document.
     """
     probe = _CYCLONEDDS if isinstance(vendor, CycloneDDS) else _FASTDDS
+    if vendor.version is not None:
+        probe = vendor.version.built(probe)
     environment = {**vendor.environment, "KEYMINT_PRESENTED": str(permissions)}
     return replace(vendor, environment=environment, nonconforming=probe.build(cache, {}))

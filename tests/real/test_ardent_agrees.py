@@ -19,6 +19,7 @@ from tests.plugins.keymint_ros2_dds.lowering.test_ardent_names import ASKED, TOP
 from tests.plugins.keymint_ros2_dds.packages import package
 
 from .agreement import access, participant
+from .conftest import on_each_fastdds
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -59,14 +60,14 @@ def test_the_access_control_of_cyclone_dds_agrees(authorities: Authorities, draw
             expect(drawn, opened.allows, TOPICS)
 
 
-@pytest.mark.fastdds
+@on_each_fastdds
 @settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(drawn=st.lists(drawn_rules(), min_size=1, max_size=5))
-def test_participants_of_fast_dds_agree(fastdds: Vendor, authorities: Authorities, tmp_path: Path, drawn) -> None:
+def test_participants_of_fast_dds_agree(vendor: Vendor, authorities: Authorities, tmp_path: Path, drawn) -> None:
     found = documents(drawn)
     if found is not None:
         with participant(
-            fastdds, authorities, tmp_path / str(len(list(tmp_path.iterdir()))), "/talker", found
+            vendor, authorities, tmp_path / str(len(list(tmp_path.iterdir()))), "/talker", found
         ) as opened:
             assert opened is not None
             expect(drawn, opened.allows, REAL_TOPICS)

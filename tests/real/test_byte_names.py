@@ -23,6 +23,7 @@ from tests.plugins.keymint_ros2_dds.proving.byte_names import (
     wanted,
 )
 
+from .conftest import on_each_fastdds
 from .handmade import Authorities, criteria, permissions_document, rule
 from .probe_commands import close
 from .test_strictness import WIDE, signed
@@ -89,11 +90,11 @@ def test_the_claims_are_right_about_cyclone_dds(
             hold(case, by_cyclone, "cyclonedds-0.10", lambda text, o=opened: o.allows("publish", text), names)
 
 
-@pytest.mark.fastdds
-def test_the_claims_are_right_about_fast_dds(fastdds: Vendor, authorities: Authorities, tmp_path: Path) -> None:
+@on_each_fastdds
+def test_the_claims_are_right_about_fast_dds(vendor: Vendor, authorities: Authorities, tmp_path: Path) -> None:
     # The probe reads names in UTF-8, one per line.
     names = [name for name in islice(NAMES, 0, None, 11) if _is_text(name)]
-    with System(fastdds) as system:
+    with System(vendor) as system:
         for number, case in enumerate((*EXAMPLES, *islice(usual(5), 8))):
             participant = system.open(enclave(authorities, tmp_path / str(number), case))
 

@@ -37,6 +37,8 @@ from tests.keymint.examine.fault_table import TABLE
 from tests.keymint.examine.fault_workspaces import Bench
 from tests.signers import HAVE_OPENSSL
 
+from .conftest import on_each_fastdds
+
 if TYPE_CHECKING:
     from keymint_ros2_dds.vendors.participants import Vendor
 
@@ -265,15 +267,15 @@ def _fastdds_rights(vendor: Vendor, folder: Path) -> set[tuple[str, str]]:
         return {each for each, allowed in zip(asked, participant.allow(asked), strict=True) if allowed}
 
 
-@pytest.mark.fastdds
+@on_each_fastdds
 @pytest.mark.parametrize("fault", sample(OWN), ids=lambda fault: fault.id)
-def test_fastdds_decides_as_the_table_says(real_bench: Bench, fastdds: Vendor, fault: Fault) -> None:
+def test_fastdds_decides_as_the_table_says(real_bench: Bench, vendor: Vendor, fault: Fault) -> None:
     keystore = real_bench.copy(fault.workspace)
     subject = max((each for each in SUBJECTS if fault.name.startswith(f"{each} ")), key=len)
-    sound, meant = _fastdds_rights(fastdds, keystore.enclave(subject)), meaning(keystore, fault.subjects)
+    sound, meant = _fastdds_rights(vendor, keystore.enclave(subject)), meaning(keystore, fault.subjects)
     fault.apply(keystore)
     decides = meaning(keystore, fault.subjects) != meant if fault.decides is None else True
     expected = decides and (fault.vendors == "all" or "fastdds" in fault.vendors.split(" if ")[0])
     if "a deny of what is" in fault.name or " if " in fault.vendors:
         return  # only Cyclone DDS; only later
-    assert (_fastdds_rights(fastdds, keystore.enclave(subject)) != sound) == expected
+    assert (_fastdds_rights(vendor, keystore.enclave(subject)) != sound) == expected

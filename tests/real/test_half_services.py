@@ -23,8 +23,9 @@ import comarmor
 from tests.conftest import CHECKOUT, Outcome
 from tests.effort import FULL, tries
 
+from .conftest import REAL_TRANSPORTS, usable_transport
+
 SIMULATED = ("omg", "cyclonedds-0.10", "fastdds-2.9")
-REAL = {"cyclonedds": "cyclone_plugins", "fastdds": "fastdds"}
 READ = ("describe_parameters", "get_parameters", "get_parameter_types", "list_parameters")
 WRITE = ("set_parameters", "set_parameters_atomically")
 SUBJECTS = ("/talker", "/listener")
@@ -59,11 +60,11 @@ def real_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("SOURCE_DATE_EPOCH")
 
 
-@pytest.fixture(params=[*SIMULATED, *(pytest.param(name, marks=getattr(pytest.mark, name)) for name in REAL)])
+@pytest.fixture(params=[*SIMULATED, *REAL_TRANSPORTS])
 def transport(request: pytest.FixtureRequest) -> str:
     """A transport, simulated or real."""
-    if request.param in REAL:
-        request.getfixturevalue(REAL[request.param])
+    if request.param not in SIMULATED:
+        usable_transport(request.param)
     return request.param
 
 

@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -16,13 +17,15 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from keymint_ros import package_type
 from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9
 from keymint_ros2_dds.transports.enclave_model import EnclaveModel
-from keymint_ros2_dds.vendors.participants import FastDDS, RefusedError, System, Vendor
+from keymint_ros2_dds.vendors.participants import RefusedError, System, Vendor
 
 from keymint.api import Enclave, Environment, Issuance, KeySpec
 from keymint.pins import VARIABLE, Pins
 from keymint.pki.tokens import Tokens
 from tests.conftest import CHECKOUT
 from tests.softhsm import PIN, SoftHsm
+
+from .conftest import on_each_cyclonedds, on_each_fastdds
 
 pytestmark = pytest.mark.softhsm
 POLICY = CHECKOUT / "templates/keymint_ros/comarmor.d/talker_listener.xml"
@@ -114,22 +117,22 @@ def identity(uri: str) -> str:
     return f"<identity><key><pkcs11>{uri}</pkcs11></key></identity>"
 
 
-@pytest.mark.fastdds
-def test_a_participant_with_its_key_in_a_token(fastdds: Vendor, robot: Path) -> None:
+@on_each_fastdds
+def test_a_participant_with_its_key_in_a_token(vendor: Vendor, robot: Path) -> None:
     enclave = robot / "install/enclaves/talker"
     assert (enclave / "key.p11").read_text() == "pkcs11:token=ca;object=talker\n"
     assert not (enclave / "key.pem").exists()
     assert "no findings" in keymint(robot, "check")
     keymint(robot, "prove")
-    with_pin = FastDDS(fastdds.program, {**os.environ, **fastdds.environment, ROBOT_PIN: PIN})
+    with_pin = replace(vendor, environment={**os.environ, **vendor.environment, ROBOT_PIN: PIN})
     exchange(with_pin, robot / "install")
-    wrong = FastDDS(fastdds.program, {**os.environ, **fastdds.environment, ROBOT_PIN: "wrong-secret"})
+    wrong = replace(vendor, environment={**os.environ, **vendor.environment, ROBOT_PIN: "wrong-secret"})
     with System(wrong) as system, pytest.raises(RefusedError):
         system.open(enclave)
 
 
-@pytest.mark.fastdds
-def test_the_pin_of_a_participant_in_a_file(fastdds: Vendor, robot: Path, tmp_path: Path) -> None:
+@on_each_fastdds
+def test_the_pin_of_a_participant_in_a_file(vendor: Vendor, robot: Path, tmp_path: Path) -> None:
     pin = tmp_path / "robot.pin"
     pin.write_text(PIN)
     pin.chmod(0o600)
@@ -137,13 +140,13 @@ def test_the_pin_of_a_participant_in_a_file(fastdds: Vendor, robot: Path, tmp_pa
     document.write_text(re.sub("(object=talker)", rf"\1?pin-source=file:{pin}", document.read_text()))
     keymint(robot, "build")
     keymint(robot, "install")
-    exchange(FastDDS(fastdds.program, {**os.environ, **fastdds.environment}), robot / "install")
+    exchange(replace(vendor, environment={**os.environ, **vendor.environment}), robot / "install")
 
 
-@pytest.mark.cyclonedds
-def test_cyclone_dds_starts_without_such_a_key_not_at_all(cyclonedds: Vendor, robot: Path) -> None:
+@on_each_cyclonedds
+def test_cyclone_dds_starts_without_such_a_key_not_at_all(vendor: Vendor, robot: Path) -> None:
     enclave = robot / "install/enclaves/talker"
-    with System(cyclonedds) as system, pytest.raises(RefusedError):
+    with System(vendor) as system, pytest.raises(RefusedError):
         system.open(enclave)
     model = EnclaveModel(
         Enclave("/talker", enclave, "jazzy", robot / "install"), Environment(datetime.now(UTC), robot), 0

@@ -12,12 +12,12 @@ from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING
 
 import pytest
-from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9
 from keymint_ros2_dds.transports.enclave_model import EnclaveModel
 from keymint_ros2_dds.vendors.participants import CycloneDDS, ProbeEndpoint, RefusedError, System, Vendor
 
 from keymint.api import Enclave, Environment
 
+from .conftest import on_each_fastdds, variation_of
 from .handmade import Authorities, Authority
 from .lifetimes import DAY, Identity, enclave, identity, revocation_list
 from .presenters import presenting
@@ -54,11 +54,10 @@ def place(authorities: Authorities) -> Place:
 
 def model_of(vendor: Vendor, folder: Path, distro: str = "jazzy") -> str:
     """Return why the model of a vendor refuses an enclave, or an empty text."""
-    variation = CYCLONEDDS_0_10 if isinstance(vendor, CycloneDDS) else FASTDDS_2_9
     found = EnclaveModel(
         Enclave("/own", folder, distro, folder.parent), Environment(datetime.now(UTC), folder.parent), 0
     )
-    return found.refusal or found.unauthenticated(variation)
+    return found.refusal or found.unauthenticated(variation_of(vendor))
 
 
 def name_of(vendor: Vendor) -> str:
@@ -245,14 +244,15 @@ def test_two_identity_authorities_side_by_side(place: Place, vendor: Vendor, sys
         matched(system, old, reader)
 
 
+@on_each_fastdds
 def test_two_authorities_need_a_list_each_and_inside_the_file_of_authorities(
-    place: Place, fastdds: Vendor, tmp_path: Path
+    place: Place, vendor: Vendor, tmp_path: Path
 ) -> None:
     """Fast DDS reads one list of ``crl.pem``, and any number beside the authorities."""
     newcomer = identity(place.namesake, "/new")
     bundle, lists = place.ca.pem + place.namesake.pem, (revocation_list(place.ca), revocation_list(place.namesake))
     for together in (lists[0] + lists[1], b""):
-        with System(fastdds) as system:
+        with System(vendor) as system:
             written = {"trusted": bundle, "crl": together} if together else {"trusted": bundle + b"".join(lists)}
             reader = system.open(enclave(place.authorities, tmp_path / "own", place.own, **written)).edge(
                 "subscribe", "rt/x"

@@ -15,6 +15,7 @@ from keymint_ros2_dds.vendors.participants import RefusedError, System, Vendor
 
 from tests.softhsm import PIN, opened
 
+from .conftest import on_each_fastdds
 from .presenters import presenting
 from .probe_commands import await_rejection
 from .provisioning import enclave, keymint, provision
@@ -154,8 +155,8 @@ def bundles(stages: Stages, tmp_path_factory: pytest.TempPathFactory) -> Stages:
     return Stages(folder / "stages", workspace)
 
 
-@pytest.mark.fastdds
-def test_each_phase_of_a_rollover_works_with_the_ones_beside_it(bundles: Stages, fastdds: Vendor) -> None:
+@on_each_fastdds
+def test_each_phase_of_a_rollover_works_with_the_ones_beside_it(bundles: Stages, vendor: Vendor) -> None:
     """Robots follow one by one; the control are robots that are two phases apart."""
     beside = [
         ("before", "both"),
@@ -168,15 +169,15 @@ def test_each_phase_of_a_rollover_works_with_the_ones_beside_it(bundles: Stages,
     apart = [("before", "issued"), ("alone", "both")]
     for pairs, expected in ((beside, True), (apart, False)):
         for listener, talker in pairs:
-            with System(fastdds) as system:
+            with System(vendor) as system:
                 heard = hears(system, bundles(listener, "/listener"), bundles(talker, "/talker"))
                 assert heard == expected, (listener, talker)
 
 
-@pytest.mark.fastdds
+@on_each_fastdds
 @pytest.mark.parametrize("phase", ["both", "issued", "alone"])
-def test_in_each_phase_the_revoked_ones_stay_refused(bundles: Stages, fastdds: Vendor, phase: str) -> None:
-    with System(fastdds) as system:
+def test_in_each_phase_the_revoked_ones_stay_refused(bundles: Stages, vendor: Vendor, phase: str) -> None:
+    with System(vendor) as system:
         reader = system.open(bundles(phase, "/listener")).edge("subscribe", "rt/x")
         system.open(bundles("first", "/stolen")).edge("publish", "rt/x").write("from the thief")
         assert await_rejection(reader, WAIT)

@@ -10,6 +10,7 @@ from keymint_ros2_dds.vendors.participants import System
 
 from benchmarks import navigation
 
+from .probe_commands import await_rejection
 from .provisioning import enclave
 
 if TYPE_CHECKING:
@@ -27,9 +28,14 @@ def install(provisioned: Callable[[str | Path], Path]) -> Path:
 
 
 def test_samples_are_exchanged(install: Path, system: System) -> None:
+    """Not on Fast DDS 3.1.2, where no handshake succeeds with more than some 6 kB."""
     sizes = [(enclave(install, subject) / "permissions.p7s").stat().st_size for subject in ("/navigation", "/peer")]
     assert all(55_000 < size < 60_000 for size in sizes), sizes
     writer = system.open(enclave(install, "/navigation")).edge("publish", "rt/cmd_vel_smoothed")
     reader = system.open(enclave(install, "/peer")).edge("subscribe", "rt/cmd_vel_smoothed")
     writer.write("hello")
-    assert reader.read() == "hello"
+    version = system.vendor.version
+    if version is not None and version.version == "3.1.2":
+        assert "Cannot serialize ParticipantGenericMessage" in str(await_rejection(reader, 10.0))
+    else:
+        assert reader.read() == "hello"

@@ -10,6 +10,7 @@ import pytest
 
 from tests.effort import tries
 
+from .conftest import on_each_fastdds
 from .open_governance import Bench, compare
 
 if TYPE_CHECKING:
@@ -41,9 +42,9 @@ def test_cyclone_dds_decides_as_brute_force_does(bench: Bench) -> None:
     assert counts["cyclone allows"] > tries(500, 25_000)
 
 
-@pytest.mark.fastdds
-def test_fast_dds_decides_as_brute_force_does(bench: Bench, fastdds: Vendor, tmp_path: Path) -> None:
-    counts, wrong = compare(bench, SEED, tries(12, 100), partial(bench.fast, fastdds, tmp_path))
+@on_each_fastdds
+def test_fast_dds_decides_as_brute_force_does(bench: Bench, vendor: Vendor, tmp_path: Path) -> None:
+    counts, wrong = compare(bench, SEED, tries(12, 100), partial(bench.fast, vendor, tmp_path))
     assert wrong == []
     assert counts["fastdds"] > tries(500, 5_000)
     assert counts["fastdds allows"] > tries(30, 250)

@@ -16,6 +16,7 @@ from keymint.errors import KeymintError
 from tests.effort import tries
 
 from .agreement import REQUESTS, access, allowed, compiled, operations, participant, said_of
+from .conftest import on_each_fastdds
 from .policies import (
     ENDPOINTS,
     NAMES,
@@ -113,14 +114,14 @@ def test_any_policy_on_partitions(authorities: Authorities, tmp_path: Path, rule
         ] == []
 
 
-@pytest.mark.fastdds
+@on_each_fastdds
 @settings(parent=thorough, max_examples=25)
 @given(rules=st.one_of(separate_rules, meeting_rules, partitioned_rules))
-def test_any_policy_on_fast_dds(authorities: Authorities, fastdds: Vendor, tmp_path: Path, rules: list[str]) -> None:
+def test_any_policy_on_fast_dds(authorities: Authorities, vendor: Vendor, tmp_path: Path, rules: list[str]) -> None:
     path = written(tmp_path, "/b", rules)
     loaded = comarmor.load(path)
     asked = [*product(ENDPOINTS, [()]), *product(RAW_ENDPOINTS, PARTITIONS)]
-    with participant(fastdds, authorities, tmp_path, "/b", portable(path, "/b")) as opened:
+    with participant(vendor, authorities, tmp_path, "/b", portable(path, "/b")) as opened:
         assert [
             (each, partitions)
             for each, partitions in asked

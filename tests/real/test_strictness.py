@@ -15,11 +15,12 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.serialization import pkcs7
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, DocumentEvaluator, Variation
-from keymint_ros2_dds.vendors.participants import CycloneDDS, RefusedError, System, Vendor
+from keymint_ros2_dds.vendors.participants import RefusedError, System, Vendor
 
 from keymint.command_process import ProcessFailedError
 from keymint.errors import KeymintError
 
+from .conftest import variation_of
 from .handmade import Authorities, criteria, governance_document, permissions_document, rule
 
 if TYPE_CHECKING:
@@ -132,7 +133,7 @@ def test_models_read_as_vendors_do(
     authorities: Authorities, vendor: Vendor, tmp_path: Path, old: str, new: str
 ) -> None:
     content = changed(old, new).encode()
-    said = expected(content, CYCLONEDDS_0_10 if isinstance(vendor, CycloneDDS) else FASTDDS_2_9)
+    said = expected(content, variation_of(vendor))
     if said is None:
         return
     folder = authorities.enclave(tmp_path, governance=WIDE, permissions=PLAIN)

@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 import ctypes
-import os
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from keymint_ros2_dds.transports import cyclonedds_0_10, fastdds_2_9, real_cyclonedds, real_fastdds
+from keymint_ros2_dds.transports import real_cyclonedds
+from keymint_ros2_dds.transports.participants_transport import RealTransport
+from keymint_ros2_dds.transports.simulated import Simulated
+from keymint_ros2_dds.vendors.participants import System
 
 from keymint.api import Enclave, EndpointTransport, Environment, Tier, Transport, Verdict
 from keymint.errors import KeymintError
@@ -18,41 +20,26 @@ from keymint.graph import Column, Edge, Object
 from keymint.pki import smime
 from tests.effort import tries
 
-from .conftest import missing_transport
+from .conftest import CYCLONEDDS, REAL_TRANSPORTS, TRANSPORTS, environment, usable_transport, variation
 from .handmade import Authorities, criteria, governance_document, permissions_document, rule
 from .model_agreement import disagreements
 
-MODELS = {"cyclonedds": cyclonedds_0_10, "fastdds": fastdds_2_9}
 X, Y, Z = (Object("topic", f"rt/{name}") for name in "xyz")
 
 
-@pytest.fixture(
-    params=[
-        pytest.param("cyclonedds", marks=pytest.mark.cyclonedds),
-        pytest.param("fastdds", marks=pytest.mark.fastdds),
-    ]
-)
+@pytest.fixture(params=REAL_TRANSPORTS)
 def vendor_name(request: pytest.FixtureRequest) -> str:
     return request.param
 
 
 @pytest.fixture
-def environment(probe_cache: Path) -> Environment:
-    return Environment(datetime.now(UTC), probe_cache, {"PATH": os.environ["PATH"]})
+def transport(vendor_name: str) -> Transport:
+    return usable_transport(vendor_name)
 
 
 @pytest.fixture
-def transport(vendor_name: str, environment: Environment) -> Transport:
-    opened = {"cyclonedds": real_cyclonedds, "fastdds": real_fastdds}[vendor_name].open(environment)
-    usable = opened.usable()
-    if Tier.EXCHANGE not in usable.tiers:
-        missing_transport(usable)
-    return opened
-
-
-@pytest.fixture
-def model(vendor_name: str, environment: Environment) -> Transport:
-    return MODELS[vendor_name].open(environment)
+def model(vendor_name: str) -> Transport:
+    return Simulated(variation(TRANSPORTS[vendor_name][1]), environment())
 
 
 def enclave(authorities: Authorities, folder: Path, rules: str = "", **more: str) -> Path:
@@ -127,6 +114,20 @@ def test_allowed_samples_are_delivered_and_an_intruder_is_refused(transport: Tra
     assert all(found[index].reason.endswith("; /listener refuses it as well") for index in (1, 2))
 
 
+def test_a_participant_that_does_not_conform_ignores_its_own_permissions(
+    transport: RealTransport, pair: list[Enclave]
+) -> None:
+    """Else its refusal, which the tier *exchange* reports, would be by its own side."""
+    with System(transport._vendor(nonconforming=True)) as system:
+        listener = system.open(pair[1].folder)
+        talker = system.open(pair[0].folder, conforming=False)
+        readers = [listener.edge("subscribe", topic.name) for topic in (Y, X)]
+        for topic in (Y, X):
+            talker.edge("publish", topic.name).write("hello")
+        assert readers[1].read(10.0) == "hello"
+        assert readers[0].read(0.5) is None
+
+
 def test_samples_are_exchanged_within_a_partition(
     authorities: Authorities, transport: Transport, tmp_path: Path
 ) -> None:
@@ -164,16 +165,14 @@ def test_domains_are_decided_separately(authorities: Authorities, transport: Tra
     assert found[1].allowed == found[1].deviation.startswith("row 10, domains-unused")
 
 
-@pytest.mark.cyclonedds
+@pytest.mark.parametrize("tier", [Tier.DECISION, Tier.ADMISSION])
+@pytest.mark.parametrize("vendor_name", CYCLONEDDS, indirect=True)
 def test_a_document_that_crashes_cyclone_dds_is_not_given_to_it(
-    authorities: Authorities, cyclone_plugins: None, environment: Environment, tmp_path: Path
+    authorities: Authorities, transport: Transport, tmp_path: Path, tier: Tier
 ) -> None:
     crashing = rule("allow", criteria("publish", ["rt/x"])).replace("<id>0</id>", "<id_range><max>3</max></id_range>")
     folder = enclave(authorities, tmp_path, crashing)
-    opened = real_cyclonedds.open(environment)
-    [found] = labelled(
-        opened, [Enclave("/talker", folder, "humble", folder.parent)], Tier.DECISION, talker("publish", X)
-    )
+    [found] = labelled(transport, [Enclave("/talker", folder, "humble", folder.parent)], tier, talker("publish", X))
     assert (found.allowed, "crashes Cyclone DDS" in found.reason) == (False, True)
 
 
@@ -181,13 +180,12 @@ def test_a_document_that_crashes_cyclone_dds_is_not_given_to_it(
 def test_cyclone_dds_prints_nothing_on_our_standard_output(
     authorities: Authorities,
     cyclone_plugins: None,
-    environment: Environment,
     tmp_path: Path,
     capfd: pytest.CaptureFixture,
 ) -> None:
     """Its parser prints for each document that it refuses, which would corrupt the output of ``--json``."""
     folder = enclave(authorities, tmp_path, rule("allow", criteria("publish", ["rt/x"]), domain=231))
-    opened = real_cyclonedds.open(environment)
+    opened = real_cyclonedds.open(environment())
     [found] = labelled(
         opened, [Enclave("/talker", folder, "humble", folder.parent)], Tier.DECISION, talker("publish", X)
     )
@@ -212,7 +210,7 @@ def test_without_compiler_and_library_a_transport_reports_how_to_install_it(
 
     monkeypatch.setattr(cyclone_access_control, "library", absent)
     nowhere = Environment(datetime.now(UTC), tmp_path, {"PATH": str(tmp_path)})
-    opened = {"cyclonedds": real_cyclonedds, "fastdds": real_fastdds}[vendor_name].open(nowhere)
+    opened = TRANSPORTS[vendor_name][0].open(nowhere)
     usable = opened.usable()
     assert (usable.usable, usable.tiers) == (False, ())
     assert usable.help.startswith("apt-get install ")

@@ -12,14 +12,15 @@ from keymint.pki import keys
 from tests.conftest import CHECKOUT
 from tests.opened_governance import open_governance
 
+from .conftest import REAL_TRANSPORTS, TRANSPORTS, usable_transport, variation
+
 EXAMPLES = ("talker_listener", "add_two_ints", "action", "fleet")
-NEEDED = {"cyclonedds": "cyclone_plugins", "fastdds": "fastdds"}
 
 
-@pytest.fixture(params=[pytest.param(name, marks=getattr(pytest.mark, name)) for name in NEEDED])
+@pytest.fixture(params=REAL_TRANSPORTS)
 def transport(request: pytest.FixtureRequest) -> str:
     """The name of a real transport, where it is installed."""
-    request.getfixturevalue(NEEDED[request.param])
+    usable_transport(request.param)
     return request.param
 
 
@@ -50,7 +51,7 @@ def test_an_edit_by_hand_is_reported_and_explained_by_the_model(keymint, tmp_pat
     (found,) = outcome.document["result"]["transports"]
     first = next(each for each in found["findings"] if each["request"] == "/talker ros_publish /chatterx")
     assert first["error"] == "false-positive"
-    assert first["transport"]["explained_by"].startswith(f"{transport}-")
+    assert first["transport"]["explained_by"] == variation(TRANSPORTS[transport][1]).name
     assert first["transport"]["said"]
     assert first["transport"]["rule"]["line"] > 0
 
@@ -84,7 +85,7 @@ def test_revocation_lists_are_read_as_nodes_read_them(keymint, tmp_path: Path, t
     assert keymint("revoke", "talker", "--reason", "superseded", "-w", "ws").code == 0
     assert keymint("verify", "-w", "ws", "-t", transport).code == 0
     (tmp_path / "ws/install/enclaves/talker/crl.pem").write_bytes(b"")
-    model = {"cyclonedds": "cyclonedds-0.10", "fastdds": "fastdds-2.9"}[transport]
+    model = variation(TRANSPORTS[transport][1]).name
     answers = []
     for asked in (("-t", transport, "--tier", "admission"), ("-t", transport), ("-t", model)):
         outcome = keymint("verify", "-w", "ws", *asked, "--json")

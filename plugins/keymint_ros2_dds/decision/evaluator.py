@@ -18,7 +18,7 @@ from comarmor.patterns.expression import beginning
 from comarmor.patterns.tokens import Dialect
 from comarmor.values import dataclass
 from keymint_ros2_dds.decision import fnmatch
-from keymint_ros2_dds.decision.semantics import OMG, Semantics, Variation
+from keymint_ros2_dds.decision.semantics import OMG, Semantics, TopicCheck, Variation
 from keymint_ros2_dds.reading.signed_permissions import (
     DocumentCriteria,
     DocumentGrant,
@@ -183,11 +183,12 @@ class DocumentEvaluator:
             return self.refusal
         name = fnmatch.in_bytes(topic)
         if topic_checked and self.semantics.topic_check:
-            named = next((step for step in self._named if step.topics.match(name)), None)
-            if named is None and not self._default:
-                return self._by_default(topic)
-            if named is not None and not named.allows:
-                return self._by(named, f"denies the topic {topic!r}", allowed=False)
+            named = [next((step for step in each if step.topics.match(name)), None) for each in self._naming]
+            if not any(self._default if step is None else step.allows for step in named):
+                denying = next(filter(None, named), None)
+                if denying is None:
+                    return self._by_default(topic)
+                return self._by(denying, f"denies the topic {topic!r}", allowed=False)
         names = [fnmatch.in_bytes(partition) for partition in partitions] or DEFAULT_PARTITION
         for step in self._steps.get(action, ()):
             if not step.topics.match(name):
@@ -210,7 +211,7 @@ class DocumentEvaluator:
         """
         if self.refusal is not None:
             return False
-        if topic_checked and self.semantics.topic_check and not self._topic_check.allows(name):
+        if topic_checked and self._topic_checks and not any(each.allows(name) for each in self._topic_checks):
             return False
         if action not in self._by_action:
             steps = [
@@ -221,10 +222,17 @@ class DocumentEvaluator:
             self._by_action[action] = TopicDecisions(steps, self._default)
         return self._by_action[action].allows(name)
 
+    @property
+    def _naming(self) -> Sequence[Sequence[_CriteriaStep]]:
+        """The criteria of which the first ones that match a topic decide whether it may exist; any may allow it."""
+        if self.semantics.topic_check is TopicCheck.EITHER:
+            return [self._steps.get(action, []) for action in ("publish", "subscribe")]
+        return [self._named] if self.semantics.topic_check else []
+
     @cached_property
-    def _topic_check(self) -> TopicDecisions:
-        """Which topics may be created."""
-        return TopicDecisions([(step.topics, step.allows) for step in self._named], self._default)
+    def _topic_checks(self) -> Sequence[TopicDecisions]:
+        """Which topics may be created; any of them may allow it."""
+        return [TopicDecisions([(each.topics, each.allows) for each in steps], self._default) for steps in self._naming]
 
     def _matches(self, step: _CriteriaStep, partitions: Sequence[str], tags: Collection[tuple[str, str]]) -> bool:
         """Tell whether partitions and tags match: an allow rule needs all of the endpoint's, a deny rule one."""

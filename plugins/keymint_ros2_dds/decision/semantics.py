@@ -3,7 +3,8 @@
 
 Each point is a field of :class:`Semantics`; the defaults are the standard's. A :class:`Deviation` changes fields, and a
 :class:`Variation` is an implementation: a list of deviations. The rows are those of the table in ``docs/vendors.md``,
-which was measured on Cyclone DDS 0.10.2 and Fast DDS 2.9.1.
+and :attr:`Variation.evidence` says which were measured. What else depends on the version follows from the
+:class:`Variation`: the assumptions of proofs, the claims for a distribution, and the simulated transport.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import Any
 from comarmor.patterns.tokens import Dialect
 from comarmor.values import dataclass
 from keymint_ros2_dds.decision import fnmatch, subject_names
+from keymint_ros2_dds.lowering.mapping import DISTROS
 from keymint_ros2_dds.reading import dates
 from keymint_ros2_dds.reading.quirks import BLANKS, CRASHES, REFUSES, UNMODELLED, Quirk, VendorReading
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
@@ -42,6 +44,25 @@ class Parser(StrEnum):
     FAST = "Fast DDS"
 
 
+class TopicCheck(StrEnum):
+    """Which criteria decide whether a topic may be created, whatever the partitions; the standard asks endpoints only.
+
+    ``EITHER``: the first ones that match it for publishing, or those for subscribing, allow it.
+    """
+
+    NONE = ""
+    FIRST = "the first criteria that match it, in any direction"
+    EITHER = "the first criteria that match it in either direction"
+
+
+class Evidence(StrEnum):
+    """How the semantics of an implementation are known."""
+
+    SPECIFIED = "specified"
+    MEASURED = "measured"
+    SOURCES = "from sources"
+
+
 BEGINNING_OF_TIME = datetime.min.replace(tzinfo=UTC)
 
 
@@ -64,7 +85,7 @@ class Semantics:
         first_topic_decides: a rule that names the topic ends the search, also if its partitions do not match.
         deny_default: a deny rule without partitions applies to the default partition only; else to every partition.
         deny_topic: the partitions of a deny rule do not matter.
-        topic_check: the first criteria that match the topic, in any direction, decide whether it may be created.
+        topic_check: what decides whether the topic may be created.
         tags_count: data tags are evaluated.
         needs_rule_to_join: a participant needs an allow rule, even if the governance does not control joining.
         topic_rules_both_ways: a topic rule also matches if the topic's name, as a pattern, matches its expression.
@@ -87,13 +108,21 @@ class Semantics:
     first_topic_decides: bool = False
     deny_default: bool = False
     deny_topic: bool = False
-    topic_check: bool = False
+    topic_check: TopicCheck = TopicCheck.NONE
     tags_count: bool = True
     needs_rule_to_join: bool = False
     topic_rules_both_ways: bool = False
     one_authority: bool = False
     lists_among_authorities: bool = False
     keys_in_tokens: bool = True
+
+    @property
+    def bounds(self) -> tuple[Semantics, ...]:
+        """Semantics between which these lie where lists that must all permit cannot express them; else these alone.
+
+        Decision lists of ``EITHER`` are those of one direction, which permit too little: without the check too much.
+        """
+        return (self, replace(self, topic_check=TopicCheck.NONE)) if self.topic_check is TopicCheck.EITHER else (self,)
 
     def refusal(self, document: PermissionsDocument | GovernanceDocument) -> str:
         """Return why the parser refuses a document, in one line with its place; or an empty text."""
@@ -163,20 +192,32 @@ class Deviation:
 
 @dataclass(frozen=True, slots=True)
 class Variation:
-    """An implementation: the standard with deviations.
+    """An implementation, from one version on: the standard with deviations.
 
     Attributes:
-        name: e.g. ``cyclonedds-0.10``; unique.
+        name: e.g. ``cyclonedds-0.10``; unique. A simulated transport has this name.
         deviations: in the order of their rows.
+        vendor: as :data:`keymint_ros2_dds.lowering.mapping.DISTROS` names it; empty for the standard.
+        since: the first version that the semantics are for; the oldest one stands for all earlier versions too.
+        evidence: how they are known.
+        reading: how documents are read, in words; the first assumption of each proof.
+        assumptions: what else proofs assume about it.
+        any_signer: a document counts if the permissions authority certified its signer as anybody (CVE-2023-24010).
     """
 
     name: str
     deviations: tuple[Deviation, ...] = ()
+    vendor: str = ""
+    since: tuple[int, ...] = ()
+    evidence: Evidence = Evidence.SPECIFIED
+    reading: str = ""
+    assumptions: tuple[str, ...] = ()
+    any_signer: bool = False
 
     @property
     def semantics(self) -> Semantics:
         """The standard's semantics with all deviations applied."""
-        return _semantics(self)
+        return _semantics(self.deviations)
 
     def without(self, deviation: Deviation) -> Variation:
         """Return the implementation without one deviation."""
@@ -189,8 +230,9 @@ class Variation:
 
 
 @functools.lru_cache(maxsize=64)
-def _semantics(variation: Variation) -> Semantics:
-    changes = {name: value for deviation in variation.deviations for name, value in deviation.changes.items()}
+def _semantics(deviations: tuple[Deviation, ...]) -> Semantics:
+    """Return one object for the same deviations, so that models share what depends on it."""
+    changes = {name: value for deviation in deviations for name, value in deviation.changes.items()}
     return replace(STANDARD, **changes)
 
 
@@ -206,7 +248,7 @@ CYCLONE_DEVIATIONS = (
     _on("6", "deny-default-partition", "a deny rule without partitions applies to the default partition only",
         deny_default=True),
     _on("9", "topic-check", "the first rule that names a topic decides whether it exists, whatever its direction",
-        topic_check=True),
+        topic_check=TopicCheck.FIRST),
     _on("11", "strictness", "domain ids above 230, foreign attributes, and incomplete ranges are refused",
         parser=Parser.CYCLONE),
     _on("12", "min-only", "a range of domains with a minimum alone is that one domain", min_only_is_exact=True),
@@ -246,18 +288,71 @@ FAST_DEVIATIONS = (
     _on("data tags", "tags-ignored", "data tags are ignored", tags_count=False),
 )  # fmt: skip
 
-OMG = Variation("omg")
-CYCLONEDDS_0_10 = Variation("cyclonedds-0.10", CYCLONE_DEVIATIONS)
-FASTDDS_2_9 = Variation("fastdds-2.9", FAST_DEVIATIONS)
-FASTDDS_2_11 = Variation("fastdds-2.11", (
+CYCLONE_11_DEVIATIONS = tuple(
+    {
+        "1": _on("1", "trimmed-subject-tokens", "as in 0.10, but blanks around the parts of a name do not count",
+            selects=subject_names.trimmed_parts_occur),
+        "9": _on("9", "topic-check-either", "a topic exists if publishing or subscribing is allowed by its first rule",
+            topic_check=TopicCheck.EITHER),
+    }.get(each.row, each)
+    for each in CYCLONE_DEVIATIONS
+)  # fmt: skip
+FAST_2_11_DEVIATIONS = (
     _on("1", "subject-attributes", "names are compared by their attributes in any order, blanks and quotes aside",
         selects=subject_names.same_attributes),
     *FAST_DEVIATIONS[1:],
-))  # fmt: skip
-"""How Fast DDS from 2.11 on (Jazzy has 2.14) chooses a grant; all else is as in 2.9."""
-VARIATIONS: Mapping[str, Variation] = {variation.name: variation for variation in (OMG, CYCLONEDDS_0_10, FASTDDS_2_9)}
-CHOOSERS: Mapping[str, Variation] = {**VARIATIONS, FASTDDS_2_11.name: FASTDDS_2_11}
-"""All that choose a grant by another comparison of names."""
+)  # fmt: skip
+
+_OF_CYCLONE = ("no application creates built-in topics (DCPS…): Cyclone DDS does not check these",)
+_OF_FAST = (
+    "non-ASCII names are compared by byte (C locale); other locales (Python sets one) also compare characters",
+    "participants join only the domains of the policy: local checks ignore the domains in permissions",
+    "the local time zone is UTC: Fast DDS reads the dates of a grant as local time",
+)
+
+OMG = Variation("omg", reading="documents are read as DDS Security 1.1 specifies (9.4.1.3)")
+CYCLONEDDS_0_10 = Variation(
+    "cyclonedds-0.10", CYCLONE_DEVIATIONS, "cyclonedds", (0, 7), Evidence.MEASURED,
+    "documents are read as Cyclone DDS 0.10.2 and 0.10.5 were measured to; the topic check is part of the model",
+    _OF_CYCLONE, any_signer=True,
+)  # fmt: skip
+CYCLONEDDS_11 = Variation(
+    "cyclonedds-11", CYCLONE_11_DEVIATIONS, "cyclonedds", (11,), Evidence.SOURCES,
+    "documents are read as sources of Cyclone DDS 11.0.1 do, not run; the topic check is part of the model",
+    _OF_CYCLONE,
+)  # fmt: skip
+FASTDDS_2_9 = Variation(
+    "fastdds-2.9", FAST_DEVIATIONS, "fastdds", (2, 0), Evidence.MEASURED,
+    "documents are read as Fast DDS 2.9.1 was measured to read them", _OF_FAST, any_signer=True,
+)  # fmt: skip
+FASTDDS_2_11 = Variation(
+    "fastdds-2.11", FAST_2_11_DEVIATIONS, "fastdds", (2, 11), Evidence.SOURCES,
+    "names are compared as sources of Fast DDS 2.11.0 to 2.14.6 do, not run; all else as measured on 2.9.1",
+    _OF_FAST,
+)  # fmt: skip
+FASTDDS_3_3 = Variation(
+    "fastdds-3.3", FAST_2_11_DEVIATIONS, "fastdds", (3, 0), Evidence.MEASURED,
+    "documents are read as Fast DDS 3.3.0 was measured to read them", _OF_FAST,
+)  # fmt: skip
+VARIATIONS: Mapping[str, Variation] = {
+    each.name: each for each in (OMG, CYCLONEDDS_0_10, CYCLONEDDS_11, FASTDDS_2_9, FASTDDS_2_11, FASTDDS_3_3)
+}
+"""All models: the standard first, then each vendor's, the oldest first."""
+
+
+def of_version(vendor: str, version: str) -> Variation:
+    """Return the model of a version of a vendor, e.g. ``2.14.1``: the latest one that is not newer, else the oldest."""
+    number = tuple(map(int, version.split("."))) if version else ()
+    own = [each for each in VARIATIONS.values() if each.vendor == vendor]
+    return next((each for each in reversed(own) if each.since <= number), own[0])
+
+
+@functools.cache
+def shipped(distro: str) -> tuple[str, ...]:
+    """Return the names of the models that claims are made for: the standard, and what a distribution ships."""
+    versions = DISTROS.get(distro, {})
+    vendors = dict.fromkeys(each.vendor for each in VARIATIONS.values() if each.vendor)
+    return OMG.name, *(of_version(each, versions.get(each, "")).name for each in vendors)
 
 
 def explain(ask: Callable[[Variation], bool], variation: Variation) -> tuple[Deviation, ...]:

@@ -54,6 +54,7 @@ _VIEW: Mapping[str, tuple[str, str]] = {
     "revocation-list-expired": ("adopt-revocations", _ISSUE),
     "revocation-list-not-yet-valid": ("adopt-revocations", _ISSUE),
     "key-mismatch": ("adopt-key-mismatch", "restore the key or the certificate; participants do not start with these"),
+    "names-confused": ("names-confused", "'keymint harden names' gives it another name"),
     "pem-altered": ("adopt-encoding", "nothing: it stays as it is"),
     "grant-count": ("adopt-grants", "sign a document with one grant"),
     "grant-subject": ("adopt-grant-subject", "sign permissions for this certificate"),
@@ -72,7 +73,9 @@ _VIEW: Mapping[str, tuple[str, str]] = {
     ),
 }
 """The code and the help that the finding of a rule has here; without help that of the rule."""
-_WARNINGS = frozenset(("adopt-encoding", "adopt-grant-expired", "certificate-expired", "certificate-not-yet-valid"))
+_WARNINGS = frozenset((
+    "adopt-encoding", "adopt-grant-expired", "certificate-expired", "certificate-not-yet-valid", "names-confused",
+))  # fmt: skip
 """Codes of what can be taken over as it is; other answers of the rules are errors."""
 _UNASKED = "grant-slack"
 """Code of what is no matter of the keystore: a period that began today."""
@@ -125,6 +128,7 @@ class _Enclave(EnclaveRules):
         when = self._contents.keystore.now, timedelta(0)
         yield from self.trust(TrustAnchors(anchors, "", ""), self._needed)
         yield from self.encoding(CERTIFICATE)
+        yield from self.name()
         yield from self.periods(when)
         self._permissions = yield from self.read(PERMISSIONS_P7S, signed_permissions.read)
         self._governance = yield from self.read(GOVERNANCE_P7S, signed_governance.read)

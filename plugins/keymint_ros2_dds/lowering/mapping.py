@@ -8,7 +8,7 @@ Ardent. Actions and parameters consist of topics and services. Raw topics keep t
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from comarmor.errors import Origin
 from comarmor.patterns import glob
@@ -21,11 +21,26 @@ from keymint_ros2_dds.lowering import ardent_names
 from keymint_ros2_dds.lowering.dds_topics import DdsTopic
 
 ARDENT = "ardent"
-DISTROS = (
-    ARDENT, "bouncy", "crystal", "dashing", "eloquent", "foxy", "galactic", "humble", "iron", "jazzy", "kilted",
-    "lyrical", "rolling",
-)  # fmt: skip
-"""Distributions whose name mapping is known."""
+DISTROS: Mapping[str, Mapping[str, str]] = {
+    ARDENT: {"fastdds": "1.5"},
+    "bouncy": {"fastdds": "1.6"},
+    "crystal": {"fastdds": "1.7"},
+    "dashing": {"fastdds": "1.8"},
+    "eloquent": {"fastdds": "1.9", "cyclonedds": "0.7"},
+    "foxy": {"fastdds": "2.1", "cyclonedds": "0.7"},
+    "galactic": {"fastdds": "2.3", "cyclonedds": "0.8"},
+    "humble": {"fastdds": "2.6", "cyclonedds": "0.10"},
+    "iron": {"fastdds": "2.10", "cyclonedds": "0.10"},
+    "jazzy": {"fastdds": "2.14", "cyclonedds": "0.10"},
+    "kilted": {"fastdds": "3.2", "cyclonedds": "0.10"},
+    "lyrical": {"fastdds": "3.6", "cyclonedds": "11.0"},
+    "rolling": {"fastdds": "3.6", "cyclonedds": "11.0"},
+}
+"""Distributions whose name mapping is known, and the versions of the vendors of DDS that each ships.
+
+The versions are those of ``ros2.repos`` on the branch of each distribution (github.com/ros2/ros2, April 2026; the
+commits that Crystal and earlier name are of these versions). Connext has no model: the standard stands for it.
+"""
 
 
 def dds_patterns(

@@ -10,8 +10,9 @@ from types import MappingProxyType
 from comarmor.patterns.decision_lists import Unknown, Witness
 from comarmor.patterns.tokens import PatternError
 from keymint.api import Claim, DomainRange, Proof
-from keymint_ros2_dds.decision import CHOOSERS
+from keymint_ros2_dds.decision import VARIATIONS, shipped
 from keymint_ros2_dds.decision.access import DomainAccess
+from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.domains import merged
 from keymint_ros2_dds.proving import octets, protection
 from keymint_ros2_dds.proving.comparison import Comparator
@@ -39,22 +40,9 @@ _ALWAYS = (
     "relay is not covered",
 )
 ASSUMPTIONS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        "omg": ("documents are read as DDS Security 1.1 specifies (9.4.1.3)", *_ALWAYS),
-        "cyclonedds-0.10": (
-            "documents are read as Cyclone DDS 0.10.2 was measured to read them; its topic check is part of the model",
-            "no application creates built-in topics (DCPS…): Cyclone DDS does not check these",
-            *_ALWAYS,
-        ),
-        "fastdds-2.9": (
-            "documents are read as Fast DDS 2.9.1 was measured to read them",
-            "non-ASCII names are compared by byte (C locale); other locales (Python sets one) also compare characters",
-            "participants join only the domains of the policy: local checks ignore the domains in permissions",
-            "the local time zone is UTC: Fast DDS reads the dates of a grant as local time",
-            *_ALWAYS,
-        ),
-    }
+    {name: (each.reading, *each.assumptions, *_ALWAYS) for name, each in VARIATIONS.items()}
 )
+_BETWEEN = "a denial in some partitions hides from the engine whether the topic may be created"
 
 
 def assumptions() -> Mapping[str, Sequence[str]]:
@@ -62,15 +50,20 @@ def assumptions() -> Mapping[str, Sequence[str]]:
     return ASSUMPTIONS
 
 
+def models(distro: str = "") -> Mapping[str, str]:
+    """Return the evidence of each model; see :meth:`keymint.api.VendorModels.models`."""
+    return {name: VARIATIONS[name].evidence for name in (shipped(distro) if distro else VARIATIONS)}
+
+
 def prove_document(question: ProofQuestion, *, models: Sequence[str] | None = None) -> tuple[Claim, ...]:
     """Return the claims about a document, by model, action and domains.
 
     Args:
         question: the document, and what it must permit.
-        models: names of :data:`keymint_ros2_dds.decision.CHOOSERS`; None: those of :data:`ASSUMPTIONS`.
+        models: names of :data:`keymint_ros2_dds.decision.VARIATIONS`; None: those that the distribution ships.
     """
     compare = Comparator(question)
-    names = ASSUMPTIONS if models is None else models
+    names = shipped(question.task.distro) if models is None else models
     return tuple(claim for name in names for claim in _Model(question, compare, name).claims())
 
 
@@ -80,7 +73,7 @@ class _Model:
     def __init__(self, question: ProofQuestion, comparison: Comparator, name: str) -> None:
         self._question = question
         self._comparison = comparison
-        self._variation = CHOOSERS[name]
+        self._variation = VARIATIONS[name]
         self._semantics = semantics = self._variation.semantics
         self._governance = governance = question.governance
         self._refused = semantics.refusal(question.document)
@@ -145,12 +138,16 @@ class _Model:
             return claim(Proof.UNKNOWN, self._unmodelled)
         situations = [Situation(action, domain, inside, era) for era in self._eras or (None,)]
         try:
-            outcomes = [(each, self._comparison.of(each, self._permitted(each))) for each in situations]
+            outcomes = [
+                (each, self._comparison.of(each, self._permitted(each, bound)))
+                for each in situations
+                for bound in semantics.bounds
+            ]
         except PatternError as error:
             return claim(Proof.UNKNOWN, f"{self._question.document.file}: {error}")
         witnesses = [(each, outcome) for each, outcome in outcomes if isinstance(outcome, Witness)]
         if witnesses:
-            return self._refuted(claim, *min(witnesses, key=lambda pair: len(pair[1].word)))
+            return self._refuted(claim, sorted(witnesses, key=lambda pair: len(pair[1].word)))
         unknown = next((outcome for _, outcome in outcomes if isinstance(outcome, Unknown)), None)
         if unknown:
             return claim(Proof.UNKNOWN, unknown.reason, spent=True)
@@ -159,12 +156,12 @@ class _Model:
         excepted = () if governance is None or rule is None else governance.excepted(rule, action, domain)
         return claim(Proof.PROVEN, excepted=tuple(excepted))
 
-    def _permitted(self, situation: Situation) -> Permitted:
+    def _permitted(self, situation: Situation, semantics: Semantics) -> Permitted:
         """Return what is permitted while a grant is in force; without a grant nothing is."""
         if situation.era is None:
             return NOTHING_PERMITTED
         action, domain, inside, grant = situation.action, situation.domain, situation.inside, situation.era.grant
-        pairs, semantics, governance = self._comparison.pairs, self._semantics, self._governance
+        pairs, governance = self._comparison.pairs, self._governance
         own = self._comparison.lists.of(grant, domain, action, semantics)
         if governance is None:
             return Permitted(own)
@@ -184,7 +181,12 @@ class _Model:
         topics = regions(governed.rule, action, semantics, pairs=pairs)
         return Permitted(own, topics, exempt, semantics.topic_rules_both_ways)
 
-    def _refuted(self, claim: Callable[..., Claim], situation: Situation, witness: Witness) -> Claim:
+    def _refuted(self, claim: Callable[..., Claim], witnesses: Sequence[tuple[Situation, Witness]]) -> Claim:
+        """Return the claim with the shortest counterexample; between two bounds a witness may be none."""
         examples = Counterexamples(self._question, self._variation, self._refused, self._eras, self._comparison.pairs)
-        example, defect = examples.of(situation, witness.word, permitted=not witness.left)
-        return claim(Proof.UNKNOWN, defect) if defect else claim(Proof.COUNTEREXAMPLE, "", example)
+        is_exact = len(self._semantics.bounds) == 1
+        for situation, witness in witnesses[:1] if is_exact else witnesses:
+            example, defect = examples.of(situation, witness.word, permitted=not witness.left)
+            if not defect:
+                return claim(Proof.COUNTEREXAMPLE, "", example)
+        return claim(Proof.UNKNOWN, defect if is_exact else _BETWEEN)

@@ -35,7 +35,7 @@ def prove_part(_plugins: object, asked: Sequence[EnclaveQuestion]) -> tuple[tupl
 
 def _claims(asked: EnclaveQuestion) -> tuple[Claim, ...]:
     try:
-        return prove_content(asked.task, governance=asked.governance)
+        return prove_content(asked.task, models=asked.models, governance=asked.governance)
     except KeymintError:
         return ()
 
@@ -43,4 +43,4 @@ def _claims(asked: EnclaveQuestion) -> tuple[Claim, ...]:
 def receive(asked: EnclaveQuestion, claims: tuple[Claim, ...]) -> None:
     """Keep claims that are all proven; others are decided again here, with their places."""
     if claims and all(claim.proof is Proof.PROVEN for claim in claims):
-        know(asked.task, asked.governance, claims)
+        know(asked.task, asked.governance, asked.models, claims)

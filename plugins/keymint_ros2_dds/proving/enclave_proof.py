@@ -12,7 +12,7 @@ from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint.pki.identity_check import enclave_file
 from keymint_ros2_dds import authority_roles as roles
-from keymint_ros2_dds.decision import OMG
+from keymint_ros2_dds.decision import OMG, shipped
 from keymint_ros2_dds.enclave_layout import CERTIFICATE, GOVERNANCE, PERMISSIONS
 from keymint_ros2_dds.examine import differences
 from keymint_ros2_dds.proving import validity_terms
@@ -23,9 +23,8 @@ from keymint_ros2_dds.transports.enclave_files import subject_name
 
 def prove(task: ProofTask) -> tuple[Claim, ...]:
     """Return the claims about an enclave, by model, action and domains; see :func:`question`."""
-    models = (OMG.name,) if task.standard_only else None
     asked = question(task)
-    return prove_content(asked.task, models=models, governance=asked.governance)
+    return prove_content(asked.task, models=asked.models, governance=asked.governance)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +33,7 @@ class EnclaveQuestion:
 
     task: ComparisonTask
     governance: EnclaveGovernance
+    models: tuple[str, ...]
 
 
 def question(task: ProofTask) -> EnclaveQuestion:
@@ -57,7 +57,8 @@ def question(task: ProofTask) -> EnclaveQuestion:
         content, *place, name, task.rules, package.distro, package.grant.domains, task.states, task.go_on
     )
     signed = _signed(files, folder, task.anchors, GOVERNANCE, unsigned=task.unsigned)
-    return EnclaveQuestion(held, EnclaveGovernance(*signed, package))
+    models = (OMG.name,) if task.standard_only else shipped(task.anchors.distro or package.distro)
+    return EnclaveQuestion(held, EnclaveGovernance(*signed, package), models)
 
 
 def terms(
@@ -74,7 +75,7 @@ def terms(
     """
     del shared, shared_folder  # an enclave is complete
     content, place = _signed(files, folder, anchors, PERMISSIONS)
-    of_grants = validity_terms.of_grants(content, place, _subject_name(files, folder))
+    of_grants = validity_terms.of_grants(content, place, _subject_name(files, folder), shipped(anchors.distro))
     return (*of_grants, *validity_terms.of_certificates(files, folder))
 
 

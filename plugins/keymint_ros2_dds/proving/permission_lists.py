@@ -15,7 +15,7 @@ from comarmor.patterns.glob import EVERYTHING, Glob, parse
 from comarmor.patterns.matching import matches
 from comarmor.regex import lazy_regex
 from comarmor.rules import Effect
-from keymint_ros2_dds.decision.semantics import Semantics
+from keymint_ros2_dds.decision.semantics import Semantics, TopicCheck
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import Partitions
 from keymint_ros2_dds.lowering.lower import Lowered
@@ -69,6 +69,8 @@ def of_grant(
 ) -> tuple[DecisionList, ...]:
     """Return the decision lists of a grant, all of which must permit: for endpoints, and for topics if checked.
 
+    Where either direction may allow a topic, the list is that of the action: see :attr:`Semantics.bounds`.
+
     Args:
         grant: the grant.
         domain: DDS domain id.
@@ -83,7 +85,7 @@ def of_grant(
     default = (Block(True, (EVERYTHING,)),) if semantics.default_counts and grant.allows else ()
     lists = [(*_endpoints(rules, action, semantics, pairs=pairs), *default)]
     if semantics.topic_check:
-        lists.append((*_topics(rules, semantics, pairs=pairs), *default))
+        lists.append((*_topics(rules, action, semantics, pairs=pairs), *default))
     return tuple(lists)
 
 
@@ -112,10 +114,10 @@ class GrantLists:
         numbers = tuple(map(id, rules))
         if (numbers, action) not in self._known:
             self._known[numbers, action] = tuple(_endpoints(rules, action, semantics, pairs=False))
-        if not semantics.topic_check:
+        if semantics.topic_check is not TopicCheck.FIRST:  # the topics of a direction are those of its endpoints here
             return (self._known[numbers, action],)
         if (numbers, "") not in self._known:
-            self._known[numbers, ""] = tuple(_topics(rules, semantics, pairs=False))
+            self._known[numbers, ""] = tuple(_topics(rules, action, semantics, pairs=False))
         return self._known[numbers, action], self._known[numbers, ""]
 
 
@@ -148,11 +150,12 @@ def _endpoints(rules: Iterable[DocumentRule], action: str, semantics: Semantics,
                 yield Block(False, named)
 
 
-def _topics(rules: Iterable[DocumentRule], semantics: Semantics, *, pairs: bool) -> Iterator[Block]:
-    """Yield the blocks of the topic check: the first criteria that match the topic decide, in any direction."""
+def _topics(rules: Iterable[DocumentRule], action: str, semantics: Semantics, *, pairs: bool) -> Iterator[Block]:
+    """Yield the blocks of the topic check: the first criteria that match the topic decide, of one direction or any."""
+    actions = {action} if semantics.topic_check is TopicCheck.EITHER else {*TopicAction} - {TopicAction.RELAY}
     for rule in rules:
         for criteria in rule.criteria:
-            if criteria.action != TopicAction.RELAY:
+            if criteria.action in actions:
                 topics = _read(criteria.topics, semantics)
                 yield Block(rule.allows, _words((EVERYTHING,), topics, pairs=pairs))
 

@@ -10,22 +10,27 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime
+from functools import lru_cache
 
 from comarmor.values import dataclass
 from keymint.api import Claim, ComparisonTask, ExcessRights, Holder, PresentableDocument, PresentationTask, Proof
 from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
 from keymint_ros2_dds import subject_name_text
-from keymint_ros2_dds.decision import CHOOSERS, CYCLONEDDS_0_10, FASTDDS_2_9, FASTDDS_2_11, read
-from keymint_ros2_dds.decision.semantics import Semantics
-from keymint_ros2_dds.decision.subject_names import tokens
+from keymint_ros2_dds.decision import VARIATIONS, read, shipped
+from keymint_ros2_dds.decision.semantics import STANDARD, Semantics, TopicCheck
+from keymint_ros2_dds.decision.subject_names import is_odd, needed, tokens
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.lowering.lower import lower
-from keymint_ros2_dds.proving.claims import ASSUMPTIONS, prove_document
+from keymint_ros2_dds.proving.claims import prove_document
 from keymint_ros2_dds.proving.questions import ProofQuestion
-from keymint_ros2_dds.reading.signed_permissions import PermissionsDocument, is_plain
+from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, PermissionsDocument, is_plain
 
+_SEMANTICS = {name: each.semantics for name, each in VARIATIONS.items()}
+_CHOOSING = tuple(dict.fromkeys(_SEMANTICS.values()))
+"""All that choose a grant: a fleet may mix distributions, so every known comparison of names is asked."""
 _DATES = re.compile(rb"(<not_(?:before|after)>)[^<]*<")
 
 
@@ -42,21 +47,21 @@ def _until(document: PermissionsDocument, grants: Iterable[object]) -> datetime 
     chosen = {id(each) for each in grants}
     periods = [
         period
-        for variation in CHOOSERS.values()
+        for semantics in _CHOOSING
         for grant in document.grants
-        if id(grant) in chosen and (period := variation.semantics.period(grant))
+        if id(grant) in chosen and (period := semantics.period(grant))
     ]
     return max((end for _, end in periods), default=None)
 
 
 def choosers() -> tuple[str, ...]:
     """See :meth:`keymint.api.Presentation.choosers`."""
-    return tuple(CHOOSERS)
+    return tuple(VARIATIONS)
 
 
 def trusting_any_signer() -> tuple[str, ...]:
     """See :meth:`keymint.api.Presentation.trusting_any_signer`; measured (docs/vendors.md)."""
-    return CYCLONEDDS_0_10.name, FASTDDS_2_9.name
+    return tuple(name for name, each in VARIATIONS.items() if each.any_signer)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,10 +78,11 @@ class _Identities:
     def __init__(self, holders: Iterable[Holder]) -> None:
         names = ((each, distinguished_names.parse(each.name)) for each in holders)
         own = [(_Identity(each, subject_name_text.of_any(name)), name) for each, name in names]
-        words = [tokens(each.name) for each, _ in own]
+        words = [needed(each.name) for each, _ in own]
         frequent = Counter(word for of_name in words for word in of_name)
         self._by_word: dict[str, list[_Identity]] = {}
         self._odd: list[_Identity] = []
+        self._all = [each for each, _ in own]
         for (each, name), of_name in zip(own, words, strict=True):
             kinds = [attribute.oid for attribute in name]
             if len(set(kinds)) < len(kinds) or not of_name:
@@ -87,6 +93,9 @@ class _Identities:
 
     def of(self, names: Iterable[str]) -> list[_Identity]:
         """Return the identities that one of some names of grants may match."""
+        names = list(names)
+        if any(map(is_odd, names)):
+            return self._all
         words = {word for name in names for word in tokens(name)}
         found = [each for word in sorted(words & self._by_word.keys()) for each in self._by_word[word]]
         return [*found, *self._odd]
@@ -120,31 +129,54 @@ def _of_document(
         yield from _unread(task, given, str(error.diagnostics[0]))
         return
     for identity in identities.of(_readings(document)):
-        chosen = {name: _chosen(document, identity, each.semantics) for name, each in CHOOSERS.items()}
+        by_reading = {id(each): _chosen(document, identity, each) for each in _CHOOSING}
+        chosen = {name: by_reading[id(each)] for name, each in _SEMANTICS.items()}
         ends = _until(document, (grant for grants in chosen.values() for grant in grants))
         if ends is None or ends < task.now:
             continue
-        claims = tuple(_claims(task, given, document, identity, _to_prove(chosen, identity, known), known))
+        claims = tuple(_claims(task, given, document, identity, _to_prove(task, chosen, identity, known), known))
         if claims:
             yield ExcessRights(identity.holder, given, claims, min(ends, identity.holder.until))
 
 
 def _readings(document: PermissionsDocument) -> set[str]:
     """Return the names of the grants of a document, as each implementation reads them."""
-    readers = {each.semantics.reads_text for each in CHOOSERS.values()}
+    readers = {each.reads_text for each in _CHOOSING}
     return {reads(grant.subject_name) for grant in document.grants for reads in readers}
 
 
-def _chosen(document: PermissionsDocument, identity: _Identity, semantics: Semantics) -> Sequence[object]:
+def _chosen(document: PermissionsDocument, identity: _Identity, semantics: Semantics) -> Sequence[DocumentGrant]:
     return () if semantics.refusal(document) else semantics.grants(document, identity.name)
 
 
-def _to_prove(chosen: Mapping[str, Sequence[object]], identity: _Identity, known: str) -> list[str]:
+def _to_prove(
+    task: PresentationTask, chosen: Mapping[str, Sequence[DocumentGrant]], identity: _Identity, known: str
+) -> list[str]:
     """Return the models whose claims are not proven with the enclave itself."""
     if identity.holder.name != known:
         return [name for name, grants in chosen.items() if grants]
-    same = [*map(id, chosen[FASTDDS_2_9.name])] == [*map(id, chosen[FASTDDS_2_11.name])]
-    return [] if same else [name for name in chosen if name not in ASSUMPTIONS]
+    proven = shipped(task.distro or identity.holder.distro)
+    return [name for name in chosen if name not in proven and not any(_alike(chosen, name, each) for each in proven)]
+
+
+def _alike(chosen: Mapping[str, Sequence[DocumentGrant]], name: str, other: str) -> bool:
+    """Tell whether two models choose the same grants, and permit the same by them, as far as their semantics tell.
+
+    Without a denial no topic check decides: what publishes or subscribes may also create its topic.
+    """
+    grants = chosen[name]
+    if [*map(id, grants)] != [*map(id, chosen[other])]:
+        return False
+    allow_only = all(rule.allows for grant in grants for rule in grant.rules)
+    return _rights(name, without_check=allow_only) == _rights(other, without_check=allow_only)
+
+
+@lru_cache(maxsize=64)
+def _rights(name: str, *, without_check: bool) -> Semantics:
+    """Return the semantics of a model without what chooses a grant, and perhaps without the topic check."""
+    semantics = _SEMANTICS[name]
+    check = TopicCheck.NONE if without_check else semantics.topic_check
+    return replace(semantics, selects=STANDARD.selects, topic_check=check)
 
 
 def _claims(
@@ -178,5 +210,5 @@ def _claims(
 def _unread(task: PresentationTask, given: PresentableDocument, reason: str) -> Iterator[ExcessRights]:
     """Yield what is not known about a document that cannot be read; that of an enclave is reported with it."""
     if not given.proven_for:
-        claims = tuple(Claim(name, "use", (), "", Proof.UNKNOWN, reason) for name in CHOOSERS)
+        claims = tuple(Claim(name, "use", (), "", Proof.UNKNOWN, reason) for name in VARIATIONS)
         yield from (ExcessRights(each, given, claims, each.until) for each in task.holders[:1])

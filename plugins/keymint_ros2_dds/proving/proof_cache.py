@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from keymint.api import Claim, ComparisonTask, Proof
 from keymint.keymake.kinds import Arguments, Kind, kind_of
 from keymint_ros2_dds import decision
+from keymint_ros2_dds.decision import shipped
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.enclave_layout import PERMISSIONS
 from keymint_ros2_dds.lowering.lower import Lowered, lower
-from keymint_ros2_dds.proving.claims import ASSUMPTIONS, prove_document
+from keymint_ros2_dds.proving.claims import prove_document
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
 from keymint_ros2_dds.proving.questions import ProofQuestion
 
@@ -34,14 +35,14 @@ def prove_content(
 
     Args:
         task: the document, and what it must permit.
-        models: names of the models, of :data:`ASSUMPTIONS`; None: all.
+        models: names of the models; None: those that the distribution of the task ships.
         lowered: the rules in terms of DDS, if known.
         governance: the governance of the enclave; None puts everything under access control.
 
     Raises:
         KeymintError: the document cannot be read, or a rule cannot be mapped.
     """
-    names = tuple(ASSUMPTIONS if models is None else models)
+    names = shipped(task.distro) if models is None else tuple(models)
     if governance is not None and governance.transparent(task.domains):
         # A proof without governance holds for one that puts everything under access control.
         claims = prove_content(task, models=models, lowered=lowered)
@@ -62,20 +63,22 @@ def prove_content(
 
 
 def remember(task: ComparisonTask, rules: tuple[Kind, Arguments], claims: tuple[Claim, ...]) -> None:
-    """Remember what is proven about a document, by all models and without its governance.
+    """Remember what is proven about a document, by the models that its distribution ships and without its governance.
 
     Args:
         task: the document, and what it must permit.
         rules: the kind of its rules, and the names in these.
         claims: what is proven.
     """
-    _keep(_key(task, rules, tuple(ASSUMPTIONS)), claims)
+    _keep(_key(task, rules, shipped(task.distro)), claims)
 
 
-def know(task: ComparisonTask, governance: EnclaveGovernance, claims: tuple[Claim, ...]) -> None:
-    """Remember what is proven about a document by all models, together with its governance."""
+def know(
+    task: ComparisonTask, governance: EnclaveGovernance, models: tuple[str, ...], claims: tuple[Claim, ...]
+) -> None:
+    """Remember what is proven about a document by some models, together with its governance."""
     key = b"" if governance.transparent(task.domains) else governance.key
-    _keep(_key(task, kind_of(task.rules.rules), tuple(ASSUMPTIONS), key), claims)
+    _keep(_key(task, kind_of(task.rules.rules), models, key), claims)
 
 
 def _keep(key: _Key, claims: tuple[Claim, ...]) -> None:

@@ -36,7 +36,9 @@ def of_certificates(files: Mapping[str, bytes], folder: str) -> Iterator[Validit
         yield ValidityTerm("revocation-list", "the revocation list", Origin(f"{folder}/{CRL}"), (revocations,))
 
 
-def of_grants(content: bytes, place: tuple[str, int], subject_name: str) -> Iterator[ValidityTerm]:
+def of_grants(
+    content: bytes, place: tuple[str, int], subject_name: str, models: tuple[str, ...]
+) -> Iterator[ValidityTerm]:
     """Yield the periods in which a grant is in force, by model; models that agree share a term.
 
     A model that refuses the document, or has no matching grant in it, yields no term; a claim reports that.
@@ -45,18 +47,19 @@ def of_grants(content: bytes, place: tuple[str, int], subject_name: str) -> Iter
         content: the permissions document, unsigned.
         place: its file, and the number of lines before it there.
         subject_name: the identity's, in the order of RFC 2253.
+        models: their names.
 
     Raises:
         KeymintError: the document cannot be read.
     """
     file, offset = place
     try:
-        grants = _grants(*_representative(content, subject_name))
+        grants = _grants(*_representative(content, subject_name), models)
     except KeymintError:
         read(content, file, offset)  # raises the error with its place
         raise
-    for line, periods, models in grants:
-        yield ValidityTerm("grant", f"the grant of {subject_name!r}", Origin(file, line + offset), periods, models)
+    for line, periods, agreeing in grants:
+        yield ValidityTerm("grant", f"the grant of {subject_name!r}", Origin(file, line + offset), periods, agreeing)
 
 
 def _representative(content: bytes, subject_name: str) -> tuple[bytes, str]:
@@ -79,19 +82,21 @@ def _representative(content: bytes, subject_name: str) -> tuple[bytes, str]:
 
 
 @lru_cache(maxsize=16)
-def _grants(content: bytes, subject_name: str) -> tuple[tuple[int, tuple[Period, ...], tuple[str, ...]], ...]:
+def _grants(
+    content: bytes, subject_name: str, models: tuple[str, ...]
+) -> tuple[tuple[int, tuple[Period, ...], tuple[str, ...]], ...]:
     """Return the line of each grant that is in force for some models, its periods, and the models."""
     document = read(content)
     together: dict[tuple[int, tuple[Period, ...]], list[str]] = {}
-    for name, variation in VARIATIONS.items():
-        semantics = variation.semantics
+    for name in models:
+        semantics = VARIATIONS[name].semantics
         if semantics.refusal(document) or semantics.unmodelled(document):
             continue
         grants = semantics.grants(document, subject_name)
         if grants:
             periods = joined(filter(None, map(semantics.period, grants)))
             together.setdefault((grants[0].line, periods), []).append(name)
-    return tuple((line, periods, tuple(models)) for (line, periods), models in together.items())
+    return tuple((line, periods, tuple(names)) for (line, periods), names in together.items())
 
 
 def joined(periods: Iterable[Period]) -> tuple[Period, ...]:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import groupby
 
 from keymint.api import Enclave, Verdict
@@ -17,7 +17,7 @@ from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import enclave_files
 from keymint_ros2_dds.transports.enclave_model import EnclaveModels
 from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
-from keymint_ros2_dds.vendors.participants import ProbeParticipant, RefusedError, System, Vendor
+from keymint_ros2_dds.vendors.participants import CycloneDDS, ProbeParticipant, RefusedError, System, Vendor
 
 
 def unsayable(endpoint: Edge) -> str:
@@ -45,8 +45,12 @@ def joined(system: System, enclave: Enclave, domain: int, *, conforming: bool = 
     """Return a participant of an enclave; see :meth:`System.open`.
 
     Raises:
-        RefusedError: the vendor refuses it.
+        RefusedError: the vendor refuses it, or its process would crash.
     """
+    if isinstance(system.vendor, CycloneDDS):
+        with suppress(KeymintError):  # what Keymint cannot read, the vendor judges
+            if crash := enclave_files.crash(enclave_files.unverified_permissions(enclave.folder)):
+                raise RefusedError(crash)
     revocations = reads_revocations(enclave.distro)
     return system.open(enclave.folder, domain, conforming=conforming, revocations=revocations)
 

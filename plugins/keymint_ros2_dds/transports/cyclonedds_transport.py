@@ -84,9 +84,8 @@ def _open(enclave_model: EnclaveModel, folder: Path, domain: int, stack: ExitSta
             permissions = enclave_files.unverified_permissions(folder)
         except KeymintError as error:
             return str(error)
-    crash = permissions.crash
-    if crash is not None:
-        return f"line {crash.line}: {crash.text} crashes Cyclone DDS"
+    if crash := enclave_files.crash(permissions):
+        return crash
     access = stack.enter_context(AccessControl.of_enclave(folder, domain))
     if not access.valid or not access.joins():
         return f"Cyclone DDS refuses the enclave: {access.reason}"

@@ -75,6 +75,12 @@ def unverified_permissions(folder: Path) -> PermissionsDocument:
     return signed_permissions.read(smime.signed_content(signed, Origin(PERMISSIONS_P7S)))
 
 
+def crash(permissions: PermissionsDocument) -> str:
+    """Return what in a document crashes the process of Cyclone DDS that reads it, or an empty text."""
+    found = permissions.crash
+    return f"line {found.line}: {found.text} crashes Cyclone DDS" if found else ""
+
+
 def document_topics(enclave: Enclave) -> tuple[tuple[str, tuple[str, ...]], ...]:
     """Return each topic expression of the permissions with its partition expressions, then those of the governance.
 

@@ -11,12 +11,13 @@ from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.command_process import MissingVendorError
 from keymint.errors import KeymintError
 from keymint.graph import Column, Edge
-from keymint_ros2_dds.decision import FASTDDS_2_9, Variation
+from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, FASTDDS_3_3, Variation
 from keymint_ros2_dds.transports import admission, enclave_files
 from keymint_ros2_dds.transports.delivery import exchange
 from keymint_ros2_dds.transports.enclave_model import EnclaveModels
 from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, Vendor
+from keymint_ros2_dds.vendors.unpacked import unpacked
 
 
 class RealTransport:
@@ -29,6 +30,7 @@ class RealTransport:
         PROBE: how to build their program.
         VERSION: the header and macro of the vendor's version.
         NONCONFORMING: how to build the library that makes a participant ignore its own permissions.
+        UNPACKED: versions in the cache, the best first, if it is not the version of the machine; used only when named.
     """
 
     NAME: ClassVar[str]
@@ -37,6 +39,7 @@ class RealTransport:
     PROBE: ClassVar[probe_builds.Probe]
     VERSION: ClassVar[tuple[str, str]]
     NONCONFORMING: ClassVar[probe_builds.Probe]
+    UNPACKED: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, environment: Environment) -> None:
         self._environment = environment
@@ -59,6 +62,10 @@ class RealTransport:
         Raises:
             MissingVendorError: one that every tier needs is missing.
         """
+        if self.UNPACKED:
+            version = unpacked(self._environment.cache, self.UNPACKED).version
+            self.PROBE.compiler(self._environment.variables)
+            return Availability(usable=True, version=version, tiers=tuple(Tier), by_default=False)
         version = self.PROBE.version(*self.VERSION, self._environment.variables)
         return Availability(usable=True, version=version, tiers=tuple(Tier))
 
@@ -105,11 +112,16 @@ class RealTransport:
         """Return the vendor with its built programs; the compiler is asked once whether they are up to date."""
         if nonconforming not in self._vendors:
             cache, environment = self._environment.cache / "probes", probe_builds.inherited(self._environment.variables)
+            probe, library, version = self.PROBE, self.NONCONFORMING, None
             try:
+                if self.UNPACKED:
+                    version = unpacked(self._environment.cache, self.UNPACKED)
+                    probe, library = version.built(probe), version.built(library)
                 self._vendors[nonconforming] = self.VENDOR(
-                    self.PROBE.build(cache, environment),
+                    probe.build(cache, environment),
                     environment,
-                    self.NONCONFORMING.build(cache, environment) if nonconforming else None,
+                    library.build(cache, environment) if nonconforming else None,
+                    version,
                 )
             except (MissingVendorError, OSError) as error:
                 raise KeymintError(str(error), code="transport-unusable") from None
@@ -125,3 +137,23 @@ class FastDDSTransport(RealTransport):
     PROBE = probe_builds.FASTDDS
     VERSION = ("fastrtps/config.h", "FASTRTPS_VERSION_STR")
     NONCONFORMING = probe_builds.FASTDDS_NONCONFORMING
+
+
+class FastDDS3Transport(FastDDSTransport):
+    """Fast DDS 3, unpacked into the cache."""
+
+    NAME = "fastdds-3"
+    MODEL = FASTDDS_3_3
+    PROBE = probe_builds.FASTDDS_3
+    UNPACKED = ("fastdds-3.3.0", "fastdds-3.1.2")
+
+
+class CycloneDDS0105Transport(RealTransport):
+    """Cyclone DDS 0.10.5, unpacked into the cache: Keymint's process cannot load its access-control plugin."""
+
+    NAME = "cyclonedds-0.10.5"
+    MODEL = CYCLONEDDS_0_10
+    VENDOR = CycloneDDS
+    PROBE = probe_builds.CYCLONEDDS
+    NONCONFORMING = probe_builds.CYCLONEDDS_NONCONFORMING
+    UNPACKED = ("cyclonedds-0.10.5",)

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A secure participant of Fast DDS 2.9. It reads one command per line from stdin, and answers each with one line on
+// A secure participant of Fast DDS 2.9 or 3. It reads one command per line from stdin, and answers each with one line on
 // stdout. participants.py, which starts it, describes the protocol.
 
 #include <chrono>
@@ -31,17 +31,33 @@
 #include <fastdds/dds/topic/Topic.hpp>
 #include <fastdds/dds/topic/TopicDataType.hpp>
 #include <fastdds/dds/topic/TypeSupport.hpp>
+#if __has_include(<fastdds/config.hpp>)
+#define FAST_DDS_3
+#include <fastdds/rtps/transport/UDPv4TransportDescriptor.hpp>
+#include <fastdds/utils/IPLocator.hpp>
+#else
 #include <fastdds/rtps/transport/UDPv4TransportDescriptor.h>
 #include <fastrtps/utils/IPLocator.h>
+#endif
 
 namespace fast = eprosima::fastdds::dds;
-namespace rtps = eprosima::fastrtps::rtps;
 using Words = std::vector<std::string>;
+
+#ifdef FAST_DDS_3
+namespace rtps = eprosima::fastdds::rtps;
+constexpr auto DDS_CDR = eprosima::fastcdr::CdrVersion::DDS_CDR;
+const auto OK = fast::RETCODE_OK;
+#else
+namespace rtps = eprosima::fastrtps::rtps;
+constexpr auto DDS_CDR = eprosima::fastcdr::Cdr::DDS_CDR;
+const auto OK = ReturnCode_t::RETCODE_OK;
+#endif
 
 namespace {
 
 constexpr char TYPE_NAME[] = "std_msgs::msg::dds_::String_";
 constexpr uint32_t MAX_SERIALIZED = 4096;
+constexpr uint32_t AROUND_TEXT = 9;  // bytes of a serialized text: four of encapsulation, four of its length, its NUL
 constexpr int PARTICIPANTS = 4;  // peers that each participant looks for
 constexpr int KEPT_MEMORY = 64 << 20;  // bytes that are not returned to the system after each endpoint
 constexpr auto STEP = std::chrono::milliseconds(2);
@@ -99,6 +115,48 @@ public:
 class StringType : public fast::TopicDataType
 {
 public:
+#ifdef FAST_DDS_3
+    StringType()
+    {
+        set_name(TYPE_NAME);
+        max_serialized_type_size = MAX_SERIALIZED;
+    }
+
+    bool serialize(const void* data, rtps::SerializedPayload_t& payload, fast::DataRepresentationId_t) override
+    {
+        return write(*static_cast<const std::string*>(data), payload);
+    }
+
+    bool deserialize(rtps::SerializedPayload_t& payload, void* data) override
+    {
+        return read(payload, *static_cast<std::string*>(data));
+    }
+
+    uint32_t calculate_serialized_size(const void*, fast::DataRepresentationId_t) override
+    {
+        return MAX_SERIALIZED;
+    }
+
+    void* create_data() override
+    {
+        return new std::string();
+    }
+
+    void delete_data(void* data) override
+    {
+        delete static_cast<std::string*>(data);
+    }
+
+    bool compute_key(rtps::SerializedPayload_t&, rtps::InstanceHandle_t&, bool) override
+    {
+        return false;
+    }
+
+    bool compute_key(const void*, rtps::InstanceHandle_t&, bool) override
+    {
+        return false;
+    }
+#else
     StringType()
     {
         setName(TYPE_NAME);
@@ -108,24 +166,12 @@ public:
 
     bool serialize(void* data, rtps::SerializedPayload_t* payload) override
     {
-        eprosima::fastcdr::FastBuffer buffer(reinterpret_cast<char*>(payload->data), payload->max_size);
-        eprosima::fastcdr::Cdr cdr(
-                buffer, eprosima::fastcdr::Cdr::DEFAULT_ENDIAN, eprosima::fastcdr::Cdr::DDS_CDR);
-        payload->encapsulation = cdr.endianness() == eprosima::fastcdr::Cdr::BIG_ENDIANNESS ? CDR_BE : CDR_LE;
-        cdr.serialize_encapsulation();
-        cdr << *static_cast<std::string*>(data);
-        payload->length = static_cast<uint32_t>(cdr.getSerializedDataLength());
-        return true;
+        return write(*static_cast<std::string*>(data), *payload);
     }
 
     bool deserialize(rtps::SerializedPayload_t* payload, void* data) override
     {
-        eprosima::fastcdr::FastBuffer buffer(reinterpret_cast<char*>(payload->data), payload->length);
-        eprosima::fastcdr::Cdr cdr(
-                buffer, eprosima::fastcdr::Cdr::DEFAULT_ENDIAN, eprosima::fastcdr::Cdr::DDS_CDR);
-        cdr.read_encapsulation();
-        cdr >> *static_cast<std::string*>(data);
-        return true;
+        return read(*payload, *static_cast<std::string*>(data));
     }
 
     std::function<uint32_t()> getSerializedSizeProvider(void*) override
@@ -146,6 +192,28 @@ public:
     bool getKey(void*, rtps::InstanceHandle_t*, bool) override
     {
         return false;
+    }
+#endif
+
+private:
+    static bool write(const std::string& text, rtps::SerializedPayload_t& payload)
+    {
+        eprosima::fastcdr::FastBuffer buffer(reinterpret_cast<char*>(payload.data), payload.max_size);
+        eprosima::fastcdr::Cdr cdr(buffer, eprosima::fastcdr::Cdr::DEFAULT_ENDIAN, DDS_CDR);
+        payload.encapsulation = cdr.endianness() == eprosima::fastcdr::Cdr::BIG_ENDIANNESS ? CDR_BE : CDR_LE;
+        cdr.serialize_encapsulation();
+        cdr << text;
+        payload.length = static_cast<uint32_t>(AROUND_TEXT + text.size());
+        return true;
+    }
+
+    static bool read(rtps::SerializedPayload_t& payload, std::string& text)
+    {
+        eprosima::fastcdr::FastBuffer buffer(reinterpret_cast<char*>(payload.data), payload.length);
+        eprosima::fastcdr::Cdr cdr(buffer, eprosima::fastcdr::Cdr::DEFAULT_ENDIAN, DDS_CDR);
+        cdr.read_encapsulation();
+        cdr >> text;
+        return true;
     }
 };
 
@@ -365,7 +433,7 @@ private:
 
     static std::string write(const Edge& edge, std::string text)
     {
-        return edge.writer != nullptr && edge.writer->write(&text) ? "WRITTEN" : "ERROR " + complaints.take();
+        return edge.writer != nullptr && edge.writer->write(&text, rtps::InstanceHandle_t()) == OK ? "WRITTEN" : "ERROR " + complaints.take();
     }
 
     static std::string read(const Edge& edge, int milliseconds)
@@ -375,7 +443,7 @@ private:
         {
             std::string text;
             fast::SampleInfo info;
-            if (edge.reader != nullptr && edge.reader->take_next_sample(&text, &info) == ReturnCode_t::RETCODE_OK &&
+            if (edge.reader != nullptr && edge.reader->take_next_sample(&text, &info) == OK &&
                     info.valid_data)
                 return "SAMPLE " + text;
             std::this_thread::sleep_for(STEP);

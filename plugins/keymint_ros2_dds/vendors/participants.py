@@ -32,6 +32,7 @@ from keymint.command_process import CommandProcess, ProcessFailedError
 from keymint_ros2_dds.enclave_layout import CRL
 from keymint_ros2_dds.vendors import cyclone_access_control
 from keymint_ros2_dds.vendors.ports import FIRST_PARTICIPANT, free_ports
+from keymint_ros2_dds.vendors.unpacked import Unpacked
 
 _AT_ONCE = 32
 """Commands that are sent before their answers are read; they fit into a pipe."""
@@ -53,11 +54,18 @@ class Vendor(ABC):
         program: the vendor's built probe program.
         environment: environment variables of every process.
         nonconforming: the built library that makes a participant ignore its own permissions, if any.
+        version: the version in the cache that the programs are built from, if it is not the machine's.
     """
 
     program: Path
     environment: Mapping[str, str] = field(default_factory=dict, repr=False)
     nonconforming: Path | None = None
+    version: Unpacked | None = None
+
+    @property
+    def command(self) -> tuple[str, ...]:
+        """The words that start the program."""
+        return (*(self.version.starter if self.version else ()), str(self.program))
 
     @abstractmethod
     def start(self, first_port: int, index: int, *, conforming: bool) -> tuple[Mapping[str, str], tuple[str, ...]]:
@@ -82,7 +90,7 @@ class CycloneDDS(Vendor):
             f"<ParticipantIndex>{index}</ParticipantIndex><MaxAutoParticipantIndex>9</MaxAutoParticipantIndex>"
             f"<Ports><Base>{first_port}</Base><DomainGain>0</DomainGain></Ports></Discovery></Domain></CycloneDDS>"
         )
-        plugins = cyclone_access_control.library().folder
+        plugins = self.version.plugins if self.version else cyclone_access_control.library().folder
         environment = {**self.environment, "CYCLONEDDS_URI": configuration}
         if conforming:
             return environment, (str(plugins),)
@@ -109,7 +117,7 @@ class System(ExitStack):
 
     def __init__(self, vendor: Vendor) -> None:
         super().__init__()
-        self._vendor = vendor
+        self.vendor = vendor
         self._opened = 0
         self.first_port = 0
 
@@ -133,8 +141,8 @@ class System(ExitStack):
             RefusedError: the vendor refuses; the process has ended.
         """
         index, self._opened = self._opened, self._opened + 1
-        environment, words = self._vendor.start(self.first_port, index, conforming=conforming)
-        process = _ProbeProcess(self._vendor.program, environment)
+        environment, words = self.vendor.start(self.first_port, index, conforming=conforming)
+        process = ProbeProcess(self.vendor.command, environment, "the probe")
         self.callback(process.reap)
         crl = CRL if revocations and (enclave / CRL).exists() else ""
         answer, reason = process.ask("OPEN", str(domain), str(enclave.resolve()), crl, *words)
@@ -147,7 +155,7 @@ class System(ExitStack):
 class ProbeParticipant:
     """A participant in a process of its own."""
 
-    def __init__(self, process: _ProbeProcess) -> None:
+    def __init__(self, process: ProbeProcess) -> None:
         self._process = process
         self._edges = 0
 
@@ -181,7 +189,7 @@ class ProbeParticipant:
 class ProbeEndpoint:
     """A writer or reader of a participant."""
 
-    def __init__(self, process: _ProbeProcess, name: str) -> None:
+    def __init__(self, process: ProbeProcess, name: str) -> None:
         self._process = process
         self._name = name
 
@@ -197,11 +205,8 @@ class ProbeEndpoint:
         return text if answer == "SAMPLE" else None
 
 
-class _ProbeProcess(CommandProcess):
+class ProbeProcess(CommandProcess):
     """A probe's process."""
-
-    def __init__(self, program: Path, environment: Mapping[str, str]) -> None:
-        super().__init__([str(program)], environment, "the probe")
 
     def ask(self, *words: str, seconds: float = 0.0) -> tuple[str, str]:
         """Send a command; return the first word of its answer, and the rest."""
@@ -214,10 +219,14 @@ class _ProbeProcess(CommandProcess):
             lines = list(map(_line_of, commands[begin : begin + _AT_ONCE]))
             self._send(lines[0], "".join(f"{line}\n" for line in lines).encode())
             for line in lines:
-                answer, _, rest = self._line(line, seconds).decode(errors="replace").partition(" ")
-                if answer == "ERROR":
-                    raise ProcessFailedError(f"{line!r} was answered with {rest!r}")
-                yield answer, rest
+                yield self.answer(line, seconds)
+
+    def answer(self, command: str, seconds: float = 0.0) -> tuple[str, str]:
+        """Return the first word of the answer to a command that was sent, and the rest."""
+        answer, _, rest = self._line(command, seconds).decode(errors="replace").partition(" ")
+        if answer == "ERROR":
+            raise ProcessFailedError(f"{command!r} was answered with {rest!r}")
+        return answer, rest
 
 
 def _line_of(words: Sequence[str]) -> str:

@@ -13,6 +13,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from comarmor.values import dataclass
@@ -42,6 +43,7 @@ class Probe:
         header: a header of the vendor without which it cannot be built.
         arguments: arguments of the compiler beside source and output.
         packages: Debian packages that it is built from.
+        folders: arguments of the compiler that name folders of headers and libraries, if they are not the machine's.
     """
 
     vendor: str
@@ -50,6 +52,20 @@ class Probe:
     header: str
     arguments: tuple[str, ...]
     packages: tuple[str, ...]
+    folders: tuple[str, ...] = ()
+
+    def compiler(self, environment: Mapping[str, str]) -> str:
+        """Return the path of the compiler.
+
+        Raises:
+            MissingVendorError: it is not installed.
+        """
+        path = environment.get("PATH", os.defpath)
+        compiler = next(filter(None, (shutil.which(name, path=path) for name in self.compilers)), None)
+        if compiler is None:
+            reason = f"no compiler {' or '.join(self.compilers)}"
+            raise _missing(self.vendor, reason, tuple(dict.fromkeys((self.compilers[0], *self.packages))))
+        return compiler
 
     def require(self, environment: Mapping[str, str]) -> tuple[str, bytes]:
         """Return the compiler, and the preprocessed header.
@@ -57,11 +73,7 @@ class Probe:
         Raises:
             MissingVendorError: compiler or headers are not installed.
         """
-        path = environment.get("PATH", os.defpath)
-        compiler = next(filter(None, (shutil.which(name, path=path) for name in self.compilers)), None)
-        if compiler is None:
-            reason = f"no compiler {' or '.join(self.compilers)}"
-            raise _missing(self.vendor, reason, (self.compilers[0], *self.packages))
+        compiler = self.compiler(environment)
         preprocessing = self._preprocess(compiler, self.header, environment)
         if preprocessing.returncode:
             raise _missing(self.vendor, f"no header {self.header}", self.packages)
@@ -84,7 +96,7 @@ class Probe:
         if not program_cache.is_ours(program):
             with tempfile.TemporaryDirectory(dir=program.parent) as scratch:
                 output = Path(scratch) / program.name
-                command = [compiler, *self.arguments[:1], "-O1", "-o", str(output), str(source)]
+                command = [compiler, *self.arguments[:1], *self.folders, "-O1", "-o", str(output), str(source)]
                 compilation = _run([*command, *self.arguments[1:]], environment)
                 if compilation.returncode:
                     errors = compilation.stderr.decode(errors="replace").strip().splitlines()
@@ -105,8 +117,8 @@ class Probe:
         self, compiler: str, header: str, environment: Mapping[str, str], *options: str
     ) -> subprocess.CompletedProcess[bytes]:
         language = "c" if self.source.endswith(".c") else "c++"
-        command = [compiler, *self.arguments[:1], "-E", *options, "-include", header, "-x", language, os.devnull]
-        return _run(command, environment)
+        reading = ("-E", *options, "-include", header, "-x", language, os.devnull)
+        return _run([compiler, *self.arguments[:1], *self.folders, *reading], environment)
 
 
 def _run(command: Sequence[str], environment: Mapping[str, str]) -> subprocess.CompletedProcess[bytes]:
@@ -136,6 +148,8 @@ FASTDDS = Probe(
     ("-std=c++17", "-lfastrtps", "-lfastcdr"),
     FAST_PACKAGES,
 )
+FASTDDS_3 = replace(FASTDDS, arguments=("-std=c++17", "-lfastdds", "-lfastcdr"), packages=("g++",))
+"""The same source; its headers are not the machine's (:mod:`unpacked`)."""
 FASTDDS_NONCONFORMING = Probe(
     "Fast DDS", "fastdds_nonconforming.c", ("gcc", "cc"), "stdbool.h", ("-std=gnu11", "-shared", "-fPIC"), FAST_PACKAGES
 )

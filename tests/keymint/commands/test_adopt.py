@@ -71,6 +71,15 @@ def test_a_sound_keystore(keymint, keystore: Path, tmp_path: Path) -> None:
     assert snapshot(tmp_path) == before  # not even a lock
 
 
+def test_a_name_that_has_two_common_names_is_confused_by_newer_vendors(keymint, tmp_path: Path) -> None:
+    made(tmp_path / "ks", common_names={"/talker": "/other+/talker"})
+    found = [
+        each for each in keymint("adopt", "ks", "--json").document["diagnostics"] if each["code"] == "names-confused"
+    ]
+    assert [each["severity"] for each in found] == ["warning"]
+    assert "has CN twice in its name 'CN=/other,CN=/talker'" in found[0]["message"]
+
+
 def test_json(keymint, keystore: Path) -> None:
     outcome = keymint("adopt", "ks", "--json")
     result = outcome.document["result"]

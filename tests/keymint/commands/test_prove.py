@@ -28,9 +28,15 @@ def resign(workspace: Path, name: str, old: str, new: str) -> None:
 def test_what_was_provisioned_is_proven(keymint: Callable, provisioned: Path):
     outcome = keymint("prove", "-w", provisioned)
     assert outcome.code == 0
-    assert "16 of 16 claims proven" in outcome.out
+    assert "18 of 18 claims proven" in outcome.out
+    assert " for omg, cyclonedds-0.10 (measured), fastdds-2.11 (from sources): " in outcome.out
     document = keymint("prove", "-w", provisioned, "--json").document
-    assert set(document["result"]["assumptions"]) == {"omg", "cyclonedds-0.10", "fastdds-2.9"}
+    across = {"cyclonedds-11", "fastdds-2.9", "fastdds-3.3"}
+    assert set(document["result"]["assumptions"]) == {"omg", "cyclonedds-0.10", "fastdds-2.11"} | across
+    assert document["result"]["models"] == {
+        "omg": "specified", "cyclonedds-0.10": "measured", "cyclonedds-11": "from sources", "fastdds-2.9": "measured",
+        "fastdds-2.11": "from sources", "fastdds-3.3": "measured",
+    }  # fmt: skip
     assert [one["proof"] for one in document["result"]["enclaves"]] == ["proven", "proven"]
 
 
@@ -102,7 +108,7 @@ def test_models_that_decide_alike_for_other_reasons_are_told_apart(keymint: Call
     for model, reason in (
         ("omg", "no grant applies to"),
         ("cyclonedds-0.10", "Cyclone DDS refuses a grant without a subject name"),
-        ("fastdds-2.9", "Fast DDS refuses a grant without a subject name"),
+        ("fastdds-2.11", "Fast DDS refuses a grant without a subject name"),
     ):
         lines = [line for line in said.splitlines() if f"[{model}]" in line]
         assert lines, said
@@ -115,10 +121,10 @@ def test_what_a_vendor_makes_of_an_odd_document_may_be_unknown(keymint: Callable
     assert outcome.code == 3
     (enclave,) = outcome.document["result"]["enclaves"]
     unknown = [claim for claim in enclave["claims"] if claim["proof"] == "unknown"]
-    assert {claim["model"] for claim in unknown} == {"cyclonedds-0.10", "fastdds-2.9"}
+    assert {claim["model"] for claim in unknown} == {"cyclonedds-0.10", "fastdds-2.11"}
     assert all("reads what the schema does not allow" in claim["reason"] for claim in unknown)
     said = keymint("prove", "-w", provisioned, "talker").err
-    assert "/talker, publish and subscribe: not proven for fastdds-2.9" in said
+    assert "/talker, publish and subscribe: not proven for fastdds-2.11" in said
     assert "--seconds" not in said, "more time would not help"
 
 

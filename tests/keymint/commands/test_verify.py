@@ -397,7 +397,7 @@ class TestUsage:
         assert "there is no package to verify" in outcome.err
 
     def test_nothing_to_ask_is_no_success(self, keymint, cell: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("keymint.plugins.Plugins.transports_of", lambda _self, _build_type: ())
+        monkeypatch.setattr("keymint.plugins.Plugins.transports_of", lambda *_: ())
         outcome = keymint("verify", cwd=cell)
         assert outcome.code == 1
         assert "no transport supports" in outcome.err

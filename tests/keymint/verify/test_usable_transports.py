@@ -41,9 +41,12 @@ def plugins(**transports: Availability) -> Any:
     def read_by(name: str) -> str:
         return "another" if "other" in name else "one"
 
+    def transports_of(build_type: str, distro: str = "") -> list[str]:
+        return [name for name in sorted(known) if read_by(name) == build_type and (name, distro) != ("vendor-2", "old")]
+
     return SimpleNamespace(
         read_by=read_by,
-        transports_of=lambda build_type: [name for name in sorted(known) if read_by(name) == build_type],
+        transports_of=transports_of,
         transport=known.__getitem__,
     )
 
@@ -99,3 +102,9 @@ def test_a_choice_that_cannot_be_tested(
 
 def test_models_decide_by_documents_alone_and_the_standard_comes_first() -> None:
     assert list(models(INSTALLED, "one")) == ["omg", "vendor-2"]
+
+
+def test_models_of_what_a_distribution_does_not_ship_are_asked_only_by_name() -> None:
+    assert set(choose(INSTALLED, (), Tier.DECISION, ["one"], "old")["one"]) == {"real", "omg"}
+    assert set(choose(INSTALLED, ("vendor-2",), Tier.DECISION, ["one"], "old")["one"]) == {"vendor-2"}
+    assert list(models(INSTALLED, "one", distro="old")) == ["omg"]

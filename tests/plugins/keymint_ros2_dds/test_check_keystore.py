@@ -8,13 +8,15 @@ from dataclasses import replace
 import pytest
 from keymint_ros2_dds import build_type
 
+from keymint.api import BuildOptions
+from keymint.errors import KeymintError
 from tests.plugins.keymint_ros2_dds.builds import CHATTER
 from tests.plugins.keymint_ros2_dds.enclaves import authority, inspection, installed
 from tests.plugins.keymint_ros2_dds.packages import package
 
 
-def seen(subject, name="", **authorities):
-    loaded = package(CHATTER, subject=subject, name=name)
+def seen(subject, name="", distro="jazzy", **authorities):
+    loaded = replace(package(CHATTER, subject=subject, name=name), distro=distro)
     return inspection(loaded, installed(loaded, **authorities))
 
 
@@ -38,6 +40,25 @@ def test_names_that_a_vendor_confuses():
     found = build_type.check_all([seen("/robot", "CN=/robot"), seen("/robot/camera", "CN=/robot/camera")])
     assert [(each.code, each.subject) for each in found] == [("names-confused", "/robot")]
     assert build_type.check_all([seen("/robot", "OU=a,CN=/robot"), seen("/robot/arm", "OU=b,CN=/robot/arm")]) == ()
+
+
+@pytest.mark.parametrize(("name", "twice"), [("CN=/b,CN=/a", "CN"), ("OU=1,OU=1,CN=/a", "OU"), ("OU=1,CN=/a", "")])
+def test_a_name_that_has_an_attribute_twice_is_confused_by_fast_dds(name: str, twice: str) -> None:
+    found = build_type.check_all([seen("/a", name, "humble"), seen("/other", "OU=2,CN=/other")])
+    assert [(each.code, each.subject) for each in found] == ([("names-confused", "/a")] if twice else [])
+    assert all(f"has {twice} twice in its name {name!r}" in each.message for each in found)
+
+
+@pytest.mark.parametrize(("distro", "builds"), [("humble", True), ("jazzy", False), ("kilted", False)])
+def test_a_name_that_finds_no_permissions_of_its_own_is_not_built_where_that_vendor_ships(distro, builds) -> None:
+    loaded = replace(package(CHATTER, subject="/a", name="CN=/b,CN=/a"), distro=distro)
+    if builds:
+        assert build_type.build(loaded, BuildOptions()).documents
+    else:
+        with pytest.raises(KeymintError, match="an attribute is there twice") as caught:
+            build_type.build(loaded, BuildOptions())
+        assert [each.code for each in caught.value.diagnostics] == ["portability-subject-name"]
+        assert build_type.build(loaded, BuildOptions(allow_vendor_specific=True)).documents
 
 
 def test_one_authority_for_both_jobs_is_said_once():

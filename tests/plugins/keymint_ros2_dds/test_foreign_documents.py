@@ -26,7 +26,7 @@ def proofs(each: ImportedSubject) -> list[Proof]:
     compared = build_type.compare(each, "jazzy", 10_000, lambda: True)
     assert {claim.proof for claim in compared.ours} == {Proof.PROVEN}
     assert {claim.model for claim in compared.ours} == {"omg"}
-    assert {claim.model for claim in compared.theirs} == {"omg", "cyclonedds-0.10", "fastdds-2.9"}
+    assert {claim.model for claim in compared.theirs} == {"omg", "cyclonedds-0.10", "fastdds-2.11"}
     return [claim.proof for claim in standard_claims(compared.theirs)]
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import pytest
 from keymint_ros2_dds.decision import (
-    CYCLONEDDS_0_10,
     FASTDDS_2_9,
     OMG,
     VARIATIONS,
@@ -18,7 +17,7 @@ from keymint_ros2_dds.reading import signed_governance
 
 from .documents import NOW, SUBJECT, criteria, document, grant, rule
 
-C, F, O = CYCLONEDDS_0_10.name, FASTDDS_2_9.name, OMG.name  # noqa: E741 - the standard
+C, F, O = "cyclonedds-0.10 cyclonedds-11", "fastdds-2.11 fastdds-2.9 fastdds-3.3", "omg"  # noqa: E741 - the standard
 PERMISSIONS = document(grant(rule("allow", criteria("publish", "rt/x")), rule("deny", criteria("subscribe", "rt/z"))))
 NOBODY = document(grant(rule("deny", criteria("publish", "rt/x"))))
 

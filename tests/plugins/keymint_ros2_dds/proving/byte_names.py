@@ -89,7 +89,7 @@ class Case:
         rules.append(rule("ALLOW", "topic", "publish", *self.allowed))
         policy = SubjectRules("/t", tuple(rules))
         task = ComparisonTask(
-            self.content(), "permissions.xml", 0, "CN=/t", policy, "jazzy", DOMAIN, 200_000, lambda: True
+            self.content(), "permissions.xml", 0, "CN=/t", policy, "humble", DOMAIN, 200_000, lambda: True
         )
         found = prove_content(task)
         return tuple(claim for claim in found if claim.action == "publish")

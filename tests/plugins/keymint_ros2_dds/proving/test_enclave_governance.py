@@ -92,7 +92,7 @@ def test_an_expression_that_means_nothing_is_unknown() -> None:
     assert by_model == {
         "omg": {Proof.UNKNOWN},
         "cyclonedds-0.10": {Proof.PROVEN},  # whose expressions have no such notation
-        "fastdds-2.9": {Proof.UNKNOWN},
+        "fastdds-2.11": {Proof.UNKNOWN},
     }
     assert all("governance.p7s:" in claim.reason for claim in seen if claim.proof is Proof.UNKNOWN)
 
@@ -174,7 +174,7 @@ def test_what_the_profile_accepts_is_excepted_and_said() -> None:
         texts = "; ".join(claim.excepted)
         assert ("subscribe 'rt/diagnostics' (install/talker/governance.p7s:" in texts) is (claim.action == "subscribe")
         assert "joining domain 0" in texts
-        if claim.model == "fastdds-2.9":
+        if claim.model == "fastdds-2.11":
             assert "without * ? [" in claim.universe
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
@@ -24,7 +25,7 @@ from tests.plugins.keymint_ros2_dds.enclaves import anchors, authority, installe
 from tests.plugins.keymint_ros2_dds.oracles import policy as oracle
 from tests.plugins.keymint_ros2_dds.packages import DOMAIN, package, rule
 
-MODELS = ("omg", "cyclonedds-0.10", "fastdds-2.9")
+MODELS = ("omg", "cyclonedds-0.10", "fastdds-2.11")
 PLAIN = package(
     rule("ALLOW", "ros_topic", "ros_publish", "/chatter", "/camera/*", line=3),
     rule("DENY", "ros_topic", "ros_publish ros_subscribe", "/camera/private", line=4),
@@ -81,19 +82,25 @@ def test_what_is_installed_is_proven_for_every_model():
         (model, action) for model in MODELS for action in ("publish", "subscribe")
     ]
     assert all(claim.domains == DOMAIN for claim in found)
-    assert set(build_type.assumptions()) == set(MODELS)
+    assert set(build_type.assumptions()) == set(decision.VARIATIONS)
+    assert list(build_type.models("jazzy")) == list(MODELS)
 
 
 @settings(max_examples=tries(30, 60), deadline=None)
-@given(st.lists(st.one_of(rules(), rules(), rules(PARTITIONS), rules(DENIED)), min_size=1, max_size=5))
-def test_what_the_compiler_does_not_refuse_is_proven(drawn):
-    loaded = package(*drawn)
+@given(
+    st.lists(st.one_of(rules(), rules(), rules(PARTITIONS), rules(DENIED)), min_size=1, max_size=5),
+    st.sampled_from(["humble", "jazzy", "kilted", "lyrical"]),
+)
+def test_what_the_compiler_does_not_refuse_is_proven_for_what_the_distribution_ships(drawn, distro):
+    loaded = replace(package(*drawn), distro=distro)
     try:
         content = build_type.build(loaded, BuildOptions()).documents["permissions.xml"]
     except KeymintError:
         return
     files = {**ENCLAVE, "permissions.p7s": sign(content)}
-    assert {claim.proof for claim in claims(loaded, files)} == {Proof.PROVEN}
+    found = claims(loaded, files)
+    assert {claim.proof for claim in found} == {Proof.PROVEN}
+    assert {claim.model for claim in found} == set(decision.shipped(distro))
 
 
 @settings(max_examples=tries(30, 60), deadline=None)
@@ -219,8 +226,8 @@ def test_partitions_and_topics_that_a_vendor_pools():
     between = between[: between.index("<publish>")]
     files["permissions.p7s"] = sign(content.replace(between, "", 1).encode())
     found = refuted(claims(loaded, files))
-    assert set(found) == {("fastdds-2.9", "publish")}
-    assert found["fastdds-2.9", "publish"][:2] in {("bar", ("baz",)), ("spam", ("foo",))}
+    assert set(found) == {("fastdds-2.11", "publish")}
+    assert found["fastdds-2.11", "publish"][:2] in {("bar", ("baz",)), ("spam", ("foo",))}
 
 
 def test_a_partition_that_is_missing():
@@ -265,12 +272,12 @@ def test_a_grant_that_is_never_valid_for_one_vendor():
 def test_default_allow_permits_every_name_but_on_fast_dds():
     found = refuted(after(PLAIN, "<default>DENY", "<default>ALLOW"))
     assert found["omg", "publish"] == ("a", (), False, True), "no topic has an empty name"
-    assert ("fastdds-2.9", "publish") not in found
+    assert ("fastdds-2.11", "publish") not in found
 
 
 def test_an_expression_that_means_nothing_is_unknown():
     found = after(PLAIN, "rt/chatter", "rt/[[:nothing:]]")
-    assert {claim.model for claim in found if claim.proof is Proof.UNKNOWN} == {"omg", "fastdds-2.9"}
+    assert {claim.model for claim in found if claim.proof is Proof.UNKNOWN} == {"omg", "fastdds-2.11"}
     assert all(claim.reason for claim in found if claim.proof is Proof.UNKNOWN)
 
 
@@ -279,7 +286,7 @@ def test_a_spent_budget_is_unknown():
     assert {(claim.proof, claim.spent) for claim in found if claim.action == "publish"} == {(Proof.UNKNOWN, True)}
 
 
-@pytest.mark.parametrize("models", [None, (), ("fastdds-2.9",), ("cyclonedds-0.10", "omg")])
+@pytest.mark.parametrize("models", [None, (), ("fastdds-2.11",), ("cyclonedds-0.10", "omg")])
 def test_only_the_models_that_are_asked_for(models):
     asked = enclave_proof.question(obligation(PLAIN, ENCLAVE))
     found = proving.prove_content(asked.task, models=models, governance=asked.governance)
@@ -431,8 +438,8 @@ OVERLAPPING = ((END, "2102-01-01T00:00:00"),)
 @pytest.mark.parametrize(
     ("grants", "wrong", "when"),
     [
-        (((), (WIDER, *FUTURE)), ("omg", "fastdds-2.9"), "from 2101-01-01T00:00:00 to 2102-01-01T00:00:00"),
-        (((), (WIDER, *OVERLAPPING)), ("omg", "fastdds-2.9"), "to 2102-01-01T00:00:00"),
+        (((), (WIDER, *FUTURE)), ("omg", "fastdds-2.11"), "from 2101-01-01T00:00:00 to 2102-01-01T00:00:00"),
+        (((), (WIDER, *OVERLAPPING)), ("omg", "fastdds-2.11"), "to 2102-01-01T00:00:00"),
         (((WIDER, *PAST), ()), MODELS, "from 2001-01-01T00:00:00 to 2002-01-01T00:00:00"),
         (((), (WIDER,)), (), ""),
         (((), PAST), (), ""),

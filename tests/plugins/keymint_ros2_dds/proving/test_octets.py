@@ -105,7 +105,7 @@ def test_a_line_end_within_a_name_is_not_part_of_the_model_of_cyclone():
 
 def test_partitions_are_names_as_well():
     loaded = package(rule("ALLOW", "topic", "publish", "a", partitions=("p",)))
-    held = (0, "CN=/talker,OU=x1", loaded.grant.rules, "jazzy", loaded.grant.domains, 10_000, lambda: True)
+    held = (0, "CN=/talker,OU=x1", loaded.grant.rules, "humble", loaded.grant.domains, 10_000, lambda: True)
     content = Case((), (), ((True, ("a",)),)).content().replace(b"CN=/t<", b"CN=/talker,OU=x1<")
     for extra in ("é", "p\\", "\x7f"):
         listed = f"</topics><partitions><partition>p</partition><partition>{extra}</partition></partitions>".encode()

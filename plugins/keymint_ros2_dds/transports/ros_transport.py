@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sourced ROS 2: a stand-in node for each enclave creates, or is refused, what a node of the user's would."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cached_property
+from itertools import groupby
+
+from comarmor.regex import lazy_regex
+from keymint.api import Availability, Enclave, Environment, Tier, Verdict
+from keymint.command_process import MissingVendorError, ProcessDiedError, ProcessFailedError
+from keymint.errors import KeymintError
+from keymint.graph import Edge
+from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9
+from keymint_ros2_dds.lowering.endpoints import endpoints, meanings
+from keymint_ros2_dds.transports.enclave_model import EnclaveModels
+from keymint_ros2_dds.vendors.participants import RefusedError
+from keymint_ros2_dds.vendors.ros_network import PRIVATE, RosNetwork
+
+_NAME = lazy_regex(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
+"""The full names that rcl accepts (rmw, ``validate_full_topic_name.c``), but for two underscores in a row."""
+_LONGEST = 200
+"""Bytes of a name; rmw accepts 247, less what follows the name of an action or of a node."""
+
+
+class RosTransport:
+    """Implements :class:`keymint.api.SelectiveTransport`: nodes of the ROS 2 that the user has sourced."""
+
+    def __init__(self, environment: Environment) -> None:
+        self._environment = environment
+
+    def usable(self) -> Availability:
+        """Return whether a ROS 2 is sourced, and can be run apart from all others; never by default."""
+        return self._usable
+
+    @cached_property
+    def _usable(self) -> Availability:
+        variables = self._environment.variables
+        try:
+            with RosNetwork(variables) as network:
+                version = f"{variables['ROS_DISTRO']}, {network.rmw}"
+        except MissingVendorError as error:
+            return Availability(usable=False, reason=error.reason, help=error.help)
+        if not re.search("dds|rtps", version):
+            return Availability(False, version, "this rmw implementation is not of DDS", "set RMW_IMPLEMENTATION")
+        return Availability(usable=True, version=version, tiers=(Tier.ADMISSION,), by_default=False)
+
+    def asked(self, enclave: Enclave, edge: Edge) -> Sequence[Edge]:
+        """See :meth:`keymint.api.SelectiveTransport.asked`: a node creates nothing but topics and services of ROS."""
+        found = meanings(enclave.distro, edge) if edge.object.kind == "topic" else (edge,)
+        return [each for each in found if not each.object.partitions and _is_legal(each.object.name)]
+
+    def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
+        """See :meth:`keymint.api.Transport.label`. The reason of a denial is what ROS says, without the name."""
+        self.usable().require(tier, "ros")
+        models = EnclaveModels(enclaves, self._environment)
+        if any(each.install.is_relative_to(PRIVATE) for each in enclaves):
+            raise KeymintError(f"nodes see no file below {PRIVATE}", help="set TMPDIR", code="transport-unusable")
+        try:
+            with RosNetwork(self._environment.variables) as network:
+                for (subject, domain), group in groupby(edges, key=lambda edge: (edge.subject, edge.domain)):
+                    yield from self._labelled(network, models, models.enclaves[subject], domain, group)
+        except (MissingVendorError, ProcessFailedError) as error:
+            raise KeymintError(str(error), code="transport-failed") from None
+
+    def _labelled(
+        self, network: RosNetwork, models: EnclaveModels, enclave: Enclave, domain: int, edges: Iterable[Edge]
+    ) -> Iterator[tuple[Edge, Verdict]]:
+        """Yield the decisions on the edges of an enclave; a node that dies of one is started again for the next."""
+        variation = FASTDDS_2_9 if "rtps" in network.rmw else CYCLONEDDS_0_10
+        model, node, refusal = models.of(enclave.subject, domain), None, ""
+        for edge in edges:
+            try:
+                if not refusal:
+                    node = node or network.node(enclave.install, enclave.subject, domain)
+                    answer, text = node.ask("TRY", edge.permission, edge.object.name)
+            except RefusedError as error:
+                refusal = f"no node starts: {error}"
+            except ProcessDiedError as error:
+                answer, text, node = "DENIED", str(error).partition(":")[0], None
+            allowed = not refusal and answer == "ALLOWED"
+            modelled = model.verdict(variation, endpoints(enclave.distro, edge))
+            alike = modelled.allowed == allowed
+            reason = refusal or text.replace(edge.object.name, "…") or "it is created"
+            where, deviation = (modelled.where, modelled.deviation) if alike else (model.place(), "")
+            yield edge, Verdict(allowed, reason, where, deviation)
+        if node is not None:
+            node.reap()
+
+
+def _is_legal(name: str) -> bool:
+    return _NAME.fullmatch(name) is not None and "__" not in name and len(name) < _LONGEST

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Known vulnerabilities of access control in vendors of DDS, and the versions that are installed here.
+
+The table was made on :data:`AS_OF` from the sources that it names: tags of the vendors' repositories that contain a
+fix, notes of releases, and records of CVEs. Nothing is fetched. No CVE of Zenoh's access control was found. Those
+against SROS2 (CVE-2019-19625 and -19627, governance that leaks names) concern files that Keymint writes itself.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from comarmor.errors import Diagnostic
+from comarmor.values import dataclass
+from keymint.errors import ExitCode, KeymintError
+
+AS_OF = "2026-11-23"
+_PACKAGES = {
+    "fastdds": r"libfastrtps|libfastdds|ros-[a-z]+-fast(?:rtps|dds)$",
+    "cyclonedds": r"libddsc|ros-[a-z]+-cyclonedds$",
+}
+_SHARES = {"fastrtps": "fastdds", "fastdds": "fastdds", "cyclonedds": "cyclonedds"}
+_VERSION = re.compile(r"\d+(?:\.\d+)+")
+
+
+@dataclass(frozen=True, slots=True)
+class Advisory:
+    """A vulnerability.
+
+    Attributes:
+        cve: its numbers.
+        vendor: whose.
+        fixed: the first version with the fix in each line of releases that has one.
+        everywhere: the first version from which on every line has the fix; empty if that is not known.
+        what: what it lets somebody do, or not.
+        source: where the fixed versions are from.
+        date: when it was published or, where no record was found, mended.
+    """
+
+    cve: str
+    vendor: str
+    fixed: tuple[str, ...]
+    everywhere: str
+    what: str
+    source: str
+    date: str
+
+
+ADVISORIES = (
+    Advisory(
+        "CVE-2023-24010", "fastdds", ("2.1.4", "2.6.5", "2.8.2", "2.9.2"), "2.10.0",
+        "a document counts if the permissions authority certified its signer as anybody",
+        "PKCS7_NOINTERN in the tags of eProsima/Fast-DDS; ros2/sros2#282", "2023-02-25",
+    ),
+    Advisory(
+        "CVE-2023-24011", "cyclonedds", (), "11.0.0",
+        "a document counts if the permissions authority certified its signer as anybody",
+        "PKCS7_NOINTERN in the tags of eclipse-cyclonedds/cyclonedds; ros2/sros2#282", "2023-02-25",
+    ),
+    Advisory(
+        "CVE-2023-50257", "fastdds", ("2.6.7", "2.10.3", "2.11.3", "2.12.2"), "2.13.0",
+        "who has no certificate can end the connections of secured participants",
+        "GHSA-v5r6-8mvh-cp98, and the tags with its fix", "2024-02-19",
+    ),
+    Advisory(
+        "CVE-2025-24807", "fastdds", ("2.6.10", "2.10.7", "2.14.5", "3.0.2", "3.1.2"), "3.2.0",
+        "neither the chain nor the dates of the permissions authority are checked",
+        "the tags with its fix; notes of Fast DDS 2.6.10 and 3.2.0", "2025-02-03",
+    ),
+    Advisory(
+        "CVE-2025-67108", "fastdds", ("2.6.12", "2.14.7", "3.2.5"), "",
+        "a participant stays connected when its certificate expires",
+        "CVE record; notes of Fast DDS 2.6.12, 2.14.7 and 3.2.5", "2025-12-23",
+    ),
+    Advisory(
+        "CVE-2025-67109", "cyclonedds", ("0.10.5",), "11.0.0",
+        "who sets the clock of a machine makes an expired certificate count (0.10.5 by the record alone)",
+        "CVE record; no such change is seen in the sources", "2025-12-23",
+    ),
+    Advisory(
+        "CVE-2026-45094, CVE-2026-45095, CVE-2026-45096", "fastdds", ("2.6.12", "2.14.7", "3.2.5", "3.4.3"), "3.6.2",
+        "empty texts in permissions or governance crash the process",
+        "the tags with their fix; notes of Fast DDS 2.14.7", "2026-05-11",
+    ),
+)  # fmt: skip
+
+
+def number(version: str) -> tuple[int, ...]:
+    """Return the numbers of a version such as ``2.9.1+ds-1``.
+
+    Raises:
+        KeymintError: it does not begin with two numbers; a usage error.
+    """
+    found = _VERSION.match(version)
+    if found is None:
+        help_ = "write major, minor and patch, e.g. 2.14.1"
+        raise KeymintError(f"{version!r} is no version", help=help_, code="usage", exit_code=ExitCode.USAGE)
+    return tuple(map(int, found[0].split(".")))
+
+
+def affects(advisory: Advisory, version: str) -> bool:
+    """Tell whether a version has a vulnerability, as far as the table knows: a line without a known fix has it."""
+    own = number(version)
+    fixed = {number(each)[:2]: number(each) for each in advisory.fixed}
+    if own[:2] in fixed:
+        return own < fixed[own[:2]]
+    return not advisory.everywhere or own < number(advisory.everywhere)
+
+
+def advisories(vendor: str, version: str) -> tuple[Diagnostic, ...]:
+    """See :meth:`keymint.api.VendorAdvisories.advisories`."""
+    return tuple(_finding(each, version) for each in ADVISORIES if each.vendor == vendor and affects(each, version))
+
+
+def _finding(advisory: Advisory, version: str) -> Diagnostic:
+    since = f"{advisory.everywhere} and later" if advisory.everywhere else "of other lines the fixed version is unknown"
+    fixed = ", ".join((*advisory.fixed, since))
+    message = f"{advisory.vendor} {version} has {advisory.cve} ({advisory.date}): {advisory.what}; fixed in {fixed}"
+    help_ = f"update it; a package of a Linux distribution may have the fix already [{advisory.source}; as of {AS_OF}]"
+    return Diagnostic.warning("vendor-advisory", message, None, help_)
+
+
+def installed_vendors(environment: Mapping[str, str]) -> Mapping[str, Sequence[str]]:
+    """See :meth:`keymint.api.VendorAdvisories.installed_vendors`: packages of Debian, and those of sourced ROS 2."""
+    found: dict[str, dict[str, None]] = {}
+    for vendor, version in (*_of_debian(environment), *_of_ros(environment)):
+        found.setdefault(vendor, {})[version] = None
+    return {vendor: tuple(versions) for vendor, versions in sorted(found.items())}
+
+
+def _of_debian(environment: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    query = shutil.which("dpkg-query", path=environment.get("PATH"))
+    if query is None:
+        return
+    listed = subprocess.run(  # noqa: S603 - no shell, and no word is from outside
+        [query, "-W", "-f", "${db:Status-Status} ${Package} ${Version}\\n"], capture_output=True, check=False, text=True
+    ).stdout
+    for state, package, version in (line.split(" ", 2) for line in listed.splitlines()):
+        for vendor, names in _PACKAGES.items():
+            if state == "installed" and re.match(names, package) and (known := _VERSION.match(version)):
+                yield vendor, known[0]
+
+
+def _of_ros(environment: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    for prefix in filter(None, environment.get("AMENT_PREFIX_PATH", "").split(":")):
+        for share, vendor in _SHARES.items():
+            manifest = Path(prefix, "share", share, "package.xml")
+            try:
+                found = re.search(r"<version>\s*(\d+(?:\.\d+)+)", manifest.read_text(errors="replace"))
+            except OSError:
+                continue
+            if found:
+                yield vendor, found[1]
