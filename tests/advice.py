@@ -11,6 +11,7 @@ import os
 import re
 import shlex
 import shutil
+import subprocess
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -115,29 +116,30 @@ def state_of(folder: Path) -> str:
     return digest.hexdigest()
 
 
-def follow(line: Sequence[str], folder: Path, run: Run) -> Iterator[Followed]:
+def follow(line: Sequence[str], folder: Path, run: Run, inner: str = ".") -> Iterator[Followed]:
     """Follow the advice of the errors of a command line, each in a copy of its folder.
 
     Args:
         line: the command line that failed, without ``--json``.
         folder: where it ran; it stays as it is.
         run: runs a command line in a folder.
+        inner: the folder in it to which the paths of errors are relative.
 
     Yields:
         What became of each error whose help names a command.
     """
     seen = set()
-    for error in errors_of(run(complete(line, ()), folder)[1]):
+    for error in errors_of(run(complete(line, ()), folder / inner)[1]):
         advice = advice_in(error["help"])
         if advice is None or (error["code"], advice.by_hand) in seen:
             continue
         seen.add((error["code"], advice.by_hand))
         copy = folder.with_name(f"{folder.name}-followed")
-        shutil.copytree(folder, copy, symlinks=True)
+        subprocess.run(["cp", "-a", "--reflink=auto", str(folder), str(copy)], check=True)  # pipes as well
         try:
             moved = [word.replace(str(folder), str(copy)) for word in line]
             wanted = key_of(error).replace(str(folder), str(copy))
-            yield Followed(error["code"], *_followed(moved, copy, run, wanted, ()))
+            yield Followed(error["code"], *_followed(moved, copy / inner, run, wanted, ()))
         finally:
             shutil.rmtree(copy, ignore_errors=True)
 
@@ -220,7 +222,6 @@ def in_a_fork(line: Sequence[str], folder: Path, place: Path) -> list[str]:
     """
     if not place.is_relative_to(folder) or any(word.startswith("/") and str(folder) not in word for word in line):
         return []
-    inner = place.relative_to(folder)
     plain = [word for word in line if word not in {"--json", "-q", "-v"}]
     told = folder.with_name(f"{folder.name}-advice")
     with warnings.catch_warnings():
@@ -229,7 +230,7 @@ def in_a_fork(line: Sequence[str], folder: Path, place: Path) -> list[str]:
     if not child:
         found = ["the run ended before its advice was followed"]
         try:
-            results = follow(plain, folder, lambda words, there: once(words, there / inner))
+            results = follow(plain, folder, once, str(place.relative_to(folder)))
             found = ["\n".join((each.code, each.outcome, *each.path)) for each in results if each.is_wrong]
         except BaseException as error:  # noqa: BLE001 - the test that goes on reports it
             found = [f"{shlex.join(line)}: {error!r}"]

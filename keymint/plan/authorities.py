@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 
 from cryptography import x509
 
@@ -90,6 +90,11 @@ def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, M
             warnings += diagnostics
             action = Action.CREATED if changes else Action.UNCHANGED
             steps.append(Step(STAGE, authority.name, action, changes, "certificate authority"))
+    # Advice about one authority must not take back what was done about another.
+    given = "".join(f"--new-authority {name} " for name in new)
+    defects.found = [
+        replace(each, help=each.help.replace("--new-authority", f"{given}--new-authority")) for each in defects.found
+    ]
     defects.require_none()  # one token may fail several authorities
     fingerprints = {name: certificates.fingerprint(each.certificate) for name, each in minted.items()}
     authority_files.require_own_keys(session, fingerprints)

@@ -406,9 +406,12 @@ def require_own_keys(inputs: Inputs, fingerprints: Mapping[str, str]) -> None:
         if other != name:
             stamped = key_record.recorded(inputs.state, key_record.AUTHORITIES, other) == fingerprint
             wrong = name if stamped else other
+            in_token = any(each.name == wrong and each.certificate.key.uri for each in inputs.profile.authorities)
             raise KeymintError(
                 f"the authorities {other!r} and {name!r} have one and the same key",
                 where=inputs.workspace.origin(inputs.workspace.authority_certificate(wrong)),
-                help=f"restore the key and certificate of {wrong!r}; {new_authority_help(wrong)}",
+                help=f"name another key in <pkcs11> of {wrong!r}"
+                if in_token
+                else f"restore the key and certificate of {wrong!r}; {new_authority_help(wrong)}",
                 code="authority-key-shared",
             )
