@@ -19,7 +19,6 @@ from keymint_ros2_dds.compiling.compile import Compiled, compile_rules, vendor_n
 from keymint_ros2_dds.decision import OMG
 from keymint_ros2_dds.documents import dds_xml, permissions_document
 from keymint_ros2_dds.enclave_layout import PERMISSIONS, PERMISSIONS_XML
-from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import GrantRule
 from keymint_ros2_dds.lowering.lower import Lowered
 from keymint_ros2_dds.proving import prove_content
@@ -92,34 +91,6 @@ def _smallest_proven(package: Package, options: BuildOptions, compiled: Compiled
     dds_xml.require_valid(document, PERMISSIONS, PERMISSIONS_XML)
     plain = document if rules == compiled.plain else permissions_document.render(package.grant, compiled.plain)
     return Emitted(document, rules, len(plain), compiled, claims, tuple(diagnostics))
-
-
-def is_form_of(package: Package, document: bytes) -> bool:
-    """Tell whether a permissions document is a form of a package's rules.
-
-    The document is proven to mean what the rules mean. Its header and relay rules cannot be proven and must equal those
-    of a form.
-
-    Raises:
-        KeymintError: the document cannot be read, or the rules cannot be compiled.
-    """
-    compiled = compile_rules(package.grant, package.distro, BuildOptions(allow_vendor_specific=True))
-    forms = [permissions_document.render(package.grant, rules) for rules in (*compiled.forms, compiled.plain)]
-    if document in forms:
-        return True
-    if _not_proven(document) not in map(_not_proven, forms):
-        return False
-    return not _open(_claims(package, compiled, document))
-
-
-def _not_proven(document: bytes) -> list[tuple[str, str, str]]:
-    """Return the elements that no proof covers, all but the rules for endpoints, as name, label and text."""
-    root = dds_xml.read(document, PERMISSIONS, PERMISSIONS_XML)
-    for grant in root.iter("grant"):
-        for rule in [*grant.iterfind("allow_rule"), *grant.iterfind("deny_rule")]:
-            if rule.find(TopicAction.RELAY) is None:
-                grant.remove(rule)
-    return [(item.tag, item.get("name", ""), (item.text or "").strip()) for item in root.iter("*")]
 
 
 def _claims(package: Package, compiled: Compiled, document: bytes) -> tuple[Claim, ...]:

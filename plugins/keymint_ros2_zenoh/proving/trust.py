@@ -7,7 +7,7 @@ authorities of the workspace.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 
 from comarmor.errors import Diagnostic, Origin
@@ -28,8 +28,12 @@ def differences(
     identity, access = anchors.authorities[IDENTITY], anchors.authorities[ACCESS]
     if missing := tuple(anchor_defects((identity, access))):
         return missing
-    own = _EnclaveTrust(files, folder, _INSTALL).findings(anchors)
-    return (*own, *router_differences(shared, shared_folder, access))
+    rules = IdentityCheck(files, folder, _INSTALL)
+    needed = (CERTIFICATE, IDENTITY_CA) if anchors.public_key else (CERTIFICATE, KEY, IDENTITY_CA)
+    own = (*rules.inventory(needed), *rules.anchored(IDENTITY_CA, identity), *rules.identity(identity.chain, anchors))
+    # An encrypted key cannot be read without its password.
+    readable = (each for each in own if each.code != "key-password")
+    return (*readable, *router_differences(shared, shared_folder, access))
 
 
 def router_differences(shared: Mapping[str, bytes], shared_folder: str, access: TrustAnchor) -> tuple[Diagnostic, ...]:
@@ -68,23 +72,6 @@ def terms(
     """
     del anchors, shared, shared_folder
     return tuple(certificate_terms(files, folder, (CERTIFICATE, IDENTITY_CA)))
-
-
-class _EnclaveTrust(IdentityCheck):
-    """Checks the certificate, the key and the authority in one enclave."""
-
-    def findings(self, anchors: TrustAnchors) -> Iterator[Diagnostic]:
-        needed = (CERTIFICATE, IDENTITY_CA) if anchors.public_key else (CERTIFICATE, KEY, IDENTITY_CA)
-        absent = [name for name in needed if name not in self._files]
-        if absent:
-            yield from (self._error("file-missing", name, "is missing") for name in absent)
-            return
-        yield from self._anchored(IDENTITY_CA, anchors.authorities[IDENTITY])
-        certificate = yield from self._certificate(anchors.authorities[IDENTITY].chain, anchors.subject_name, None)
-        if certificate is not None:
-            # An encrypted key cannot be read without its password.
-            of_key = self._key(certificate, anchors.public_key)
-            yield from (each for each in of_key if each.code != "key-password")
 
 
 def _error(code: str, file: str, message: str, help_: str = _INSTALL) -> Diagnostic:
