@@ -13,15 +13,12 @@ from cryptography import x509
 from comarmor.errors import Defects, Diagnostic, Origin
 from keymint.api import TrustAnchor, TrustAnchors, ValidityTerm
 from keymint.errors import KeymintError
-from keymint.names import name_of
 from keymint.pki import certificates, certification_path, distinguished_names, keys, public_keys
 from keymint.pki.distinguished_names import to_text
 
 CERTIFICATE, KEY = "cert.pem", "key.pem"
 When = tuple[datetime, timedelta]
 """The clock, UTC, and within which time an end is reported."""
-LIST = "revocation list"
-"""What findings on its dates call a list."""
 
 
 class IdentityCheck:
@@ -119,7 +116,7 @@ class IdentityCheck:
     # -- dates ---------------------------------------------------------------------------------------------------
 
     def _period(
-        self, what: str, name: str, period: tuple[datetime, datetime], when: When, at_the_end: str = ""
+        self, what: str, name: str, period: tuple[datetime, datetime], when: When, again: str, at_the_end: str = ""
     ) -> Iterator[Diagnostic]:
         """Yield the finding on dates that are over, are to come, or end soon; both ends of a period count.
 
@@ -128,25 +125,19 @@ class IdentityCheck:
             name: its file.
             period: the dates, UTC.
             when: the clock, and within which time an end is reported.
+            again: the command that issues it again.
             at_the_end: what happens then.
         """
         (now, within), (begin, end), code = when, period, what.replace(" ", "-")
+        renew = f"'{again}' issues it again, with later dates"
         if now > end:
-            yield self._error(f"{code}-expired", name, f"the {what} expired on {shown(end)}", self._renew(what))
+            yield self._error(f"{code}-expired", name, f"the {what} expired on {shown(end)}", renew)
         elif now < begin:
-            help_ = f"compare the clock of this machine; if it is right, {self._issues_again(what)}"
+            help_ = f"compare the clock of this machine; if it is right, '{again}' issues it again"
             yield self._error(f"{code}-not-yet-valid", name, f"the {what} is not valid before {shown(begin)}", help_)
         elif now + within >= end:
             message = f"the {what} expires on {shown(end)}" + (at_the_end and f"; {at_the_end}")
-            yield self._warning(f"{code}-expires", name, message, self._renew(what))
-
-    def _renew(self, what: str) -> str:
-        again = self._issues_again(what)
-        return again if what == LIST else f"{again}, with later dates"
-
-    def _issues_again(self, what: str) -> str:
-        verb = "crl --refresh" if what == LIST else f"renew {name_of(self._subject)}"
-        return f"'keymint {verb}' issues it again"
+            yield self._warning(f"{code}-expires", name, message, renew)
 
 
 def anchor_defects(anchors: Iterable[TrustAnchor]) -> Iterator[Diagnostic]:

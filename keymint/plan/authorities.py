@@ -216,16 +216,10 @@ def _candidates(files: AuthorityFiles) -> Iterator[x509.Certificate]:
 
 def _signing_error(inputs: Inputs, files: AuthorityFiles) -> KeymintError | None:
     """Return the error to raise if this CA must sign, or None; an offline root is no defect."""
-    spec, name = files.authority.certificate, files.name
     if files.key is None:
-        return KeymintError(
-            f"the private key of the authority {name!r} is not here, and is needed to sign",
-            where=files.key_file,
-            help=f"restore it; {authority_files.new_authority_help(name)}",
-            code="authority-key-missing",
-        )
+        return authority_files.key_elsewhere(files, f"restore it; {authority_files.new_authority_help(files.name)}")
     try:
-        password(inputs, spec)
+        password(inputs, files.authority.certificate)
     except KeymintError as error:
         return error
     return None
@@ -241,9 +235,7 @@ def _without_key(files: AuthorityFiles, above: MintedAuthority | None, signing_e
     spec, content = files.authority.certificate, files.content or b""
     certificate = certificates.load(content, files.certificate_file)
     public_key = certificates.public_key(certificate, files.certificate_file)
-    authority_files.require_rollover(files, public_key)
-    authority_files.require_known(files, public_key)
-    authority_files.require_name(files)
+    _in_use(files, public_key)
     if not keys.fits(public_key, spec.key) or not authority_files.satisfies(
         content, spec, public_key, above.certificate if above else None
     ):

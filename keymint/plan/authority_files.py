@@ -279,7 +279,7 @@ def key_elsewhere(files: AuthorityFiles, help_: str) -> KeymintError:
         files: the files of the authority.
         help_: what to do.
     """
-    message = f"the private key of the authority {files.name!r} is not here"
+    message = f"the private key of the authority {files.name!r} is not here, and is needed"
     return KeymintError(message, where=files.key_file, help=help_, code="authority-key-missing")
 
 
@@ -345,8 +345,13 @@ def require_name(files: AuthorityFiles) -> None:
     )
 
 
-def require_known(files: AuthorityFiles, key: keys.PublicKey) -> None:
+def require_known(files: AuthorityFiles, key: keys.PublicKey, given: Origin | None = None) -> None:
     """Require that the authority's key was not replaced.
+
+    Args:
+        files: the files of the authority.
+        key: the key of its certificate.
+        given: the file with the certificate, if a user named one that is to be used.
 
     Raises:
         KeymintError: the record, or if it was lost every installed enclave, has another key of this authority.
@@ -354,10 +359,13 @@ def require_known(files: AuthorityFiles, key: keys.PublicKey) -> None:
     known = files.known()
     if not known or keys.fingerprint(key) in known:
         return
+    help_ = f"restore {files.key_file} and {files.certificate_file}; {new_authority_help(files.name)}"
+    if given:
+        help_ = f"'keymint authority replace {files.name} --certificate {given.file}' replaces it step by step"
     raise KeymintError(
         f"the key of the authority {files.name!r} was replaced: the deployed enclaves trust another one",
-        where=files.certificate_file if files.key is None else files.key_file,
-        help=f"restore {files.key_file} and {files.certificate_file}; {new_authority_help(files.name)}",
+        where=given or (files.certificate_file if files.key is None else files.key_file),
+        help=help_,
         code="authority-replaced",
     )
 

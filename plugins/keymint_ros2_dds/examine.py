@@ -18,8 +18,9 @@ from cryptography import x509
 from comarmor.errors import Defects, Diagnostic
 from keymint.api import TrustAnchors
 from keymint.errors import KeymintError
+from keymint.names import name_of
 from keymint.pki import certificates, keys, revocation_lists, smime
-from keymint.pki.identity_check import LIST, IdentityCheck, When, anchor_defects, shown
+from keymint.pki.identity_check import IdentityCheck, When, anchor_defects, shown
 from keymint.pki.mime import SignedDocument
 from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds import subject_name_text, token_key
@@ -102,6 +103,7 @@ class EnclaveRules(IdentityCheck):
     ) -> None:
         super().__init__(files, folder, restore, subject)
         self._chains = chains
+        self._renew = f"keymint renew {name_of(subject)}"
 
     # -- facts ---------------------------------------------------------------------------------------------------
 
@@ -195,9 +197,10 @@ class EnclaveRules(IdentityCheck):
     def periods(self, when: When) -> Iterator[Diagnostic]:
         """Yield the findings on the dates of the certificate and of the revocation list."""
         if self.certificate is not None:
-            yield from self._period("certificate", CERTIFICATE, certificates.period(self.certificate), when, _DROPPED)
+            of_certificate = certificates.period(self.certificate)
+            yield from self._period("certificate", CERTIFICATE, of_certificate, when, self._renew, _DROPPED)
         if period := revocation_period(self._files.get(CRL, b"")):
-            yield from self._period(LIST, CRL, period, when, _NONE_STARTS)
+            yield from self._period("revocation list", CRL, period, when, "keymint crl --refresh", _NONE_STARTS)
 
     def read(
         self, name: str, reader: Callable[[bytes, str, int], Document]
@@ -247,7 +250,7 @@ class EnclaveRules(IdentityCheck):
             message = "allows by default on Cyclone DDS and OpenDDS, and denies on Fast DDS"
             yield self._error("grant-default", PERMISSIONS_P7S, message, "make the default DENY")
         if period := STANDARD.period(grant):
-            found = tuple(self._period("grant", PERMISSIONS_P7S, period, when, _DROPPED))
+            found = tuple(self._period("grant", PERMISSIONS_P7S, period, when, self._renew, _DROPPED))
             yield from found or self._in_slack(period, when[0])
         else:
             message = f"its dates are {grant.not_before!r} and {grant.not_after!r}, expected two xs:dateTime in order"
@@ -267,7 +270,8 @@ class EnclaveRules(IdentityCheck):
                 "reads these dates in its host's time zone"
             )
             is_renewable = now - _SLACK >= begin and end - begin > 2 * _SLACK
-            yield self._warning("grant-slack", PERMISSIONS_P7S, message, self._renew("grant") if is_renewable else _UTC)
+            help_ = f"'{self._renew}' issues it again, with later dates" if is_renewable else _UTC
+            yield self._warning("grant-slack", PERMISSIONS_P7S, message, help_)
 
 
 def revocation_period(pem: bytes) -> tuple[datetime, datetime] | None:

@@ -116,7 +116,8 @@ class _EnclaveCheck(IdentityCheck):
             pass  # reported with the chain
         else:
             when = self._inspection.now, timedelta(days=self._inspection.within_days)
-            yield from self._period("certificate", CERTIFICATE, certificates.period(certificate), when)
+            period, renew = certificates.period(certificate), f"keymint renew {self._package.name}"
+            yield from self._period("certificate", CERTIFICATE, period, when, renew)
             yield from self._usage(certificate)
         yield from self._session()
 

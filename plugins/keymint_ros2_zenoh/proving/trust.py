@@ -44,14 +44,13 @@ def router_differences(shared: Mapping[str, bytes], shared_folder: str, access: 
         shared_folder: the folder of these paths, as the user would type it.
         access: the authority.
     """
-    absent = [name for name in (ROUTER, SIGNATURE) if name not in shared]
-    if absent:
-        return tuple(_error("file-missing", f"{shared_folder}/{name}", "is missing") for name in absent)
+    if absent := tuple(IdentityCheck(shared, shared_folder, _INSTALL).inventory((ROUTER, SIGNATURE))):
+        return absent
     problem = _signature_problem(shared[ROUTER], shared[SIGNATURE], access.chain)
     if not problem:
         return ()
     help_ = "find out who wrote it before 'keymint install' signs the file that the sources build"
-    return (_error("zenoh-signature", f"{shared_folder}/{SIGNATURE}", problem, help_),)
+    return (Diagnostic.error("zenoh-signature", problem, Origin(f"{shared_folder}/{SIGNATURE}"), help_),)
 
 
 # All enclaves rest on the same file.
@@ -72,7 +71,3 @@ def terms(
     """
     del anchors, shared, shared_folder
     return tuple(certificate_terms(files, folder, (CERTIFICATE, IDENTITY_CA)))
-
-
-def _error(code: str, file: str, message: str, help_: str = _INSTALL) -> Diagnostic:
-    return Diagnostic.error(code, message, Origin(file), help_)
