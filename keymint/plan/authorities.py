@@ -217,7 +217,8 @@ def _candidates(files: AuthorityFiles) -> Iterator[x509.Certificate]:
 def _signing_error(inputs: Inputs, files: AuthorityFiles) -> KeymintError | None:
     """Return the error to raise if this CA must sign, or None; an offline root is no defect."""
     if files.key is None:
-        return authority_files.key_elsewhere(files, f"restore it; {authority_files.new_authority_help(files.name)}")
+        help_ = f"restore it; {authority_files.new_authority_help(files.name)}"
+        return authority_files.key_elsewhere(files.name, files.key_file, help_)
     try:
         password(inputs, files.authority.certificate)
     except KeymintError as error:

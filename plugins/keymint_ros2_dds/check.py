@@ -169,10 +169,7 @@ class _InstalledEnclave(EnclaveRules):
             return True
         if kind != PERMISSIONS or built is None:
             return False
-        try:
-            return not not_kept(self._inspection.package, PERMISSIONS_XML, content)
-        except KeymintError:
-            return False
+        return not not_kept(self._inspection.package, PERMISSIONS_XML, content)
 
 
 def _shared_grants(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
@@ -198,10 +195,8 @@ def _shared_grants(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
 
 
 def _subject(inspection: Inspection) -> str:
-    try:
-        return distinguished_names.to_text(certificates.load(inspection.files.get(CERTIFICATE, b"")).subject)
-    except KeymintError:
-        return ""
+    certificate = certificates.readable(inspection.files.get(CERTIFICATE))
+    return distinguished_names.to_text(certificate.subject) if certificate else ""
 
 
 def _shared_authorities(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:

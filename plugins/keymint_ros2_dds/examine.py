@@ -110,12 +110,7 @@ class EnclaveRules(IdentityCheck):
     @cached_property
     def certificate(self) -> x509.Certificate | None:
         """The identity certificate; None if it is missing or damaged."""
-        try:
-            certificate = certificates.load(self._files.get(CERTIFICATE, b""))
-            certificates.public_key(certificate)
-        except KeymintError:
-            return None
-        return certificate
+        return certificates.readable(self._files.get(CERTIFICATE))
 
     def signed(self, name: str) -> SignedDocument | None:
         """Return a signed document; None if it is missing, or its signature does not verify."""

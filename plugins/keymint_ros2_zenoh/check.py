@@ -110,11 +110,8 @@ class _EnclaveCheck(IdentityCheck):
         if self._is_router and SESSION in self._files:
             message = "is the configuration of a session, but this enclave is the router's"
             yield self._warning("file-unexpected", SESSION, message, "remove it")
-        try:
-            certificate = certificates.load(self._files.get(CERTIFICATE, b""))
-        except KeymintError:
-            pass  # reported with the chain
-        else:
+        certificate = certificates.readable(self._files.get(CERTIFICATE))
+        if certificate is not None:  # else it is reported with the chain
             when = self._inspection.now, timedelta(days=self._inspection.within_days)
             period, renew = certificates.period(certificate), f"keymint renew {self._package.name}"
             yield from self._period("certificate", CERTIFICATE, period, when, renew)
