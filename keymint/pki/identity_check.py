@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
@@ -68,32 +68,26 @@ class IdentityCheck:
             authorities: the authorities that the certificate must chain to, PEM.
             anchors: what the enclave must rest on; its certificate may have any name if they have none.
         """
-        if CERTIFICATE in self._files:
-            certificate = yield from self._certificate(authorities, anchors.subject_name)
-            if certificate is not None:
-                yield from self._key(certificate, anchors.public_key)
-
-    def _for_subject(self, diagnostic: Diagnostic) -> Diagnostic:
-        return replace(diagnostic, where=diagnostic.where or self._where(""), subject=self._subject)
-
-    def _certificate(
-        self, authorities: bytes, subject_name: str
-    ) -> Generator[Diagnostic, None, x509.Certificate | None]:
-        """Check the path and the name of the certificate; the generator returns it if it can be read."""
-        pem, where = self._files[CERTIFICATE], self._where(CERTIFICATE)
+        pem, where = self._files.get(CERTIFICATE), self._where(CERTIFICATE)
+        if pem is None:
+            return
         try:
             certificate = certificates.load(pem, where)
             certificates.public_key(certificate, where)
-            expected = distinguished_names.parse(subject_name) if subject_name else certificate.subject
+            name = anchors.subject_name
+            expected = distinguished_names.parse(name) if name else certificate.subject
         except KeymintError as error:
             yield from map(self._for_subject, error.diagnostics)
-            return None
+            return
         if authorities:  # else their file is missing, which is reported
             yield from map(self._for_subject, certification_path.verify_chain(pem, authorities, None, where))
         if certificate.subject != expected:
             message = f"is for {to_text(certificate.subject)!r}, not {to_text(expected)!r}"
             yield self._error("certificate-subject", CERTIFICATE, message)
-        return certificate
+        yield from self._key(certificate, anchors.public_key)
+
+    def _for_subject(self, diagnostic: Diagnostic) -> Diagnostic:
+        return replace(diagnostic, where=diagnostic.where or self._where(""), subject=self._subject)
 
     def _key(self, certificate: x509.Certificate, public_key: bytes) -> Iterator[Diagnostic]:
         """Check that the key, if the enclave has one, is that of its certificate.

@@ -170,12 +170,16 @@ def _new_certificate(
     files: AuthorityFiles, key: keys.PrivateKey, above: MintedAuthority | None
 ) -> tuple[bytes, Sequence[Diagnostic]]:
     """Return a certificate for a new key, and warnings."""
-    issued = certificates.issue_authority(files.authority.certificate, key, above.issuer if above else None)
-    if not files.known():
-        return issued.pem, issued.diagnostics
     message = f"{files.name!r} is a new authority: {authority_files.COST}"
     new = Diagnostic.warning("authority-new", message, files.certificate_file)
-    return issued.pem, (*issued.diagnostics, new)
+    return _issued(files, key, above, [new] if files.known() else [])
+
+
+def _issued(
+    files: AuthorityFiles, key: keys.PrivateKey, above: MintedAuthority | None, warnings: Sequence[Diagnostic]
+) -> tuple[bytes, Sequence[Diagnostic]]:
+    issued = certificates.issue_authority(files.authority.certificate, key, above.issuer if above else None)
+    return issued.pem, (*issued.diagnostics, *warnings)
 
 
 def _certificate(
@@ -195,9 +199,6 @@ def _certificate(
             help="correct <issuer_name>, or import the certificate of its issuer first",
             code="authority-issuer-elsewhere",
         )
-    issued = certificates.issue_authority(spec, key, above.issuer if above else None)
-    if not files.in_use():
-        return issued.pem, issued.diagnostics
     again = Diagnostic.warning(
         "authority-reissued",
         f"the certificate of the authority {files.name!r} is reissued for the same key",
@@ -205,7 +206,7 @@ def _certificate(
         "deploy all enclaves together: if it signs rights, some vendors let subjects that hold different certificates "
         "of it not communicate",
     )
-    return issued.pem, (*issued.diagnostics, again)
+    return _issued(files, key, above, [again] if files.in_use() else [])
 
 
 def _candidates(files: AuthorityFiles) -> Iterator[x509.Certificate]:

@@ -7,7 +7,7 @@ refuted or not decided, the plain form is emitted.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 from comarmor.errors import Diagnostic
 from comarmor.patterns.steps import step_limit
@@ -76,10 +76,11 @@ def _smallest_proven(package: Package, options: BuildOptions, compiled: Compiled
     """Return the document in its first form that is proven, else in its plain form."""
     diagnostics: list[Diagnostic] = []
     smaller = [form for form in compiled.forms if form != compiled.plain] if options.optimise else []
+    models = None if compiled.portable else (OMG.name,)  # the user accepted that vendors differ
     for rules in (*smaller, compiled.plain):
         document = permissions_document.render(package.grant, rules)
-        claims = _claims(package, compiled, document)
-        open_claims = _open(claims)
+        claims = prove_content(comparison(package, document), models=models, lowered=compiled.lowered)
+        open_claims = [claim for claim in claims if claim.proof is not Proof.PROVEN]
         if not open_claims or rules is compiled.plain:
             break
         help_ = "the plain form is written; '--no-optimise' writes it without this warning"
@@ -93,23 +94,12 @@ def _smallest_proven(package: Package, options: BuildOptions, compiled: Compiled
     return Emitted(document, rules, len(plain), compiled, claims, tuple(diagnostics))
 
 
-def _claims(package: Package, compiled: Compiled, document: bytes) -> tuple[Claim, ...]:
-    """Return the claims about a document: by the standard only, if the user accepted that vendors differ."""
-    models = None if compiled.portable else (OMG.name,)
-    return prove_content(comparison(package, document), models=models, lowered=compiled.lowered)
-
-
 def comparison(package: Package, document: bytes) -> ComparisonTask:
     """Return the comparison of a permissions document with what that of a package must permit."""
     grant, name = package.grant, subject_name_text.of(package.grant)
     return ComparisonTask(
         document, PERMISSIONS_XML, 0, name, grant.rules, package.distro, grant.domains, STATES, lambda: True
     )
-
-
-def _open(claims: Iterable[Claim]) -> list[Claim]:
-    """Return the claims that are not proven."""
-    return [claim for claim in claims if claim.proof is not Proof.PROVEN]
 
 
 def _unproven(package: Package, code: str, what: str, claim: Claim, help_: str) -> Diagnostic:
