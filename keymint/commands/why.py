@@ -198,14 +198,7 @@ def _document(explanation: Explanation, typed: Callable[[str], str]) -> dict[str
         "nearest": rule(explanation.near) if explanation.near else None,
         "similar_subject": explanation.similar or None,
         "package": [rule(each) for each in explanation.package] if explanation.packaged else None,
-        "endpoints": [
-            {
-                "action": each.endpoint.action,
-                "name": each.endpoint.name,
-                "partitions": each.endpoint.partitions,
-            }
-            for each in explanation.needs
-        ],
+        "endpoints": [members(each.endpoint, "action", "name", "partitions") for each in explanation.needs],
         "installed": explanation.installed,
         "transports": [
             {"name": name, **verdict_json(label.verdict, label.reason, label.document, label.model, typed)}
