@@ -92,7 +92,8 @@ def _smallest_proven(package: Package, options: BuildOptions, compiled: Compiled
     """Return the document in its first form that is proven, else in its plain form."""
     diagnostics: list[Diagnostic] = []
     smaller = [form for form in compiled.forms if form != compiled.plain] if options.optimise else []
-    models = None if compiled.portable else (OMG.name,)  # the user accepted that vendors differ
+    # By the standard only, if the user accepted that vendors differ.
+    models = None if compiled.portable and not _refusing(package) else (OMG.name,)
     for rules in (*smaller, compiled.plain):
         document = permissions_document.render(package.grant, rules)
         claims = prove_content(comparison(package, document), models=models, lowered=compiled.lowered)
