@@ -238,6 +238,7 @@ class Benchmark:
         for verb, must, arguments, codes in (
             ("status", "0.35", ("-w", "ws"), (0,)),
             ("check", "1.1", ("-w", "ws"), (0,)),
+            ("prove", "none", ("-w", "ws"), (0,)),
             ("lint", "1.1", ("policy.xml",), (0, 3)),
         ):
             command = (*KEYMINT, verb, *arguments)

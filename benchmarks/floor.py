@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The floor: the least work that provisions N enclaves, with bare ``cryptography`` calls.
 
-A key, a certificate, one S/MIME signature and six files per enclave (with a governance document: two signatures and
-seven files); no policy, no validation, no safe writing.
+A key, a certificate, one S/MIME signature and six files per enclave; no policy, no validation, no safe writing.
 """
 
 from __future__ import annotations
@@ -43,14 +42,13 @@ def _authority(name: str) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]
     return _certificate(name, key, name, key, (x509.BasicConstraints(ca=True, path_length=None), True)), key
 
 
-def provision(folder: Path, names: list[str], permissions: bytes, governance: bytes | None = None) -> None:
+def provision(folder: Path, names: list[str], permissions: bytes) -> None:
     """Write one enclave for each name into a folder.
 
     Args:
         folder: an empty folder.
         names: names of the enclaves.
         permissions: the unsigned permissions document, here the same for all.
-        governance: the unsigned governance document; None for an enclave without one.
     """
     ca, ca_key = _authority("identity_ca")
     notary, notary_key = _authority("permissions_ca")
@@ -64,15 +62,9 @@ def provision(folder: Path, names: list[str], permissions: bytes, governance: by
     for name in names:
         key = ec.generate_private_key(ec.SECP256R1())
         certificate = _certificate(name, key, "identity_ca", ca_key, *of_node)
-        signed = {
-            f"{kind}.p7s": pkcs7.PKCS7SignatureBuilder()
-            .set_data(content)
-            .add_signer(notary, notary_key, hashes.SHA256())
-            .sign(serialization.Encoding.SMIME, options)
-            for kind, content in (("permissions", permissions), ("governance", governance))
-            if content is not None
-        }
-        files = signed | {
+        signer = pkcs7.PKCS7SignatureBuilder().set_data(permissions).add_signer(notary, notary_key, hashes.SHA256())
+        files = {
+            "permissions.p7s": signer.sign(serialization.Encoding.SMIME, options),
             "permissions.xml": permissions,
             "cert.pem": certificate.public_bytes(encoding),
             "key.pem": key.private_bytes(encoding, form, serialization.NoEncryption()),

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measure proofs: equality of lists of K patterns, hard families, and the enclaves of a fleet.
+"""Measure proofs: equality of lists of K patterns, and hard families; ``fleet.py`` measures those of enclaves.
 
-usage: python benchmarks/proof.py [--sizes 10,100,1000,5000] [--fleet 1000]
+usage: python benchmarks/proof.py [--sizes 10,100,1000,5000]
 
 Of K patterns 80 % are names, the rest have a wildcard at the start, at the end, at both, or inside; one in five is
 denied. The other list is equal but has no pattern with wildcards in common: ``u*v`` becomes ``uv`` and ``u?*v``. Memory
@@ -13,13 +13,9 @@ from __future__ import annotations
 import argparse
 import random
 import resource
-import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import product
-from pathlib import Path
-
-from fleet import KEYMINT, policy, spent
 
 from comarmor.patterns.decision_lists import (
     Block,
@@ -152,23 +148,10 @@ def hard() -> None:
         print(f"{name:>24}  {type(result).__name__.lower():>8}  {seconds:>6.2f}s  {note}")
 
 
-def enclaves(size: int) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        root = Path(folder)
-        (root / "policy.xml").write_text(policy(size, own=True))
-        spent(*KEYMINT, "provision", "policy.xml", "-w", "ws", "-q", "--no-prove", cwd=root)
-        for label in ("proven", "unchanged"):
-            took = spent(*KEYMINT, "prove", "-w", "ws", cwd=root)
-            print(f"{size} enclaves {label}: {took.wall:.1f}s, {took.memory:.0f} MB")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sizes", default="10,100,1000,5000")
-    parser.add_argument("--fleet", type=int, default=1000)
     chosen = parser.parse_args()
-    if chosen.fleet:
-        enclaves(chosen.fleet)  # first: the memory that the system reports of children includes that of their parent
     equality([int(each) for each in chosen.sizes.split(",")])
     hard()
 

@@ -15,36 +15,7 @@ import json
 import tempfile
 from pathlib import Path
 
-from fleet import KEYMINT, spent
-
-PROFILE = """  <profile name="node{n}">
-    <attachment>/robot{n}/node</attachment>
-    <xi:include href="common/node.xml" parse="xml"/>
-    <ros_topic qualifier="ALLOW">
-      <attachment>/data/{n}_*</attachment>
-      <permissions><ros_publish/></permissions>
-    </ros_topic>
-    <ros_topic qualifier="ALLOW">
-      <attachment>/data/{next}_*</attachment>
-      <attachment>/data/0_0</attachment>
-      <permissions><ros_subscribe/></permissions>
-    </ros_topic>
-    <ros_topic qualifier="DENY">
-      <attachment>/data/{next}_1</attachment>
-      <permissions><ros_subscribe/></permissions>
-    </ros_topic>
-    <ros_service qualifier="ALLOW">
-      <attachment>/serve/{n}_0</attachment>
-      <permissions><ros_execute/></permissions>
-    </ros_service>
-  </profile>
-"""
-
-
-def policy(subjects: int) -> str:
-    """Return a policy that names each of its subjects exactly."""
-    profiles = "".join(PROFILE.format(n=n, next=(n + 1) % subjects) for n in range(subjects))
-    return f'<profiles xmlns:xi="http://www.w3.org/2001/XInclude">\n{profiles}</profiles>\n'
+from fleet import KEYMINT, ROLES, policy, spent
 
 
 def graph(subjects: int, objects: int) -> str:
@@ -53,7 +24,8 @@ def graph(subjects: int, objects: int) -> str:
     for number in range(objects):
         n, serial = number % subjects, number // subjects
         permission, name = ("ros_execute", "/serve") if serial % 10 == 0 else ("ros_publish", "/data")
-        edges.append({"subject": f"/robot{n}/node", "permission": permission, "object": f"{name}/{n}_{serial}"})
+        subject = f"/robot{n // 2}/{ROLES[n % 2][0]}"
+        edges.append({"subject": subject, "permission": permission, "object": f"{name}/n{n}_{serial}"})
     return json.dumps({"format": "keymint-graph", "version": 1, "edges": edges})
 
 
@@ -68,7 +40,7 @@ def main() -> None:
         subjects, objects = map(int, size.split("x"))
         with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
             root = Path(folder)
-            (root / "policy.xml").write_text(policy(subjects))
+            (root / "policy.xml").write_text(policy(subjects, own=True))
             (root / "graph.json").write_text(graph(subjects, objects))
             spent(*KEYMINT, "provision", "policy.xml", "-w", "ws", "-q", cwd=root)
             for transport in chosen:

@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The error type and the exit codes, under the names that Keymint and its plugins use; an error of several modules."""
+"""The error type and the exit codes, under the names that Keymint and its plugins use; errors of several modules."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
 
 from comarmor.errors import ComArmorError as KeymintError
-from comarmor.errors import ExitCode
+from comarmor.errors import ExitCode, Origin
+from comarmor.text import did_you_mean
 
-__all__ = ["ExitCode", "KeymintError", "process_ended"]
+__all__ = ["ExitCode", "KeymintError", "known_authority", "process_ended"]
 
 
 def process_ended(code: str) -> KeymintError:
@@ -13,4 +18,38 @@ def process_ended(code: str) -> KeymintError:
         "a process of this run ended before its work was done",
         help="was it killed, or is memory short? run the command again, or with -j 1",
         code=code,
+    )
+
+
+def known_authority(
+    name: str,
+    known: Collection[str],
+    where: Origin | None,
+    job: str = "",
+    help_: str = "",
+    exit_code: ExitCode = ExitCode.FAILURE,
+) -> str:
+    """Check that a profile has an authority, and return its name.
+
+    Args:
+        name: the authority's name; empty if no document gives one.
+        known: names of the profile's authorities.
+        where: the place that gives the name, or should give it; None if the user typed it.
+        job: what the authority does, for the message about one that is not named.
+        help_: what to do if no name is similar; by default the names are listed.
+        exit_code: exit code if there is none.
+
+    Raises:
+        KeymintError: there is no such authority.
+    """
+    if name in known:
+        return name
+    raise KeymintError(
+        f"there is no authority {name!r} in the profile"
+        if name
+        else f"no <issuer_name> names the authority that {job}",
+        where=where,
+        help=did_you_mean(name, known, help_ or f"the profile's authorities are {', '.join(known) or 'none'}"),
+        code="authority-unknown",
+        exit_code=exit_code,
     )

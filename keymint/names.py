@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from itertools import accumulate
 
+from comarmor.errors import Origin
 from comarmor.ros_names import is_segment
 from comarmor.rules import KIND_OF, PERMISSIONS
 from comarmor.text import did_you_mean, quoted
@@ -157,6 +158,16 @@ def typed_permission(text: str, name: str, kind: str = "", begins: Sequence[str]
         message = f"a {found} has no name {name!r}: ROS names begin with '/'"
         raise _wrong_usage(message, f"did you mean {'/' + name!r}{raw}?", "object-name")
     return found, permission
+
+
+def no_subject(help_: str, where: Origin | None = None) -> KeymintError:
+    """Return the error that a policy names subjects by wildcards only.
+
+    Args:
+        help_: how the user can name some.
+        where: the policy.
+    """
+    return KeymintError("the policy names no subject exactly", where=where, help=help_, code="subjects-none")
 
 
 def _wrong_usage(message: str, help_: str, code: str) -> KeymintError:

@@ -24,7 +24,7 @@ from comarmor.text import did_you_mean, quoted
 from comarmor.xml import reader, schema
 from comarmor.xml.reader import line
 from keymint.api import DomainRange
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, known_authority
 
 _T = TypeVar("_T")
 
@@ -139,30 +139,6 @@ def domains(element: etree._Element | None) -> tuple[DomainRange, ...]:
             )
         ranges.append(DomainRange(ends[0], ends[-1]))
     return tuple(dict.fromkeys(ranges))
-
-
-def known_authority(name: str, known: Sequence[str], where: Origin, job: str) -> str:
-    """Check that a profile has an authority, and return its name.
-
-    Args:
-        name: the authority's name; empty if no document gives one.
-        known: names of the profile's authorities.
-        where: the place that gives the name, or should give it.
-        job: what the authority does, for the message.
-
-    Raises:
-        KeymintError: there is no such authority.
-    """
-    if name in known:
-        return name
-    raise KeymintError(
-        f"there is no authority {name!r} in the profile"
-        if name
-        else f"no <issuer_name> names the authority that {job}",
-        where=where,
-        help=did_you_mean(name, known, f"the profile's authorities are {', '.join(known)}"),
-        code="authority-unknown",
-    )
 
 
 def signer(named: str, named_at: Origin, default: str, default_at: Origin, known: Sequence[str]) -> str:

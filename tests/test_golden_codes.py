@@ -36,7 +36,6 @@ F_STRINGS = {
     "f'{code}-expired'": each_of("certificate grant revocation-list", "expired"),
     "f'{code}-not-yet-valid'": each_of("certificate grant revocation-list", "not-yet-valid"),
     "f'{code}-expires'": each_of("certificate grant revocation-list", "expires"),
-    "f'{code}-slack'": each_of("grant", "slack"),
     "f'{owner}-incomplete'": each_of("certificate grant", "incomplete"),
     "f'size-{kind}'": each_of("size", "governance permissions"),
     "f\"{option.replace(' ', '-')}-unknown\"": each_of("layout subject-format", "unknown"),

@@ -73,5 +73,5 @@ def _export_key(run: Run, files: authority_files.AuthorityFiles, key_file: Path)
     if files.authority.certificate.key.uri:
         raise token_keys.only_in_token(files.authority, "it returns none")
     if files.key is None:
-        raise authority_files.key_elsewhere(files, "export it where it is")
+        raise authority_files.key_elsewhere(files.name, files.key_file, "export it where it is")
     return write_outputs(run, key_file, files.key, secret=True)

@@ -12,8 +12,7 @@ from keymint.commands.accepted_packages import AcceptanceOptions, accept, accept
 from keymint.commands.options import usage_error, valid_for_option
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
-from keymint.errors import KeymintError
-from keymint.names import package_name
+from keymint.names import no_subject, package_name
 from keymint.output.report import Report
 from keymint.plan.create import CreateStage, packages_to_create
 from keymint.plan.policy import lazy_policy
@@ -57,11 +56,7 @@ def create(
         accepted, session = release(inputs, accepted, session, policy)
         subjects = dict.fromkeys([*named, *(packages_to_create(session, policy) if all_subjects else ())])
         if not subjects:
-            raise KeymintError(
-                "the policy names no subject exactly",
-                help="name the subjects: keymint create /robot1/talker",
-                code="subjects-none",
-            )
+            raise no_subject("name the subjects: keymint create /robot1/talker")
         create = partial(CreateStage, policy=policy, force=force, valid_for=valid_for or "")
         wanted = create(session).subjects(tuple(subjects))
         run.workers.start(session, wanted, (create,))

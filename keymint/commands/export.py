@@ -22,7 +22,7 @@ from keymint.commands.user_files import deliver, read_input, refuse_replacing
 from keymint.commands.verb import verb
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
-from keymint.names import typed_subject
+from keymint.names import no_subject, typed_subject
 from keymint.output.report import Report
 
 _FORMATS = "keymint.policy_formats"
@@ -119,9 +119,7 @@ def _subjects(run: Run, policy: LoadedPolicy, listed: Path | None) -> list[Subje
         for name, place in _listed(read_input(run, listed), str(listed)):
             names.setdefault(typed_subject(name), place)
     if not names:
-        raise KeymintError(
-            "the policy names no subject exactly", help="list subjects in a file: --subjects FILE", code="subjects-none"
-        )
+        raise no_subject("list subjects in a file: --subjects FILE")
     found = []
     for name, where in names.items():
         rules = policy.rules(name)

@@ -29,7 +29,7 @@ from keymint.commands.proof_gate import proof_stage, proven
 from keymint.commands.reissue import superseding
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
-from keymint.errors import KeymintError
+from keymint.names import no_subject
 from keymint.output.report import Report
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.bootstrap import plan_init, plan_policy, policy_path, refuse_unsupported
@@ -79,11 +79,8 @@ def provision(
         plan, session = release(inputs, plan, session, acquired)
         names = packages_to_create(session, acquired)
         if not names:
-            raise KeymintError(
-                "the policy names no subject exactly",
-                where=Origin(str(policy)),
-                help="attach a profile to a name without wildcards, or use 'keymint create NAME'",
-                code="subjects-none",
+            raise no_subject(
+                "attach a profile to a name without wildcards, or use 'keymint create NAME'", Origin(str(policy))
             )
         unknown = unknown_hints(options, document_options.hints, (*names, *session.needed_infrastructure()))
         left = request.resumed(resumes=run.resumes)

@@ -196,9 +196,7 @@ def _what(run: Run, policy: LoadedPolicy, question: PolicyQuery) -> _Answer:
     abilities = [
         {
             "subject": subject,
-            "permission": ability.permission,
-            "expression": ability.expression,
-            "partitions": ability.partitions,
+            **members(ability, "permission", "expression", "partitions"),
             "except": ability.but,
             "audit": ability.audit,
             "rule": line_json(ability.where),

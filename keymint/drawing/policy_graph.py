@@ -17,6 +17,7 @@ from keymint.api import LoadedPolicy, PolicyDecision
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph
 from keymint.errors import KeymintError
 from keymint.graph import LABELLED, Edge, Graph, Object, complete
+from keymint.names import no_subject
 
 MOST_EDGES = 250_000
 """Maximum number of edges to draw: about 250 MB."""
@@ -81,11 +82,7 @@ def policy_graph(
     """
     chosen = tuple(subjects) or policy.subjects()
     if not chosen:
-        raise KeymintError(
-            "the policy names no subject exactly",
-            help="select subjects with --subject, e.g. --subject /robot1/camera",
-            code="subjects-none",
-        )
+        raise no_subject("select subjects with --subject, e.g. --subject /robot1/camera")
     names: set[Object] = set()
     expressions: dict[Object, Object] = {}
     own: dict[str, dict[Object, set[str]]] = {}

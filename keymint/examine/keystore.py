@@ -53,8 +53,10 @@ def proven_keystore(
         ready = tuple(name for name in with_sources(ahead) if name in names)
         second = prove(ahead, ready, policy, effort, lambda _: None, pool)
         enclaves, shared = (*enclaves, *second.enclaves), (*shared, *second.shared)
-    known = replace(presented, assumptions=results.assumptions, standards=results.standards)
-    return replace(known, enclaves=enclaves, shared=shared)
+    outliving, is_whole = presented.outliving, presented.is_whole
+    return replace(
+        results, enclaves=enclaves, shared=shared, state=presented.state, outliving=outliving, is_whole=is_whole
+    )
 
 
 def deciding(session: Session) -> Iterator[Diagnostic]:

@@ -60,12 +60,9 @@ def require_authority(pem: bytes, where: Origin) -> x509.Certificate:
     """
     certificate = certificates.load(pem, where)
     kind = keys.kind_of(certificates.public_key(certificate, where))
-    constraints = extensions.value(certificate, x509.BasicConstraints)
     problem, help_ = "", "name the certificate of an authority"
-    if constraints is None or not constraints.ca:
-        problem = "is not the certificate of an authority: its basicConstraints lack CA:TRUE"
-    elif not extensions.may(certificate, "keyCertSign"):
-        problem = "may not issue certificates: its keyUsage lacks keyCertSign"
+    if why := extensions.not_an_authority(certificate):
+        problem = f"is not the certificate of an authority: {why}"
     elif kind.algorithm == "rsa" and kind.size < keys.MIN_RSA_BITS:
         problem = f"has an RSA key of {kind.size} bits, expected at least {keys.MIN_RSA_BITS}"
     elif kind.algorithm == "ec" and kind.curve not in keys.CURVES:
@@ -122,14 +119,7 @@ def issued_like(
             code="authority-issuer-elsewhere",
         )
     above, public = issuer.certificate if issuer else None, key.public_key()
-    validity = forms.cut(validity, above)
-    if validity.not_before >= validity.not_after:
-        raise KeymintError(
-            "the validity of the new certificate would be empty: its issuer's ends before",
-            where=where,
-            help="renew the issuer first",
-            code="validity-empty",
-        )
+    validity = forms.within(validity, above, where)
     values = forms.defaults(extensions.Context(public, above), authority=True)
     if constraints := extensions.value(certificate, x509.BasicConstraints):
         values[ExtensionOID.BASIC_CONSTRAINTS] = (True, x509.BasicConstraints(True, constraints.path_length))

@@ -73,6 +73,16 @@ def load(pem: bytes, where: Origin | None = None) -> x509.Certificate:
     return bundle[0]
 
 
+def readable(pem: bytes | None) -> x509.Certificate | None:
+    """Return the one certificate of a PEM file, with an EC or RSA key; None if the file has no such one."""
+    try:
+        certificate = load(pem or b"")
+        public_key(certificate)
+    except KeymintError:
+        return None
+    return certificate
+
+
 def load_bundle(pem: bytes, where: Origin | None = None) -> tuple[x509.Certificate, ...]:
     """Return the certificates of a PEM file, at least one, in the file's order.
 
@@ -301,10 +311,8 @@ def certificate_fits(pem: bytes, spec: CertificateSpec, public_key: keys.PublicK
 
 def is_same(pem: bytes, other: bytes) -> bool:
     """Return whether two files have the same certificate, however they encode it; False if the first has none."""
-    try:
-        return load(pem) == load(other)
-    except KeymintError:
-        return False
+    certificate = readable(pem)
+    return certificate is not None and certificate == readable(other)
 
 
 def can_sign_documents(certificate: x509.Certificate, where: Origin | None = None) -> Diagnostic | None:

@@ -100,6 +100,14 @@ def may(certificate: x509.Certificate, *names: str) -> bool:
     return of_key is None or any(name in of_key for name in names)
 
 
+def not_an_authority(certificate: x509.Certificate) -> str:
+    """Return why a certificate may not issue others (RFC 5280, 4.2.1.3 and 4.2.1.9); empty if it may."""
+    constraints = value(certificate, x509.BasicConstraints)
+    if constraints is None or not constraints.ca:
+        return "its basicConstraints lack CA:TRUE"
+    return "" if may(certificate, "keyCertSign") else "its keyUsage lacks keyCertSign"
+
+
 def authority_key_identifier(issuer: x509.Certificate) -> x509.AuthorityKeyIdentifier:
     """Return the identifier of the issuer's key, as the issuer's certificate has it (RFC 5280, 4.2.1.1)."""
     identifier = value(issuer, x509.SubjectKeyIdentifier)

@@ -116,17 +116,27 @@ def cut(validity: Validity, issuer: x509.Certificate | None) -> Validity:
     return Validity(max(first, issuer.not_valid_before_utc), min(last, issuer.not_valid_after_utc))
 
 
-def _clamp(spec: CertificateSpec, issuer: x509.Certificate | None) -> tuple[Validity, tuple[Diagnostic, ...]]:
-    """Return the validity of a certificate, and a warning if it is not the one that was requested."""
-    requested, clamped = cut(spec.validity, None), cut(spec.validity, issuer)
+def within(validity: Validity, issuer: x509.Certificate | None, where: Origin) -> Validity:
+    """Return a validity that :func:`cut` cut.
+
+    Raises:
+        KeymintError: it is empty.
+    """
+    clamped = cut(validity, issuer)
     if clamped.not_before >= clamped.not_after:
         beyond = f", within the validity of its issuer {to_text(issuer.subject)!r}" if issuer is not None else ""
         raise KeymintError(
-            f"the validity is empty: {_period(requested)}{beyond}",
-            where=spec.origin,
+            f"the validity is empty: {_period(cut(validity, None))}{beyond}",
+            where=where,
             help="change its dates, or renew the issuer",
             code="validity-empty",
         )
+    return clamped
+
+
+def _clamp(spec: CertificateSpec, issuer: x509.Certificate | None) -> tuple[Validity, tuple[Diagnostic, ...]]:
+    """Return the validity of a certificate, and a warning if it is not the one that was requested."""
+    requested, clamped = cut(spec.validity, None), within(spec.validity, issuer, spec.origin)
     if clamped == requested:
         return clamped, ()
     warning = Diagnostic.warning(
@@ -144,17 +154,13 @@ def _period(validity: Validity) -> str:
 
 def _check_issuer(issuer: x509.Certificate, where: Origin, *, authority: bool) -> None:
     """Raise an error for an issuer that must not issue certificates (RFC 5280, 4.2.1.3 and 4.2.1.9)."""
+    problem = extensions.not_an_authority(issuer)
     constraints = extensions.value(issuer, x509.BasicConstraints)
-    problem = ""
-    if constraints is None or not constraints.ca:
-        problem = "is not a CA certificate (basicConstraints)"
-    elif not extensions.may(issuer, "keyCertSign"):
-        problem = "lacks keyCertSign (keyUsage)"
-    elif authority and constraints.path_length == 0:
-        problem = "has pathlen:0, so it may not issue authorities (basicConstraints)"
+    if authority and constraints is not None and constraints.path_length == 0:
+        problem = problem or "it has pathlen:0, so it may not issue authorities"
     if problem:
         raise KeymintError(
-            f"the issuer {to_text(issuer.subject)!r} cannot issue it: its own certificate {problem}",
+            f"the issuer {to_text(issuer.subject)!r} cannot issue it: {problem}",
             where=where,
             help="name another issuer, or change the extensions of this one",
             code="issuer-invalid",

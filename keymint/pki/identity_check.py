@@ -3,20 +3,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from datetime import datetime
+from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 
 from cryptography import x509
 
 from comarmor.errors import Defects, Diagnostic, Origin
-from keymint.api import TrustAnchor, ValidityTerm
+from keymint.api import TrustAnchor, TrustAnchors, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import certificates, certification_path, distinguished_names, keys, public_keys
 from keymint.pki.distinguished_names import to_text
 
 CERTIFICATE, KEY = "cert.pem", "key.pem"
+When = tuple[datetime, timedelta]
+"""The clock, UTC, and within which time an end is reported."""
 
 
 class IdentityCheck:
@@ -46,42 +48,48 @@ class IdentityCheck:
         """Return a warning about a file."""
         return Diagnostic.warning(code, message, self._where(name), help_, self._subject)
 
-    def _anchored(self, name: str, anchor: TrustAnchor) -> Iterator[Diagnostic]:
-        """Check that a file has the authority that the enclave must trust."""
-        if self._files[name] != anchor.chain:
+    def inventory(self, needed: Iterable[str]) -> Iterator[Diagnostic]:
+        """Yield an error for each file that is not there."""
+        for name in needed:
+            if name not in self._files:
+                yield self._error("file-missing", name, "is missing")
+
+    def anchored(self, name: str, anchor: TrustAnchor) -> Iterator[Diagnostic]:
+        """Check that a file, if it is there, has the authority that the enclave must trust."""
+        if self._files.get(name, anchor.chain) != anchor.chain:
             message = f"is not the certificate of the authority {anchor.name!r}, {anchor.file}"
             help_ = "the enclave trusts another authority: find out who wrote it before 'keymint install' restores it"
             yield self._error("authority-differs", name, message, help_)
 
-    def _for_subject(self, diagnostic: Diagnostic) -> Diagnostic:
-        return replace(diagnostic, where=diagnostic.where or self._where(""), subject=self._subject)
-
-    def _certificate(
-        self, authorities: bytes, subject_name: str, at: datetime | None
-    ) -> Generator[Diagnostic, None, x509.Certificate | None]:
-        """Check the path and the name of the certificate, which is there; the generator returns it if it can be read.
+    def identity(self, authorities: bytes, anchors: TrustAnchors) -> Iterator[Diagnostic]:
+        """Check the certificate, if it is there, and its key.
 
         Args:
-            authorities: the authorities that it must chain to, PEM.
-            subject_name: the distinguished name that it must have; empty if it may have any.
-            at: see :func:`keymint.pki.certification_path.verify_chain`.
+            authorities: the authorities that the certificate must chain to, PEM.
+            anchors: what the enclave must rest on; its certificate may have any name if they have none.
         """
-        pem, where = self._files[CERTIFICATE], self._where(CERTIFICATE)
+        pem, where = self._files.get(CERTIFICATE), self._where(CERTIFICATE)
+        if pem is None:
+            return
         try:
             certificate = certificates.load(pem, where)
             certificates.public_key(certificate, where)
-            expected = distinguished_names.parse(subject_name) if subject_name else certificate.subject
+            name = anchors.subject_name
+            expected = distinguished_names.parse(name) if name else certificate.subject
         except KeymintError as error:
             yield from map(self._for_subject, error.diagnostics)
-            return None
+            return
         if authorities:  # else their file is missing, which is reported
-            yield from map(self._for_subject, certification_path.verify_chain(pem, authorities, at, where))
+            yield from map(self._for_subject, certification_path.verify_chain(pem, authorities, None, where))
         if certificate.subject != expected:
             message = f"is for {to_text(certificate.subject)!r}, not {to_text(expected)!r}"
             yield self._error("certificate-subject", CERTIFICATE, message)
-        return certificate
+        yield from self._key(certificate, anchors.public_key)
 
-    def _key(self, certificate: x509.Certificate, public_key: bytes = b"") -> Iterator[Diagnostic]:
+    def _for_subject(self, diagnostic: Diagnostic) -> Diagnostic:
+        return replace(diagnostic, where=diagnostic.where or self._where(""), subject=self._subject)
+
+    def _key(self, certificate: x509.Certificate, public_key: bytes) -> Iterator[Diagnostic]:
         """Check that the key, if the enclave has one, is that of its certificate.
 
         Args:
@@ -98,6 +106,32 @@ class IdentityCheck:
         yield from map(self._for_subject, unread.found)
         if own is not None and not keys.matches(own, certificate):
             yield self._error("key-mismatch", KEY, "is not the key of the certificate beside it")
+
+    # -- dates ---------------------------------------------------------------------------------------------------
+
+    def _period(
+        self, what: str, name: str, period: tuple[datetime, datetime], when: When, again: str, at_the_end: str = ""
+    ) -> Iterator[Diagnostic]:
+        """Yield the finding on dates that are over, are to come, or end soon; both ends of a period count.
+
+        Args:
+            what: what has them; with hyphens, the begin of the codes.
+            name: its file.
+            period: the dates, UTC.
+            when: the clock, and within which time an end is reported.
+            again: the command that issues it again.
+            at_the_end: what happens then.
+        """
+        (now, within), (begin, end), code = when, period, what.replace(" ", "-")
+        renew = f"'{again}' issues it again, with later dates"
+        if now > end:
+            yield self._error(f"{code}-expired", name, f"the {what} expired on {shown(end)}", renew)
+        elif now < begin:
+            help_ = f"compare the clock of this machine; if it is right, '{again}' issues it again"
+            yield self._error(f"{code}-not-yet-valid", name, f"the {what} is not valid before {shown(begin)}", help_)
+        elif now + within >= end:
+            message = f"the {what} expires on {shown(end)}" + (at_the_end and f"; {at_the_end}")
+            yield self._warning(f"{code}-expires", name, message, renew)
 
 
 def anchor_defects(anchors: Iterable[TrustAnchor]) -> Iterator[Diagnostic]:
@@ -147,3 +181,8 @@ def certificate_terms(files: Mapping[str, bytes], folder: str, names: Iterable[s
 @lru_cache(maxsize=64)
 def _periods(pem: bytes) -> tuple[tuple[str, tuple[datetime, datetime]], ...]:
     return tuple((to_text(each.subject), certificates.period(each)) for each in certificates.load_bundle(pem))
+
+
+def shown(moment: datetime) -> str:
+    """Return a moment for messages."""
+    return f"{moment.astimezone(UTC):%Y-%m-%d %H:%M} UTC"

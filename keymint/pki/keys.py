@@ -140,20 +140,16 @@ def from_pem(pem: bytes, password: bytes | None = None, where: Origin | None = N
         # The library rejects a password for an unencrypted key; for the user that is not an error.
         key = serialization.load_pem_private_key(pem, password if encrypted else None)
     except (ValueError, TypeError, UnsupportedAlgorithm):
+        key = None
+    if not isinstance(key, PrivateKey):
+        is_locked = encrypted and key is None
         raise KeymintError(
             "the password of the private key is wrong, or its file is damaged"
-            if encrypted
-            else "not a private key in PEM, or a damaged one",
+            if is_locked
+            else "not a private key in PEM, a damaged one, or one that is neither EC nor RSA",
             where=where,
             help="restore the file from a backup",
-            code="key-password" if encrypted else "key-invalid",
-        ) from None
-    if not isinstance(key, PrivateKey):
-        raise KeymintError(
-            "a private key that is neither EC nor RSA",
-            where=where,
-            help="restore the file from a backup",
-            code="key-invalid",
+            code="key-password" if is_locked else "key-invalid",
         )
     return key
 

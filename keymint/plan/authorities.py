@@ -164,12 +164,16 @@ def _new_certificate(
     files: AuthorityFiles, key: keys.PrivateKey, above: MintedAuthority | None
 ) -> tuple[bytes, Sequence[Diagnostic]]:
     """Return a certificate for a new key, and warnings."""
-    issued = certificates.issue_authority(files.authority.certificate, key, above.issuer if above else None)
-    if not files.known():
-        return issued.pem, issued.diagnostics
     message = f"{files.name!r} is a new authority: {authority_files.COST}"
     new = Diagnostic.warning("authority-new", message, files.certificate_file)
-    return issued.pem, (*issued.diagnostics, new)
+    return _issued(files, key, above, [new] if files.known() else [])
+
+
+def _issued(
+    files: AuthorityFiles, key: keys.PrivateKey, above: MintedAuthority | None, warnings: Sequence[Diagnostic]
+) -> tuple[bytes, Sequence[Diagnostic]]:
+    issued = certificates.issue_authority(files.authority.certificate, key, above.issuer if above else None)
+    return issued.pem, (*issued.diagnostics, *warnings)
 
 
 def _certificate(
@@ -189,9 +193,6 @@ def _certificate(
             help="correct <issuer_name>, or import the certificate of its issuer first",
             code="authority-issuer-elsewhere",
         )
-    issued = certificates.issue_authority(spec, key, above.issuer if above else None)
-    if not files.in_use():
-        return issued.pem, issued.diagnostics
     again = Diagnostic.warning(
         "authority-reissued",
         f"the certificate of the authority {files.name!r} is reissued for the same key",
@@ -199,7 +200,7 @@ def _certificate(
         "deploy all enclaves together: if it signs rights, some vendors let subjects that hold different certificates "
         "of it not communicate",
     )
-    return issued.pem, (*issued.diagnostics, again)
+    return _issued(files, key, above, [again] if files.in_use() else [])
 
 
 def _candidates(files: AuthorityFiles) -> Iterator[x509.Certificate]:
@@ -210,16 +211,11 @@ def _candidates(files: AuthorityFiles) -> Iterator[x509.Certificate]:
 
 def _signing_error(inputs: Inputs, files: AuthorityFiles) -> KeymintError | None:
     """Return the error to raise if this CA must sign, or None; an offline root is no defect."""
-    spec, name = files.authority.certificate, files.name
     if files.key is None:
-        return KeymintError(
-            f"the private key of the authority {name!r} is not here, and is needed to sign",
-            where=files.key_file,
-            help=f"restore it; {authority_files.new_authority_help(name)}",
-            code="authority-key-missing",
-        )
+        help_ = f"restore it; {authority_files.new_authority_help(files.name)}"
+        return authority_files.key_elsewhere(files.name, files.key_file, help_)
     try:
-        password(inputs, spec)
+        password(inputs, files.authority.certificate)
     except KeymintError as error:
         return error
     return None

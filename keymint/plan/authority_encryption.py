@@ -34,7 +34,7 @@ def plan_encryption(session: Session, name: str) -> Plan:
             code="encryption-unasked",
         )
     if files.key is None:
-        raise authority_files.key_elsewhere(files, "encrypt it where it is")
+        raise authority_files.key_elsewhere(name, files.key_file, "encrypt it where it is")
     encrypted = []
     for file in filter(None, (name, authority_files.other(authority))):
         path, stored = session.workspace.authority_key(file), authority_files.stored_key(session, authority, file)

@@ -102,21 +102,10 @@ def read_files(session: Session, authority: Authority, *, deployed: bool = True)
         certificate_file=workspace.origin(path),
         key=tree.read(key_path),
         content=content,
-        certificate=_readable(content),
+        certificate=certificates.readable(content),
         recorded=key_record.recorded(state, key_record.AUTHORITIES, authority.name) if is_trusted else "",
         deployed=functools.partial(deployed_authorities, session) if deployed else tuple,
     )
-
-
-def _readable(content: bytes | None) -> x509.Certificate | None:
-    """Return the certificate of a file, or None if there is no usable one."""
-    try:
-        certificate = certificates.load(content) if content else None
-        if certificate:
-            certificates.public_key(certificate)
-    except KeymintError:
-        return None
-    return certificate
 
 
 def stored_certificate(inputs: Inputs, name: str) -> x509.Certificate:
@@ -190,7 +179,7 @@ def issuers(session: Session) -> Iterator[tuple[str, str, x509.Certificate]]:
     """
     for authority in session.profile.authorities:
         name = authority.name
-        certificate = _readable(session.tree.try_read(session.workspace.authority_certificate(name)))
+        certificate = certificates.readable(session.tree.try_read(session.workspace.authority_certificate(name)))
         if certificate is not None:
             yield name, name, certificate
         if rollover := bundled(authority):
@@ -273,15 +262,35 @@ def stored_key(inputs: Inputs, authority: Authority, name: str) -> tuple[bytes, 
     return pem, keys.from_pem(pem, password(inputs, authority.certificate), inputs.workspace.origin(path))
 
 
-def key_elsewhere(files: AuthorityFiles, help_: str) -> KeymintError:
+def key_elsewhere(name: str, where: Origin, help_: str) -> KeymintError:
     """Return the error on a request for the private key of an authority that is not here.
 
     Args:
-        files: the files of the authority.
+        name: the name of the file: that of the authority, or the one of a key that is not in force.
+        where: this file.
         help_: what to do.
     """
-    message = f"the private key of the authority {files.name!r} is not here"
-    return KeymintError(message, where=files.key_file, help=help_, code="authority-key-missing")
+    message = f"the private key of the authority {name!r} is not here, and is needed"
+    return KeymintError(message, where=where, help=help_, code="authority-key-missing")
+
+
+def require_pair(
+    key: keys.PrivateKey, certificate: x509.Certificate, where: Origin | None, of: str, help_: str
+) -> None:
+    """Require that a private key is that of the certificate with which it is to come into force.
+
+    Args:
+        key: the key.
+        certificate: the certificate.
+        where: the file of the key.
+        of: what the certificate is called.
+        help_: what to do.
+
+    Raises:
+        KeymintError: it is another key.
+    """
+    if not keys.matches(key, certificate):
+        raise KeymintError(f"is not the private key of {of}", where=where, help=help_, code="authority-key-mismatch")
 
 
 def new_authority_help(name: str) -> str:
@@ -346,8 +355,13 @@ def require_name(files: AuthorityFiles) -> None:
     )
 
 
-def require_known(files: AuthorityFiles, key: keys.PublicKey) -> None:
+def require_known(files: AuthorityFiles, key: keys.PublicKey, given: Origin | None = None) -> None:
     """Require that the authority's key was not replaced.
+
+    Args:
+        files: the files of the authority.
+        key: the key of its certificate.
+        given: the file with the certificate, if a user named one that is to be used.
 
     Raises:
         KeymintError: the record, or if it was lost every installed enclave, has another key of this authority.
@@ -355,10 +369,13 @@ def require_known(files: AuthorityFiles, key: keys.PublicKey) -> None:
     known = files.known()
     if not known or keys.fingerprint(key) in known:
         return
+    help_ = f"restore {files.key_file} and {files.certificate_file}; {new_authority_help(files.name)}"
+    if given:
+        help_ = f"'keymint authority replace {files.name} --certificate {given.file}' replaces it step by step"
     raise KeymintError(
         f"the key of the authority {files.name!r} was replaced: the deployed enclaves trust another one",
-        where=files.certificate_file if files.key is None else files.key_file,
-        help=f"restore {files.key_file} and {files.certificate_file}; {new_authority_help(files.name)}",
+        where=given or (files.certificate_file if files.key is None else files.key_file),
+        help=help_,
         code="authority-replaced",
     )
 

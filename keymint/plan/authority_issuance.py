@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-from comarmor.text import did_you_mean
 from keymint.api import Authority, AuthorityIssuance, AuthorityIssuanceFiles
 from keymint.changes import Action, Plan, Step, changed_below
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import ExitCode, KeymintError, known_authority
 from keymint.session import Session
 
 STAGE = "authorities"
@@ -19,14 +18,7 @@ def authority_named(session: Session, name: str) -> Authority:
         KeymintError: there is none of this name; exit code 2.
     """
     known = {authority.name: authority for authority in session.profile.authorities}
-    if name not in known:
-        raise KeymintError(
-            f"no authority {name!r} in the profile, which has {', '.join(known)}",
-            help=did_you_mean(name, known, "name one of these"),
-            code="authority-unknown",
-            exit_code=ExitCode.USAGE,
-        )
-    return known[name]
+    return known[known_authority(name, known, None, exit_code=ExitCode.USAGE)]
 
 
 def plan_authority_issuance(session: Session, name: str, new: AuthorityIssuance, detail: str) -> Plan:

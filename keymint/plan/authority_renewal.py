@@ -8,14 +8,12 @@ from datetime import datetime, timedelta
 
 from cryptography import x509
 
-from comarmor.errors import Origin
 from keymint.api import Authority, AuthorityIssuance, Validity
 from keymint.changes import Action, File, FolderChange, Plan, Step, changed, secret_file
 from keymint.errors import KeymintError
 from keymint.pki import adoption, certificates, distinguished_names, keys
 from keymint.plan import authority_files, key_record
 from keymint.plan.authorities import MintedAuthority, plan_authorities
-from keymint.plan.authority_files import AuthorityFiles
 from keymint.plan.authority_issuance import STAGE, authority_named, plan_authority_issuance
 from keymint.plan.given_authority import GivenAuthority, checked
 from keymint.session import Session
@@ -144,7 +142,7 @@ def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
     certificate, key = checked(session, authority, given)
     public = certificates.public_key(certificate, given.where)
     files = authority_files.read_files(session, authority)
-    _require_same_key(files, public, given.where)
+    authority_files.require_known(files, public, given.where)
     changes: list[FolderChange] = []
     key_path, stored = session.workspace.authority_key(name), authority_files.stored_key(session, authority, name)
     present = stored[1].public_key() if stored else None
@@ -162,14 +160,3 @@ def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
     fingerprint = keys.fingerprint(public)
     state = key_record.record(session.state, key_record.AUTHORITIES, {name: fingerprint})
     return replace(plan, steps=(*plan.steps, *((files_step,) if changes else ())), state=state)
-
-
-def _require_same_key(files: AuthorityFiles, public: keys.PublicKey, where: Origin) -> None:
-    known = files.known()
-    if known and keys.fingerprint(public) not in known:
-        raise KeymintError(
-            f"has another key than the authority {files.name!r}, which installed enclaves trust",
-            where=where,
-            help=f"'keymint authority replace {files.name} --certificate {where.file}' replaces it step by step",
-            code="authority-replaced",
-        )

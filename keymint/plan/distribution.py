@@ -10,15 +10,12 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from cryptography import x509
-
 from keymint.changes import Action, File, FolderChange, Plan, Step
-from keymint.errors import KeymintError
 from keymint.pki import certificates
 from keymint.plan import install
 from keymint.plan.authority_files import trusted_chains
 from keymint.plan.build_types import recorded_build_types, revocation_files
-from keymint.plan.enclaves import CERTIFICATE, INSTALLED, installed
+from keymint.plan.enclaves import INSTALLED, installed, installed_certificate
 from keymint.plan.revocation import enclave_lists, require_nothing_lost
 from keymint.session import Session, once
 from keymint.state import Stamp
@@ -46,10 +43,11 @@ def plan_distribution(before: Session, session: Session, omitted: Collection[str
         possible = {authority: _files(session, build_types, content) for authority, content in in_force.items()}
         if len(possible) == 1 and not any(_different(session, folder, files) for files in possible.values()):
             continue  # nobody else's list could be in force, so the certificate need not be read
-        pem = session.tree.try_read(f"{folder}/{CERTIFICATE}") or b""
+        certificate = installed_certificate(session, name)
         files: dict[str, File] = {}
         for authority, of_list in possible.items():
-            if authority in issuers and _is_by(pem, issuers[authority]):
+            issuer = issuers.get(authority)
+            if certificate and issuer and certificates.is_issued_by(certificate, issuer):
                 files |= of_list
         different = _different(session, folder, files)
         if not different:
@@ -70,14 +68,6 @@ def plan_distribution(before: Session, session: Session, omitted: Collection[str
 def _different(session: Session, folder: Path, files: Mapping[str, File]) -> dict[str, File]:
     """Return the files that a folder does not have with this content."""
     return {file: item for file, item in files.items() if session.tree.digest(f"{folder}/{file}") != item.digest}
-
-
-def _is_by(pem: bytes, issuer: x509.Certificate) -> bool:
-    """Tell whether an issuer signed a certificate; nobody signed one that cannot be read."""
-    try:
-        return certificates.is_issued_by(certificates.load(pem), issuer)
-    except KeymintError:
-        return False
 
 
 @once

@@ -57,13 +57,8 @@ def checked(session: Session, authority: Authority, given: GivenAuthority) -> tu
         raise token_keys.only_in_token(authority, "import it with the token's own tool")
     secret = password(session, spec)
     private = keys.from_pem(given.key, secret, given.key_file)
-    if not keys.matches(private, certificate):
-        raise KeymintError(
-            f"is not the private key of {given.where}",
-            where=given.key_file,
-            help="name the files that belong together",
-            code="authority-key-mismatch",
-        )
+    of, help_ = str(given.where), "name the files that belong together"
+    authority_files.require_pair(private, certificate, given.key_file, of, help_)
     return certificate, keys.to_pem(private, secret)
 
 

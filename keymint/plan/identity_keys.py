@@ -214,13 +214,8 @@ class Keyring:
             return self.require_free(name, key)
         state, fingerprint = session.state, keys.fingerprint(key)
         if fingerprint in self._authorities:
-            authority = self._authorities[fingerprint]
-            raise KeymintError(
-                f"is the private key of the authority {authority!r}, which must never reach a robot",
-                where=_place(session, name),
-                help=_remedy(name),
-                code="key-of-authority",
-            )
+            owner = f"the authority {self._authorities[fingerprint]!r}"
+            raise _shared(session, name, owner, "key-of-authority")
         known = known_fingerprint(session, name)
         if known and known != fingerprint:
             raise KeymintError(
@@ -232,7 +227,7 @@ class Keyring:
         if key_record.recorded(state, key_record.IDENTITIES, name) != fingerprint:  # so it may not be its own
             for other in self._owners.get(fingerprint, ()):
                 if other != name:
-                    raise _shared(session, name, other)
+                    raise _shared(session, name, subject_of(other))
         return fingerprint
 
     def require_free(self, name: str, key: keys.PublicKey) -> str:
@@ -278,14 +273,15 @@ def shared_keys(inputs: Inputs, fingerprints: Mapping[str, str]) -> Iterator[Dia
     for name, fingerprint in fingerprints.items():
         other = owners.setdefault(fingerprint, name)
         if other != name:
-            yield from (replace(each, subject=subject_of(name)) for each in _shared(inputs, name, other).diagnostics)
+            found = _shared(inputs, name, subject_of(other)).diagnostics
+            yield from (replace(each, subject=subject_of(name)) for each in found)
 
 
-def _shared(inputs: Inputs, name: str, other: str) -> KeymintError:
-    """Return the error for two subjects that have the same key."""
+def _shared(inputs: Inputs, name: str, owner: str, code: str = "key-shared") -> KeymintError:
+    """Return the error for a subject that has the key of another one, or of an authority."""
     return KeymintError(
-        f"is the private key of {subject_of(other)} as well, so that each could act as the other",
+        f"is the private key of {owner} as well, so that each could act as the other",
         where=_place(inputs, name),
-        help=f"mint a new one with {_new(name)}",
-        code="key-shared",
+        help=_remedy(name),
+        code=code,
     )

@@ -89,21 +89,19 @@ def plan_lists(
     steps: list[Step] = [*rollover_lists.outdated(session, STAGE)]
     others = rollover_lists.others(session)
     all_authorities = {**authorities, **{name: minted for name, (_, minted) in others.items()}}
-    having = {each for each, minted in all_authorities.items() if _has_list(session, register, each, minted)}
-    having |= {*refresh}
+    present_lists = {name: _present(session, name, minted, refresh) for name, minted in all_authorities.items()}
+    issuers = {name: issuer_of(minted.certificate) for name, minted in all_authorities.items()}
+    having = {*refresh, *(name for name, each in issuers.items() if present_lists[name] or register.revoked(each))}
     # Where enclaves trust two authorities and one of them has a list, vendors demand one of each.
     pairs = ({in_force, name} for name, (in_force, _) in others.items())
     paired = {name for pair in pairs if pair & having for name in pair}
     for name, minted in all_authorities.items():
-        path = session.workspace.revocation_list(name)
-        issuer = issuer_of(minted.certificate)
-        content = session.tree.read(path)
+        path, issuer, present = session.workspace.revocation_list(name), issuers[name], present_lists[name]
         revoked = {each.serial: each for each in register.revoked(issuer)}
-        present = None if content is None else _present(session, name, minted, content, refresh)
         if present is not None and session.tree.has_file(session.workspace.register):
             _require_known(session, name, present, revoked)
         if present is None and not revoked and name not in refresh and name not in paired:
-            if content is not None:  # the list of an earlier authority of this name, which nobody trusts any more
+            if session.tree.has_file(path):  # by an earlier authority of this name, which nobody trusts any more
                 steps.append(Step(STAGE, name, Action.REMOVED, (FolderChange(path.parent, removed=(path.name,)),)))
             continue
         serials = {each.serial for each in present.revocations} if present else frozenset[int]()
@@ -124,22 +122,16 @@ def plan_lists(
     return Plan(tuple(steps), session.state, first=register_change(session, register))
 
 
-def _has_list(session: Session, register: Register, name: str, minted: MintedAuthority) -> bool:
-    """Tell whether an authority ever revoked a certificate, or has a revocation list."""
-    content = session.tree.read(session.workspace.revocation_list(name))
-    has = content is not None and not revocation_lists.problem(content, minted.certificate)
-    return has or bool(register.revoked(issuer_of(minted.certificate)))
-
-
-def _present(
-    session: Session, name: str, minted: MintedAuthority, content: bytes, refresh: Collection[str]
-) -> RevocationList | None:
-    """Return the list of an authority, or None for one of an earlier authority of this name.
+def _present(session: Session, name: str, minted: MintedAuthority, refresh: Collection[str]) -> RevocationList | None:
+    """Return the list of an authority, or None if it has none or one of an earlier authority of this name.
 
     Raises:
         KeymintError: the list is damaged, and not issued again from the register.
     """
-    shown = session.workspace.origin(session.workspace.revocation_list(name))
+    path = session.workspace.revocation_list(name)
+    content, shown = session.tree.read(path), session.workspace.origin(path)
+    if content is None:
+        return None
     try:
         present = revocation_lists.load(content, shown)
     except KeymintError:

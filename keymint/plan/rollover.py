@@ -97,13 +97,9 @@ def plan_switch(session: Session, name: str) -> Plan:
         if rollover.phase is Phase.DISTRIBUTE:
             files[former_path.name] = File(in_force[0], secret=True)  # first: a killed run must not lose it
     if next_key is not None:
-        if not keys.matches(next_key[1], following):
-            raise KeymintError(
-                f"is not the private key of the next certificate of {name!r}",
-                where=session.workspace.origin(next_path),
-                help=f"restore it, or give up with 'keymint authority replace {name} --cancel'",
-                code="authority-key-mismatch",
-            )
+        where, help_ = session.workspace.origin(next_path), f"'keymint authority replace {name} --cancel'"
+        of = f"the next certificate of {name!r}"
+        authority_files.require_pair(next_key[1], following, where, of, f"restore it, or give up with {help_}")
         files[key_path.name] = File(next_key[0], secret=True)
         removed = (next_path.name,)
     issuance = _issuance_of(session, name, rollover.certificate)

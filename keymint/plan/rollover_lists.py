@@ -48,11 +48,6 @@ def _other(session: Session, authority: Authority, pem: bytes) -> MintedAuthorit
     if found and keys.matches(found[1], certificate):
         signer = SigningAuthority(authority.name, pem, found[0], password(session, authority.certificate))
         return MintedAuthority(certificate, (certificates.Issuer(certificate, found[1]), signer))
-    missing = KeymintError(
-        f"the private key that the one of the authority {authority.name!r} is exchanged with is not here, and is "
-        "needed to sign its revocation list",
-        where=session.workspace.origin(session.workspace.authority_key(name)),
-        help="restore it",
-        code="authority-key-missing",
-    )
+    where = session.workspace.origin(session.workspace.authority_key(name))
+    missing = authority_files.key_elsewhere(name, where, "restore it: it signs a revocation list")
     return MintedAuthority(certificate, missing)

@@ -9,9 +9,8 @@ from dataclasses import replace
 from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin
-from comarmor.text import did_you_mean
 from keymint.api import Artifact, EnclaveCredentials, Package
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, known_authority
 from keymint.pki import certificates, keys
 from keymint.plan.authorities import MintedAuthority
 from keymint.plan.authority_files import trusted_chains
@@ -147,11 +146,4 @@ def authority_of(authorities: Mapping[str, MintedAuthority], name: str, origin: 
     Raises:
         KeymintError: there is none of this name.
     """
-    if name not in authorities:
-        raise KeymintError(
-            f"no authority {name!r} in the profile, which has {', '.join(sorted(authorities)) or 'none'}",
-            where=origin,
-            help=did_you_mean(name, authorities, "name one in issuer_name"),
-            code="authority-unknown",
-        )
-    return authorities[name]
+    return authorities[known_authority(name, authorities, origin, "signs this")]

@@ -18,7 +18,7 @@ from keymint.verify.compare import ENCLAVE_REFUSED, Asking, Explain, label_encla
 from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.halves import halves
 from keymint.verify.mismatch import Comparison, Mismatch
-from keymint.verify.rows import EdgeRow, MappedColumn, Naming, labelled_rows, mapped
+from keymint.verify.rows import EdgeRow, MappedColumn, labelled_rows, mapped
 
 
 def compare_endpoints(
@@ -28,7 +28,6 @@ def compare_endpoints(
     rows: Iterable[EdgeRow],
     labels: bytes | bytearray,
     policy: EndpointPolicy,
-    namings: Mapping[str, Naming],
     explain: Explain,
     asking: Asking,
 ) -> Comparison:
@@ -40,8 +39,7 @@ def compare_endpoints(
         enclaves: the enclave of each subject of the edges.
         rows: the edges.
         labels: the policy's label of each edge: 1 allowed, 0 denied.
-        policy: the policy on endpoints.
-        namings: the naming of each subject.
+        policy: the policy on endpoints, with the naming of each subject.
         explain: returns mismatches with their reasons.
         asking: how to ask.
 
@@ -63,7 +61,7 @@ def compare_endpoints(
     wrong: dict[str, int] = {}
     both = by_policy = by_transport = 0
     for row, expected in labelled_rows(rows, labels):
-        column = mapped(row.column, namings[row.subject])
+        column = mapped(row.column, policy.namings[row.subject])
         admitted = _admitted(transport, enclaves[row.subject], column, asking.tier)
         decided = column.allowed(admitted)
         if half_edges := halves(row, expected, column, admitted, policy):

@@ -28,7 +28,7 @@ class EndpointPolicy:
 
     def __init__(self, policy: LoadedPolicy, namings: Mapping[str, Naming]) -> None:
         self._policy = policy
-        self._namings = namings
+        self.namings = namings
         self._raw_test = lru_cache(maxsize=1)(self._test_of_raw_rules)  # edges are grouped by subject
 
     def decide(self, edge: Edge) -> PolicyDecision:
@@ -37,7 +37,7 @@ class EndpointPolicy:
         Raises:
             KeymintError: the kind or the permission is not known.
         """
-        naming = self._namings.get(edge.subject)
+        naming = self.namings.get(edge.subject)
         if naming is None:
             return self._policy.decide(edge)
         if edge.object.kind == RAW:
@@ -94,7 +94,7 @@ class EndpointPolicy:
 
     def _meeting_raw_rules(self, row: EdgeRow) -> Iterator[int]:
         """Yield the requests on ROS names of which a rule on raw topics matches an endpoint."""
-        naming, is_raw = self._namings.get(row.subject), self._raw_test(row.subject)
+        naming, is_raw = self.namings.get(row.subject), self._raw_test(row.subject)
         if naming is None or is_raw is None:
             return
         column = mapped(row.column, naming)

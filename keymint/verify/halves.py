@@ -26,7 +26,6 @@ def with_halves(
     rows: Iterable[EdgeRow],
     labels: bytes | bytearray,
     policy: EndpointPolicy,
-    namings: Mapping[str, Naming],
     explain: Explain,
     limit: int,
 ) -> Comparison:
@@ -40,8 +39,7 @@ def with_halves(
         enclaves: the enclave of each subject of the edges.
         rows: the edges.
         labels: the policy's label of each edge: 1 allowed, 0 denied.
-        policy: the policy on endpoints.
-        namings: the naming of each subject that has one.
+        policy: the policy on endpoints, with the naming of each subject that has one.
         explain: returns mismatches with their reasons.
         limit: mismatches to keep; all are counted.
 
@@ -52,7 +50,7 @@ def with_halves(
     findings = list(outcome.findings)
     wrong = dict(outcome.wrong)
     count = 0
-    endpoints = _endpoints(labelled_rows(rows, labels), namings, waiting)
+    endpoints = _endpoints(labelled_rows(rows, labels), policy.namings, waiting)
     for subject, labelled in label_by_subject(transport, enclaves, endpoints, outcome.tier):
         verdicts = dict(labelled)
         row, expected, column = waiting.pop(subject)

@@ -75,16 +75,12 @@ def verification(
     def compared(name: str, transport: Transport) -> Comparison:
         alone = asking.tier is not Tier.EXCHANGE and scope.namings.keys() >= set(subjects)
         if alone and isinstance(transport, EndpointTransport):
-            return compare_endpoints(
-                name, transport, scope.enclaves, rows(), labels, endpoint_policy, scope.namings, explain, asking
-            )
+            return compare_endpoints(name, transport, scope.enclaves, rows(), labels, endpoint_policy, explain, asking)
         edges = chain.from_iterable(rows())
         outcome = compare(name, transport, scope.enclaves, edges, labels, explain, asking)
         if scope.select is not None:
             return outcome
-        return with_halves(
-            outcome, transport, scope.enclaves, rows(), labels, endpoint_policy, scope.namings, explain, asking.limit
-        )
+        return with_halves(outcome, transport, scope.enclaves, rows(), labels, endpoint_policy, explain, asking.limit)
 
     comparisons = tuple(compared(name, transport) for name, transport in transports.items())
     return Verification(scope.build_type, subjects, rows, labels, endpoint_policy.decide, comparisons)

@@ -12,9 +12,8 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from comarmor.errors import Origin
-from comarmor.text import did_you_mean
 from keymint.api import AuthorityIssuance, CertificateSpec, Phase, Rollover
-from keymint.errors import KeymintError
+from keymint.errors import known_authority
 from keymint.source_documents import Reader, place, require_new, text
 from keymint_ros import certificate, validity
 from keymint_ros.templates import filled
@@ -65,13 +64,8 @@ def read(files: Mapping[str, bytes], folder: str, known: Collection[str]) -> Map
     name = f"{folder}/{FILE}"
     found = _read(content, name)
     for authority, (_, line) in found.items():
-        if authority not in known:
-            raise KeymintError(
-                f"there is no authority {authority!r} in the profile",
-                where=Origin(name, line),
-                help=did_you_mean(authority, known, "restore it in the profile, or remove this element"),
-                code="authority-unknown",
-            )
+        help_ = "restore it in the profile, or remove this element"
+        known_authority(authority, known, Origin(name, line), help_=help_)
     return {authority: issuance for authority, (issuance, _) in found.items()}
 
 

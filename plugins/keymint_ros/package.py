@@ -26,7 +26,7 @@ from keymint.api import (
     SourcePart,
     WorkspaceProfile,
 )
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, known_authority
 from keymint.ir import DeferredRules, Rule, SubjectRules
 from keymint.names import subject_of
 from keymint.source_documents import (
@@ -34,7 +34,6 @@ from keymint.source_documents import (
     Reader,
     domains,
     file_in,
-    known_authority,
     normal_path,
     signer,
     text,

@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from comarmor.errors import Origin
-from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint.api import Authority, PolicySource, WorkspaceProfile
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, known_authority
 from keymint.source_documents import Reader, domains, file_in, place, require_new, text
 from keymint_ros import (
     authority_issuance,
@@ -236,13 +235,8 @@ def _check_hierarchy(authorities: Mapping[str, Authority], issuers: Mapping[str,
         chain = [name]
         while issuer := authorities[chain[-1]].certificate.issuer:
             where = issuers[chain[-1]]
-            if issuer not in authorities:
-                raise KeymintError(
-                    f"the issuer {issuer!r} of the authority {chain[-1]!r} is not in the profile",
-                    where=where,
-                    help=did_you_mean(issuer, authorities, "leave <issuer_name> empty for a self-signed authority"),
-                    code="authority-unknown",
-                )
+            help_ = "leave <issuer_name> empty for a self-signed authority"
+            known_authority(issuer, authorities, where, help_=help_)
             if issuer in chain:
                 raise KeymintError(
                     f"authorities issue each other in a cycle: {' <- '.join([*chain, issuer])}",

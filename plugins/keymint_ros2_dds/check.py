@@ -19,7 +19,6 @@ from keymint_ros2_dds import governance_warnings, token_key, vendor_limits
 from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.decision.subject_names import parts
 from keymint_ros2_dds.documents import dds_xml
-from keymint_ros2_dds.emission import is_form_of
 from keymint_ros2_dds.enclave_layout import (
     CERTIFICATE,
     GOVERNANCE,
@@ -33,6 +32,7 @@ from keymint_ros2_dds.enclave_layout import (
     has_one_authority,
 )
 from keymint_ros2_dds.examine import Document, EnclaveRules
+from keymint_ros2_dds.kept_documents import not_kept
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance, cuts
 from keymint_ros2_dds.proving.protection import STRICT, Weaker, weaker
 from keymint_ros2_dds.reading import signed_governance, signed_permissions
@@ -161,16 +161,16 @@ class _InstalledEnclave(EnclaveRules):
                     yield finding("governance-unknown", message, rule.line)
 
     def _as_built(self, kind: str, content: bytes) -> bool:
-        """Tell whether a document is what the sources build, for permissions in any form with the same meaning."""
+        """Tell whether a document is what the sources build, for permissions in any form with the same meaning.
+
+        What vendors read differently is a proof's to find.
+        """
         built = self._inspection.documents.get(f"{kind}.xml")
         if content == built:
             return True
         if kind != PERMISSIONS or built is None:
             return False
-        try:
-            return is_form_of(self._inspection.package, content)
-        except KeymintError:
-            return False
+        return not not_kept(self._inspection.package, PERMISSIONS_XML, content)
 
 
 def _shared_grants(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
@@ -196,10 +196,8 @@ def _shared_grants(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
 
 
 def _subject(inspection: Inspection) -> str:
-    try:
-        return distinguished_names.to_text(certificates.load(inspection.files.get(CERTIFICATE, b"")).subject)
-    except KeymintError:
-        return ""
+    certificate = certificates.readable(inspection.files.get(CERTIFICATE))
+    return distinguished_names.to_text(certificate.subject) if certificate else ""
 
 
 def _shared_authorities(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:

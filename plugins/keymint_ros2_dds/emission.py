@@ -7,7 +7,7 @@ refuted or not decided, the plain form is emitted.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 from comarmor.errors import Diagnostic
 from comarmor.patterns.steps import step_limit
@@ -19,7 +19,6 @@ from keymint_ros2_dds.compiling.compile import Compiled, compile_rules, vendor_n
 from keymint_ros2_dds.decision import OMG, VARIATIONS, shipped
 from keymint_ros2_dds.documents import dds_xml, permissions_document
 from keymint_ros2_dds.enclave_layout import PERMISSIONS, PERMISSIONS_XML
-from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import GrantRule
 from keymint_ros2_dds.lowering.lower import Lowered
 from keymint_ros2_dds.proving import prove_content
@@ -93,10 +92,12 @@ def _smallest_proven(package: Package, options: BuildOptions, compiled: Compiled
     """Return the document in its first form that is proven, else in its plain form."""
     diagnostics: list[Diagnostic] = []
     smaller = [form for form in compiled.forms if form != compiled.plain] if options.optimise else []
+    # By the standard only, if the user accepted that vendors differ.
+    models = None if compiled.portable and not _refusing(package) else (OMG.name,)
     for rules in (*smaller, compiled.plain):
         document = permissions_document.render(package.grant, rules)
-        claims = _claims(package, compiled, document)
-        open_claims = _open(claims)
+        claims = prove_content(comparison(package, document), models=models, lowered=compiled.lowered)
+        open_claims = [claim for claim in claims if claim.proof is not Proof.PROVEN]
         if not open_claims or rules is compiled.plain:
             break
         help_ = "the plain form is written; '--no-optimise' writes it without this warning"
@@ -110,51 +111,12 @@ def _smallest_proven(package: Package, options: BuildOptions, compiled: Compiled
     return Emitted(document, rules, len(plain), compiled, claims, tuple(diagnostics))
 
 
-def is_form_of(package: Package, document: bytes) -> bool:
-    """Tell whether a permissions document is a form of a package's rules.
-
-    The document is proven to mean what the rules mean. Its header and relay rules cannot be proven and must equal those
-    of a form.
-
-    Raises:
-        KeymintError: the document cannot be read, or the rules cannot be compiled.
-    """
-    compiled = compile_rules(package.grant, package.distro, BuildOptions(allow_vendor_specific=True))
-    forms = [permissions_document.render(package.grant, rules) for rules in (*compiled.forms, compiled.plain)]
-    if document in forms:
-        return True
-    if _not_proven(document) not in map(_not_proven, forms):
-        return False
-    return not _open(_claims(package, compiled, document))
-
-
-def _not_proven(document: bytes) -> list[tuple[str, str, str]]:
-    """Return the elements that no proof covers, all but the rules for endpoints, as name, label and text."""
-    root = dds_xml.read(document, PERMISSIONS, PERMISSIONS_XML)
-    for grant in root.iter("grant"):
-        for rule in [*grant.iterfind("allow_rule"), *grant.iterfind("deny_rule")]:
-            if rule.find(TopicAction.RELAY) is None:
-                grant.remove(rule)
-    return [(item.tag, item.get("name", ""), (item.text or "").strip()) for item in root.iter("*")]
-
-
-def _claims(package: Package, compiled: Compiled, document: bytes) -> tuple[Claim, ...]:
-    """Return the claims about a document: by the standard only, if the user accepted that vendors differ."""
-    models = None if compiled.portable and not _refusing(package) else (OMG.name,)
-    return prove_content(comparison(package, document), models=models, lowered=compiled.lowered)
-
-
 def comparison(package: Package, document: bytes) -> ComparisonTask:
     """Return the comparison of a permissions document with what that of a package must permit."""
     grant, name = package.grant, subject_name_text.of(package.grant)
     return ComparisonTask(
         document, PERMISSIONS_XML, 0, name, grant.rules, package.distro, grant.domains, STATES, lambda: True
     )
-
-
-def _open(claims: Iterable[Claim]) -> list[Claim]:
-    """Return the claims that are not proven."""
-    return [claim for claim in claims if claim.proof is not Proof.PROVEN]
 
 
 def _unproven(package: Package, code: str, what: str, claim: Claim, help_: str) -> Diagnostic:

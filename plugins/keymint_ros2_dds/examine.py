@@ -9,7 +9,7 @@ another tool with the authorities that it has itself.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from functools import cached_property
 from typing import TypeVar
 
@@ -20,7 +20,7 @@ from keymint.api import TrustAnchors
 from keymint.errors import KeymintError
 from keymint.names import name_of
 from keymint.pki import certificates, keys, revocation_lists, smime
-from keymint.pki.identity_check import IdentityCheck, anchor_defects
+from keymint.pki.identity_check import IdentityCheck, When, anchor_defects, shown
 from keymint.pki.mime import SignedDocument
 from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds import subject_name_text, token_key
@@ -50,20 +50,15 @@ Source: ``get_security_files`` in ``security.cpp`` of rmw_dds_common, from Jazzy
 AUTHORITY_FILES = {roles.IDENTITY: IDENTITY_CA, roles.PERMISSIONS: PERMISSIONS_CA}
 """The file of the authority that has a role; in the flat layout it may be one for both."""
 Document = TypeVar("Document", PermissionsDocument, GovernanceDocument)
-When = tuple[datetime, timedelta]
-"""The clock, UTC, and within which time an end is reported."""
 _SLACK = timedelta(days=1)
 """Fast DDS reads dates in the host's time zone, so a period must begin a day earlier and end a day later."""
 _DROPPED = (
     "then running participants of Cyclone DDS drop it within a second and report nothing, those of Fast DDS 2.9 go on, "
     "and neither connects again"
 )
-_AT_THE_END = {
-    "certificate": _DROPPED,
-    "grant": _DROPPED,
-    "revocation list": "then running participants refuse every new peer, and none starts",
-}
 """What vendors do at the end of a period; ``tests/real/test_keystore_life.py`` measures it."""
+_NONE_STARTS = "then running participants refuse every new peer, and none starts"
+"""What they do at the end of a revocation list; measured there as well."""
 _UTC = "let its nodes run with TZ=UTC, or give it a validity of ten days or more"
 
 
@@ -108,18 +103,14 @@ class EnclaveRules(IdentityCheck):
     ) -> None:
         super().__init__(files, folder, restore, subject)
         self._chains = chains
+        self._renew = f"keymint renew {name_of(subject)}"
 
     # -- facts ---------------------------------------------------------------------------------------------------
 
     @cached_property
     def certificate(self) -> x509.Certificate | None:
         """The identity certificate; None if it is missing or damaged."""
-        try:
-            certificate = certificates.load(self._files.get(CERTIFICATE, b""))
-            certificates.public_key(certificate)
-        except KeymintError:
-            return None
-        return certificate
+        return certificates.readable(self._files.get(CERTIFICATE))
 
     def signed(self, name: str) -> SignedDocument | None:
         """Return a signed document; None if it is missing, or its signature does not verify."""
@@ -160,12 +151,9 @@ class EnclaveRules(IdentityCheck):
         yield from self.inventory(needed)
         yield from self.revocation_list()
         for role, name in (*AUTHORITY_FILES.items(), (roles.PERMISSIONS, CA)):
-            if name in self._files and role in anchors.authorities:  # also where the layout does not have it
-                yield from self._anchored(name, anchors.authorities[role])
-        if CERTIFICATE in self._files:
-            certificate = yield from self._certificate(self._chains[roles.IDENTITY], anchors.subject_name, None)
-            if certificate is not None:
-                yield from self._key(certificate, anchors.public_key)
+            if role in anchors.authorities:  # also where the layout does not have the file
+                yield from self.anchored(name, anchors.authorities[role])
+        yield from self.identity(self._chains[roles.IDENTITY], anchors)
         unsigned, signer = Defects(), self._chains[roles.PERMISSIONS]
         for name in (PERMISSIONS_P7S, GOVERNANCE_P7S):
             if name in self._files and signer:
@@ -180,12 +168,6 @@ class EnclaveRules(IdentityCheck):
                 f"replaces {IN_PLACE_OF[name]} in ROS 2 Jazzy and later, and Keymint cannot check what it refers to"
             )
             yield self._error("file-replaced", name, message, "remove it")
-
-    def inventory(self, needed: Iterable[str]) -> Iterator[Diagnostic]:
-        """Yield an error for each file that is not there."""
-        for name in needed:
-            if name not in self._files:
-                yield self._error("file-missing", name, "is missing")
 
     def revocation_list(self) -> Iterator[Diagnostic]:
         """Yield an error if vendors refuse a participant with the revocation list of the enclave, dates aside."""
@@ -216,9 +198,10 @@ class EnclaveRules(IdentityCheck):
     def periods(self, when: When) -> Iterator[Diagnostic]:
         """Yield the findings on the dates of the certificate and of the revocation list."""
         if self.certificate is not None:
-            yield from self._period("certificate", CERTIFICATE, certificates.period(self.certificate), when)
+            of_certificate = certificates.period(self.certificate)
+            yield from self._period("certificate", CERTIFICATE, of_certificate, when, self._renew, _DROPPED)
         if period := revocation_period(self._files.get(CRL, b"")):
-            yield from self._period("revocation list", CRL, period, when)
+            yield from self._period("revocation list", CRL, period, when, "keymint crl --refresh", _NONE_STARTS)
 
     def read(
         self, name: str, reader: Callable[[bytes, str, int], Document]
@@ -268,7 +251,8 @@ class EnclaveRules(IdentityCheck):
             message = "allows by default on Cyclone DDS and OpenDDS, and denies on Fast DDS"
             yield self._error("grant-default", PERMISSIONS_P7S, message, "make the default DENY")
         if period := STANDARD.period(grant):
-            yield from self._period("grant", PERMISSIONS_P7S, period, when, _SLACK)
+            found = tuple(self._period("grant", PERMISSIONS_P7S, period, when, self._renew, _DROPPED))
+            yield from found or self._in_slack(period, when[0])
         else:
             message = f"its dates are {grant.not_before!r} and {grant.not_after!r}, expected two xs:dateTime in order"
             yield self._error("grant-never-valid", PERMISSIONS_P7S, message, "sign a document with valid dates")
@@ -278,37 +262,20 @@ class EnclaveRules(IdentityCheck):
         if self._files.get(PERMISSIONS_XML, signed) != signed:
             yield self._error("document-differs", PERMISSIONS_XML, "is not the document that permissions.p7s signs")
 
-    def _period(
-        self, what: str, name: str, period: tuple[datetime, datetime], when: When, slack: timedelta = timedelta(0)
-    ) -> Iterator[Diagnostic]:
-        """Yield the finding on dates that are over, are to come, or end soon; both ends of a period count."""
-        (now, within), (begin, end), code = when, period, what.replace(" ", "-")
-        verb = "crl --refresh" if name == CRL else f"renew {name_of(self._subject)}"
-        again = f"'keymint {verb}' issues it again"
-        renew = again if name == CRL else f"{again}, with later dates"
-        if now > end:
-            yield self._error(f"{code}-expired", name, f"the {what} expired on {_shown(end)}", renew)
-        elif now < begin:
-            message = f"the {what} is not valid before {_shown(begin)}"
-            later = f"compare the clock of this machine; if it is right, {again}"
-            yield self._error(f"{code}-not-yet-valid", name, message, later)
-        elif now + within >= end:
-            message = f"the {what} expires on {_shown(end)}; {_AT_THE_END[what]}"
-            yield self._warning(f"{code}-expires", name, message, renew)
-        elif now + slack >= end or now - slack < begin:
+    def _in_slack(self, period: tuple[datetime, datetime], now: datetime) -> Iterator[Diagnostic]:
+        """Yield a warning about dates of a grant that are in force here, but not in every time zone."""
+        begin, end = period
+        if now + _SLACK >= end or now - _SLACK < begin:
             message = (
-                f"the {what} is valid from {_shown(begin)} to {_shown(end)}, which is within a day of now: Fast DDS "
+                f"the grant is valid from {shown(begin)} to {shown(end)}, which is within a day of now: Fast DDS "
                 "reads these dates in its host's time zone"
             )
-            is_renewable = now - slack >= begin and end - begin > 2 * slack
-            yield self._warning(f"{code}-slack", name, message, renew if is_renewable else _UTC)
+            is_renewable = now - _SLACK >= begin and end - begin > 2 * _SLACK
+            help_ = f"'{self._renew}' issues it again, with later dates" if is_renewable else _UTC
+            yield self._warning("grant-slack", PERMISSIONS_P7S, message, help_)
 
 
 def revocation_period(pem: bytes) -> tuple[datetime, datetime] | None:
     """Return the validity period of a revocation list, in UTC; None for bytes that are not a revocation list."""
     crl = revocation_lists.first(pem)
     return None if crl is None else revocation_lists.period(crl)
-
-
-def _shown(moment: datetime) -> str:
-    return f"{moment.astimezone(UTC):%Y-%m-%d %H:%M} UTC"

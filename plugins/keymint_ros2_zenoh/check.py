@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from itertools import chain
 
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Origin
 from comarmor.text import quoted
 from keymint.api import Inspection, SharedInspection
 from keymint.errors import KeymintError
@@ -104,36 +104,19 @@ class _EnclaveCheck(IdentityCheck):
         self._is_router = is_router(package)
 
     def findings(self) -> Iterator[Diagnostic]:
-        for name in (CERTIFICATE, KEY, IDENTITY_CA, *(() if self._is_router else (SESSION,))):
-            if name not in self._files and not (name == KEY and self._package.issuance.public_key):
-                yield self._error("file-missing", name, "is missing")
+        elsewhere = [KEY] if self._package.issuance.public_key else []
+        needed = (CERTIFICATE, KEY, IDENTITY_CA, *(() if self._is_router else (SESSION,)))
+        yield from self.inventory(name for name in needed if name not in elsewhere)
         if self._is_router and SESSION in self._files:
             message = "is the configuration of a session, but this enclave is the router's"
             yield self._warning("file-unexpected", SESSION, message, "remove it")
-        try:
-            certificate = certificates.load(self._files.get(CERTIFICATE, b""))
-        except KeymintError:
-            pass  # reported with the chain
-        else:
-            yield from self._dates(*certificates.period(certificate))
+        certificate = certificates.readable(self._files.get(CERTIFICATE))
+        if certificate is not None:  # else it is reported with the chain
+            when = self._inspection.now, timedelta(days=self._inspection.within_days)
+            period, renew = certificates.period(certificate), f"keymint renew {self._package.name}"
+            yield from self._period("certificate", CERTIFICATE, period, when, renew)
             yield from self._usage(certificate)
         yield from self._session()
-
-    def _warning(self, code: str, name: str, message: str, help_: str = "") -> Diagnostic:
-        return replace(self._error(code, name, message, help_), severity=Severity.WARNING)
-
-    def _dates(self, begin: datetime, end: datetime) -> Iterator[Diagnostic]:
-        """Yield why the certificate is not in force, or that it ends soon; both ends of its period count."""
-        now, within = self._inspection.now, timedelta(days=self._inspection.within_days)
-        help_ = f"'keymint renew {self._package.name}' issues it again, with later dates"
-        if now > end:
-            yield self._error("certificate-expired", CERTIFICATE, f"the certificate expired on {_shown(end)}", help_)
-        elif now < begin:
-            message = f"the certificate is not valid before {_shown(begin)}"
-            yield self._error("certificate-not-yet-valid", CERTIFICATE, message, "compare the clock of this machine")
-        elif end <= now + within:
-            message = f"the certificate expires on {_shown(end)}"
-            yield self._warning("certificate-expires", CERTIFICATE, message, help_)
 
     def _usage(self, certificate: x509.Certificate) -> Iterator[Diagnostic]:
         """Yield what a certificate lacks, or has too much: a router is a server of its host, all others are clients."""
@@ -143,7 +126,7 @@ class _EnclaveCheck(IdentityCheck):
             yield self._error("zenoh-key-usage", CERTIFICATE, message)
         if not self._is_router and usage is not None and ExtendedKeyUsageOID.SERVER_AUTH in usage:
             message = "is also for servers: its holder could pretend to be a router where names are not checked"
-            yield self._warning("zenoh-key-usage", CERTIFICATE, message)
+            yield self._warning("zenoh-key-usage", CERTIFICATE, message, self._restore)
         host = settings_of(self._package).router.host
         if self._is_router and not names_host(certificate, host):
             message = f"its subjectAltName lacks the router's host {host!r}, so that no session connects to it"
@@ -159,7 +142,3 @@ class _EnclaveCheck(IdentityCheck):
         router = common_name(router_of(self._package))
         for each in _examined(content, built, file, help_, lambda found: requirements.unpinned(found, router, file)):
             yield replace(each, subject=self._subject, help=each.help or help_)
-
-
-def _shown(moment: datetime) -> str:
-    return f"{moment.astimezone(UTC):%Y-%m-%d %H:%M} UTC"

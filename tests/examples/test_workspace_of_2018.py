@@ -101,7 +101,8 @@ def test_the_published_workspace_as_it_is(keymint, reference: Path, tmp_path: Pa
     for name in ("talker", "listener"):
         verified(ws / "install" / "enclaves" / name, IN_2018["SOURCE_DATE_EPOCH"])
     outcome = keymint("check", "-w", ws, "--json", env=IN_2018)
-    assert (outcome.code, outcome.codes()) == (3, ["authority-shared"])
+    notes = {"node-cannot-start", "parameter-client-cannot-start"}
+    assert (outcome.code, [each for each in outcome.codes() if each not in notes]) == (3, ["authority-shared"])
 
 
 def test_a_committed_build_space_is_neither_signed_nor_replaced_unasked(keymint, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ authorities of the workspace.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 
 from comarmor.errors import Diagnostic, Origin
@@ -28,8 +28,12 @@ def differences(
     identity, access = anchors.authorities[IDENTITY], anchors.authorities[ACCESS]
     if missing := tuple(anchor_defects((identity, access))):
         return missing
-    own = _EnclaveTrust(files, folder, _INSTALL).findings(anchors)
-    return (*own, *router_differences(shared, shared_folder, access))
+    rules = IdentityCheck(files, folder, _INSTALL)
+    needed = (CERTIFICATE, IDENTITY_CA) if anchors.public_key else (CERTIFICATE, KEY, IDENTITY_CA)
+    own = (*rules.inventory(needed), *rules.anchored(IDENTITY_CA, identity), *rules.identity(identity.chain, anchors))
+    # An encrypted key cannot be read without its password.
+    readable = (each for each in own if each.code != "key-password")
+    return (*readable, *router_differences(shared, shared_folder, access))
 
 
 def router_differences(shared: Mapping[str, bytes], shared_folder: str, access: TrustAnchor) -> tuple[Diagnostic, ...]:
@@ -40,14 +44,13 @@ def router_differences(shared: Mapping[str, bytes], shared_folder: str, access: 
         shared_folder: the folder of these paths, as the user would type it.
         access: the authority.
     """
-    absent = [name for name in (ROUTER, SIGNATURE) if name not in shared]
-    if absent:
-        return tuple(_error("file-missing", f"{shared_folder}/{name}", "is missing") for name in absent)
+    if absent := tuple(IdentityCheck(shared, shared_folder, _INSTALL).inventory((ROUTER, SIGNATURE))):
+        return absent
     problem = _signature_problem(shared[ROUTER], shared[SIGNATURE], access.chain)
     if not problem:
         return ()
     help_ = "find out who wrote it before 'keymint install' signs the file that the sources build"
-    return (_error("zenoh-signature", f"{shared_folder}/{SIGNATURE}", problem, help_),)
+    return (Diagnostic.error("zenoh-signature", problem, Origin(f"{shared_folder}/{SIGNATURE}"), help_),)
 
 
 # All enclaves rest on the same file.
@@ -68,24 +71,3 @@ def terms(
     """
     del anchors, shared, shared_folder
     return tuple(certificate_terms(files, folder, (CERTIFICATE, IDENTITY_CA)))
-
-
-class _EnclaveTrust(IdentityCheck):
-    """Checks the certificate, the key and the authority in one enclave."""
-
-    def findings(self, anchors: TrustAnchors) -> Iterator[Diagnostic]:
-        needed = (CERTIFICATE, IDENTITY_CA) if anchors.public_key else (CERTIFICATE, KEY, IDENTITY_CA)
-        absent = [name for name in needed if name not in self._files]
-        if absent:
-            yield from (self._error("file-missing", name, "is missing") for name in absent)
-            return
-        yield from self._anchored(IDENTITY_CA, anchors.authorities[IDENTITY])
-        certificate = yield from self._certificate(anchors.authorities[IDENTITY].chain, anchors.subject_name, None)
-        if certificate is not None:
-            # An encrypted key cannot be read without its password.
-            of_key = self._key(certificate, anchors.public_key)
-            yield from (each for each in of_key if each.code != "key-password")
-
-
-def _error(code: str, file: str, message: str, help_: str = _INSTALL) -> Diagnostic:
-    return Diagnostic.error(code, message, Origin(file), help_)

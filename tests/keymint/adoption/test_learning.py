@@ -59,6 +59,9 @@ class Comparer:
     def compared(self, task: Any) -> DocumentComparison:
         return self._result or self._real.compared(task)
 
+    def compared_with(self, *arguments: Any) -> DocumentComparison:
+        return self._result or self._real.compared_with(*arguments)
+
 
 def learned(keystore: tuple[KeystoreFiles, FoundKeystore], stand: object = None) -> Any:
     return learned_from(stand or Plugins(), *keystore, LEARNING)  # type: ignore[arg-type]

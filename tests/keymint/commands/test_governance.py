@@ -96,7 +96,7 @@ def test_the_option_makes_it_an_exception_that_is_said(keymint: Callable, opened
     for unchanged in (True, True):
         outcome = keymint("prove", "-w", opened)
         assert outcome.code == 0, outcome.err
-        assert "16 of 16 claims proven" in outcome.out
+        assert "18 of 18 claims proven" in outcome.out
         assert "not part of the proof: " in outcome.out
         assert re.search(
             r"/talker, publish '\*' \(\S*governance\.xml:\d+: enable_write_access_control is false\)", outcome.out

@@ -12,7 +12,15 @@ import pytest
 from keymint.cli import VERBS, cli
 from tests.conftest import snapshot
 
-OPEN = {"install --new-authority", "query --partition", "why --partition", "graph --subject", "graph --namespace"}
+OPEN = {
+    "install --new-authority",
+    "query --partition",
+    "why --partition",
+    "graph --subject",
+    "graph --namespace",
+    "prove --distro",
+    "verify --distro",
+}
 """Options that take the name of something that only a workspace, a policy or a graph knows."""
 ARGUMENTS = {
     "why": ("/talker", "ros_publish", "/chatter"),

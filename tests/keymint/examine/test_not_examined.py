@@ -93,7 +93,7 @@ def test_prove_does_not_claim_what_the_register_says(audited: Path, keymint: Cal
     assert (found["exit_code"], files(found)) == (0, ["private"])
     assert found["result"]["in_force"] is None
     assert found["result"]["until"] == everything["until"]
-    assert "16 of 16 claims proven" in shown.stdout
+    assert "18 of 18 claims proven" in shown.stdout
     assert "in force" not in shown.stdout
     assert "valid by their dates at " in shown.stdout
     assert "(whether they were revoked is not known without the register)" in shown.stdout

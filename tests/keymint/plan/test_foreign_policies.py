@@ -33,7 +33,7 @@ def policy(tmp_path) -> None:
     ],
 )
 def test_verbs_about_policies_read_it(keymint, words) -> None:
-    outcome = keymint(*words)
+    outcome = keymint(*words, "-q")
     assert (outcome.code, outcome.err) == (0, "")
 
 

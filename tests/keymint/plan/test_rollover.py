@@ -113,7 +113,7 @@ def test_without_the_former_key_the_former_authority_revokes_nothing(keymint, be
     before = content(ws)
     outcome = keymint("revoke", "talker", "--reason", "superseded", "--json", cwd=ws)
     assert (outcome.code, outcome.codes()) == (1, ["authority-key-missing"])
-    assert "exchanged with" in outcome.document["diagnostics"][0]["message"]
+    assert "identity_ca.former" in outcome.document["diagnostics"][0]["message"]
     assert content(ws) == before
 
 

@@ -90,12 +90,11 @@ def judge(tmp_path_factory: pytest.TempPathFactory) -> EndpointPolicy:
 
 def both(judge: EndpointPolicy, transport: Transport, rows: Sequence[EdgeRow], limit: int) -> list[Comparison]:
     labels = label(judge, rows)
-    namings = dict.fromkeys(SUBJECTS, NAMING)
     edges, asking = chain.from_iterable(rows), Asking(Tier.DECISION, limit, lambda _name, _subject: None)
     outcome = compare("fake", transport, ENCLAVES, edges, labels, explain, asking)
-    slow = with_halves(outcome, transport, ENCLAVES, rows, labels, judge, namings, explain, limit)
+    slow = with_halves(outcome, transport, ENCLAVES, rows, labels, judge, explain, limit)
     transport.asked.clear()
-    fast = compare_endpoints("fake", transport, ENCLAVES, rows, labels, judge, namings, explain, asking)
+    fast = compare_endpoints("fake", transport, ENCLAVES, rows, labels, judge, explain, asking)
     return [slow, fast]
 
 

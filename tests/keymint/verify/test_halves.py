@@ -68,7 +68,6 @@ def compared(judge: EndpointPolicy, allowed: set[str], edges: Sequence[Edge], li
         [EdgeRow("/s", Column(tuple(edges)))],
         bytes(judge.decide(edge).allowed for edge in edges),
         judge,
-        {"/s": Naming(build_type, "humble")},
         explain,
         limit,
     )

@@ -44,7 +44,7 @@ def test_names_that_a_vendor_confuses():
 
 @pytest.mark.parametrize(("name", "twice"), [("CN=/b,CN=/a", "CN"), ("OU=1,OU=1,CN=/a", "OU"), ("OU=1,CN=/a", "")])
 def test_a_name_that_has_an_attribute_twice_is_confused_by_fast_dds(name: str, twice: str) -> None:
-    found = build_type.check_all([seen("/a", name, "humble"), seen("/other", "OU=2,CN=/other")])
+    found = [each for each in build_type.check(seen("/a", name, "humble")) if each.code == "names-confused"]
     assert [(each.code, each.subject) for each in found] == ([("names-confused", "/a")] if twice else [])
     assert all(f"has {twice} twice in its name {name!r}" in each.message for each in found)
 

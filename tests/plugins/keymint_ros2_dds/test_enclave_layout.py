@@ -9,7 +9,7 @@ from keymint_ros2_dds.lowering.mapping import DISTROS
 
 
 def test_distributions_read_revocation_lists_from_humble_on() -> None:
-    first = DISTROS.index("humble")
+    first = [*DISTROS].index("humble")
     assert [reads_revocations(each) for each in DISTROS] == [at >= first for at in range(len(DISTROS))]
 
 

@@ -71,6 +71,12 @@ def test_missing_files(talker: dict[str, bytes], name: str) -> None:
     assert "file-missing" in codes(files)
 
 
+def test_a_missing_file_hides_nothing_about_the_others(talker: dict[str, bytes]) -> None:
+    foreign = {**talker, "identity_ca.cert.pem": pem("permissions_ca")}
+    del foreign["key.pem"]
+    assert {"authority-differs", "file-missing"} <= set(codes(foreign))
+
+
 def test_files_that_do_not_belong_together(talker: dict[str, bytes]) -> None:
     other = installed(OWN_LISTENER)
     assert codes({**talker, "key.pem": other["key.pem"]}) == ["key-mismatch"]
