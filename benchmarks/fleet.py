@@ -263,20 +263,8 @@ class Benchmark:
             took = self._provision(self._new(self._scratch), of(size))
             print(f"{f'{size:,} enclaves':42} {took.wall:8.2f} s  {took.memory:6.0f} MB   must: {must} MB", flush=True)
 
-    def decisions(self) -> None:
-        """Decisions of a policy in a second; must: 500,000."""
-        self._other("decisions.py")
 
-    def verify(self) -> None:
-        """Models of transports asked about 800,000 edges; must: a quarter of 33 s for omg, where the floor is 1.4 s."""
-        self._other("verify.py", "--sizes", "200x2000")
-
-    def _other(self, script: str, *arguments: str) -> None:
-        print(flush=True)
-        subprocess.run([sys.executable, str(Path(__file__).with_name(script)), *arguments], check=True)
-
-
-ROWS = ("alike", "own", "small", "growth", "disk", "unchanged", "one_rule", "verbs", "decisions", "verify", "memory")
+ROWS = ("alike", "own", "small", "growth", "disk", "unchanged", "one_rule", "verbs", "memory")
 
 
 def main() -> None:

@@ -135,7 +135,8 @@ def file_status(path: str) -> tuple[int, int, int] | None:
 def keymint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Outcome]]:
     """Run the command line in ``tmp_path``, or in another folder.
 
-    With ``KEYMINT_FULL=1`` (or ``KEYMINT_ADVICE=1``) the advice of each error that a test meets is followed, in a copy of its folder.
+    With ``KEYMINT_FULL=1`` (or ``KEYMINT_ADVICE=1``) the advice of each error that a test meets is followed, in a
+    copy of its folder.
     """
     wrong: list[str] = []
 
