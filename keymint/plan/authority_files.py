@@ -407,11 +407,11 @@ def require_rollover(files: AuthorityFiles, key: keys.PublicKey) -> None:
         )
 
 
-def require_own_keys(inputs: Inputs, fingerprints: Mapping[str, str]) -> None:
+def require_own_keys(session: Session, fingerprints: Mapping[str, str]) -> None:
     """Require that no two authorities have the same key, with which each could act as the other.
 
     Args:
-        inputs: the workspace.
+        session: the workspace and its profile.
         fingerprints: fingerprint of each authority's key, by name.
 
     Raises:
@@ -421,12 +421,12 @@ def require_own_keys(inputs: Inputs, fingerprints: Mapping[str, str]) -> None:
     for name, fingerprint in fingerprints.items():
         other = owners.setdefault(fingerprint, name)
         if other != name:
-            stamped = key_record.recorded(inputs.state, key_record.AUTHORITIES, other) == fingerprint
+            stamped = key_record.recorded(session.state, key_record.AUTHORITIES, other) == fingerprint
             wrong = name if stamped else other
-            in_token = any(each.name == wrong and each.certificate.key.uri for each in inputs.profile.authorities)
+            in_token = any(each.name == wrong and each.certificate.key.uri for each in session.profile.authorities)
             raise KeymintError(
                 f"the authorities {other!r} and {name!r} have one and the same key",
-                where=inputs.workspace.origin(inputs.workspace.authority_certificate(wrong)),
+                where=session.workspace.origin(session.workspace.authority_certificate(wrong)),
                 help=f"name another key in <pkcs11> of {wrong!r}"
                 if in_token
                 else f"restore the key and certificate of {wrong!r}; {new_authority_help(wrong)}",
