@@ -85,8 +85,9 @@ class Followed:
 
 
 def errors_of(printed: str) -> list[dict[str, Any]]:
-    """Return the errors and warnings of a report in JSON."""
-    return [each for each in json.loads(printed)["diagnostics"] if each["severity"] != "note"]
+    """Return the errors of a report in JSON, then its warnings."""
+    found = [each for each in json.loads(printed)["diagnostics"] if each["severity"] != "note"]
+    return sorted(found, key=lambda each: str(each["severity"]))
 
 
 def key_of(error: Mapping[str, Any]) -> str:
