@@ -119,6 +119,11 @@ def test_rights_are_about_names_after_namespace_and_remapping(ros: RosSystem) ->
 # -- what ships -----------------------------------------------------------------------------------------------------
 
 
+COMPONENT = '<tunable name="COMPONENT"><value>/cell/part</value></tunable>'
+SECOND = {"component.xml": [("part", "/cell")], "cli.xml": [("_ros2cli_4711", "/"), ("_ros2cli_daemon_0_5f2e", "/")]}
+"""The nodes beside that of the subject's own name which an include is about, with their namespaces."""
+
+
 def shipped(distro: str) -> list[str]:
     """Return the files of this distribution that policies include for a whole node or program."""
     return sorted(each.name for each in (library(distro) / "common").glob("*.xml"))
@@ -129,13 +134,15 @@ def test_every_include_that_ships_is_provisioned_and_runs_its_node(ros: RosSyste
     assert "node.xml" in found
     for file in found:
         name = file.removesuffix(".xml")
-        include = f'{NODE}<xi:include href="common/{file}" parse="xml"/>'
+        include = f'{NODE}{COMPONENT}<xi:include href="common/{file}" parse="xml"/>'
         install = ros.provision(policy({f"/cell/{name}": include}), name)
         node = ros.node(install, f"/cell/{name}")
         assert node.ask("NODE", name, "/cell") == ("ALLOWED", ""), file
         if file == "node.xml":
             assert node.ask("NODE", "other", "/cell")[0] == "DENIED"
             assert node.ask("NODE", name, "/")[0] == "DENIED"
+        for other, namespace in SECOND.get(file, ()):
+            assert node.ask("NODE", other, namespace) == ("ALLOWED", ""), (file, other)
 
 
 def test_the_quick_start_of_readme_runs(ros: RosSystem) -> None:
