@@ -16,7 +16,7 @@ from keymint.executors import Pool
 from keymint.plan.earlier_rights import RIGHTS_OUTLIVE
 from keymint.plan.enclaves import INSTALLED, with_sources
 from keymint.plan.proof_results import ProofEffort, ProofResults
-from keymint.plan.prove import prove
+from keymint.plan.prove import ProofStage
 from keymint.plan.rollover import staged_session
 from keymint.session import Session
 
@@ -46,12 +46,12 @@ def proven_keystore(
     Raises:
         KeymintError: a package has defects, or the pool is lost.
     """
-    results = prove(session, names, policy, effort, on_enclave, pool)
+    results = ProofStage(session, policy, effort).all(names, on_enclave, pool)
     presented = presented_rights(session, results.state, policy, effort)
     shared, enclaves = (*results.shared, *presented.shared), results.enclaves
     if (ahead := staged(session)) is not None:
         ready = tuple(name for name in with_sources(ahead) if name in names)
-        second = prove(ahead, ready, policy, effort, lambda _: None, pool)
+        second = ProofStage(ahead, policy, effort).all(ready, lambda _: None, pool)
         enclaves, shared = (*enclaves, *second.enclaves), (*shared, *second.shared)
     outliving, is_whole = presented.outliving, presented.is_whole
     return replace(

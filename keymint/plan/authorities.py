@@ -22,6 +22,8 @@ from keymint.session import Inputs, Session
 
 __all__ = ["STAGE", "MintedAuthority", "plan_authorities"]
 
+_OPTION = "--new-authority"
+
 
 @dataclass(frozen=True, slots=True)
 class MintedAuthority:
@@ -91,10 +93,8 @@ def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, M
             action = Action.CREATED if changes else Action.UNCHANGED
             steps.append(Step(STAGE, authority.name, action, changes, "certificate authority"))
     # Advice about one authority must not take back what was done about another.
-    given = "".join(f"--new-authority {name} " for name in new)
-    defects.found = [
-        replace(each, help=each.help.replace("--new-authority", f"{given}--new-authority")) for each in defects.found
-    ]
+    given = "".join(f"{_OPTION} {name} " for name in new) + _OPTION
+    defects.found = [replace(each, help=each.help.replace(_OPTION, given)) for each in defects.found]
     defects.require_none()  # one token may fail several authorities
     fingerprints = {name: certificates.fingerprint(each.certificate) for name, each in minted.items()}
     authority_files.require_own_keys(session, fingerprints)

@@ -60,13 +60,8 @@ def plan_begin(session: Session, name: str, phase: Phase, given: GivenAuthority 
     present = plan_authorities(session)[1][name].certificate
     key_path = session.workspace.authority_key(f"{name}.{NEXT}")
     pem, key = _given(session, authority, given, present) if given else _made(session, authority)
-    if phase is Phase.STAGE and not key:
-        raise KeymintError(
-            f"is the next authority {name!r} without its private key, which signs the second keystore",
-            where=given.where if given else None,
-            help="give it with --key FILE",
-            code="authority-key-missing",
-        )
+    if phase is Phase.STAGE and given and not key:
+        raise authority_files.key_elsewhere(f"{name}.{NEXT}", given.where, "give it with --key FILE")
     if phase is Phase.DISTRIBUTE:
         _require_distinct(session, name, present, certificates.load(pem))
     made: tuple[Step, ...] = ()
