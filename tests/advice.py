@@ -34,7 +34,7 @@ LOOKING = frozenset({
 """Verbs that advice names to look at something. They need not change the outcome."""
 SAYS = re.compile(r" (and 'keymint [^']*' )?(says?|shows?|lists?|names?|tells?|reads?|prints?)\b")
 """After a command: it only says something."""
-FOLLOWS = FULL or os.environ.get("KEYMINT_ADVICE") == "1"
+FOLLOWS = os.environ.get("KEYMINT_ADVICE", "1" if FULL else "0") == "1"
 """Whether the advice of each error that a test meets is followed: in ``make test-full``, or by itself."""
 DEEPEST = 6
 """Pieces of advice that lead to one another; a circle is longer than any chain that leads somewhere."""
