@@ -7,12 +7,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from comarmor.errors import Diagnostic
+from comarmor.text import first_few
 from keymint import journal
 from keymint.api import LoadedPolicy, Phase
 from keymint.examine.issued import registered
 from keymint.examine.lists import lists_in_force, of_enclaves
 from keymint.examine.rights import presented_rights
 from keymint.executors import Pool
+from keymint.names import subject_of
 from keymint.plan.earlier_rights import RIGHTS_OUTLIVE
 from keymint.plan.enclaves import INSTALLED, with_sources
 from keymint.plan.proof_results import ProofEffort, ProofResults
@@ -70,6 +72,10 @@ def deciding(session: Session) -> Iterator[Diagnostic]:
         message = "a run was interrupted: what it wrote may be incomplete"
         help_ = "repeat its command; every verb that writes finishes what is visible, or drops it"
         yield Diagnostic.warning("run-unfinished", message, session.workspace.origin(records), help_)
+    if (ahead := staged(session)) and (lacking := {*with_sources(session)}.difference(with_sources(ahead))):
+        message = f"lacks {first_few(sorted(map(subject_of, lacking)))}: after the switch they have no enclave"
+        where = session.workspace.origin(session.workspace.next_install)
+        yield Diagnostic.error("rollover-incomplete", message, where, "'keymint authority replace' completes it")
     yield from lists_in_force(session)
     yield from of_enclaves(session)
     yield from registered(session)

@@ -423,12 +423,9 @@ def require_own_keys(session: Session, fingerprints: Mapping[str, str]) -> None:
         if other != name:
             stamped = key_record.recorded(session.state, key_record.AUTHORITIES, other) == fingerprint
             wrong = name if stamped else other
-            in_token = any(each.name == wrong and each.certificate.key.uri for each in session.profile.authorities)
             raise KeymintError(
                 f"the authorities {other!r} and {name!r} have one and the same key",
                 where=session.workspace.origin(session.workspace.authority_certificate(wrong)),
-                help=f"name another key in <pkcs11> of {wrong!r}"
-                if in_token
-                else f"restore the key and certificate of {wrong!r}; {new_authority_help(wrong)}",
+                help=f"restore {wrong!r}; or, in a token after another <pkcs11>, {new_authority_help(wrong)}",
                 code="authority-key-shared",
             )

@@ -80,12 +80,12 @@ CONTAINING: dict[str, Callable[[str, str], str]] = {
     "bars for slashes": lambda cn, ou: f"CN={cn.replace('/', '|')},OU={ou}",
     "doubled": lambda cn, ou: f"CN={cn},OU={ou},CN={cn},OU={ou}",
     "reversed path": lambda cn, ou: f"CN=/{'/'.join(reversed(cn[1:].split('/')))}/z,OU={ou}",
+    "two generations": lambda cn, ou: f"CN={cn},OU=0,OU={ou}",
     "doubled generation": lambda cn, ou: f"CN={cn},OU={ou},OU={ou}",
     "one line": lambda cn, ou: f"/CN=/x{cn}/OU={ou}",
 }
 """Names with which every token of an identity's name occurs in the grant's, as Cyclone DDS splits both."""
 NEAR = {
-    "two generations": lambda cn, ou: f"CN={cn},OU=0,OU={ou}",
     "no generation": lambda cn, _ou: f"CN={cn}/more",
     "letter case": lambda cn, ou: f"CN={cn.upper()}/more,OU={ou}",
     "longer word": lambda cn, ou: f"CN={cn}more,OU={ou}",
@@ -151,11 +151,15 @@ def _spellings() -> Iterator[Fault]:
     for label, form in (
         ("other case", lambda cn, ou: f"CN={cn.upper()},OU={ou}"),
         ("semicolon", lambda cn, ou: f"CN={cn};OU={ou}"),
+    ):
+        apply = _add(TALKER, _named(LISTENER, form), "everything")
+        yield Fault(3, f"{TALKER} has nothing for {LISTENER} by {label}", "dds", apply, decides=False)
+    for label, form in (  # no vendor takes them for the same; the standard does
         ("the number of an attribute", lambda cn, ou: f"2.5.4.3={cn},OU={ou}"),
         ("hexadecimal", lambda cn, ou: f"CN=\\2F{cn[1:]},OU={ou}"),
     ):
         apply = _add(TALKER, _named(LISTENER, form), "everything")
-        yield Fault(3, f"{TALKER} has nothing for {LISTENER} by {label}", "dds", apply, decides=False)
+        yield Fault(3, f"{TALKER} has everything for {LISTENER} by {label}", "dds", apply, vendors="omg")
 
 
 FAULTS = (*_exact_names(), *_containment(), *_spellings())
