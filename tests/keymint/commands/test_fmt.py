@@ -231,7 +231,7 @@ def test_a_file_that_changes_meanwhile_is_not_overwritten(
         real(run, changed)
 
     monkeypatch.setattr(fmt, "replace_inputs", late)
-    outcome = keymint("fmt", "policy")
+    outcome = keymint("fmt", "policy", env={"KEYMINT_ADVICE": "0"})
     assert outcome.code == 1
     assert outcome.err == "policy/p.xml: error: changed meanwhile (nothing was written; run the command again)\n"
     assert "saved by an editor" in (folder / "p.xml").read_text()
