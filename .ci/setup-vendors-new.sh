@@ -15,7 +15,10 @@ vendors=( # folder, suite, packages of headers and libraries, packages of librar
 keyring=/usr/share/keyrings/debian-archive-keyring.gpg
 case ${XDG_CACHE_HOME:-} in /*) cache=$XDG_CACHE_HOME ;; *) cache=$HOME/.cache ;; esac
 cache=$cache/keymint/vendors
-work=$(mktemp -d)
+# Beside the result, so that a folder appears there complete or not at all, whenever this is killed.
+(umask 077 && mkdir -p "$cache")
+find "$cache" -maxdepth 1 -name 'unpacking.*' -mmin +60 -exec rm -rf {} + # of runs that were killed
+work=$(mktemp -d "$cache/unpacking.XXXXXX")
 trap 'rm -rf "$work"' EXIT
 
 # apt with a sources list, settings and folders of its own, for one suite. The machine's settings (a proxy) apply first.
@@ -50,7 +53,6 @@ missing=()
 release=$(. /etc/os-release && echo "$ID ${VERSION_CODENAME:-}")
 mirror=$(apt-get update --print-uris 2>/dev/null |
     sed -n "s|^'\(.*\)/dists/${release#* }/InRelease'.*|\1|p" | head -n 1) || mirror=
-(umask 077 && mkdir -p "$cache")
 for vendor in "${vendors[@]}"; do
     read -r folder suite headers libraries <<<"$vendor"
     if [ -d "$cache/$folder" ]; then continue; fi
