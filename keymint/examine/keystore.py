@@ -10,6 +10,7 @@ from comarmor.errors import Diagnostic
 from comarmor.text import first_few
 from keymint import journal
 from keymint.api import LoadedPolicy, Phase
+from keymint.errors import KeymintError
 from keymint.examine.issued import registered
 from keymint.examine.lists import lists_in_force, of_enclaves
 from keymint.examine.rights import presented_rights
@@ -20,7 +21,7 @@ from keymint.plan.enclaves import INSTALLED, with_sources
 from keymint.plan.proof_results import ProofEffort, ProofResults
 from keymint.plan.prove import ProofStage
 from keymint.plan.rollover import staged_session
-from keymint.session import Session
+from keymint.session import Session, once
 
 SHOWN_NOTES = frozenset({RIGHTS_OUTLIVE, "authority-key-missing", "not-examined"})
 """Codes of notes that are shown in any case: an owner must know of them."""
@@ -72,26 +73,42 @@ def deciding(session: Session) -> Iterator[Diagnostic]:
         message = "a run was interrupted: what it wrote may be incomplete"
         help_ = "repeat its command; every verb that writes finishes what is visible, or drops it"
         yield Diagnostic.warning("run-unfinished", message, session.workspace.origin(records), help_)
-    if (ahead := staged(session)) and (lacking := {*with_sources(session)}.difference(with_sources(ahead))):
-        message = f"lacks {first_few(sorted(map(subject_of, lacking)))}: after the switch they have no enclave"
-        where = session.workspace.origin(session.workspace.next_install)
-        yield Diagnostic.error("rollover-incomplete", message, where, "'keymint authority replace' completes it")
+    yield from _not_staged(session)
     yield from lists_in_force(session)
     yield from of_enclaves(session)
     yield from registered(session)
 
 
+def _not_staged(session: Session) -> Iterator[Diagnostic]:
+    """Yield a finding if a second keystore is staged, and an installed enclave is not in it."""
+    if not (name := _staging(session)):
+        return
+    try:
+        ahead = staged(session)
+    except KeymintError:  # reported with the second keystore
+        return
+    if lacking := {*with_sources(session)}.difference(with_sources(ahead) if ahead else ()):
+        message = f"lacks {first_few(sorted(map(subject_of, lacking)))}: after the switch they have no enclave"
+        where = session.workspace.origin(session.workspace.next_install)
+        help_ = f"'keymint authority replace {name}' completes it; copy it to all robots again"
+        yield Diagnostic.error("rollover-incomplete", message, where, help_)
+
+
+def _staging(session: Session) -> str:
+    """Return the authority for which a second keystore is staged, or an empty text."""
+    phases = ((each.name, each.issuance.rollover) for each in session.profile.authorities)
+    return next((name for name, rollover in phases if rollover and rollover.phase is Phase.STAGE), "")
+
+
+@once
 def staged(session: Session) -> Session | None:
     """Return the session of the second keystore as if it were in force; None if there is none.
 
     Raises:
         KeymintError: the next key is damaged.
     """
-    for authority in session.profile.authorities:
-        rollover = authority.issuance.rollover
-        if rollover and rollover.phase is Phase.STAGE and session.tree.names(session.workspace.next_install):
-            ahead = staged_session(session, authority.name)
-            return replace(
-                ahead, state=ahead.state.updated(INSTALLED, {}, tuple(ahead.state.stamps.get(INSTALLED, ())))
-            )
-    return None
+    name = _staging(session)
+    if not name or not session.tree.names(session.workspace.next_install):
+        return None
+    ahead = staged_session(session, name)
+    return replace(ahead, state=ahead.state.updated(INSTALLED, {}, tuple(ahead.state.stamps.get(INSTALLED, ()))))

@@ -59,6 +59,14 @@ def grant_for_another(ws: Path) -> None:
     store.sign_permissions(TALKER, for_listener(store), "install.next")
 
 
+def missing_enclave(ws: Path) -> None:
+    shutil.rmtree(ws / ENCLAVES / "talker")
+
+
+def missing_keystore(ws: Path) -> None:
+    shutil.rmtree(ws / "install.next")
+
+
 @pytest.mark.parametrize(
     ("fault", "verbs"),
     [
@@ -66,6 +74,8 @@ def grant_for_another(ws: Path) -> None:
         (permissions_of_another, VERBS),
         (missing_certificate, VERBS),
         (grant_for_another, VERBS),
+        (missing_enclave, VERBS),
+        (missing_keystore, VERBS),
     ],
 )
 def test_a_fault_in_it(keymint, staged: Path, fault: Callable[[Path], None], verbs: tuple[str, ...]) -> None:
@@ -73,3 +83,15 @@ def test_a_fault_in_it(keymint, staged: Path, fault: Callable[[Path], None], ver
     found = {verb: findings(keymint, staged, verb) for verb in verbs}
     assert all(found.values())
     assert any("install.next" in f"{each['file']} {each['message']}" for each in found["check"])
+
+
+@pytest.mark.parametrize("fault", [missing_enclave, missing_keystore])
+def test_what_it_lacks_is_completed_by_the_command_that_the_finding_names(
+    keymint, staged: Path, fault: Callable[[Path], None]
+) -> None:
+    fault(staged)
+    (found,) = findings(keymint, staged, "check")
+    assert found["code"] == "rollover-incomplete"
+    assert "'keymint authority replace permissions_ca'" in str(found["help"])
+    assert keymint("authority", "replace", "permissions_ca", "-w", staged).code == 0
+    assert codes(keymint, staged, "check") == set()
