@@ -90,7 +90,8 @@ def check(
             findings += (each for each in found if (each.code, each.where and each.where.file) not in known)
     unexamined = tuple(not_examined(session))
     findings += advisories(run, vendors)
-    findings += (each for each in _of_policy(session, chosen, complete=not names) if each not in findings)
+    of_policy, state = _of_policy(session, state, chosen, complete=not names)
+    findings += (each for each in of_policy if each not in findings)
     shown = folded((*findings, *unexamined))
     if sarif is not None:
         write_outputs(run, sarif, sarif_log("keymint check", {}, of_diagnostics(shown), run.typed))
@@ -127,13 +128,16 @@ def _proven(
     return results.state, tuple(each for each in found if each.code != NO_PROVER)
 
 
-def _of_policy(session: Session, names: Sequence[str], *, complete: bool) -> Sequence[Diagnostic]:
+def _of_policy(
+    session: Session, state: State, names: Sequence[str], *, complete: bool
+) -> tuple[Sequence[Diagnostic], State]:
     """Return notes on packages whose nodes cannot start, and, if these are all, findings on subjects without one.
 
-    If they are all, what keeps the policy from being read is a finding as well.
+    If they are all, what keeps the policy from being read is a finding as well. The record to keep comes second.
     """
     try:
         policy = lazy_policy(session)
-        return (*(uncreated(session, policy, names) if complete else ()), *of_packages(session, policy, names))
+        notes, state = of_packages(session, state, policy, names)
+        return (*(uncreated(session, policy, names) if complete else ()), *notes), state
     except KeymintError as error:
-        return error.diagnostics if complete else ()
+        return error.diagnostics if complete else (), state

@@ -9,13 +9,17 @@ from dataclasses import replace
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import first_few
+from keymint import __version__
 from keymint.api import FoundEnclave, GrantReader, KeystoreFiles, LoadedPolicy, NodeCheck
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import subject_of
 from keymint.plan.build_types import recorded_build_types
+from keymint.plan.prove import STAGE, policy_digest
+from keymint.plan.shared_documents import FOLDER
 from keymint.plugins import Plugins
 from keymint.session import Session
+from keymint.state import Stamp, State, digest
 
 NODE_NOTES = frozenset({"node-cannot-start", "parameter-client-cannot-start"})
 """Codes of these notes, which are shown in any case."""
@@ -55,8 +59,18 @@ def of_policy(policy: LoadedPolicy, subjects: Iterable[str]) -> Iterator[Subject
             yield rules, profiles[-1].where if profiles else None
 
 
-def of_packages(session: Session, policy: LoadedPolicy, names: Iterable[str]) -> Iterator[Diagnostic]:
-    """Yield the notes on some packages of a workspace, by what its policy says.
+def of_packages(
+    session: Session, state: State, policy: LoadedPolicy, names: Iterable[str]
+) -> tuple[tuple[Diagnostic, ...], State]:
+    """Return the notes on some packages of a workspace, by what its policy says, and the record to go on with.
+
+    The record tells that there are none, so that nothing is asked again while the policy is the same.
+
+    Args:
+        session: the workspace and its profile.
+        state: the record.
+        policy: its policy.
+        names: the packages.
 
     Raises:
         KeymintError: the policy cannot be read.
@@ -65,8 +79,17 @@ def of_packages(session: Session, policy: LoadedPolicy, names: Iterable[str]) ->
     for name in names:
         for build_type in () if name in session.infrastructure() else recorded_build_types(session, name):
             subjects.setdefault(build_type, []).append(subject_of(name))
-    for build_type, own in subjects.items():
-        yield from node_notes(session.plugins, (build_type,), session.profile.distro, of_policy(policy, own))
+    distro, key = session.profile.distro, f"{FOLDER}/nodes"
+    asked = (part for build_type, own in subjects.items() for part in (build_type, *own, ""))
+    inputs, stamp = digest(__version__, distro, policy_digest(policy), *asked), state.stamp(STAGE, key)
+    if stamp is not None and stamp.inputs == inputs:
+        return (), state
+    found = tuple(
+        note
+        for build_type, own in subjects.items()
+        for note in node_notes(session.plugins, (build_type,), distro, of_policy(policy, own))
+    )
+    return found, state if found else state.updated(STAGE, {key: Stamp(inputs, {})})
 
 
 def of_documents(reader: object, files: KeystoreFiles, enclaves: Sequence[FoundEnclave], distro: str) -> list[Subject]:
