@@ -17,7 +17,14 @@ from keymint.adoption.workspace import Adoption, plan_adoption
 from keymint.api import Bootstrap, DocumentComparer, FoundKeystore, KeystoreFiles
 from keymint.changes import Plan
 from keymint.commands.adopted_policy import STATES, learned_policy, named_policy
-from keymint.commands.options import DEFAULT_PROFILE_TYPE, PATH, PluginOption, PolicyOptions, distro_option
+from keymint.commands.options import (
+    DEFAULT_DISTRO,
+    DEFAULT_PROFILE_TYPE,
+    PATH,
+    PluginOption,
+    PolicyOptions,
+    distro_option,
+)
 from keymint.commands.proof_diagnostics import effort_of
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
@@ -77,7 +84,7 @@ def adopt(
     options = PolicyOptions(chosen or None, profile_type, "keymint_ros2_comarmor")
     own, comparisons = _policy(run, build_type_name, found, policy, workspace, options, (accept, implicit))
     different = [each for each in (one.finding() for one in comparisons) if each]
-    target = options.distro or "jazzy"
+    target = options.distro or DEFAULT_DISTRO
     rules = of_documents(run.plugins.build_type(build_type_name), files, found.enclaves, target)
     nodes = node_notes(run.plugins, (build_type_name,), target, rules)
     found = replace(found, diagnostics=(*found.diagnostics, *(own.diagnostics if own else ()), *different, *nodes))
@@ -92,7 +99,7 @@ def adopt(
     if own is None:
         own = learned_policy(run, build_type_name, files, found, workspace, options)
         found = replace(found, diagnostics=(*found.diagnostics, *own.diagnostics))
-    request = _request(workspace, found, own.path, files.now, chosen or "jazzy")
+    request = _request(workspace, found, own.path, files.now, target)
     adoption = Adoption(build_type_name, files, found, own, profile_type, request)
     left = tuple(_left(found, str(keystore), workspace))
     notes = [each for each in found.diagnostics if each.severity is not Severity.ERROR]
@@ -116,7 +123,7 @@ def _policy(
     if not isinstance(build_type, DocumentComparer):
         return own, ()
     effort = effort_of(run, STATES)
-    return own, compared(build_type, found.enclaves, own.rules, options.distro or "jazzy", effort)
+    return own, compared(build_type, found.enclaves, own.rules, options.distro or DEFAULT_DISTRO, effort)
 
 
 def _request(workspace: Workspace, found: FoundKeystore, policy: str, now: datetime, distro: str) -> Bootstrap:

@@ -15,6 +15,7 @@ from keymint.api import Bootstrap, ProfileSettings, WorkspaceProfile
 from keymint.changes import Action, Plan, Step
 from keymint.commands.build_type_names import build_types_of, transports_of
 from keymint.commands.options import (
+    DEFAULT_DISTRO,
     DEFAULT_PROFILE_TYPE,
     PATH,
     PluginOption,
@@ -145,7 +146,7 @@ def bootstrap_request(run: Run, workspace: Workspace, policy: Path | None, profi
     return Bootstrap(
         name=workspace.root.name or "workspace",
         policy=policy_path(run.setting.cwd / policy, workspace.profile) if policy else "",
-        distro=profile.distro or environment.get("ROS_DISTRO") or "jazzy",
+        distro=profile.distro or environment.get("ROS_DISTRO") or DEFAULT_DISTRO,
         domain=profile.domain or 0,
         layout=profile.layout or "",
         subject_format=profile.subject_format or "unique",

@@ -166,7 +166,10 @@ def common_options(*, workspace: bool, jobs: bool, dry_run: bool, executor: bool
 
 # -- policies outside of a workspace ---------------------------------------------------------------------------------
 
-distro_option = click.option("--distro", metavar="NAME", help="ROS 2 distribution [$ROS_DISTRO, else jazzy].")
+DEFAULT_DISTRO = "jazzy"
+distro_option = click.option(
+    "--distro", metavar="NAME", help=f"ROS 2 distribution [$ROS_DISTRO, else {DEFAULT_DISTRO}]."
+)
 library_option = click.option(
     "--profile-type",
     cls=PluginOption,
@@ -200,7 +203,7 @@ policy_options = option_group(
     click.option(
         "--distro",
         metavar="NAME",
-        help="ROS 2 distribution of the policy library [the workspace's, else $ROS_DISTRO, else jazzy].",
+        help=f"ROS 2 distribution of the policy library [the workspace's, else $ROS_DISTRO, else {DEFAULT_DISTRO}].",
     ),
     library_option,
     click.option(

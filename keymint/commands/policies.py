@@ -10,7 +10,7 @@ from pathlib import Path
 from comarmor.errors import Origin, library_name
 from comarmor.xml.package_folders import InstalledPackages
 from keymint.api import LoadedPolicy, PolicySource
-from keymint.commands.options import PolicyOptions
+from keymint.commands.options import DEFAULT_DISTRO, PolicyOptions
 from keymint.commands.run import Run
 from keymint.errors import KeymintError
 from keymint.plan.foreign_policies import foreign_policy
@@ -18,8 +18,6 @@ from keymint.plan.packages import load_with
 from keymint.plan.policy import accepted_policy, load_policy
 from keymint.session import Session
 from keymint.workspace import Workspace
-
-_DEFAULT_DISTRO = "jazzy"
 
 
 class Policies:
@@ -37,7 +35,7 @@ class Policies:
     def __init__(self, run: Run, options: PolicyOptions) -> None:
         self._run = run
         self._options = options
-        self.distro = options.distro or run.setting.environment.get("ROS_DISTRO") or _DEFAULT_DISTRO
+        self.distro = options.distro or run.setting.environment.get("ROS_DISTRO") or DEFAULT_DISTRO
         self.build_types = run.plugins.profile_type(options.profile_type).BUILD_TYPES
 
     def load(self, path: Path | None, *, as_accepted: bool = False) -> LoadedPolicy:

@@ -68,14 +68,17 @@ def emit(package: Package, options: BuildOptions) -> Emitted:
             document means what the rules mean.
     """
     compiled = compile_rules(package.grant, package.distro, options)
-    if not options.allow_vendor_specific and (refusing := _refusing(package)):
+    refusing = _refusing(package)
+    if refusing and not options.allow_vendor_specific:
         message = (
             f"{refusing} finds no permissions of {subject_name_text.of(package.grant)!r}: an attribute is there twice"
         )
         help_ = "write each attribute once, e.g. one CN and one OU, or build with --allow-vendor-specific"
         raise KeymintError(message, where=package.grant.origin, help=help_, code="portability-subject-name")
+    # By the standard only, if the user accepted that vendors differ.
+    models = None if compiled.portable and not refusing else (OMG.name,)
     with step_limit(STEPS):
-        return _smallest_proven(package, options, compiled)
+        return _smallest_proven(package, options, compiled, models)
 
 
 def _refusing(package: Package) -> str:
@@ -88,12 +91,12 @@ def _refusing(package: Package) -> str:
     return ", ".join(model for model, each in names.items() if not each.selects(each.reads_text(name), name))
 
 
-def _smallest_proven(package: Package, options: BuildOptions, compiled: Compiled) -> Emitted:
+def _smallest_proven(
+    package: Package, options: BuildOptions, compiled: Compiled, models: tuple[str, ...] | None
+) -> Emitted:
     """Return the document in its first form that is proven, else in its plain form."""
     diagnostics: list[Diagnostic] = []
     smaller = [form for form in compiled.forms if form != compiled.plain] if options.optimise else []
-    # By the standard only, if the user accepted that vendors differ.
-    models = None if compiled.portable and not _refusing(package) else (OMG.name,)
     for rules in (*smaller, compiled.plain):
         document = permissions_document.render(package.grant, rules)
         claims = prove_content(comparison(package, document), models=models, lowered=compiled.lowered)

@@ -13,8 +13,9 @@ from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.command_process import MissingVendorError, ProcessDiedError, ProcessFailedError
 from keymint.errors import KeymintError
 from keymint.graph import Edge
-from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9
+from keymint_ros2_dds.decision import of_version
 from keymint_ros2_dds.lowering.endpoints import endpoints, meanings
+from keymint_ros2_dds.lowering.mapping import DISTROS
 from keymint_ros2_dds.transports.enclave_model import EnclaveModels
 from keymint_ros2_dds.vendors.participants import RefusedError
 from keymint_ros2_dds.vendors.ros_network import PRIVATE, RosNetwork
@@ -69,7 +70,8 @@ class RosTransport:
         self, network: RosNetwork, models: EnclaveModels, enclave: Enclave, domain: int, edges: Iterable[Edge]
     ) -> Iterator[tuple[Edge, Verdict]]:
         """Yield the decisions on the edges of an enclave; a node that dies of one is started again for the next."""
-        variation = FASTDDS_2_9 if "rtps" in network.rmw else CYCLONEDDS_0_10
+        vendor, distro = "fastdds" if "rtps" in network.rmw else "cyclonedds", self._environment.variables["ROS_DISTRO"]
+        variation = of_version(vendor, DISTROS.get(distro, {}).get(vendor, ""))
         model, node, refusal = models.of(enclave.subject, domain), None, ""
         for edge in edges:
             try:

@@ -2,7 +2,7 @@
 """A stand-in node, which creates what it is told to; run by the Python of the sourced ROS 2, never imported by Keymint.
 
 It imports nothing of Keymint, and works from Humble (Python 3.10) on. ``network`` as its argument makes it hold a
-network namespace instead; :mod:`ros_nodes` starts both. A node reads one command per line, whose words are separated
+network namespace instead; :mod:`ros_network` starts both. A node reads one command per line, whose words are separated
 by tabs, and answers each with a line:
 
 ================================  ======================================================================
