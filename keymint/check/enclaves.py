@@ -234,6 +234,6 @@ def _on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterato
         yield Diagnostic.note("record-missing", message, None, help_, subject)
         return
     for file, value in stamp.outputs.items():
-        if file in files and digest(files[file]) != value:
+        if file in files and session.tree.digest(f"{folder}/{file}") != value:
             where, help_ = session.workspace.origin(f"{folder}/{file}"), f"'keymint install {name}' restores it"
             yield Diagnostic.error("file-changed", CHANGED, where, help_, subject)

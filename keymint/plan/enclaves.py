@@ -122,7 +122,8 @@ def _known_names(session: Session) -> frozenset[str]:
     return frozenset(file for each in build_types for file in each.files(session.profile.layout))
 
 
-def enclave_files(session: Session, name: str) -> tuple[dict[str, bytes], tuple[Diagnostic, ...]]:
+@once
+def enclave_files(session: Session, name: str) -> tuple[Mapping[str, bytes], tuple[Diagnostic, ...]]:
     """Return the files of a package's enclave by name, and a finding for each that cannot be read."""
     files: dict[str, bytes] = {}
     unreadable: list[Diagnostic] = []
