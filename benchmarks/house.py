@@ -286,12 +286,13 @@ def contracts(root: Path) -> str:
 TRACED = """
 import json, sys, threading
 from pathlib import Path
-root, ran, depths, deepest = sys.argv.pop(1) + "/", set(), {}, 0
+own, ran, depths, deepest = tuple(f"{sys.argv[1]}/{name}/" for name in sys.argv.pop(2).split()), set(), {}, 0
+del sys.argv[1]
 
 def profile(frame, event, _):
     global deepest
     code = frame.f_code
-    if event not in ("call", "return") or not code.co_flags & 1 or not code.co_filename.startswith(root):
+    if event not in ("call", "return") or not code.co_flags & 1 or not code.co_filename.startswith(own):
         return  # modules and bodies of classes have no fast locals
     thread = threading.get_ident()
     depths[thread] = depths.get(thread, 0) + (1 if event == "call" else -1)
@@ -312,7 +313,7 @@ print(json.dumps({
     "modules that run": len({code.co_filename for code in ran}),
     "functions that run": len(ran),
     "deepest stack": deepest,
-    "modules imported": sum(str(file).startswith(root) for file in files),
+    "modules imported": sum(str(file).startswith(own) for file in files),
 }), file=sys.stderr)
 """
 
@@ -322,7 +323,7 @@ def running(root: Path) -> Mapping[str, int]:
     with tempfile.TemporaryDirectory(prefix="keymint-house-") as folder:
         arguments = ["provision", str(root / "examples/talker_listener"), "-w", f"{folder}/ws"]
         done = subprocess.run(
-            [sys.executable, "-c", TRACED, str(root), *arguments],
+            [sys.executable, "-c", TRACED, str(root), " ".join(ROOTS), *arguments],
             cwd=folder,
             env=_environment(root),
             capture_output=True,
