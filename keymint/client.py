@@ -27,7 +27,6 @@ from comarmor.values import dataclass
 from keymint import cli
 from keymint.api import LoadedPolicy
 from keymint.changes import Plan
-from keymint.commands.options import InstallRequest
 from keymint.commands.reissue import reissued
 from keymint.commands.run import Run
 from keymint.errors import KeymintError
@@ -35,6 +34,7 @@ from keymint.names import package_name, subject_of
 from keymint.output.console import Streams
 from keymint.output.report import Report
 from keymint.plan.create import CreateStage
+from keymint.plan.install_request import InstallRequest
 from keymint.plan.policy import load_policy, locations_digest
 from keymint.plan.terms import DEFAULT, Threshold
 from keymint.session import Inputs, Session
@@ -99,7 +99,7 @@ class Client:
             names = create.subjects((name,))
             created = create.plan([create.package(each) for each in names])
             needed = tuple(dict.fromkeys((*names, *session.after(created).infrastructure())))
-            return reissued(run, session, created, needed, request=InstallRequest(prove=prove), policy=policy)
+            return reissued(run.crew, session, created, needed, request=InstallRequest(prove=prove), policy=policy)
 
         run = self._run("provision", name)
         enclave = self._enclave(run.carry_out(self._workspace, make_plan), name)

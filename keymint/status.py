@@ -10,6 +10,7 @@ from comarmor.values import dataclass
 from keymint.api import LoadedPolicy, Role
 from keymint.errors import KeymintError
 from keymint.plan import build, create, install
+from keymint.plan.build_types import is_build_current
 from keymint.plan.enclaves import hidden, installed, installed_certificate, orphans
 from keymint.plan.register import withdrawn
 from keymint.plan.renewal import CERTIFICATE, EnclaveTerms, enclave_terms
@@ -123,7 +124,7 @@ def _row(session: Session, differing: Mapping[str, str], name: str, *, installed
     stale, problem = ("create", differing[name]) if name in differing else ("", "")
     permissions_end, current = None, False
     try:
-        current = built and build.is_current(session, name)
+        current = built and is_build_current(session, name)
         own = recalled(session, name, session.state.stamp(build.STAGE, name) if current else None)
         if session.role(name) is Role.SUBJECT:
             permissions_end = next((each.last for each in own if each.what == "grant"), None)

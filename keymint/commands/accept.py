@@ -19,12 +19,12 @@ from keymint.bundles.bundle import Bundle
 from keymint.bundles.container import MAX_BYTES
 from keymint.bundles.keystore import Keystore
 from keymint.changes import Action, FolderChange, Step
-from keymint.commands.options import FILE, usage_error
+from keymint.commands.options import FILE
 from keymint.commands.robot import folder_option, keystore_of, opened
 from keymint.commands.run import Run
 from keymint.commands.user_files import read_input
 from keymint.commands.verb import verb
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, usage_error
 from keymint.output.report import Report, members
 
 _FINGERPRINT = lazy_regex("[0-9a-f]{64}")

@@ -12,9 +12,9 @@ from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.api import LoadedPolicy
 from keymint.changes import Plan
-from keymint.commands.options import option_group, usage_error
+from keymint.commands.options import option_group
 from keymint.commands.run import Run
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, usage_error
 from keymint.output.report import Report
 from keymint.plan.packages import UnacceptedPackagesError, plan_release
 from keymint.plan.policy import plan_acceptance

@@ -122,7 +122,7 @@ def _policy(
     build_type: object = run.plugins.build_type(build_type_name)
     if not isinstance(build_type, DocumentComparer):
         return own, ()
-    effort = effort_of(run, STATES)
+    effort = effort_of(run.setting.monotonic, STATES)
     return own, compared(build_type, found.enclaves, own.rules, options.distro or DEFAULT_DISTRO, effort)
 
 

@@ -79,7 +79,7 @@ def learned_policy(
         KeymintError: no policy can say what a document grants, or the proof fails.
     """
     name = f"{FOLDER}/adopted.xml"
-    effort = effort_of(run, STATES)
+    effort = effort_of(run.setting.monotonic, STATES)
     file = str(workspace.profile / name)
     learning = Learning(build_type, options.policy_type, Policies(run, options).distro, file, effort)
     learned = learned_from(run.plugins, files, found, learning)

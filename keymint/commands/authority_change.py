@@ -72,7 +72,8 @@ def issued_again(run: Run, session: Session, first: Plan, name: str, *, flag_day
         minted, _ = plan_authorities(changed)
         return _told(first.then(minted), changed, name)
     refresh = _lists_to_refresh(session, changed, name)
-    return _told(first.then(reissued(run, changed, Plan((), changed.state), names, refresh=refresh)), changed, name)
+    again = reissued(run.crew, changed, Plan((), changed.state), names, refresh=refresh)
+    return _told(first.then(again), changed, name)
 
 
 def _lists_to_refresh(session: Session, changed: Session, name: str) -> tuple[str, ...]:

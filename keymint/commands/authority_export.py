@@ -9,11 +9,11 @@ from pathlib import Path
 import click
 
 from comarmor.errors import Diagnostic, Origin
-from keymint.commands.options import FILE, authority_argument, usage_error
+from keymint.commands.options import FILE, authority_argument
 from keymint.commands.run import Run
 from keymint.commands.user_files import deliver, write_outputs
 from keymint.commands.verb import verb
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, usage_error
 from keymint.output.report import Report
 from keymint.plan import authority_files, token_keys
 from keymint.plan.authority_issuance import authority_named

@@ -13,10 +13,11 @@ from comarmor.errors import Diagnostic
 from keymint.api import Phase
 from keymint.changes import Plan
 from keymint.commands.authority_change import given_authority
-from keymint.commands.options import FILE, authority_argument, usage_error
+from keymint.commands.options import FILE, authority_argument
 from keymint.commands.rollover_phases import Request, planned
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
+from keymint.errors import usage_error
 from keymint.output.report import Report
 from keymint.plan import rollover
 from keymint.session import Session
@@ -68,7 +69,7 @@ def command(
 
     def make_plan(session: Session) -> Plan:
         before = rollover.phase_of(session, name)
-        plan = planned(run, session, name, request)
+        plan = planned(run.crew, session, name, request)
         reached = rollover.phase_of(session.after(plan).session(), name)
         phases[:] = [(reached or Phase.END).value]
         if run.dry_run and not cancel:

@@ -6,8 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 from comarmor.text import did_you_mean
-from keymint.commands.options import usage_error
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, usage_error
 from keymint.plugins import Plugins
 
 

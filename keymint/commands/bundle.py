@@ -116,7 +116,7 @@ def _second_keystore(run: Run, session: Session) -> tuple[Session, Mapping[str, 
             help="leave --staged out",
             code="rollover-none",
         )
-    require_staged(run, session, replaced[0])
+    require_staged(run.crew, session, replaced[0])
     return session_ahead(session, replaced[0])[:2]
 
 

@@ -9,9 +9,10 @@ from typing import Any
 
 import click
 
-from keymint.commands.options import PATH, usage_error
+from keymint.commands.options import PATH
 from keymint.commands.run import Run
 from keymint.commands.user_files import is_folder, show_written, write_outputs
+from keymint.errors import usage_error
 from keymint.output.report import members
 from keymint.plan.bundles import MadeBundle
 

@@ -84,7 +84,7 @@ def check(
         findings, state = list(find(session, chosen, within, pool)), session.state
         if not no_prove:
             known = {(each.code, each.where and each.where.file) for each in findings}
-            effort = effort_of(run, standard_only=allow_vendor_specific)
+            effort = effort_of(run.setting.monotonic, standard_only=allow_vendor_specific)
             enclaves = with_enclaves(session, chosen, names)
             state, found = _proven(session, enclaves, effort, pool, fresh=fresh, strict=strict)
             findings += (each for each in found if (each.code, each.where and each.where.file) not in known)

@@ -9,9 +9,10 @@ import click
 
 from keymint.changes import Plan
 from keymint.commands.accepted_packages import AcceptanceOptions, accept, acceptance_options, release
-from keymint.commands.options import usage_error, valid_for_option
+from keymint.commands.options import valid_for_option
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
+from keymint.errors import usage_error
 from keymint.names import no_subject, package_name
 from keymint.output.report import Report
 from keymint.plan.create import CreateStage, packages_to_create

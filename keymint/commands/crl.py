@@ -63,7 +63,7 @@ def crl(run: Run, refresh: bool, rebuild: bool, valid_for: timedelta | None) -> 
             register = complete_register(session, lossy=True)
             first = Plan((), session.state, first=register_change(session, register))
         end = None if valid_for is None else session.now + valid_for
-        return reissued(run, session, first, (), refresh=tuple(lists(session)) if refresh else (), list_end=end)
+        return reissued(run.crew, session, first, (), refresh=tuple(lists(session)) if refresh else (), list_end=end)
 
     report = run.change(make_plan)
     return report if run.dry_run else _shown(run, run.session(), report)

@@ -22,11 +22,11 @@ from comarmor.errors import Diagnostic, Origin
 from keymint import graph_json
 from keymint.api import DiscoveredGraph, GraphSource
 from keymint.commands.graph_sources import graph_source
-from keymint.commands.options import PATH, Number, PluginOption, usage_error
+from keymint.commands.options import PATH, Number, PluginOption
 from keymint.commands.run import Run
 from keymint.commands.user_files import deliver, exists, read_input
 from keymint.commands.verb import verb
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import ExitCode, KeymintError, usage_error
 from keymint.generated_names import NAMES_DIFFER, differing
 from keymint.graph import Graph
 from keymint.names import typed_subject

@@ -15,12 +15,12 @@ from comarmor.text import did_you_mean, quoted
 from keymint.api import LoadedPolicy, PolicyExporter, PolicyFormat
 from keymint.commands.import_policy import proofs_of
 from keymint.commands.import_proof import diagnostics_of, unproven
-from keymint.commands.options import FILE, PATH, PolicyOptions, force_option, policy_options, usage_error
+from keymint.commands.options import FILE, PATH, PolicyOptions, force_option, policy_options
 from keymint.commands.policies import Policies
 from keymint.commands.run import Run
 from keymint.commands.user_files import deliver, read_input, refuse_replacing
 from keymint.commands.verb import verb
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, usage_error
 from keymint.ir import SubjectRules
 from keymint.names import no_subject, typed_subject
 from keymint.output.report import Report

@@ -15,11 +15,11 @@ from comarmor.text import counted
 from comarmor.values import dataclass
 from comarmor.xml.reader import looks_like_xml
 from keymint.api import PolicyTypeWithForm
-from keymint.commands.options import PATH, usage_error
+from keymint.commands.options import PATH
 from keymint.commands.run import Run
 from keymint.commands.user_files import is_folder, read_input, replace_inputs
 from keymint.commands.verb import verb
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, usage_error
 from keymint.output.report import Report, findings_if
 from keymint.output.unified_diff import file_diff, first_difference
 from keymint.plan.foreign_policies import foreign_policy

@@ -14,15 +14,7 @@ from comarmor.values import dataclass
 from keymint import graph_json
 from keymint.api import LoadedPolicy
 from keymint.commands.graph_sources import graph_source
-from keymint.commands.options import (
-    PATH,
-    Number,
-    PluginOption,
-    PolicyOptions,
-    option_group,
-    policy_options,
-    usage_error,
-)
+from keymint.commands.options import PATH, Number, PluginOption, PolicyOptions, option_group, policy_options
 from keymint.commands.policies import Policies, library_rules, workspace_library_rules
 from keymint.commands.run import Run
 from keymint.commands.user_files import deliver, read_input
@@ -32,7 +24,7 @@ from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, choose_s
 from keymint.drawing.palette import Theme
 from keymint.drawing.picture_options import DrawingOptions, Split
 from keymint.drawing.policy_graph import label_graph, policy_graph
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, usage_error
 from keymint.graph import EdgeOutcome, Graph
 from keymint.output.report import Report
 from keymint.plan.policy import load_policy

@@ -60,7 +60,7 @@ def harden(run: Run, step: str | None, names: tuple[str, ...], applied: bool, fl
         match step:
             case Weakness.NAMES:
                 only = tuple(name for name in wanted if name in chosen[0].concerns)
-                return reissued(run, session, plan_names(session, only), only)
+                return reissued(run.crew, session, plan_names(session, only), only)
             case Weakness.AUTHORITY:
                 if not flag_day:
                     raise KeymintError(
@@ -69,7 +69,7 @@ def harden(run: Run, step: str | None, names: tuple[str, ...], applied: bool, fl
                         code="authority-flag-day",
                     )
                 first = plan_authority(session, chosen[0].concerns[0])
-                return reissued_by_profile(run, session, first, with_sources(session))
+                return reissued_by_profile(run.crew, session, first, with_sources(session))
             case _:
                 return _identifiers(run, session, chosen[0].concerns, accepted=flag_day)
 

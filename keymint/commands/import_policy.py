@@ -119,7 +119,7 @@ def proofs_of(
     build_type: object = run.plugins.build_type(build_type_name)
     if not isinstance(build_type, ForeignDocuments):
         raise KeymintError(f"the build type {build_type_name} compares no documents", code="import-unproven")
-    effort = effort_of(run, STATES)
+    effort = effort_of(run.setting.monotonic, STATES)
     proofs = []
     for each in subjects:
         with effort.limit(each.rules.rules):

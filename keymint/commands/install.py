@@ -9,7 +9,7 @@ import click
 
 from keymint.changes import Plan
 from keymint.commands.build import no_packages
-from keymint.commands.options import InstallRequest, install_request, packages_argument, standard_only_option
+from keymint.commands.options import install_request, packages_argument, standard_only_option
 from keymint.commands.proof_gate import proof_stage, proven
 from keymint.commands.reissue import following, rebuilt, superseding
 from keymint.commands.run import Run, exit_code_of
@@ -19,6 +19,7 @@ from keymint.output.report import Report, findings_exit
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.distribution import plan_distribution
 from keymint.plan.install import InstallStage
+from keymint.plan.install_request import InstallRequest
 from keymint.plan.policy import lazy_policy
 from keymint.plan.policy_drift import UNCREATED, policy_changed, uncreated
 from keymint.plan.revocation import plan_lists
@@ -74,7 +75,7 @@ def _installed(run: Run, before: Session, first: Plan, names: tuple[str, ...], r
         plan, session = plan.then(built), session.after(built)
         chosen = tuple(dict.fromkeys((*chosen, *built_again)))
     install = partial(InstallStage, authorities=authorities, prune=request.prune)
-    proof = proof_stage(run, lazy_policy(session), request) if request.prove else None
+    proof = proof_stage(run.crew, lazy_policy(session), request) if request.prove else None
     run.workers.start(session, chosen, (install, *((proof,) if proof else ())))
     installed = run.planned(install(session), chosen)
     if narrower := superseding(start, installed, request):
@@ -85,4 +86,4 @@ def _installed(run: Run, before: Session, first: Plan, names: tuple[str, ...], r
     warnings = policy_changed(before) if chosen else (no_packages(before),)
     missing = () if names or (chosen and not request.prove) else uncreated(before, lazy_policy(before), chosen)
     plan = plan.then(installed).noting(*warnings, *missing)
-    return proven(run, session, installed, chosen, proof, plan, request) if proof else plan
+    return proven(run.crew, session, installed, chosen, proof, plan, request) if proof else plan

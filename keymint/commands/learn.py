@@ -17,12 +17,12 @@ from comarmor.xml.reader import looks_like_xml
 from keymint import graph_json
 from keymint.api import LearnedPolicy, LoadedPolicy, PolicyLearner
 from keymint.commands.learn_keystore import from_keystore, refuse_replacing_policy
-from keymint.commands.options import PATH, PolicyOptions, force_option, policy_options, usage_error
+from keymint.commands.options import PATH, PolicyOptions, force_option, policy_options
 from keymint.commands.policies import Policies
 from keymint.commands.run import Run
 from keymint.commands.user_files import read_input, show_written, write_outputs
 from keymint.commands.verb import verb
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, usage_error
 from keymint.generated_names import NAMES_DIFFER, differing
 from keymint.graph import Edge, Graph
 from keymint.output.report import Report, findings_if

@@ -14,11 +14,12 @@ from keymint.analysis.lint import lint as look
 from keymint.analysis.portability import portability
 from keymint.analysis.subject_patterns import pattern_examples, rules_of
 from keymint.api import RuleCheck
-from keymint.commands.options import FILE, PATH, PluginOption, PolicyOptions, policy_options, usage_error
+from keymint.commands.options import FILE, PATH, PluginOption, PolicyOptions, policy_options
 from keymint.commands.policies import Policies
 from keymint.commands.run import Run
 from keymint.commands.user_files import write_outputs
 from keymint.commands.verb import verb
+from keymint.errors import usage_error
 from keymint.examine.nodes import NODE_NOTES, node_notes, of_policy
 from keymint.output.report import Report, findings_exit
 from keymint.output.sarif import of_diagnostics

@@ -6,7 +6,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -16,24 +16,19 @@ from click.core import ParameterSource
 from comarmor.rules import PERMISSIONS
 from comarmor.values import dataclass
 from keymint import SPACES
-from keymint.api import BuildOptions
 from keymint.commands import durations
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import KeymintError
+from keymint.executors import PROCESSES
+from keymint.plan.install_request import InstallRequest
 from keymint.plugins import Plugins
 from keymint.tree import Tree
 from keymint.workspace import Workspace, find, packages
 
 Decorator = Callable[[Any], Any]
-PROCESSES = "processes"
 """The executor that is used if none is named."""
 DEFAULT_PROFILE_TYPE = "keymint_ros"
 PATH = click.Path(path_type=Path)
 FILE = click.Path(path_type=Path, dir_okay=False)
-
-
-def usage_error(message: str, help_: str) -> KeymintError:
-    """Return an error in the arguments of the command line; its exit code is 2."""
-    return KeymintError(message, help=help_, code="usage", exit_code=ExitCode.USAGE)
 
 
 class Number(click.FloatRange):
@@ -93,13 +88,16 @@ packages_argument = click.argument("names", nargs=-1, metavar="[NAME]...", shell
 force_option = click.option("-f", "--force", is_flag=True, help="Replace an existing file with different content.")
 
 
-def option_group(parameter: str, group: type, *options: Decorator) -> Decorator:
+def option_group(
+    parameter: str, group: type, *options: Decorator, check: Callable[[Any], None] = lambda _: None
+) -> Decorator:
     """Return a decorator that adds options whose values reach the verb together, as one argument.
 
     Args:
         parameter: name of the verb's argument.
         group: dataclass with a field for each option; further fields keep their defaults.
         options: click options, in the order of the help page.
+        check: raises a usage error for values that exclude each other.
     """
 
     def decorate(function: Any) -> Any:
@@ -108,6 +106,7 @@ def option_group(parameter: str, group: type, *options: Decorator) -> Decorator:
             values[parameter] = group(
                 **{field.name: values.pop(field.name) for field in fields(group) if field.name in values}
             )
+            check(values[parameter])
             return function(*arguments, **values)
 
         for option in reversed(options):
@@ -286,42 +285,9 @@ strict_option = click.option(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class InstallRequest:
-    """What a run that installs is asked for; all that conducts the stages gets the whole of it.
-
-    Attributes:
-        force: discard manual edits.
-        renew: replace the private keys of subjects.
-        prune: remove installed enclaves that have no source package.
-        new_authority: authorities that get a new key and certificate.
-        prove: refuse what is not proven.
-        allow_vendor_specific: prove by the standards only; vendors may differ.
-        strict: exceptions of claims count as not proven.
-        revoke_superseded: revoke the certificates of packages whose new signed rights are narrower.
-        build: options of the build; None for those that each package was built with last.
-
-    Raises:
-        click.UsageError: two of these exclude each other.
-    """
-
-    force: bool = False
-    renew: bool = False
-    prune: bool = False
-    new_authority: tuple[str, ...] = ()
-    prove: bool = True
-    allow_vendor_specific: bool = False
-    strict: bool = False
-    revoke_superseded: bool = False
-    build: BuildOptions | None = None
-
-    def resumed(self, *, resumes: bool) -> InstallRequest:
-        """Return what is left to do if an interrupted run made the new keys already."""
-        return replace(self, new_authority=(), renew=False) if resumes else self
-
-    def __post_init__(self) -> None:
-        if self.strict and not self.prove:
-            raise click.UsageError("--strict demands a proof, which --no-prove leaves out.")
+def _prove_if_strict(request: InstallRequest) -> None:
+    if request.strict and not request.prove:
+        raise click.UsageError("--strict demands a proof, which --no-prove leaves out.")
 
 
 # A verb that has '--force', '--renew' or '--allow-vendor-specific' declares it itself; the request has its value.
@@ -343,6 +309,7 @@ install_request = option_group(
         is_flag=True,
         help="Where new signed rights allow less than those they replace, revoke the certificate and issue a new one.",
     ),
+    check=_prove_if_strict,
 )
 
 

@@ -9,7 +9,6 @@ from dataclasses import replace
 
 from comarmor.errors import Diagnostic
 from keymint.api import Claim, Counterexample, Proof
-from keymint.commands.run import Run
 from keymint.names import name_of
 from keymint.plan import terms
 from keymint.plan.proof_results import EnclaveProof, ProofEffort, ProofResults
@@ -36,9 +35,11 @@ def merged_packages(diagnostics: Iterable[Diagnostic], shown: Callable[[str], st
         yield group[0] if count <= 1 else replace(group[0], message=f"{group[0].message} [{count} packages]")
 
 
-def effort_of(run: Run, states: int = STATES, seconds: float = math.inf, *, standard_only: bool = False) -> ProofEffort:
+def effort_of(
+    monotonic: Callable[[], float], states: int = STATES, seconds: float = math.inf, *, standard_only: bool = False
+) -> ProofEffort:
     """Return the limits of a proof: states per question, and seconds per enclave if the user asks for such a limit."""
-    return ProofEffort(states, lambda: _deadline(run.setting.monotonic, seconds), standard_only)
+    return ProofEffort(states, lambda: _deadline(monotonic, seconds), standard_only)
 
 
 def _deadline(clock: Callable[[], float], seconds: float) -> Callable[[], bool]:

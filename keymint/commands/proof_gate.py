@@ -10,32 +10,32 @@ from functools import partial
 from comarmor.errors import Diagnostic, Severity
 from keymint.api import LoadedPolicy, Proof
 from keymint.changes import Action, Plan
-from keymint.commands.options import InstallRequest
 from keymint.commands.proof_diagnostics import dated_of, diagnostics_of, effort_of, merged_packages
-from keymint.commands.run import Run
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import name_of
 from keymint.plan.built_documents import HAND_EDITED
+from keymint.plan.install_request import InstallRequest
 from keymint.plan.proof_results import EnclaveProof
 from keymint.plan.prove import NO_PROVER, ProofStage
 from keymint.plan.shared_proof import affected
+from keymint.plan.stage import Crew
 from keymint.session import Session
 
 
-def proof_stage(run: Run, policy: LoadedPolicy, request: InstallRequest) -> Callable[[Session], ProofStage]:
+def proof_stage(crew: Crew, policy: LoadedPolicy, request: InstallRequest) -> Callable[[Session], ProofStage]:
     """Return what makes the stage that proves documents which are about to be signed.
 
     Args:
-        run: the run.
+        crew: who plans packages.
         policy: the policy to prove.
         request: what the user asks for.
     """
-    effort = effort_of(run, standard_only=request.allow_vendor_specific)
+    effort = effort_of(crew.monotonic, standard_only=request.allow_vendor_specific)
     return partial(ProofStage, policy=policy, effort=effort, unsigned=True)
 
 
 def proven(
-    run: Run,
+    crew: Crew,
     session: Session,
     installed: Plan,
     names: Sequence[str],
@@ -46,7 +46,7 @@ def proven(
     """Prove the enclaves of a plan, and return the plan with the cached proofs.
 
     Args:
-        run: the run.
+        crew: who plans packages.
         session: the workspace before the installation, and its profile.
         installed: the plan of the installation.
         names: the packages to install.
@@ -61,7 +61,7 @@ def proven(
     # New shared documents decide about enclaves that stay as they are, too.
     names = [name for name in sorted({*names, *affected(before, session)}) if name not in kept]
     stage = proof(session)
-    results = stage.results(run.workers.planned(stage, names))
+    results = stage.results(crew.planned(stage, names))
     diagnostics = diagnostics_of(results, strict=request.strict)
     of_vendors = {enclave.subject for enclave in results.enclaves if _holds(enclave, results.standards)}
     refused = [

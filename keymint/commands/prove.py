@@ -83,8 +83,9 @@ def prove(
     except KeymintError as error:
         return _without_policy(run, session, chosen, error)
     with run.console.progress(len(chosen), run.setting.monotonic) as advance, run.pool() as pool:
+        effort = effort_of(run.setting.monotonic, states, seconds, standard_only=allow_vendor_specific)
         results = proven_keystore(
-            session, chosen, policy, effort_of(run, states, seconds, standard_only=allow_vendor_specific),
+            session, chosen, policy, effort,
             lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), pool,
         )  # fmt: skip
     unknown = () if names else (*unaccounted(session), *uncreated(session, policy, chosen))

@@ -20,7 +20,6 @@ from keymint.commands.options import (
     DEFAULT_PROFILE_TYPE,
     PATH,
     DocumentOptions,
-    InstallRequest,
     document_options,
     install_request,
     renew_option,
@@ -37,6 +36,7 @@ from keymint.plan.build import BuildStage
 from keymint.plan.create import CreateStage, packages_to_create
 from keymint.plan.distribution import plan_distribution
 from keymint.plan.install import InstallStage
+from keymint.plan.install_request import InstallRequest
 from keymint.plan.policy import lazy_policy
 from keymint.plan.revocation import plan_lists
 from keymint.session import Inputs, Session
@@ -122,7 +122,7 @@ def _provisioned(
     create = partial(CreateStage, policy=policy, force=request.force)
     build = partial(BuildStage, options=options, force=request.force, renew=request.renew, policy=policy)
     install = partial(InstallStage, authorities=authorities, prune=request.prune)
-    proof = proof_stage(run, policy, request)
+    proof = proof_stage(run.crew, policy, request)
     subjects = create(session).subjects(names)
     if run.has_cluster:
         ahead = create(session)
@@ -143,4 +143,4 @@ def _provisioned(
         installed = installed.then(plan_distribution(before, session.after(installed), every))
     plan = first.then(created).then(built).then(minted).then(installed)
     plan = plan.noting(*policy_slips(session, (*created.steps, *built.steps), policy))
-    return proven(run, session, installed, every, proof, plan, request) if request.prove else plan
+    return proven(run.crew, session, installed, every, proof, plan, request) if request.prove else plan

@@ -22,10 +22,11 @@ from keymint.analysis.rule_lists import RAW, allow_only, display_name, find_perm
 from keymint.analysis.subject_patterns import rules_of, unknown_subject
 from keymint.analysis.who_can import PermissionHolder, who_can
 from keymint.api import LoadedPolicy
-from keymint.commands.options import PolicyOptions, kind_option, policy_options, usage_error
+from keymint.commands.options import PolicyOptions, kind_option, policy_options
 from keymint.commands.policies import Policies
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
+from keymint.errors import usage_error
 from keymint.output.json import line_json
 from keymint.output.report import Report, findings_if, members
 

@@ -9,27 +9,28 @@ from datetime import datetime
 
 from keymint.api import BuildOptions, LoadedPolicy, Role
 from keymint.changes import Action, Plan
-from keymint.commands.options import InstallRequest
 from keymint.commands.proof_gate import proof_stage, proven
-from keymint.commands.run import Run
 from keymint.names import name_of
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.authority_files import bundled
-from keymint.plan.build import BuildStage, is_current, options_as_built
+from keymint.plan.build import BuildStage, options_as_built
+from keymint.plan.build_types import is_build_current
 from keymint.plan.distribution import plan_distribution
 from keymint.plan.earlier_rights import RIGHTS_OUTLIVE
 from keymint.plan.enclaves import INSTALLED, with_sources
 from keymint.plan.install import InstallStage
+from keymint.plan.install_request import InstallRequest
 from keymint.plan.policy import policy_in_force
 from keymint.plan.register import complete_register
 from keymint.plan.revocation import plan_lists
 from keymint.plan.revoking import plan_revocation
+from keymint.plan.stage import Crew
 from keymint.register.register import SUPERSEDED
 from keymint.session import Session
 
 
 def reissued(
-    run: Run,
+    crew: Crew,
     session: Session,
     first: Plan,
     names: Sequence[str],
@@ -45,7 +46,7 @@ def reissued(
     Nothing else changes: the other enclaves get new revocation lists only.
 
     Args:
-        run: the run.
+        crew: who plans packages.
         session: the workspace before the plan, and its profile.
         first: what changes the sources, the register or the authorities.
         names: the packages to issue again.
@@ -72,7 +73,7 @@ def reissued(
     installed = install.plan(planned)
     if narrower := superseding(start, installed, request):
         return reissued(
-            run, before, first.then(narrower), names, request=request, rekey=rekey, refresh=refresh,
+            crew, before, first.then(narrower), names, request=request, rekey=rekey, refresh=refresh,
             list_end=list_end, policy=policy,
         )  # fmt: skip
     others = plan_distribution(before, session.after(installed), names)
@@ -83,8 +84,8 @@ def reissued(
     vendor_specific = any(as_built[name].allow_vendor_specific for name in issued)
     request = replace(request, allow_vendor_specific=request.allow_vendor_specific or vendor_specific)
     in_force, warnings = (policy, ()) if policy else policy_in_force(session)
-    plan, proof = plan.noting(*warnings), proof_stage(run, in_force, request)
-    return proven(run, session, installed.then(others), issued, proof, plan, request)
+    plan, proof = plan.noting(*warnings), proof_stage(crew, in_force, request)
+    return proven(crew, session, installed.then(others), issued, proof, plan, request)
 
 
 def following(before: Session, session: Session, names: Sequence[str], revoked: Plan) -> tuple[str, ...]:
@@ -98,7 +99,11 @@ def following(before: Session, session: Session, names: Sequence[str], revoked: 
     """
     if any(session.role(name) is Role.INFRASTRUCTURE for name in names):
         # All others name it, so they follow its generation; those whose own sources changed wait for their build.
-        built_of = [name for name in session.packages() if is_current(before, name) and not is_current(session, name)]
+        built_of = [
+            name
+            for name in session.packages()
+            if is_build_current(before, name) and not is_build_current(session, name)
+        ]
         names = tuple(dict.fromkeys((*names, *built_of)))
     if revoked.writes() and any(map(bundled, session.profile.authorities)):
         names = tuple(dict.fromkeys((*names, *with_sources(session))))  # their authorities' file has the lists
@@ -125,11 +130,11 @@ def rebuilt(
     return BuildStage(session, shared).plan(packages), of_package
 
 
-def reissued_by_profile(run: Run, session: Session, first: Plan, names: Sequence[str]) -> Plan:
+def reissued_by_profile(crew: Crew, session: Session, first: Plan, names: Sequence[str]) -> Plan:
     """Return a plan that changes the profile, followed by what issues packages again as the changed profile says.
 
     Args:
-        run: the run.
+        crew: who plans packages.
         session: the workspace before the plan, and its profile.
         first: what changes the profile.
         names: the packages to issue again.
@@ -138,7 +143,7 @@ def reissued_by_profile(run: Run, session: Session, first: Plan, names: Sequence
         KeymintError: as :func:`reissued`.
     """
     after = session.after(first).session()
-    return first.then(reissued(run, after, Plan((), after.state), names))
+    return first.then(reissued(crew, after, Plan((), after.state), names))
 
 
 def updated(plan: Plan) -> list[str]:

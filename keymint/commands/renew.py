@@ -15,7 +15,7 @@ from comarmor.text import counted
 from comarmor.values import dataclass
 from keymint.changes import Plan
 from keymint.commands import durations
-from keymint.commands.options import InstallRequest, packages_argument, prove_option
+from keymint.commands.options import packages_argument, prove_option
 from keymint.commands.reissue import reissued, updated
 from keymint.commands.run import Run, exit_code_of
 from keymint.commands.second_keystore import DEFERRED, STAGE, in_step
@@ -23,6 +23,7 @@ from keymint.commands.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import listed, subject_of
 from keymint.output.report import Report, findings_if
+from keymint.plan.install_request import InstallRequest
 from keymint.plan.issuance import plan_issuance
 from keymint.plan.register import with_enclaves
 from keymint.plan.renewal import (
@@ -162,7 +163,7 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
                 raise KeymintError.of(tuple(dict.fromkeys(errors))) from error
             names = [name for name in names if name not in defective]
     findings = [*choice.requests, *map(_authority_due, due.authorities)]
-    plan = in_step(run, session, plan.noting(*findings, *dict.fromkeys(errors)))
+    plan = in_step(run.crew, session, plan.noting(*findings, *dict.fromkeys(errors)))
     after = session.after(plan)
     done = frozenset(names)
     taken = [each for each in due.enclaves if each.name in done]
@@ -207,7 +208,7 @@ def _issued_again(run: Run, session: Session, due: Schedule, names: Sequence[str
     first = plan_issuance(session, run.verb, {name: renewed(session, name) for name in names})
     ends = [list_end(session, each) for each in due.lists]
     plan = reissued(
-        run, session, first, names, rekey=frozenset(names if rekey else ()),
+        run.crew, session, first, names, rekey=frozenset(names if rekey else ()),
         request=InstallRequest(prove=prove), refresh=[each.name for each in due.lists],
         list_end=None if None in ends else max(filter(None, ends), default=None),
     )  # fmt: skip

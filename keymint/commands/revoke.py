@@ -11,7 +11,7 @@ import click
 from comarmor.errors import Severity
 from comarmor.text import counted
 from keymint.changes import Plan
-from keymint.commands.options import InstallRequest, complete_package, prove_option
+from keymint.commands.options import complete_package, prove_option
 from keymint.commands.reissue import reissued, updated
 from keymint.commands.run import Run
 from keymint.commands.verb import verb
@@ -19,6 +19,7 @@ from keymint.errors import KeymintError
 from keymint.names import listed, package_name, subject_of
 from keymint.output.report import Report, members
 from keymint.plan.enclaves import INSTALLED
+from keymint.plan.install_request import InstallRequest
 from keymint.plan.revoking import Revoking, plan_revocation
 from keymint.register.register import REASONS, SUPERSEDED, IssuedCertificate
 from keymint.session import Session
@@ -48,7 +49,7 @@ def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report
 
     def make_plan(session: Session) -> Plan:
         revoking = plan_revocation(session, () if run.resumes else chosen, reason)
-        plan = reissued(run, session, revoking.plan, revoking.packages, request=InstallRequest(prove=prove))
+        plan = reissued(run.crew, session, revoking.plan, revoking.packages, request=InstallRequest(prove=prove))
         if revoking.skipped and not plan.writes():
             raise KeymintError.of([replace(each, severity=Severity.ERROR) for each in revoking.skipped])
         done[:] = [(revoking, plan)]

@@ -11,8 +11,9 @@ import click
 
 from comarmor.values import dataclass
 from keymint.bundles.keystore import Keystore
-from keymint.commands.options import PATH, usage_error
+from keymint.commands.options import PATH
 from keymint.commands.run import Run
+from keymint.errors import usage_error
 from keymint.store import Store
 from keymint.tree import Tree
 from keymint.workspace import shown

@@ -11,11 +11,9 @@ from comarmor.text import counted
 from comarmor.values import dataclass
 from keymint.api import Phase
 from keymint.changes import Plan
-from keymint.commands.options import usage_error
 from keymint.commands.reissue import reissued, reissued_by_profile
-from keymint.commands.run import Run
 from keymint.commands.second_keystore import dropped_keystore, exchanged_keystore, staged_keystore
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, usage_error
 from keymint.names import subject_of
 from keymint.pki import certificates
 from keymint.plan import install, rollover
@@ -23,6 +21,7 @@ from keymint.plan.authority_issuance import authority_named
 from keymint.plan.authority_uses import refusing
 from keymint.plan.enclaves import with_sources
 from keymint.plan.given_authority import GivenAuthority
+from keymint.plan.stage import Crew
 from keymint.session import Session
 
 _NEXT = {Phase.DISTRIBUTE: Phase.REISSUE, Phase.REISSUE: Phase.END, Phase.STAGE: Phase.END}
@@ -46,7 +45,7 @@ class Request:
     given: GivenAuthority | None = None
 
 
-def planned(run: Run, session: Session, name: str, request: Request) -> Plan:
+def planned(crew: Crew, session: Session, name: str, request: Request) -> Plan:
     """Return the plan of a phase; of one that was reached already, what is missing.
 
     Raises:
@@ -55,28 +54,28 @@ def planned(run: Run, session: Session, name: str, request: Request) -> Plan:
     """
     phase, names = rollover.phase_of(session, name), _names(session, name)
     if request.cancel:
-        return _cancelled(run, session, name, names)
+        return _cancelled(crew, session, name, names)
     if phase is None:
         if request.phase is Phase.END:
-            return _ended(run, session, name, names)
-        return _begun(run, session, name, names, request)
+            return _ended(crew, session, name, names)
+        return _begun(crew, session, name, names, request)
     _require_same_begin(session, name, phase, request)
     following = _NEXT[phase]
     if rollover.is_interrupted(session, name) and request.phase in {None, following}:
-        return _went_on(run, session, name, names)
+        return _went_on(crew, session, name, names)
     if request.phase in {None, phase}:
-        return _completed(run, session, name, names, phase)
+        return _completed(crew, session, name, names, phase)
     if request.phase is not following:
         raise usage_error(
             f"the key of the authority {name!r} is in the phase {phase}: {request.phase} does not follow it",
             f"'keymint authority replace {name} --phase {following}' does",
         )
     if phase is Phase.STAGE:
-        require_staged(run, session, name)
+        require_staged(crew, session, name)
     else:
         completed = f"'keymint authority replace {name}' completes it; then copy the keystore to all robots"
         _require_current(session, names, f"the keystore of the phase {phase}", completed)
-    return _went_on(run, session, name, names)
+    return _went_on(crew, session, name, names)
 
 
 def _names(session: Session, name: str) -> Sequence[str]:
@@ -114,7 +113,7 @@ def _require_same_begin(session: Session, name: str, phase: Phase, request: Requ
         )
 
 
-def _begun(run: Run, session: Session, name: str, names: Sequence[str], request: Request) -> Plan:
+def _begun(crew: Crew, session: Session, name: str, names: Sequence[str], request: Request) -> Plan:
     refused = refusing(session, name, request.vendors, "bundles")
     phase = request.phase or (Phase.STAGE if refused else Phase.DISTRIBUTE)
     if phase is Phase.REISSUE:
@@ -132,38 +131,38 @@ def _begun(run: Run, session: Session, name: str, names: Sequence[str], request:
     _require_current(session, names, "the present keystore", "'keymint build' and 'keymint install' complete it")
     first = rollover.plan_begin(session, name, phase, request.given)
     after = session.after(first).session()
-    return first.then(_completed(run, after, name, names, phase))
+    return first.then(_completed(crew, after, name, names, phase))
 
 
-def _completed(run: Run, session: Session, name: str, names: Sequence[str], phase: Phase) -> Plan:
+def _completed(crew: Crew, session: Session, name: str, names: Sequence[str], phase: Phase) -> Plan:
     """Return what is missing of a phase."""
-    present = reissued(run, session, Plan((), session.state), names)
+    present = reissued(crew, session, Plan((), session.state), names)
     if phase is not Phase.STAGE:
         return present
-    return present.then(staged_keystore(run, session.after(present), name, names))
+    return present.then(staged_keystore(crew, session.after(present), name, names))
 
 
-def _went_on(run: Run, session: Session, name: str, names: Sequence[str]) -> Plan:
+def _went_on(crew: Crew, session: Session, name: str, names: Sequence[str]) -> Plan:
     """Return the plan of the next phase; of one that a killed run began, what is missing."""
     phase = rollover.phase_of(session, name)
     if phase is Phase.STAGE:
-        return exchanged_keystore(run, session, name, names)
+        return exchanged_keystore(crew, session, name, names)
     first = rollover.plan_switch(session, name) if phase is Phase.DISTRIBUTE else rollover.plan_end(session, name)
-    return reissued_by_profile(run, session, first, names)
+    return reissued_by_profile(crew, session, first, names)
 
 
-def _ended(run: Run, session: Session, name: str, names: Sequence[str]) -> Plan:
+def _ended(crew: Crew, session: Session, name: str, names: Sequence[str]) -> Plan:
     """Return what is missing of an end that a killed run began; nothing is if there was none."""
     first = Plan((*rollover.left_over(session, name), *dropped_keystore(session)), session.state)
-    return reissued_by_profile(run, session, first, names)
+    return reissued_by_profile(crew, session, first, names)
 
 
-def _cancelled(run: Run, session: Session, name: str, names: Sequence[str]) -> Plan:
+def _cancelled(crew: Crew, session: Session, name: str, names: Sequence[str]) -> Plan:
     if rollover.phase_of(session, name) is None:
-        return _ended(run, session, name, names)
+        return _ended(crew, session, name, names)
     first = rollover.plan_cancel(session, name)
     first = replace(first, steps=(*first.steps, *dropped_keystore(session)))
-    return reissued_by_profile(run, session, first, names)
+    return reissued_by_profile(crew, session, first, names)
 
 
 def _require_current(session: Session, names: Sequence[str], what: str, help_: str) -> None:
@@ -182,13 +181,13 @@ def _require_current(session: Session, names: Sequence[str], what: str, help_: s
         )
 
 
-def require_staged(run: Run, session: Session, name: str) -> None:
+def require_staged(crew: Crew, session: Session, name: str) -> None:
     """Require that the second keystore of an authority's replacement is complete and as the sources say.
 
     Raises:
         KeymintError: it is not.
     """
-    if staged_keystore(run, session, name, _names(session, name)).writes():
+    if staged_keystore(crew, session, name, _names(session, name)).writes():
         shown = session.workspace.shown(session.workspace.next_install)
         raise KeymintError(
             "the second keystore is not as the sources and the authorities say now",

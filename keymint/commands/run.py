@@ -19,10 +19,10 @@ from comarmor.values import dataclass
 from keymint import SPACES, file_index
 from keymint.api import BuildOptions, Environment
 from keymint.changes import File, Plan, Step
-from keymint.commands.options import PROCESSES, usage_error
 from keymint.commands.remember import remember
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import ExitCode, KeymintError, usage_error
 from keymint.execute import RECORD, execute, open_store, require_register
+from keymint.executors import PROCESSES
 from keymint.folder_status import Sight
 from keymint.journal import Intent, Journal, intent_of
 from keymint.names import package_name
@@ -31,7 +31,7 @@ from keymint.output.report import Report, folded
 from keymint.pins import Pins
 from keymint.pki.tokens import Tokens
 from keymint.plan import gitignore
-from keymint.plan.stage import PlanStage
+from keymint.plan.stage import Crew, PlanStage
 from keymint.plugins import Plugins
 from keymint.session import Inputs, Session
 from keymint.state import MAX_RECORD, State
@@ -401,6 +401,11 @@ class Run:
     def presented(self, report: Report) -> Report:
         """Return a report with all paths as the user would type them, and equal diagnostics merged."""
         return replace(report, diagnostics=folded([self.as_typed(diagnostic) for diagnostic in report.diagnostics]))
+
+    @property
+    def crew(self) -> Crew:
+        """Who plans packages for the conductor of the stages."""
+        return Crew(self.workers.planned, self.setting.monotonic)
 
     def planned(self, stage: PlanStage, names: Sequence[str]) -> Plan:
         """Return the plan of a stage for some packages; processes that were started make their parts of it.

@@ -15,30 +15,30 @@ from pathlib import Path
 from comarmor.errors import Diagnostic
 from keymint.api import Phase
 from keymint.changes import Action, File, FolderChange, Plan, Step, changed
-from keymint.commands.options import InstallRequest
 from keymint.commands.proof_gate import proof_stage, proven
 from keymint.commands.reissue import rebuilt, reissued_by_profile
-from keymint.commands.run import Run
 from keymint.errors import KeymintError
 from keymint.plan.authorities import MintedAuthority, plan_authorities
 from keymint.plan.authority_files import NEXT
 from keymint.plan.enclaves import with_sources
 from keymint.plan.gitignore import NAME as GITIGNORE
 from keymint.plan.install import InstallStage
+from keymint.plan.install_request import InstallRequest
 from keymint.plan.policy import lazy_policy
 from keymint.plan.revocation import plan_lists
 from keymint.plan.rollover import phase_of, plan_switch, staged_session
+from keymint.plan.stage import Crew
 from keymint.session import Session
 
 STAGE = "install.next"
 DEFERRED = "second-keystore-deferred"
 
 
-def staged_keystore(run: Run, session: Session, name: str, names: Sequence[str]) -> Plan:
+def staged_keystore(crew: Crew, session: Session, name: str, names: Sequence[str]) -> Plan:
     """Plan the second keystore; what is right of it stays.
 
     Args:
-        run: the run.
+        crew: who plans packages.
         session: the workspace in the phase ``stage`` of an authority's replacement, and its profile.
         name: the authority.
         names: the packages whose enclaves it has.
@@ -54,8 +54,8 @@ def staged_keystore(run: Run, session: Session, name: str, names: Sequence[str])
     install = InstallStage(ahead, authorities, prune=request.prune)
     planned = install.plan([install.package(each) for each in names])
     request = replace(request, allow_vendor_specific=any(each.allow_vendor_specific for each in as_built.values()))
-    proof = proof_stage(run, lazy_policy(ahead), request)
-    done = proven(run, ahead, planned, names, proof, planned, request)
+    proof = proof_stage(crew, lazy_policy(ahead), request)
+    done = proven(crew, ahead, planned, names, proof, planned, request)
     steps = [replace(step, stage=STAGE) for step in planned.steps]
     own, beside = _lists(session, name)
     content = ahead.tree.read(own)
@@ -65,11 +65,11 @@ def staged_keystore(run: Run, session: Session, name: str, names: Sequence[str])
     return replace(done, steps=tuple(steps), state=session.state, first=(*listed.first, *done.first))
 
 
-def in_step(run: Run, session: Session, plan: Plan) -> Plan:
+def in_step(crew: Crew, session: Session, plan: Plan) -> Plan:
     """Return a plan that changes enclaves, followed by the same change of the second keystore, if one is staged.
 
     Args:
-        run: the run.
+        crew: who plans packages.
         session: the workspace before the plan, and its profile.
         plan: the plan; if the second keystore cannot follow, it has a warning of the code :data:`DEFERRED`.
     """
@@ -77,7 +77,7 @@ def in_step(run: Run, session: Session, plan: Plan) -> Plan:
     for name in staged if plan.writes() else ():
         after = session.after(plan)
         try:
-            plan = plan.then(staged_keystore(run, after, name, with_sources(after)))
+            plan = plan.then(staged_keystore(crew, after, name, with_sources(after)))
         except KeymintError as error:
             found = error.diagnostics[0]
             message = f"the second keystore is deferred: {found.message}"
@@ -111,11 +111,11 @@ def _lists(session: Session, name: str) -> tuple[Path, Path]:
     return workspace.revocation_list(name), workspace.revocation_list(f"{name}.{NEXT}")
 
 
-def exchanged_keystore(run: Run, session: Session, name: str, names: Sequence[str]) -> Plan:
+def exchanged_keystore(crew: Crew, session: Session, name: str, names: Sequence[str]) -> Plan:
     """Plan that the second keystore becomes the one in force, and that the next authority is the only one.
 
     Args:
-        run: the run.
+        crew: who plans packages.
         session: the workspace in the phase ``stage``, with a complete second keystore.
         name: the authority.
         names: the packages whose enclaves it has.
@@ -128,7 +128,7 @@ def exchanged_keystore(run: Run, session: Session, name: str, names: Sequence[st
     copied = (*_copied(session), *_moved_list(session, name))
     copies = Step("install", "", Action.UPDATED, copied, "the second keystore")
     first = replace(switch, steps=(key, copies, *profile))
-    done = reissued_by_profile(run, session, first, names)
+    done = reissued_by_profile(crew, session, first, names)
     # The profile comes late: until then a run that was killed is recognised by the key, and copies the rest.
     others = done.steps[len(first.steps) :]
     return replace(done, steps=(key, copies, *others, *profile, *dropped_keystore(session)))

@@ -14,15 +14,17 @@ from keymint.bundles import request as requests
 from keymint.changes import Plan
 from keymint.commands.accept import fingerprint
 from keymint.commands.bundle_files import bundle_output_option, require_output, write_bundles
-from keymint.commands.options import FILE, InstallRequest, prove_option, usage_error
+from keymint.commands.options import FILE, prove_option
 from keymint.commands.reissue import reissued
 from keymint.commands.run import Run
 from keymint.commands.user_files import read_input
 from keymint.commands.verb import verb
+from keymint.errors import usage_error
 from keymint.names import package_name
 from keymint.output.report import Report
 from keymint.plan.authorities import plan_authorities
 from keymint.plan.bundles import MadeBundle, plan_bundles
+from keymint.plan.install_request import InstallRequest
 from keymint.plan.requests import Given, plan_requests
 from keymint.session import Session
 
@@ -55,7 +57,7 @@ def sign(run: Run, files: tuple[Path, ...], typed: tuple[str, ...], output: Path
 
     def make_plan(session: Session) -> Plan:
         plan, chosen = plan_requests(session, given, fingerprints)
-        plan = reissued(run, session, plan, list(chosen), request=InstallRequest(prove=prove))
+        plan = reissued(run.crew, session, plan, list(chosen), request=InstallRequest(prove=prove))
         after = session.after(plan)
         _, authorities = plan_authorities(after)
         numbered, made[:] = plan_bundles(after, chosen, authorities)

@@ -85,7 +85,7 @@ def _outliving(run: Run, session: Session, policy: LoadedPolicy) -> tuple[Diagno
     try:
         if not has_earlier(session):  # then none can permit more than the one in force
             return ()
-        return presented_rights(session, session.state, policy, effort_of(run)).outliving
+        return presented_rights(session, session.state, policy, effort_of(run.setting.monotonic)).outliving
     except KeymintError:  # a package has defects, which its row shows
         return ()
 

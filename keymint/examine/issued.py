@@ -11,7 +11,7 @@ from comarmor.errors import Diagnostic
 from keymint.errors import KeymintError
 from keymint.pki import certificates, forms
 from keymint.plan.authority_files import issuers
-from keymint.plan.build import is_current
+from keymint.plan.build_types import is_build_current
 from keymint.plan.enclaves import CERTIFICATE, installed_certificate, with_sources
 from keymint.plan.register import complete_register, issuer_of, register_of
 from keymint.plan.terms import shown
@@ -47,7 +47,7 @@ def registered(session: Session) -> Iterator[Diagnostic]:
     register = register_of(session)
     for name, certificate, issuer in issued_here(session):
         known = register.certificates.get((issuer_of(issuer), certificate.serial_number))
-        package = session.package(name, built=is_current(session, name))
+        package = session.package(name, built=is_build_current(session, name))
         where = session.workspace.origin(f"{session.enclave_folder(name)}/{CERTIFICATE}")
         issue = f"'keymint install {name}' issues another one"
         first, last = certificates.period(certificate)

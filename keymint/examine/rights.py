@@ -39,8 +39,7 @@ from keymint.pki.distinguished_names import to_text
 from keymint.pki.mime import SignedDocument
 from keymint.plan import authority_files, earlier_rights, hardening
 from keymint.plan.authority_files import chains_digest
-from keymint.plan.build import is_current
-from keymint.plan.build_types import inputs_digest
+from keymint.plan.build_types import inputs_digest, is_build_current
 from keymint.plan.enclaves import installed_certificate
 from keymint.plan.proof_record import dump_claims, load_claims
 from keymint.plan.proof_results import EnclaveProof, ProofEffort, ProofResults
@@ -211,7 +210,7 @@ def _universe(holders: Sequence[Holder], documents: Sequence[PresentableDocument
 def _packages(session: Session, build_type: str) -> Mapping[str, Package]:
     """Return the packages of subjects that a build type builds, by name."""
     names = (name for name in session.packages() if session.role(name) is Role.SUBJECT)
-    found = (session.package(name, built=is_current(session, name)) for name in names)
+    found = (session.package(name, built=is_build_current(session, name)) for name in names)
     return {each.name: each for each in found if build_type in each.build_types}
 
 

@@ -11,8 +11,7 @@ from comarmor.values import dataclass
 from keymint.api import AuthorityChanges, Implementation
 from keymint.errors import ExitCode, KeymintError
 from keymint.plan.authority_files import with_issuers
-from keymint.plan.build import is_current
-from keymint.plan.build_types import build_types_of
+from keymint.plan.build_types import build_types_of, is_build_current
 from keymint.session import Session, once_of_sources
 
 
@@ -42,7 +41,7 @@ def uses(session: Session) -> dict[str, tuple[Use, ...]]:
     """
     issuers = {each.name: each.certificate.issuer for each in session.profile.authorities}
     counts: Counter[tuple[str, str, str, bool]] = Counter()
-    for package in (session.package(name, built=is_current(session, name)) for name in session.packages()):
+    for package in (session.package(name, built=is_build_current(session, name)) for name in session.packages()):
         for build_type, plugin in build_types_of(session, package).items():
             found: set[tuple[str, str, str, bool]] = set()
             for role in plugin.authorities(package):

@@ -12,11 +12,11 @@ from keymint.changes import Action, DocumentSize, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.plan import identity_keys, shared_documents, terms
-from keymint.plan.build_types import BUILD, build_types_of, inputs_digest, two_writers
+from keymint.plan.build_types import BUILD, build_types_of, inputs_digest, is_build_current, two_writers
 from keymint.plan.built_documents import kept, refuse_edits
 from keymint.plan.rule_places import RulePlaces
 from keymint.plan.stage import PackagePlan, recorded, steps_of
-from keymint.session import Inputs, Session, once
+from keymint.session import Inputs, Session
 from keymint.state import Stamp, digest
 
 STAGE = BUILD
@@ -80,13 +80,6 @@ class BuildStage:
         return Plan((*steps, *shared.steps), shared.state, tuple(diagnostics))
 
 
-@once
-def is_current(session: Session, name: str) -> bool:
-    """Tell whether the documents of a package were built from its present sources, with any options."""
-    stamp = session.state.stamp(STAGE, name)
-    return stamp is not None and stamp.inputs == inputs_digest(session, name)
-
-
 def options_as_built(session: Session, name: str) -> BuildOptions:
     """Return the options that a package was built with last, as far as the record tells; hints are not recorded."""
     stamp = session.state.stamp(STAGE, name)
@@ -132,7 +125,7 @@ def _plan_package(session: Session, name: str, options: BuildOptions, *, force: 
     options = options_of(options, subject_of(name))
     options_digest = digest(repr(options))
     stamp = session.state.stamp(STAGE, name)
-    same = stamp is not None and stamp.context == options_digest and is_current(session, name)
+    same = stamp is not None and stamp.context == options_digest and is_build_current(session, name)
     may_stay = stamp and same and not force and not renew and identity_keys.is_there(session, name)
     if stamp and may_stay and (step := kept(session, stamp, folder, name)):
         return PackagePlan(name, step, lifetimes=terms.recalled(session, name, stamp))

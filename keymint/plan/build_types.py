@@ -136,6 +136,13 @@ def inputs_digest(session: Session, name: str, build_types: Iterable[str] | None
 
 
 @once
+def is_build_current(session: Session, name: str) -> bool:
+    """Tell whether the documents of a package were built from its present sources, with any options."""
+    stamp = session.state.stamp(BUILD, name)
+    return stamp is not None and stamp.inputs == inputs_digest(session, name)
+
+
+@once
 def shared_builder(session: Session, name: str) -> SharedDocuments | None:
     """Return a build type that has shared documents; None if it has none, or is not installed.
 

@@ -14,7 +14,8 @@ from keymint.api import BuildOptions, Package, RemoteCompiler
 from keymint.errors import KeymintError
 from keymint.executors import Pool
 from keymint.keymake.kinds import kind_of
-from keymint.plan.build import is_current, options_of
+from keymint.plan.build import options_of
+from keymint.plan.build_types import is_build_current
 from keymint.session import Session
 
 
@@ -46,7 +47,7 @@ def _alone(session: Session, names: Sequence[str]) -> Iterator[Package]:
     """Yield the packages to build that are the only one of their kind."""
     packages: list[Package] = []
     for name in names:
-        if not is_current(session, name):
+        if not is_build_current(session, name):
             with contextlib.suppress(KeymintError):  # the build reports it
                 packages.append(session.package(name))
     kinds = [(kind_of(each.grant.rules.rules)[0], each.distro, each.grant.domains) for each in packages]

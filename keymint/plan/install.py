@@ -13,20 +13,19 @@ from comarmor.errors import Diagnostic, Severity
 from keymint.api import Package
 from keymint.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
-from keymint.names import ROOT, subject_of
+from keymint.names import subject_of
 from keymint.pki import certificates
 from keymint.pki.distinguished_names import to_text
 from keymint.plan import build, earlier_rights, identity_keys, key_record, revocation, terms
 from keymint.plan.authorities import MintedAuthority
 from keymint.plan.authority_files import chains_digest
-from keymint.plan.build_types import build_types_of, inputs_digest
+from keymint.plan.build_types import build_types_of, inputs_digest, is_build_current
 from keymint.plan.built_documents import OUTDATED, edits
 from keymint.plan.enclaves import (
     CERTIFICATE,
     INSTALLED,
     differing,
     enclave_files,
-    files_in,
     has_outputs,
     installed,
     orphans,
@@ -42,7 +41,15 @@ from keymint.plan.register import (
     require_free_serials,
     rights_of,
 )
-from keymint.plan.shared_files import EnclaveChanges, build_types_in_use, obsolete_steps, shared_copies, shared_steps
+from keymint.plan.shared_files import (
+    EnclaveChanges,
+    build_types_in_use,
+    obsolete_steps,
+    pruned,
+    shared_copies,
+    shared_steps,
+    withdraw,
+)
 from keymint.plan.shared_install import plan_shared_install
 from keymint.plan.signing import sign
 from keymint.plan.stage import PackagePlan, recorded, steps_of
@@ -106,7 +113,7 @@ class InstallStage:
         if prune:
             require_sources(session)
             diagnostics += _still_good(session, removed)
-            steps += [_prune(session, name, changes) for name in removed]
+            steps += [pruned(session, name, changes) for name in removed]
             state = key_record.forget(state, key_record.IDENTITIES, removed)
         steps += obsolete_steps(session, copies, steps)
         return Plan(tuple(steps), state, tuple(diagnostics), _register(session, planned))
@@ -224,7 +231,7 @@ def _plan_enclave(
         lifetimes=own,
         build_types=tuple(build_types),
         artifacts={file: artifacts[file] for file in copied if file in artifacts},
-        outdated=is_recorded and not build.is_current(session, name),
+        outdated=is_recorded and not is_build_current(session, name),
         issued=issued,
         signed=_signed(session, package, new),
     )
@@ -290,29 +297,3 @@ def inputs_of(session: Session, name: str) -> str | None:
     revoked = revocation.lists(session)
     more = (digest_files(revoked),) if revoked else ()
     return digest(inputs_digest(session, name), key, chains_digest(session), session.profile.layout, *built, *more)
-
-
-def withdraw(session: Session, name: str, reason: str, changes: EnclaveChanges) -> Step:
-    """Return the step for a subject whose key must not be certified again: no robot may get its enclave.
-
-    Args:
-        session: the workspace and its profile.
-        name: the package.
-        reason: why its certificate was revoked.
-        changes: what the run does to the enclaves; it removes this one.
-    """
-    if name in installed(session):
-        return replace(_prune(session, name, changes), detail=f"revoked: {reason}")
-    return Step(STAGE, name, Action.KEPT, detail=f"revoked: {reason}; 'keymint renew --rekey {name}' makes a new key")
-
-
-def _prune(session: Session, name: str, changes: EnclaveChanges) -> Step:
-    folder = session.enclave(name)
-    files = files_in(session, name)
-    if name == ROOT:  # its folder keeps what the other enclaves share
-        copies = shared_copies(session, changes)
-        shared = {session.workspace.install / path for of_type in copies for path in of_type}
-        files = tuple(file for file in files if folder / file not in shared)
-    # The certificate goes last, so that what a killed run leaves is still recognised as an enclave.
-    ordered = tuple(sorted(files, key=lambda entry: entry == CERTIFICATE))
-    return Step(STAGE, name, Action.REMOVED, (FolderChange(folder, removed=ordered),))

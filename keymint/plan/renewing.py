@@ -12,6 +12,7 @@ from keymint.changes import FolderChange, Plan
 from keymint.errors import KeymintError
 from keymint.names import name_of, subject_of
 from keymint.plan import authorities, build
+from keymint.plan.build_types import is_build_current
 from keymint.plan.enclaves import installed
 from keymint.plan.issuance import place_of
 from keymint.plan.register import register_of
@@ -99,7 +100,7 @@ def _require_same(session: Session, name: str) -> Mapping[str, Stamp]:
     Raises:
         KeymintError: the sources changed since the documents were built, so that others would be built now.
     """
-    if build.is_current(session, name) or not build.is_built(session, name):
+    if is_build_current(session, name) or not build.is_built(session, name):
         return {}
     planned = build.BuildStage(session, BuildOptions()).package(name)
     if planned.errors:

@@ -14,10 +14,9 @@ from keymint.changes import Action, Plan, Step
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.plan.enclaves import INSTALLED, installed
-from keymint.plan.install import withdraw
 from keymint.plan.issuance import plan_issuance
 from keymint.plan.register import complete_register, register_change
-from keymint.plan.shared_files import EnclaveChanges
+from keymint.plan.shared_files import EnclaveChanges, withdraw
 from keymint.register.register import SUPERSEDED, IssuedCertificate, Register
 from keymint.session import Session
 

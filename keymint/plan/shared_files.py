@@ -4,16 +4,16 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import field
+from dataclasses import field, replace
 from pathlib import Path
 
 from comarmor.values import dataclass
 from keymint.api import Artifact, BuildType
 from keymint.changes import Action, File, FolderChange, Step, by_folder, changed
 from keymint.errors import KeymintError
-from keymint.names import subject_of
+from keymint.names import ROOT, subject_of
 from keymint.plan.build_types import recorded_build_types
-from keymint.plan.enclaves import INSTALLED, installed
+from keymint.plan.enclaves import CERTIFICATE, INSTALLED, files_in, installed
 from keymint.session import Session
 
 
@@ -126,3 +126,31 @@ def copies_of(
         for subject, files in enclaves.items()
     }
     return build_type.shared(own, session.profile.layout)
+
+
+def withdraw(session: Session, name: str, reason: str, changes: EnclaveChanges) -> Step:
+    """Return the step for a subject whose key must not be certified again: no robot may get its enclave.
+
+    Args:
+        session: the workspace and its profile.
+        name: the package.
+        reason: why its certificate was revoked.
+        changes: what the run does to the enclaves; it removes this one.
+    """
+    if name in installed(session):
+        return replace(pruned(session, name, changes), detail=f"revoked: {reason}")
+    detail = f"revoked: {reason}; 'keymint renew --rekey {name}' makes a new key"
+    return Step(INSTALLED, name, Action.KEPT, detail=detail)
+
+
+def pruned(session: Session, name: str, changes: EnclaveChanges) -> Step:
+    """Return the step that removes the enclave of a package."""
+    folder = session.enclave(name)
+    files = files_in(session, name)
+    if name == ROOT:  # its folder keeps what the other enclaves share
+        copies = shared_copies(session, changes)
+        shared = {session.workspace.install / path for of_type in copies for path in of_type}
+        files = tuple(file for file in files if folder / file not in shared)
+    # The certificate goes last, so that what a killed run leaves is still recognised as an enclave.
+    ordered = tuple(sorted(files, key=lambda entry: entry == CERTIFICATE))
+    return Step(INSTALLED, name, Action.REMOVED, (FolderChange(folder, removed=ordered),))

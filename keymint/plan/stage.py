@@ -6,9 +6,9 @@ Only the second part looks at several packages. So other processes may do the fi
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import field
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
@@ -78,6 +78,19 @@ class PlanStage(PackageStage[PackagePlan], Protocol):
         Raises:
             KeymintError: the errors of all packages.
         """
+
+
+@dataclass(frozen=True, slots=True)
+class Crew:
+    """Who plans packages, and the clock that limits proofs.
+
+    Attributes:
+        planned: returns what a stage plans for some packages; several processes may share the work.
+        monotonic: returns seconds.
+    """
+
+    planned: Callable[[PackageStage[Any], Sequence[str]], list[Any]]
+    monotonic: Callable[[], float]
 
 
 def steps_of(planned: Sequence[PackagePlan]) -> tuple[Step, ...]:

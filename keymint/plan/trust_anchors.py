@@ -19,8 +19,7 @@ from keymint.pki import certificates
 from keymint.pki.keys import PublicKey
 from keymint.plan import authority_files
 from keymint.plan.authority_files import AuthorityFiles, trusted_chains
-from keymint.plan.build import is_current
-from keymint.plan.build_types import build_types_of, issuers_of, prover_of, suffixes_read
+from keymint.plan.build_types import build_types_of, is_build_current, issuers_of, prover_of, suffixes_read
 from keymint.plan.enclaves import INSTALLED, enclave_files
 from keymint.plan.shared_install import shared_roles
 from keymint.plan.shared_proof import installed_documents
@@ -87,7 +86,7 @@ def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...
         files, unread = enclave_files(session, name)
         if not (files or unread):
             continue
-        package = session.package(name, built=is_current(session, name))
+        package = session.package(name, built=is_build_current(session, name))
         findings += unread_of(session, package, unread)
         if not files:
             continue
@@ -128,7 +127,7 @@ def contradictions_for(session: Session, name: str) -> tuple[Diagnostic, ...]:
         KeymintError: the package has defects.
     """
     known = contradictions(session)
-    issuers = issuers_of(session, session.package(name, built=is_current(session, name))) if known else ()
+    issuers = issuers_of(session, session.package(name, built=is_build_current(session, name))) if known else ()
     return tuple(dict.fromkeys(each for issuer in issuers for each in known.get(issuer, ())))
 
 

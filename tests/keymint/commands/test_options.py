@@ -9,8 +9,8 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from keymint.commands.options import Number, option_group, usage_error
-from keymint.errors import ExitCode
+from keymint.commands.options import Number, option_group
+from keymint.errors import ExitCode, usage_error
 
 
 @dataclass(frozen=True)
