@@ -54,6 +54,14 @@ def policy(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
+def created(keymint: Callable, policy: Path, tmp_path: Path) -> Path:
+    """A workspace with source packages that are not built yet."""
+    assert keymint("init", "ws", "--policy", policy).code == 0
+    assert keymint("create", "--all", "-w", "ws").code == 0
+    return tmp_path / "ws"
+
+
+@pytest.fixture
 def provisioned(ws: Path) -> Path:
     """A workspace that is provisioned from the policy; a copy, of which Keymint remembers no file."""
     return ws
