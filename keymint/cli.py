@@ -23,14 +23,14 @@ import click
 from comarmor.regex import lazy_regex
 from comarmor.text import printable, printable_lines
 from keymint import SPACES, __version__
-from keymint.commands.verb_group import VerbGroup
+from keymint.command_line.verb_group import VerbGroup
 from keymint.errors import ExitCode
-from keymint.process import Output, OutputError, StoppedError, received, settle
+from keymint.host.streams_and_signals import Output, OutputError, StoppedError, received, settle
 
 if TYPE_CHECKING:
-    from keymint.commands.run import Setting
+    from keymint.run.run import Setting
     from keymint.output.console import Streams
-    from keymint.unchanged import Call
+    from keymint.view.recorded_answers import Call
 
 VERBS: Mapping[str, str] = {
     "init": "Create a workspace.",
@@ -212,7 +212,7 @@ def _fail(arguments: Sequence[str], code: str, message: str, exit_code: ExitCode
 
 def call_of(given: Sequence[str]) -> Call:
     """Return the command with all that its answer may depend on."""
-    from keymint.unchanged import Call, Consulted  # noqa: PLC0415 - not needed for --help
+    from keymint.view.recorded_answers import Call, Consulted  # noqa: PLC0415 - not needed for --help
 
     plain = bool(os.environ.get("NO_COLOR")) or os.environ.get("TERM") == "dumb"
     colours = sys.stdout.isatty() and not plain, sys.stderr.isatty() and not plain
@@ -220,13 +220,13 @@ def call_of(given: Sequence[str]) -> Call:
 
 
 def _recalled(given: Sequence[str]) -> int | None:
-    """Answer a command that was carried out before, and return its exit code; see :mod:`keymint.unchanged`."""
+    """Answer a command that was carried out before, and return its exit code; see :mod:`keymint.view.recorded_answers`."""
     if not given or given[0].startswith("-") or "-h" in given or "--help" in given:
         return None
-    from keymint import unchanged  # noqa: PLC0415 - not needed for --help
+    from keymint.view import recorded_answers  # noqa: PLC0415 - not needed for --help
 
     try:
-        answer = unchanged.recall(call_of(given)) if given[0] in unchanged.VERBS else None
+        answer = recorded_answers.recall(call_of(given)) if given[0] in recorded_answers.VERBS else None
     except click.UsageError:
         return None  # there is no usable clock or current directory, which the command reports if it needs one
     if answer is None:
@@ -260,7 +260,7 @@ def setting(
         ask: shows a text and returns what the user types, unseen; None if there is no terminal.
         read: returns at most so many bytes of standard input.
     """
-    from keymint.commands.run import Setting  # noqa: PLC0415 - not needed for --help
+    from keymint.run.run import Setting  # noqa: PLC0415 - not needed for --help
 
     return Setting(
         now=datetime.fromtimestamp(call.now, UTC),

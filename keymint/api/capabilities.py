@@ -17,7 +17,7 @@ from keymint.api.building import (
 )
 from keymint.api.packages import Package
 from keymint.api.transports import Enclave
-from keymint.graph import Edge
+from keymint.api.graph import Edge
 from keymint.ir import SubjectRules
 
 

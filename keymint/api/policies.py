@@ -12,7 +12,7 @@ from comarmor.errors import Origin, Reason
 from comarmor.rules import Expectation
 from comarmor.values import dataclass
 from keymint.api.profiles import PolicySource
-from keymint.graph import Edge
+from keymint.api.graph import Edge
 from keymint.ir import Rule, SubjectRules
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from comarmor.values import dataclass
 from keymint.api.packages import DomainRange, Package
 from keymint.api.policies import PolicyDecision
 from keymint.api.transports import Endpoint, Verdict
-from keymint.graph import Edge
+from keymint.api.graph import Edge
 from keymint.ir import SubjectRules
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from comarmor.regex import lazy_regex
 from comarmor.text import printable
 from keymint.drawing.labelled_graph import Label, LabelledEdge
-from keymint.graph import EdgeOutcome, Object
+from keymint.api.graph import EdgeOutcome, Object
 
 KINDS = {
     "ros_topic": "topic",

@@ -13,7 +13,7 @@ from keymint.drawing.legend import edge_classes
 from keymint.drawing.palette import LIGHT
 from keymint.drawing.picture_options import DrawingOptions
 from keymint.drawing.simplify import SimplifiedGraph, simplify
-from keymint.graph import EdgeOutcome, Object
+from keymint.api.graph import EdgeOutcome, Object
 
 
 def dot(labelled: LabelledGraph, options: DrawingOptions | None = None) -> bytes:

@@ -26,7 +26,7 @@ from keymint.drawing.palette import Theme, style_sheet
 from keymint.drawing.picture_options import DrawingOptions
 from keymint.drawing.simplify import EXPLICIT, priority, simplify
 from keymint.drawing.svg import draw, environment
-from keymint.graph import DomainObject, EdgeOutcome
+from keymint.api.graph import DomainObject, EdgeOutcome
 
 MOST_ROWS = 10_000
 """Maximum number of edges in a report; false labels and explicit denials are listed beyond it. Next are allowed edges.

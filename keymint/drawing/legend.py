@@ -11,7 +11,7 @@ from keymint.drawing.display_text import INWARD, KINDS, OUTCOMES, OUTWARD, colum
 from keymint.drawing.labelled_graph import LabelledGraph
 from keymint.drawing.layout import CHARACTER, Panel
 from keymint.drawing.simplify import SimplifiedGraph
-from keymint.graph import EdgeOutcome
+from keymint.api.graph import EdgeOutcome
 
 LINE = 22.0
 """Height of a line of text, in pixels."""

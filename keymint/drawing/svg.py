@@ -19,7 +19,7 @@ from keymint.drawing.legend import LINE, edge_classes, flowed, legend
 from keymint.drawing.palette import style_sheet
 from keymint.drawing.picture_options import DrawingOptions, Split
 from keymint.drawing.simplify import SimplifiedGraph, folded_name, priority, simplify
-from keymint.graph import EdgeOutcome
+from keymint.api.graph import EdgeOutcome
 
 if TYPE_CHECKING:
     from jinja2 import Environment

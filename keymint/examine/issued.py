@@ -9,13 +9,14 @@ from cryptography import x509
 
 from comarmor.errors import Diagnostic
 from keymint.errors import KeymintError
-from keymint.pki import certificates, forms
-from keymint.plan.authority_files import issuers
-from keymint.plan.build_types import is_build_current
-from keymint.plan.enclaves import CERTIFICATE, installed_certificate, with_sources
-from keymint.plan.register import complete_register, issuer_of, register_of
-from keymint.plan.terms import shown
-from keymint.session import Session
+from keymint.pki import certificates
+from keymint.pki import certificate_forms
+from keymint.authority.authority_files import issuers
+from keymint.workspace.package_build_types import is_build_current
+from keymint.workspace.installed_enclaves import CERTIFICATE, installed_certificate, with_sources
+from keymint.life.workspace_register import complete_register, issuer_of, register_of
+from keymint.life.terms import shown
+from keymint.workspace.session import Session
 
 
 def issued_here(session: Session) -> Iterator[tuple[str, x509.Certificate, x509.Certificate]]:
@@ -65,7 +66,7 @@ def registered(session: Session) -> Iterator[Diagnostic]:
             help_ = f"remove the enclave; 'keymint renew --rekey {name}' makes a new key and certificate"
             yield Diagnostic.error("certificate-revoked", message, where, help_, package.subject)
         else:
-            wanted = forms.cut(package.identity.validity, issuer)
+            wanted = certificate_forms.cut(package.identity.validity, issuer)
             if (first, last) != (wanted.not_before, wanted.not_after):
                 message = f"is in force from {shown(first)} to {shown(last)}, which is not what the sources ask for"
                 yield Diagnostic.warning("certificate-drift", message, where, issue, package.subject)

@@ -24,7 +24,7 @@ from urllib.parse import urlsplit
 from keymint.errors import ExitCode, KeymintError
 from keymint.executors import worker
 from keymint.executors.pool import PARTS_FOR_EACH, Result, Task, Work, divided, in_order
-from keymint.plugins import Plugins, how_to_add
+from keymint.api.plugin_loader import Plugins, how_to_add
 
 if TYPE_CHECKING:
     from distributed import Client, Security

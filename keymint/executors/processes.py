@@ -13,7 +13,7 @@ from typing import Any
 
 from keymint.errors import process_ended
 from keymint.executors.pool import PARTS_FOR_EACH, Result, Task, Work, divided, in_order
-from keymint.plugins import Plugins
+from keymint.api.plugin_loader import Plugins
 
 
 class Processes:

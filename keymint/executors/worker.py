@@ -18,7 +18,7 @@ from keymint.api import Environment
 from keymint.errors import ExitCode, KeymintError
 from keymint.executors import answers
 from keymint.executors.pool import Work
-from keymint.plugins import Plugins
+from keymint.api.plugin_loader import Plugins
 
 DONE, REFUSED = b"+", b"-"
 """How an answer begins."""

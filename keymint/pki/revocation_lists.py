@@ -38,7 +38,7 @@ _LAST = datetime.max.replace(tzinfo=UTC) - timedelta(seconds=1)
 
 @dataclass(frozen=True, slots=True)
 class Revocation:
-    """A revoked serial number, when it was revoked (UTC), and why (see :data:`keymint.register.register.REASONS`)."""
+    """A revoked serial number, when it was revoked (UTC), and why (see :data:`keymint.life.issued_certificates.REASONS`)."""
 
     serial: int
     at: datetime

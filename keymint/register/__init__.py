@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The register of issued certificates: which were issued, to whom, and which are revoked. Frozen data, and its file.
 
-Modules: :mod:`~keymint.register.register` (the data, and what follows from it) and :mod:`~keymint.register.database`
+Modules: :mod:`~keymint.life.issued_certificates` (the data, and what follows from it) and :mod:`~keymint.life.register_database`
 (the file, an SQLite database).
 """

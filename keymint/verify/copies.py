@@ -18,8 +18,8 @@ from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.api import Availability, Enclave, EndpointTransport, Tier, Transport, Verdict
 from keymint.errors import KeymintError
-from keymint.graph import Column, Edge
-from keymint.tree import Tree
+from keymint.api.graph import Column, Edge
+from keymint.view.tree import Tree
 from keymint.verify.usable_transports import names_rules
 
 PUBLIC = {".json", ".json5", ".p7s", ".pem", ".sig", ".xml"}

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from keymint.api import Availability, Tier, Transport
 from keymint.errors import ExitCode, KeymintError
-from keymint.plugins import Plugins
+from keymint.api.plugin_loader import Plugins
 
 
 def choose(

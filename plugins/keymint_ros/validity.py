@@ -11,7 +11,7 @@ from comarmor.errors import Origin
 from comarmor.text import quoted
 from keymint.api import Validity
 from keymint.errors import KeymintError
-from keymint.source_documents import place, text
+from keymint.api.source_documents import place, text
 
 if TYPE_CHECKING:
     from lxml import etree

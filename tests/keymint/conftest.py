@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from keymint import cli
-from keymint.store import Store
+from keymint.store.store import Store
 from tests.conftest import NOW
 
 POLICY = """<profiles xmlns:xi="http://www.w3.org/2001/XInclude">

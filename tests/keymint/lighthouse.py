@@ -19,7 +19,7 @@ from keymint.api import (
 )
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
-from keymint.plugins import PluginInfo
+from keymint.api.plugin_loader import PluginInfo
 from tests.keymint.plain_build_type import PlainBuildType
 
 NAME = "lighthouse"

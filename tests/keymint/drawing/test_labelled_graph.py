@@ -11,7 +11,7 @@ from keymint.drawing.labelled_graph import (
     select_edges,
 )
 from keymint.errors import KeymintError
-from keymint.graph import ConfusionMatrix, EdgeOutcome
+from keymint.api.graph import ConfusionMatrix, EdgeOutcome
 
 from .graphs import ALLOWED, DENIED, labelled, one_of_each
 

@@ -15,7 +15,7 @@ from keymint.drawing import policy_graph as room
 from keymint.drawing.labelled_graph import LabelledGraph
 from keymint.drawing.policy_graph import label_graph, policy_graph
 from keymint.errors import KeymintError
-from keymint.graph import Edge, EdgeOutcome, Graph, Object, complete
+from keymint.api.graph import Edge, EdgeOutcome, Graph, Object, complete
 
 RULE = """<{kind} qualifier="{effect}"{more}><attachment>{name}</attachment><permissions><{permission}/></permissions>
 </{kind}>"""

@@ -15,7 +15,7 @@ from keymint.drawing.picture_options import DrawingOptions
 from keymint.drawing.raster import png
 from keymint.drawing.svg import svg
 from keymint.errors import KeymintError
-from keymint.plugins import how_to_add
+from keymint.api.plugin_loader import how_to_add
 
 from .graphs import hostile, one_of_each
 

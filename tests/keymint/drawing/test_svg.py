@@ -15,7 +15,7 @@ from keymint.drawing.palette import Theme
 from keymint.drawing.picture_options import DrawingOptions, Split
 from keymint.drawing.simplify import shown_edges
 from keymint.drawing.svg import svg
-from keymint.graph import MISMATCHES, Object
+from keymint.api.graph import MISMATCHES, Object
 
 from .graphs import ALLOWED, DENIED, EXPRESSLY_DENIED, HOSTILE, edge, fleet, graphs, hostile, labelled, one_of_each
 

@@ -7,7 +7,7 @@ import io
 
 import pytest
 
-from keymint.changes import Action, Step
+from keymint.store.changes import Action, Step
 from keymint.output.console import Console, Streams
 
 

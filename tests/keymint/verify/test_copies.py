@@ -13,8 +13,8 @@ import pytest
 from comarmor.errors import Origin
 from keymint.api import Availability, Enclave, Tier, Verdict
 from keymint.errors import ExitCode, KeymintError
-from keymint.graph import Edge, Object
-from keymint.tree import Tree
+from keymint.api.graph import Edge, Object
+from keymint.view.tree import Tree
 from keymint.verify.copies import copied
 
 EDGE = Edge("/a/b", "ros_publish", Object("ros_topic", "/x"))

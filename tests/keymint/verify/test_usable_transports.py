@@ -12,7 +12,7 @@ import pytest
 
 from keymint.api import Availability, Enclave, Tier, Verdict
 from keymint.errors import ExitCode, KeymintError
-from keymint.graph import Edge
+from keymint.api.graph import Edge
 from keymint.verify.usable_transports import choose, models
 
 BOTH = (Tier.DECISION, Tier.EXCHANGE)

@@ -16,7 +16,7 @@ from comarmor.rules import Effect
 from keymint.api import Bootstrap, Package, WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
-from keymint.plugins import Plugins
+from keymint.api.plugin_loader import Plugins
 
 NOW = datetime(2026, 11, 21, 15, 30, tzinfo=UTC)
 ROOT = Path("/ws/profile")

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from keymint.api import BuildOptions, Hint
-from keymint.graph import Edge, Object
+from keymint.api.graph import Edge, Object
 from tests.plugins.keymint_ros2_dds.packages import package, rule
-from tests.plugins.keymint_ros2_dds.test_emission import (
+from tests.plugins.keymint_ros2_dds.emit.test_emission import (
     TOPIC,
     document,
     topics,
