@@ -24,8 +24,10 @@ import navigation
 from keymint_ros.distros import library
 from keymint_ros2_comarmor import policy_type
 from keymint_ros2_dds import build_type
-from keymint_ros2_dds.compiling import gathering  # noqa: A004 - the module's name
-from keymint_ros2_dds.compiling import grant_compiler  # noqa: A004 - the module's name
+from keymint_ros2_dds.compiling import (
+    gathering,
+    grant_compiler,
+)
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.rule_packages import package_of
 from keymint_ros2_dds.vendor_limits import BROKEN, signed_size

@@ -26,17 +26,17 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.values import dataclass
 from keymint import cli
 from keymint.api import LoadedPolicy
-from keymint.store.changes import Plan
-from keymint.stages.reissue import reissued
-from keymint.run.run import Run
 from keymint.errors import KeymintError
+from keymint.life.terms import DEFAULT, Threshold
 from keymint.names import package_name, subject_of
 from keymint.output.console import Streams
 from keymint.output.report import Report
+from keymint.run.run import Run
 from keymint.stages.create import CreateStage
 from keymint.stages.install_request import InstallRequest
+from keymint.stages.reissue import reissued
+from keymint.store.changes import Plan
 from keymint.workspace.policy_loading import load_policy, locations_digest
-from keymint.life.terms import DEFAULT, Threshold
 from keymint.workspace.session import Inputs, Session
 
 __all__ = ["Client", "Enclave", "KeymintError", "Threshold"]

@@ -16,9 +16,9 @@ from keymint.analysis.lint.lint_rules import lint
 from keymint.analysis.policy_diff import diff_policies
 from keymint.analysis.subject_patterns import rules_of
 from keymint.api import BuildOptions, LoadedPolicy, PolicySource
+from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
-from keymint.api.plugin_loader import Plugins
 
 COMPILE = 17_000_000
 """Most steps of compiling a subject: two orders of its rules, the proofs of its document, and a small margin."""

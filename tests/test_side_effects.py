@@ -29,7 +29,12 @@ TEMPORARY = {"keymint/host/vendor_process.py", "keymint/host/git.py", "keymint/v
 """Keep what a program says, trees of a revision, or enclaves for transports in temporary files that they remove."""
 VENDORS = "plugins/keymint_ros2_dds/vendors/"
 """The only folder that builds and runs foreign programs; it writes to the cache only."""
-STARTERS = {"keymint/host/vendor_process.py", "keymint/host/streams_and_signals.py", "keymint/host/git.py", "keymint/commands/tool/completion.py"}
+STARTERS = {
+    "keymint/host/vendor_process.py",
+    "keymint/host/streams_and_signals.py",
+    "keymint/host/git.py",
+    "keymint/commands/tool/completion.py",
+}
 """Run probes of the vendors, git, or the shell that the completion script is for."""
 READERS = ("keymint/check/", "keymint/plan/", "keymint/verify/", "keymint/stages/package_status.py")
 
@@ -173,7 +178,9 @@ def test_verbs_that_read_see_only_their_snapshot(run: tuple[list[int], list[Even
     }
     assert seen == set()
     assert any(
-        event.module == "keymint/view/file_reading.py" and event.kind == "read" for event in run[1] if event.step >= first
+        event.module == "keymint/view/file_reading.py" and event.kind == "read"
+        for event in run[1]
+        if event.step >= first
     )
 
 

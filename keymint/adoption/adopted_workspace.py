@@ -28,20 +28,20 @@ from keymint.api import (
     KeystoreFile,
     KeystoreFiles,
 )
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed_below, secret_file
-from keymint.errors import KeymintError
-from keymint.ir import SubjectRules
-from keymint.names import package_name
-from keymint.pki import certificates, key_files, public_keys
 from keymint.authority.authorities import plan_authorities
 from keymint.authority.authority_renewal import plan_import
-from keymint.stages.workspace_start import plan_init, refuse_unsupported
+from keymint.authority.given_authority import GivenAuthority
+from keymint.errors import KeymintError
+from keymint.ir import SubjectRules
+from keymint.life.workspace_register import complete_register, register_change
+from keymint.names import package_name
+from keymint.pki import certificates, key_files, public_keys
 from keymint.stages.build import BuildStage
 from keymint.stages.create import marker_last
-from keymint.authority.given_authority import GivenAuthority
 from keymint.stages.install import InstallStage
+from keymint.stages.workspace_start import plan_init, refuse_unsupported
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed_below, secret_file
 from keymint.workspace.policy_loading import record_unread
-from keymint.life.workspace_register import complete_register, register_change
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.workspace import DEFAULTS
 

@@ -9,13 +9,13 @@ from enum import StrEnum
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.api import HardenedPackageType, HardenedProfileType, Validity
-from keymint.store.changes import Action, Plan, Step, changed_below
-from keymint.errors import KeymintError
-from keymint.pki import foreign_authorities
-from keymint.pki.distinguished_names import parse, unique_suffix
 from keymint.authority.authority_files import read_files
 from keymint.authority.authority_issuance import authority_named
 from keymint.authority.authority_uses import uses
+from keymint.errors import KeymintError
+from keymint.pki import foreign_authorities
+from keymint.pki.distinguished_names import parse, unique_suffix
+from keymint.store.changes import Action, Plan, Step, changed_below
 from keymint.workspace.session import Session
 
 STAGE = "harden"
@@ -87,7 +87,9 @@ def lacks(session: Session) -> dict[str, list[Diagnostic]]:
     """Return what the certificates of authorities lack that they would have from Keymint, as warnings by authority."""
     files = [read_files(session, authority) for authority in session.profile.authorities]
     found = {
-        each.authority.name: list(foreign_authorities.lacking(each.certificate, each.authority.name, each.certificate_file))
+        each.authority.name: list(
+            foreign_authorities.lacking(each.certificate, each.authority.name, each.certificate_file)
+        )
         for each in files
         if each.certificate is not None
     }

@@ -20,11 +20,11 @@ from keymint.api import (
     PolicyWriter,
     Relation,
 )
+from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import package_name
 from keymint.stages.proof.proof_results import ProofEffort, costliest
-from keymint.api.plugin_loader import Plugins
 
 _REFUSED = frozenset(("adopt-authorities", "adopt-doubled"))
 """Findings on a keystore because of which nobody can tell what its documents grant to a subject."""

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from keymint.adoption.keystore_files import read_keystore
 from keymint.api import FoundKeystore, KeystoreFiles, KeystoreReader
-from keymint.errors import KeymintError
 from keymint.api.plugin_loader import Plugins
+from keymint.errors import KeymintError
 
 
 def found_in(plugins: Plugins, folder: Path, typed: str, now: datetime) -> tuple[str, KeystoreFiles, FoundKeystore]:

@@ -12,8 +12,8 @@ from comarmor.regex import lazy_regex
 from comarmor.ros_names import is_fully_qualified, is_subject
 from comarmor.rules import KIND_OF, PERMISSIONS
 from comarmor.text import did_you_mean
-from keymint.errors import KeymintError
 from keymint.api.graph import Edge, Graph, Object
+from keymint.errors import KeymintError
 
 FORMAT = "keymint-graph"
 VERSION = 1

@@ -8,9 +8,9 @@ from typing import Protocol, runtime_checkable
 
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
+from keymint.api.graph import Edge, Graph
 from keymint.api.policies import LoadedPolicy
 from keymint.api.transports import Availability
-from keymint.api.graph import Edge, Graph
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,16 +11,15 @@ from cryptography import x509
 from comarmor.errors import Defects, Diagnostic
 from comarmor.values import dataclass
 from keymint.api import SigningAuthority
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed, secret_file
-from keymint.errors import KeymintError
-from keymint.pki import certificates, keys
-from keymint.authority import authority_files
-from keymint.workspace import key_record
-from keymint.authority import token_authorities
+from keymint.authority import authority_files, token_authorities
 from keymint.authority.authority_files import AuthorityFiles
 from keymint.authority.authority_issuance import STAGE, authority_named
-from keymint.workspace.stored_keys import password
+from keymint.errors import KeymintError
+from keymint.pki import certificates, keys
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed, secret_file
+from keymint.workspace import key_record
 from keymint.workspace.session import Inputs, Session
+from keymint.workspace.stored_keys import password
 
 __all__ = ["STAGE", "MintedAuthority", "plan_authorities"]
 

@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 from comarmor.errors import Diagnostic
-from keymint.store.changes import Action, Plan, Step, secret_file
-from keymint.errors import KeymintError
-from keymint.pki import keys
 from keymint.authority import authority_files
 from keymint.authority.authority_issuance import STAGE, authority_named
-from keymint.workspace.stored_keys import password
+from keymint.errors import KeymintError
+from keymint.pki import keys
+from keymint.store.changes import Action, Plan, Step, secret_file
 from keymint.workspace.session import Session
+from keymint.workspace.stored_keys import password
 
 
 def plan_encryption(session: Session, name: str) -> Plan:

@@ -17,11 +17,11 @@ from comarmor.values import dataclass
 from keymint.api import Authority, CertificateSpec, Phase, Rollover
 from keymint.errors import KeymintError
 from keymint.pki import certificates, distinguished_names, keys
+from keymint.view.stamps import digest_files
 from keymint.workspace import key_record
 from keymint.workspace.installed_enclaves import INSTALLED, deployed_authorities
-from keymint.workspace.stored_keys import load_key, password
 from keymint.workspace.session import Inputs, Session, once
-from keymint.view.stamps import digest_files
+from keymint.workspace.stored_keys import load_key, password
 
 COST = "no deployed enclave trusts it until all are redeployed"
 """The consequence of a new authority, for messages."""

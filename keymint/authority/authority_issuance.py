@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 from keymint.api import Authority, AuthorityIssuance, AuthorityIssuanceFiles
-from keymint.store.changes import Action, Plan, Step, changed_below
 from keymint.errors import ExitCode, KeymintError, known_authority
+from keymint.store.changes import Action, Plan, Step, changed_below
 from keymint.workspace.session import Session
 
 STAGE = "authorities"

@@ -9,15 +9,14 @@ from datetime import datetime, timedelta
 from cryptography import x509
 
 from keymint.api import Authority, AuthorityIssuance, Validity
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed, secret_file
-from keymint.errors import KeymintError
-from keymint.pki import certificates, distinguished_names, keys
-from keymint.pki import foreign_authorities
 from keymint.authority import authority_files
-from keymint.workspace import key_record
 from keymint.authority.authorities import MintedAuthority, plan_authorities
 from keymint.authority.authority_issuance import STAGE, authority_named, plan_authority_issuance
 from keymint.authority.given_authority import GivenAuthority, checked
+from keymint.errors import KeymintError
+from keymint.pki import certificates, distinguished_names, foreign_authorities, keys
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed, secret_file
+from keymint.workspace import key_record
 from keymint.workspace.session import Session
 
 
@@ -136,8 +135,8 @@ def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
     elsewhere, or is here already.
 
     Raises:
-        KeymintError: as :func:`keymint.authority.given_authority.checked`; or installed enclaves trust another key of this
-            authority.
+        KeymintError: as :func:`keymint.authority.given_authority.checked`; or installed enclaves trust another key of
+            this authority.
     """
     authority = authority_named(session, name)
     require_no_rollover(session, name)

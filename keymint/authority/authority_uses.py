@@ -9,8 +9,8 @@ from collections.abc import Collection, Sequence
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.api import AuthorityChanges, Implementation
-from keymint.errors import ExitCode, KeymintError
 from keymint.authority.authority_files import with_issuers
+from keymint.errors import ExitCode, KeymintError
 from keymint.workspace.package_build_types import build_types_of, is_build_current
 from keymint.workspace.session import Session, once_of_sources
 

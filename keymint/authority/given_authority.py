@@ -10,13 +10,11 @@ from cryptography import x509
 from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import Authority
+from keymint.authority import authority_files, token_authorities
 from keymint.errors import KeymintError
-from keymint.pki import certificates, distinguished_names, keys
-from keymint.pki import foreign_authorities
-from keymint.authority import authority_files
-from keymint.authority import token_authorities
-from keymint.workspace.stored_keys import password
+from keymint.pki import certificates, distinguished_names, foreign_authorities, keys
 from keymint.workspace.session import Session
+from keymint.workspace.stored_keys import password
 
 
 @dataclass(frozen=True, slots=True)

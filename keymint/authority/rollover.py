@@ -18,19 +18,18 @@ from dataclasses import replace
 from cryptography import x509
 
 from keymint.api import Authority, AuthorityIssuance, Phase, Rollover
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, secret_file
-from keymint.errors import KeymintError
-from keymint.pki import certificates, extensions, keys
-from keymint.authority import authority_files
-from keymint.workspace import key_record
-from keymint.authority import token_authorities
+from keymint.authority import authority_files, token_authorities
 from keymint.authority.authorities import plan_authorities
 from keymint.authority.authority_files import FORMER, NEXT
 from keymint.authority.authority_issuance import STAGE, authority_named, plan_authority_issuance
 from keymint.authority.authority_renewal import begin_of, issued_like, issuer_of
 from keymint.authority.given_authority import GivenAuthority, checked
-from keymint.workspace.stored_keys import password
+from keymint.errors import KeymintError
+from keymint.pki import certificates, extensions, keys
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, secret_file
+from keymint.workspace import key_record
 from keymint.workspace.session import Session
+from keymint.workspace.stored_keys import password
 
 
 def phase_of(session: Session, name: str) -> Phase | None:

@@ -6,14 +6,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from keymint.api import Authority, SigningAuthority
-from keymint.store.changes import Action, FolderChange, Step
-from keymint.errors import KeymintError
-from keymint.pki import certificates, keys
 from keymint.authority import authority_files
 from keymint.authority.authorities import MintedAuthority
 from keymint.authority.authority_files import FORMER, NEXT
-from keymint.workspace.stored_keys import password
+from keymint.errors import KeymintError
+from keymint.pki import certificates, keys
+from keymint.store.changes import Action, FolderChange, Step
 from keymint.workspace.session import Session
+from keymint.workspace.stored_keys import password
 
 
 def others(session: Session) -> Mapping[str, tuple[str, MintedAuthority]]:

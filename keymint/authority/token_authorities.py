@@ -7,10 +7,10 @@ from collections.abc import Iterator
 
 from comarmor.errors import Diagnostic
 from keymint.api import Authority
-from keymint.errors import KeymintError
-from keymint.pki import certificates, keys
 from keymint.authority import authority_files
 from keymint.authority.authority_files import AuthorityFiles
+from keymint.errors import KeymintError
+from keymint.pki import certificates, keys
 from keymint.workspace.session import Inputs
 
 

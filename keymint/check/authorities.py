@@ -11,15 +11,14 @@ from cryptography import x509
 
 from comarmor.errors import Defects, Diagnostic
 from keymint.api import ValidityTerm
-from keymint.errors import KeymintError
-from keymint.pki import certificates, keys
-from keymint.authority import authority_files
-from keymint.life import terms
-from keymint.authority import token_authorities
+from keymint.authority import authority_files, token_authorities
 from keymint.authority.authority_files import AuthorityFiles
-from keymint.workspace.stored_keys import key_defects
+from keymint.errors import KeymintError
+from keymint.life import terms
+from keymint.pki import certificates, keys
 from keymint.stages.proof.trust_anchors import against
 from keymint.workspace.session import Inputs, Session
+from keymint.workspace.stored_keys import key_defects
 
 
 def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:

@@ -10,21 +10,19 @@ from datetime import timedelta
 from comarmor.errors import Diagnostic, Severity
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, BuildType, Inspection, Package
-from keymint.store.changes import file_mode
+from keymint.authority.authority_files import trusted_chains
 from keymint.check.file_status import CHANGED, link, linked_twice, modes
 from keymint.errors import KeymintError
+from keymint.life.workspace_register import withdrawn
 from keymint.names import subject_of
 from keymint.pki import key_files, keys
-from keymint.stages import build
-from keymint.stages import identity_keys
-from keymint.stages import install
-from keymint.authority.authority_files import trusted_chains
-from keymint.workspace.package_build_types import build_types_of, is_build_current
-from keymint.workspace.installed_enclaves import KEY, enclave_files, files_in, not_installed
-from keymint.workspace.stored_keys import key_defects
-from keymint.life.workspace_register import withdrawn
-from keymint.workspace.session import Session
+from keymint.stages import build, identity_keys, install
+from keymint.store.changes import file_mode
 from keymint.view.stamps import digest
+from keymint.workspace.installed_enclaves import KEY, enclave_files, files_in, not_installed
+from keymint.workspace.package_build_types import build_types_of, is_build_current
+from keymint.workspace.session import Session
+from keymint.workspace.stored_keys import key_defects
 
 Inspections = Mapping[str, tuple[BuildType, Inspection]]
 """What each build type of a package sees of its enclave."""

@@ -10,19 +10,19 @@ from comarmor.errors import Diagnostic
 from keymint.api import Artifact, BuildOptions, SharedInspection
 from keymint.check.file_status import as_installed
 from keymint.errors import KeymintError
+from keymint.life.workspace_register import withdrawn
 from keymint.names import ROOT
 from keymint.stages import environment_scripts
-from keymint.workspace import gitignore
-from keymint.workspace.package_build_types import shared_builder
-from keymint.workspace.installed_enclaves import INSTALLED, files_in, installed
-from keymint.life.workspace_register import withdrawn
-from keymint.stages.shared_documents import build_shared, load_packages, record_key, users
-from keymint.workspace.enclave_changes import EnclaveChanges, build_types_in_use, copies_of, shared_copies
-from keymint.stages.shared_install import installed_shared
 from keymint.stages.proof.shared_proof import enclaves_of
 from keymint.stages.proof.trust_anchors import shared_anchors
-from keymint.workspace.session import Session
+from keymint.stages.shared_documents import build_shared, load_packages, record_key, users
+from keymint.stages.shared_install import installed_shared
 from keymint.view.stamps import Stamp, digest
+from keymint.workspace import gitignore
+from keymint.workspace.enclave_changes import EnclaveChanges, build_types_in_use, copies_of, shared_copies
+from keymint.workspace.installed_enclaves import INSTALLED, files_in, installed
+from keymint.workspace.package_build_types import shared_builder
+from keymint.workspace.session import Session
 
 _OTHER_COPY = "differs from the enclaves' content"
 _OTHER_SCRIPT = "differs from what Keymint writes, and shells that source it may use another keystore"

@@ -11,14 +11,14 @@ from comarmor.errors import Diagnostic
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.api import LoadedPolicy
-from keymint.store.changes import Plan
 from keymint.command_line.options import option_group
-from keymint.run.run import Run
 from keymint.errors import KeymintError, usage_error
 from keymint.output.report import Report
-from keymint.workspace.shipped_profiles import UnacceptedPackagesError, plan_release
+from keymint.run.run import Run
+from keymint.store.changes import Plan
 from keymint.workspace.policy_loading import plan_acceptance
 from keymint.workspace.session import Inputs, Session
+from keymint.workspace.shipped_profiles import UnacceptedPackagesError, plan_release
 
 _DIGEST = lazy_regex("[0-9a-f]{64}")
 

@@ -7,16 +7,16 @@ from dataclasses import replace
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
-from keymint.store.changes import Plan
-from keymint.stages.reissue import reissued
-from keymint.run.run import Run
-from keymint.command_line.named_files import read_input
-from keymint.errors import KeymintError
 from keymint.authority.authorities import plan_authorities
 from keymint.authority.authority_uses import refusing
-from keymint.workspace.installed_enclaves import installed, with_sources
 from keymint.authority.given_authority import GivenAuthority
+from keymint.command_line.named_files import read_input
+from keymint.errors import KeymintError
 from keymint.life.revocation_lists_in_force import list_of
+from keymint.run.run import Run
+from keymint.stages.reissue import reissued
+from keymint.store.changes import Plan
+from keymint.workspace.installed_enclaves import installed, with_sources
 from keymint.workspace.session import Session
 
 REISSUED = "authority-reissued"

@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 from comarmor.text import did_you_mean
-from keymint.errors import KeymintError, usage_error
 from keymint.api.plugin_loader import Plugins
+from keymint.errors import KeymintError, usage_error
 
 
 def build_types_of(plugins: Plugins, transports: Sequence[str]) -> tuple[str, ...]:

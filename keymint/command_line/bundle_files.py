@@ -9,12 +9,12 @@ from typing import Any
 
 import click
 
-from keymint.command_line.options import PATH
-from keymint.run.run import Run
 from keymint.command_line.named_files import is_folder, show_written, write_outputs
+from keymint.command_line.options import PATH
 from keymint.errors import usage_error
 from keymint.output.report import members
 from keymint.robots.bundle_making import MadeBundle
+from keymint.run.run import Run
 
 bundle_output_option = click.option(
     "-o",

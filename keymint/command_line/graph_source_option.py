@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 from keymint.api import GraphSource
-from keymint.run.run import Run
 from keymint.errors import usage_error
+from keymint.run.run import Run
 
 _GROUP = "keymint.graph_sources"
 

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from comarmor.errors import Origin
-from keymint.store.changes import File
-from keymint.run.run import Run
 from keymint.errors import KeymintError
-from keymint.view.tree import read_file
+from keymint.run.run import Run
+from keymint.store.changes import File
 from keymint.store.user_files import write_files
+from keymint.view.tree import read_file
 
 
 def read_input(run: Run, path: Path, most: int | None = None) -> bytes:

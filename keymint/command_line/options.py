@@ -16,11 +16,11 @@ from click.core import ParameterSource
 from comarmor.rules import PERMISSIONS
 from comarmor.values import dataclass
 from keymint import SPACES
+from keymint.api.plugin_loader import Plugins
 from keymint.command_line import durations
 from keymint.errors import KeymintError
 from keymint.executors import PROCESSES
 from keymint.stages.install_request import InstallRequest
-from keymint.api.plugin_loader import Plugins
 from keymint.view.tree import Tree
 from keymint.workspace.workspace import Workspace, find, packages
 

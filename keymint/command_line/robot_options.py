@@ -10,10 +10,10 @@ from pathlib import Path
 import click
 
 from comarmor.values import dataclass
-from keymint.robots.robot_keystore import Keystore
 from keymint.command_line.options import PATH
-from keymint.run.run import Run
 from keymint.errors import usage_error
+from keymint.robots.robot_keystore import Keystore
+from keymint.run.run import Run
 from keymint.store.store import Store
 from keymint.view.tree import Tree
 from keymint.workspace.workspace import shown

@@ -10,8 +10,8 @@ import click
 from comarmor.errors import Diagnostic
 from comarmor.text import did_you_mean
 from keymint.api import VendorAdvisories
-from keymint.run.run import Run
 from keymint.errors import usage_error
+from keymint.run.run import Run
 
 INSTALLED = "installed"
 

@@ -10,9 +10,9 @@ from typing import Any
 import click
 
 from keymint.command_line.options import common_options, require_known_plugins
-from keymint.run.run import Run, Setting
 from keymint.errors import ExitCode, KeymintError
 from keymint.output.report import Report
+from keymint.run.run import Run, Setting
 from keymint.workspace.shipped_profiles import UnacceptedPackagesError
 
 Verb = Callable[..., Report]

@@ -8,12 +8,12 @@ from pathlib import Path
 
 from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
-from keymint.run.run import Run
+from keymint.api.graph import MISMATCHES, Edge
 from keymint.command_line.named_files import exists, read_input, write_outputs
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph, select_edges
 from keymint.drawing.picture_options import DrawingOptions
 from keymint.drawing.policy_graph import policy_label
-from keymint.api.graph import MISMATCHES, Edge
+from keymint.run.run import Run
 from keymint.verify.mismatch import Mismatch
 from keymint.verify.verification import Verification
 

@@ -8,14 +8,13 @@ from collections.abc import Iterator
 from cryptography import x509
 
 from comarmor.errors import Diagnostic
-from keymint.errors import KeymintError
-from keymint.pki import certificates
-from keymint.pki import certificate_forms
 from keymint.authority.authority_files import issuers
-from keymint.workspace.package_build_types import is_build_current
-from keymint.workspace.installed_enclaves import CERTIFICATE, installed_certificate, with_sources
-from keymint.life.workspace_register import complete_register, issuer_of, register_of
+from keymint.errors import KeymintError
 from keymint.life.terms import shown
+from keymint.life.workspace_register import complete_register, issuer_of, register_of
+from keymint.pki import certificate_forms, certificates
+from keymint.workspace.installed_enclaves import CERTIFICATE, installed_certificate, with_sources
+from keymint.workspace.package_build_types import is_build_current
 from keymint.workspace.session import Session
 
 

@@ -7,15 +7,15 @@ from collections.abc import Iterator, Mapping
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import counted, first_few
+from keymint.authority.authority_files import issuers
 from keymint.errors import KeymintError
 from keymint.examine.issued import issued_here
+from keymint.life.revocation_lists_in_force import enclave_lists
+from keymint.life.workspace_register import issuer_of, register_of
 from keymint.names import subject_of
 from keymint.pki import revocation_lists
-from keymint.authority.authority_files import issuers
-from keymint.workspace.package_build_types import build_types_of, is_build_current, revocation_files
 from keymint.workspace.installed_enclaves import enclave_files, with_sources
-from keymint.life.workspace_register import issuer_of, register_of
-from keymint.life.revocation_lists_in_force import enclave_lists
+from keymint.workspace.package_build_types import build_types_of, is_build_current, revocation_files
 from keymint.workspace.session import Session, once
 
 _INSTALL = "'keymint install' writes it again; then deploy and restart the enclaves"

@@ -18,6 +18,7 @@ from cryptography import x509
 from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint import __version__
+from keymint.adoption import hardening
 from keymint.api import (
     Claim,
     Holder,
@@ -29,29 +30,27 @@ from keymint.api import (
     Proof,
     Role,
 )
-from keymint.robots import bundle_container
+from keymint.authority import authority_files
+from keymint.authority.authority_files import chains_digest
 from keymint.errors import KeymintError
 from keymint.examine.not_examined import has_register
 from keymint.ir import DeferredRules, Rule, SubjectRules
+from keymint.life import earlier_rights, register_database
+from keymint.life.issued_certificates import SignedRights
+from keymint.life.workspace_register import issuer_of, register_of
 from keymint.names import ROOT, package_name, subject_of
 from keymint.pki import certificates, distinguished_names, smime
 from keymint.pki.distinguished_names import to_text
 from keymint.pki.mime import SignedDocument
-from keymint.authority import authority_files
-from keymint.life import earlier_rights
-from keymint.adoption import hardening
-from keymint.authority.authority_files import chains_digest
-from keymint.workspace.package_build_types import inputs_digest, is_build_current
-from keymint.workspace.installed_enclaves import installed_certificate
+from keymint.robots import bundle_container
 from keymint.stages.proof.proof_record import dump_claims, load_claims
 from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, ProofResults
 from keymint.stages.proof.prove import STAGE, policy_digest
-from keymint.life.workspace_register import issuer_of, register_of
 from keymint.stages.shared_documents import FOLDER
-from keymint.life import register_database
-from keymint.life.issued_certificates import SignedRights
-from keymint.workspace.session import Session, once
 from keymint.view.stamps import Stamp, State, digest
+from keymint.workspace.installed_enclaves import installed_certificate
+from keymint.workspace.package_build_types import inputs_digest, is_build_current
+from keymint.workspace.session import Session, once
 
 _MOST = 1 << 20
 """Largest file in bytes in which a certificate or a signed document is looked for."""
@@ -236,7 +235,9 @@ def _files(session: Session) -> Mapping[str, bytes]:
         content = tree.try_read(path) or b""
         if content[257:262] == b"ustar":
             try:
-                found |= {f"{path}:{name}": each for name, each in bundle_container.unpack(content, Origin(path)).items()}
+                found |= {
+                    f"{path}:{name}": each for name, each in bundle_container.unpack(content, Origin(path)).items()
+                }
             except KeymintError:
                 continue
         elif len(content) <= _MOST and (_SIGNED in content or _CERTIFICATE in content):

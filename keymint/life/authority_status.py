@@ -10,13 +10,13 @@ from cryptography import x509
 
 from comarmor.values import dataclass
 from keymint.api import Authority
-from keymint.pki import certificates, distinguished_names, extensions, keys
-from keymint.pki.revocation_lists import RevocationList
 from keymint.authority import authority_files
 from keymint.authority.authority_uses import Use, uses
 from keymint.life.renewal_schedule import authority_renewals, installed_terms
 from keymint.life.revocation_lists_in_force import list_of
 from keymint.life.terms import DEFAULT
+from keymint.pki import certificates, distinguished_names, extensions, keys
+from keymint.pki.revocation_lists import RevocationList
 from keymint.workspace.session import Session
 
 

@@ -11,11 +11,11 @@ from datetime import datetime
 from comarmor.errors import Diagnostic, Severity
 from keymint.api import BuildType, Counterexample, DocumentComparer, DocumentComparison, Package, Presentation
 from keymint.errors import KeymintError
+from keymint.life.terms import shown
 from keymint.pki import certificates, smime
 from keymint.pki.distinguished_names import to_text
-from keymint.workspace.package_build_types import build_types_of
 from keymint.workspace.installed_enclaves import CERTIFICATE, INSTALLED
-from keymint.life.terms import shown
+from keymint.workspace.package_build_types import build_types_of
 from keymint.workspace.session import Session
 
 RIGHTS_OUTLIVE = "rights-outlive"

@@ -8,11 +8,11 @@ from dataclasses import replace
 
 from comarmor.errors import Diagnostic, Origin
 from keymint.api import Issuance
-from keymint.store.changes import Action, File, Plan, Step, changed
 from keymint.errors import KeymintError
 from keymint.names import subject_of
-from keymint.workspace.session import Session
+from keymint.store.changes import Action, File, Plan, Step, changed
 from keymint.view.stamps import digest
+from keymint.workspace.session import Session
 
 _CREATE = "create"
 """Key of the record of the stage that made the packages."""

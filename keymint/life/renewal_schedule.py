@@ -16,12 +16,11 @@ from cryptography import x509
 from comarmor.errors import Defects
 from comarmor.values import dataclass
 from keymint.api import Issuance, Validity
-from keymint.pki import certificates, periods
-from keymint.pki import certificate_forms
 from keymint.authority.authority_files import in_order, with_issuers
-from keymint.workspace.installed_enclaves import INSTALLED, installed, installed_certificate
 from keymint.life.revocation_lists_in_force import list_of
 from keymint.life.terms import DEFAULT, Term, Threshold, recalled
+from keymint.pki import certificate_forms, certificates, periods
+from keymint.workspace.installed_enclaves import INSTALLED, installed, installed_certificate
 from keymint.workspace.session import Session, once
 
 CERTIFICATE, PERMISSIONS, LIST = "certificate", "permissions", "revocation list"

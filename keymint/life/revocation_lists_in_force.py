@@ -12,15 +12,14 @@ from datetime import datetime
 from cryptography import x509
 
 from comarmor.errors import Origin
-from keymint.store.changes import Action, File, FolderChange, Plan, Step
+from keymint.authority import authority_files, rollover_lists
+from keymint.authority.authorities import MintedAuthority
 from keymint.errors import KeymintError
+from keymint.life.issued_certificates import Register
+from keymint.life.workspace_register import issuer_of, register_change, register_of
 from keymint.pki import revocation_lists
 from keymint.pki.revocation_lists import Revocation, RevocationList
-from keymint.authority import authority_files
-from keymint.authority import rollover_lists
-from keymint.authority.authorities import MintedAuthority
-from keymint.life.workspace_register import issuer_of, register_change, register_of
-from keymint.life.issued_certificates import Register
+from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.workspace.session import Session, once
 
 STAGE = "crl"

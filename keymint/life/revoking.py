@@ -10,14 +10,14 @@ from comarmor.errors import Diagnostic
 from comarmor.text import counted, did_you_mean
 from comarmor.values import dataclass
 from keymint.api import RevocationReader
-from keymint.store.changes import Action, Plan, Step
 from keymint.errors import KeymintError
-from keymint.names import subject_of
-from keymint.workspace.installed_enclaves import INSTALLED, installed
+from keymint.life.issued_certificates import SUPERSEDED, IssuedCertificate, Register
 from keymint.life.package_issuance import plan_issuance
 from keymint.life.workspace_register import complete_register, register_change
+from keymint.names import subject_of
+from keymint.store.changes import Action, Plan, Step
 from keymint.workspace.enclave_changes import EnclaveChanges, withdraw
-from keymint.life.issued_certificates import SUPERSEDED, IssuedCertificate, Register
+from keymint.workspace.installed_enclaves import INSTALLED, installed
 from keymint.workspace.session import Session
 
 STAGE = "revoke"

@@ -17,10 +17,10 @@ from functools import lru_cache
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.values import dataclass
 from keymint.api import Authority, Package, Validity, ValidityTerm
-from keymint.names import subject_of
 from keymint.authority.authority_files import with_issuers
-from keymint.workspace.session import Session
+from keymint.names import subject_of
 from keymint.view.stamps import Stamp
+from keymint.workspace.session import Session
 from keymint.workspace.workspace import Workspace
 
 _HELP = "'keymint renew' issues it again with later dates"

@@ -11,16 +11,16 @@ from cryptography import x509
 
 from comarmor.errors import Origin
 from keymint.api import BuildType, Package, Presentation
-from keymint.store.changes import FolderChange, secret_file
+from keymint.authority import authority_files
 from keymint.errors import KeymintError
+from keymint.life import register_database
+from keymint.life.issued_certificates import IssuedCertificate, Register, SignedRights
 from keymint.names import subject_of
 from keymint.pki import certificates, revocation_lists, smime
 from keymint.pki.distinguished_names import to_text
-from keymint.authority import authority_files
-from keymint.workspace.package_build_types import build_types_of, revocation_files
+from keymint.store.changes import FolderChange, secret_file
 from keymint.workspace.installed_enclaves import enclave_files, installed, installed_certificate
-from keymint.life import register_database
-from keymint.life.issued_certificates import IssuedCertificate, Register, SignedRights
+from keymint.workspace.package_build_types import build_types_of, revocation_files
 from keymint.workspace.session import Session, once
 
 
@@ -121,7 +121,7 @@ def _rights_found(session: Session) -> Iterator[SignedRights]:
 
 
 def register_change(session: Session, register: Register) -> tuple[FolderChange, ...]:
-    """Return what writes a register, if it differs from the one on the disk; see :attr:`keymint.store.changes.Plan.first`."""
+    """Return what writes a register, if it differs from the one on the disk."""
     if register == register_of(session):
         return ()
     return (secret_file(session.workspace.register, register_database.dump(register)),)

@@ -11,8 +11,8 @@ from typing import Any
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.values import dataclass
-from keymint.store.changes import Step
 from keymint.errors import ExitCode
+from keymint.store.changes import Step
 from keymint.workspace.workspace import Workspace
 
 FORMAT = "keymint-report"

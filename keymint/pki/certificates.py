@@ -19,8 +19,7 @@ from comarmor.text import quoted
 from comarmor.values import dataclass
 from keymint.api import CertificateSpec
 from keymint.errors import KeymintError
-from keymint.pki import distinguished_names, extensions, keys
-from keymint.pki import certificate_forms
+from keymint.pki import certificate_forms, distinguished_names, extensions, keys
 from keymint.pki.distinguished_names import to_text
 
 MAX_BYTES = 1 << 20

@@ -12,8 +12,7 @@ from cryptography.x509.oid import ExtensionOID
 from comarmor.errors import Diagnostic, Origin
 from keymint.api import CertificateSpec, Validity
 from keymint.errors import KeymintError
-from keymint.pki import certificates, extensions, keys
-from keymint.pki import certificate_forms
+from keymint.pki import certificate_forms, certificates, extensions, keys
 from keymint.pki.certificates import Issuer
 from keymint.pki.distinguished_names import to_text
 
@@ -128,6 +127,8 @@ def issued_like(
         values[ExtensionOID.KEY_USAGE] = (True, extensions.key_usage(*usages, "keyCertSign", "cRLSign"))
     values |= {each.oid: (each.critical, each.value) for each in certificate.extensions if each.oid not in _OWN}
     algorithm = certificate.signature_hash_algorithm
-    known = certificate_forms.HASHES.get(algorithm.name.upper() if algorithm else "", certificate_forms.HASHES["SHA256"])
+    known = certificate_forms.HASHES.get(
+        algorithm.name.upper() if algorithm else "", certificate_forms.HASHES["SHA256"]
+    )
     form = certificate_forms.Form(certificate.subject, (above or certificate).subject, validity, known, values)
     return certificates.to_pem(form.signed(None, public, issuer.key if issuer else key))

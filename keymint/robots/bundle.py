@@ -16,11 +16,11 @@ from cryptography import x509
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
-from keymint.robots import bundle_container
-from keymint.robots.bundle_manifest import Manifest, dump, load
 from keymint.errors import KeymintError
 from keymint.pki import certificates, cms
 from keymint.pki.revocation_lists import is_by, parse
+from keymint.robots import bundle_container
+from keymint.robots.bundle_manifest import Manifest, dump, load
 
 CERTIFICATE, KEY = "cert.pem", "key.pem"
 """The identity of an enclave and its private key; see :class:`keymint.api.BuildType`."""

@@ -13,12 +13,12 @@ from datetime import datetime
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
-from keymint.robots.bundle import CERTIFICATE, KEY, Bundle, number_of, revocation_lists
-from keymint.robots.bundle_manifest import Manifest, load
-from keymint.robots.certification_request import Request
 from keymint.errors import KeymintError
 from keymint.pki import certificates, certification_path, keys
 from keymint.pki import revocation_lists as crl
+from keymint.robots.bundle import CERTIFICATE, KEY, Bundle, number_of, revocation_lists
+from keymint.robots.bundle_manifest import Manifest, load
+from keymint.robots.certification_request import Request
 
 RECORD = "bundle.json"
 """The file of an enclave that has the manifest of the bundle it came from."""

@@ -12,19 +12,19 @@ from cryptography import x509
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.api import Package
+from keymint.authority.authorities import MintedAuthority
+from keymint.errors import KeymintError
+from keymint.life.terms import shown
+from keymint.life.workspace_register import complete_register, register_change
+from keymint.names import subject_of
+from keymint.pki import certificates, revocation_lists
 from keymint.robots import bundle as bundles
 from keymint.robots.bundle import CERTIFICATE, KEY
 from keymint.robots.bundle_manifest import Manifest
 from keymint.robots.certification_request import Request
 from keymint.store.changes import Plan
-from keymint.errors import KeymintError
-from keymint.names import subject_of
-from keymint.pki import certificates, revocation_lists
-from keymint.authority.authorities import MintedAuthority
-from keymint.workspace.package_build_types import build_types_of
 from keymint.workspace.installed_enclaves import INSTALLED
-from keymint.life.workspace_register import complete_register, register_change
-from keymint.life.terms import shown
+from keymint.workspace.package_build_types import build_types_of
 from keymint.workspace.session import Session
 
 

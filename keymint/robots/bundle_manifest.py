@@ -17,9 +17,9 @@ from typing import Any
 from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
-from keymint.robots import bundle_container
 from keymint.errors import KeymintError
 from keymint.names import name_of, package_name, subject_of
+from keymint.robots import bundle_container
 
 FORMAT = "keymint-bundle"
 VERSION = 1
@@ -121,7 +121,9 @@ def _manifest(values: Mapping[str, Any]) -> Manifest:
         ValueError: a value is not legal. Other errors: there is no such value, or it has another type.
     """
     enclave = subject_of(package_name(values["enclave"]))
-    files = {_matching(bundle_container.NAME, name): _matching(_DIGEST, value) for name, value in values["files"].items()}
+    files = {
+        _matching(bundle_container.NAME, name): _matching(_DIGEST, value) for name, value in values["files"].items()
+    }
     if not files or (enclave == "/" and not values["folder"]):  # the root enclave has no place there
         raise ValueError
     return Manifest(

@@ -14,15 +14,15 @@ from comarmor.errors import Defects, Origin
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.api import Package
-from keymint.robots.certification_request import Request
-from keymint.store.changes import Plan
 from keymint.errors import KeymintError
+from keymint.life.package_issuance import place_of, plan_issuance
+from keymint.life.workspace_register import register_of
 from keymint.names import subject_of
 from keymint.pki import keys, public_keys
 from keymint.pki.distinguished_names import common_name
+from keymint.robots.certification_request import Request
 from keymint.stages.identity_keys import Keyring, known_fingerprint
-from keymint.life.package_issuance import place_of, plan_issuance
-from keymint.life.workspace_register import register_of
+from keymint.store.changes import Plan
 from keymint.workspace.session import Session
 
 STAGE = "sign"

@@ -14,13 +14,13 @@ from pathlib import Path
 from cryptography import x509
 
 from comarmor.errors import Origin
-from keymint.robots import certification_request as requests
-from keymint.robots.bundle_acceptance import Acceptance, Pending, Present
-from keymint.robots.bundle import CERTIFICATE, KEY, certificates_of_authorities, issuing_files
-from keymint.store.changes import File, FolderChange
 from keymint.errors import KeymintError
 from keymint.names import ROOT
 from keymint.pki import certificates
+from keymint.robots import certification_request as requests
+from keymint.robots.bundle import CERTIFICATE, KEY, certificates_of_authorities, issuing_files
+from keymint.robots.bundle_acceptance import Acceptance, Pending, Present
+from keymint.store.changes import File, FolderChange
 from keymint.view.tree import Tree
 
 RECORDS = ".keymint"

@@ -7,17 +7,17 @@ from collections.abc import Iterator
 from dataclasses import replace
 from datetime import datetime
 
-from keymint.store.changes import Action, File, Plan, Step
-from keymint.view.folder_status import Sight
+from keymint.authority.authorities import STAGE as AUTHORITIES
+from keymint.life.revocation_lists_in_force import loaded_lists
 from keymint.output.console import Console
 from keymint.output.report import Report
-from keymint.authority.authorities import STAGE as AUTHORITIES
+from keymint.store.changes import Action, File, Plan, Step
+from keymint.store.store import Store
+from keymint.view.folder_status import Sight
+from keymint.view.recorded_answers import Answer, Call, is_recordable, name_of, record
 from keymint.workspace.package_build_types import BUILD
 from keymint.workspace.policy_loading import recorded_files
-from keymint.life.revocation_lists_in_force import loaded_lists
 from keymint.workspace.session import Inputs, Session
-from keymint.store.store import Store
-from keymint.view.recorded_answers import Answer, Call, is_recordable, name_of, record
 
 
 def remember(

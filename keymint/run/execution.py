@@ -6,17 +6,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
-from keymint.store.journal import Intent
-from keymint.workspace import gitignore
-from keymint.store.staged import Staged
-from keymint.view.stamps import State
-from keymint.store.store import Store
-from keymint.view.tree import Tree
 from keymint.run.workers import Workers
-from keymint.workspace.workspace import Workspace
+from keymint.store.changes import Action, File, FolderChange, Plan, Step
+from keymint.store.journal import Intent
+from keymint.store.staged import Staged
+from keymint.store.store import Store
 from keymint.store.workspace_lock import clock
+from keymint.view.stamps import State
+from keymint.view.tree import Tree
+from keymint.workspace import gitignore
+from keymint.workspace.workspace import Workspace
 
 RECORD = "state.json"
 

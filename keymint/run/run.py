@@ -17,31 +17,30 @@ from comarmor.errors import Diagnostic, Origin, Severity, cited
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint import SPACES
-from keymint.workspace import file_index
 from keymint.api import BuildOptions, Environment
-from keymint.store.changes import File, Plan, Step
-from keymint.run.answer_recording import remember
+from keymint.api.plugin_loader import Plugins
 from keymint.errors import ExitCode, KeymintError, usage_error
-from keymint.run.execution import RECORD, execute, open_store, require_register
 from keymint.executors import PROCESSES
-from keymint.view.folder_status import Sight
-from keymint.store.journal import Intent, Journal, intent_of
 from keymint.names import package_name
 from keymint.output.console import Console, Streams
 from keymint.output.report import Report, folded
 from keymint.pki.tokens.pin_sources import Pins
 from keymint.pki.tokens.token_sessions import Tokens
-from keymint.workspace import gitignore
+from keymint.run.answer_recording import remember
+from keymint.run.execution import RECORD, execute, open_store, require_register
+from keymint.run.workers import Workers
 from keymint.stages.package_stage import Crew, PlanStage
-from keymint.api.plugin_loader import Plugins
-from keymint.workspace.session import Inputs, Session
+from keymint.store.changes import File, Plan, Step
+from keymint.store.journal import Intent, Journal, intent_of
+from keymint.store.workspace_lock import LOCK, clock, folder_lock, read_lock
+from keymint.view.folder_status import Sight
+from keymint.view.recorded_answers import Call
 from keymint.view.stamps import MAX_RECORD, State
 from keymint.view.stamps import load as load_state
 from keymint.view.tree import HeldError, Tree, read_file
-from keymint.view.recorded_answers import Call
-from keymint.run.workers import Workers
+from keymint.workspace import file_index, gitignore
+from keymint.workspace.session import Inputs, Session
 from keymint.workspace.workspace import Workspace, find, packages, shown
-from keymint.store.workspace_lock import LOCK, clock, folder_lock, read_lock
 
 if TYPE_CHECKING:
     from keymint.executors import Pool

@@ -20,14 +20,14 @@ from dataclasses import fields, is_dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
-from keymint.store.changes import Action, FolderChange
 from keymint.errors import KeymintError, process_ended
-from keymint.workspace.package_build_types import may_share
-from keymint.stages.package_stage import PackagePlan, PackageStage, after
 from keymint.host.streams_and_signals import held_signals
-from keymint.workspace.session import Session
+from keymint.stages.package_stage import PackagePlan, PackageStage, after
+from keymint.store.changes import Action, FolderChange
 from keymint.store.staged import Staged
 from keymint.store.store import Store
+from keymint.workspace.package_build_types import may_share
+from keymint.workspace.session import Session
 from keymint.workspace.workspace import Workspace
 
 if TYPE_CHECKING:

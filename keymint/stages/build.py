@@ -8,18 +8,17 @@ from dataclasses import replace
 
 from comarmor.errors import Defects, Diagnostic
 from keymint.api import BuildOptions, BuildResult, LoadedPolicy, Package
-from keymint.store.changes import Action, DocumentSize, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
-from keymint.names import subject_of
-from keymint.stages import identity_keys
-from keymint.stages import shared_documents
 from keymint.life import terms
-from keymint.workspace.package_build_types import BUILD, build_types_of, inputs_digest, is_build_current, two_writers
+from keymint.names import subject_of
+from keymint.stages import identity_keys, shared_documents
 from keymint.stages.built_documents import kept, refuse_edits
-from keymint.stages.rule_places import RulePlaces
 from keymint.stages.package_stage import PackagePlan, recorded, steps_of
-from keymint.workspace.session import Inputs, Session
+from keymint.stages.rule_places import RulePlaces
+from keymint.store.changes import Action, DocumentSize, File, FolderChange, Plan, Step
 from keymint.view.stamps import Stamp, digest
+from keymint.workspace.package_build_types import BUILD, build_types_of, inputs_digest, is_build_current, two_writers
+from keymint.workspace.session import Inputs, Session
 
 STAGE = BUILD
 

@@ -7,12 +7,12 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from comarmor.errors import Diagnostic
-from keymint.store.changes import Action, Step
 from keymint.errors import KeymintError
 from keymint.names import subject_of
+from keymint.store.changes import Action, Step
+from keymint.view.stamps import Stamp
 from keymint.workspace.package_build_types import BUILD
 from keymint.workspace.session import Inputs
-from keymint.view.stamps import Stamp
 
 OUTDATED, HAND_EDITED = "build-outdated", "hand-edited"
 """Codes of the diagnostics on stale builds and on documents that a person edited."""

@@ -19,14 +19,14 @@ from keymint.api import (
     PackageType,
     Role,
 )
-from keymint.store.changes import Action, File, Plan, Step, changed
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import ROOT, refuse_case_collisions, refuse_reserved, subject_of
-from keymint.workspace.policy_loading import package_of, record_policy
 from keymint.stages.package_stage import PackagePlan, recorded, steps_of
-from keymint.workspace.session import Session
+from keymint.store.changes import Action, File, Plan, Step, changed
 from keymint.view.stamps import Stamp, digest
+from keymint.workspace.policy_loading import package_of, record_policy
+from keymint.workspace.session import Session
 from keymint.workspace.workspace import placed
 
 STAGE = "create"

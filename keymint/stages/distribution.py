@@ -10,15 +10,15 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from keymint.store.changes import Action, File, FolderChange, Plan, Step
+from keymint.authority.authority_files import trusted_chains
+from keymint.life.revocation_lists_in_force import enclave_lists, require_nothing_lost
 from keymint.pki import certificates
 from keymint.stages import install
-from keymint.authority.authority_files import trusted_chains
-from keymint.workspace.package_build_types import recorded_build_types, revocation_files
-from keymint.workspace.installed_enclaves import INSTALLED, installed, installed_certificate
-from keymint.life.revocation_lists_in_force import enclave_lists, require_nothing_lost
-from keymint.workspace.session import Session, once
+from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.view.stamps import Stamp
+from keymint.workspace.installed_enclaves import INSTALLED, installed, installed_certificate
+from keymint.workspace.package_build_types import recorded_build_types, revocation_files
+from keymint.workspace.session import Session, once
 
 
 def plan_distribution(before: Session, session: Session, omitted: Collection[str]) -> Plan:

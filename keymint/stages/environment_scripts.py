@@ -7,13 +7,13 @@ from collections.abc import Iterable, Mapping
 
 from comarmor.errors import Diagnostic
 from keymint.api import EnvironmentVariable, ProcessEnvironment
-from keymint.store.changes import Action, File, Step, changed
 from keymint.errors import KeymintError
-from keymint.names import subject_of
-from keymint.workspace.package_build_types import recorded_build_types
-from keymint.workspace.installed_enclaves import INSTALLED, files_in
-from keymint.workspace.session import Session
 from keymint.host.shells import MARK, SHELLS, resolved, script
+from keymint.names import subject_of
+from keymint.store.changes import Action, File, Step, changed
+from keymint.workspace.installed_enclaves import INSTALLED, files_in
+from keymint.workspace.package_build_types import recorded_build_types
+from keymint.workspace.session import Session
 
 
 def scripts(session: Session, build_types: Iterable[str]) -> Mapping[str, bytes]:

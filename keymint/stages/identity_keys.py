@@ -12,17 +12,17 @@ from dataclasses import replace
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Package
-from keymint.store.changes import FolderChange, secret_file
+from keymint.authority.authority_files import authority_keys
 from keymint.errors import KeymintError
+from keymint.life.package_issuance import place_of
 from keymint.names import subject_of
 from keymint.pki import certificates, keys, public_keys
-from keymint.workspace import key_record
-from keymint.authority.authority_files import authority_keys
-from keymint.workspace.installed_enclaves import INSTALLED, KEY, installed, installed_certificate
-from keymint.life.package_issuance import place_of
-from keymint.workspace.stored_keys import load_key
-from keymint.workspace.session import Inputs, Session
+from keymint.store.changes import FolderChange, secret_file
 from keymint.view.stamps import digest
+from keymint.workspace import key_record
+from keymint.workspace.installed_enclaves import INSTALLED, KEY, installed, installed_certificate
+from keymint.workspace.session import Inputs, Session
+from keymint.workspace.stored_keys import load_key
 
 
 def _remedy(name: str) -> str:

@@ -11,21 +11,41 @@ from cryptography import x509
 
 from comarmor.errors import Diagnostic, Severity
 from keymint.api import Package
-from keymint.store.changes import Action, File, FolderChange, Plan, Step
+from keymint.authority.authorities import MintedAuthority
+from keymint.authority.authority_files import chains_digest
 from keymint.errors import KeymintError
+from keymint.life import earlier_rights, revocation_lists_in_force, terms
+from keymint.life.issued_certificates import SignedRights
+from keymint.life.terms import shown
+from keymint.life.workspace_register import (
+    complete_register,
+    register_change,
+    register_of,
+    require_free_serials,
+    rights_of,
+)
 from keymint.names import subject_of
 from keymint.pki import certificates
 from keymint.pki.distinguished_names import to_text
-from keymint.stages import build
-from keymint.life import earlier_rights
-from keymint.stages import identity_keys
-from keymint.workspace import key_record
-from keymint.life import revocation_lists_in_force
-from keymint.life import terms
-from keymint.authority.authorities import MintedAuthority
-from keymint.authority.authority_files import chains_digest
-from keymint.workspace.package_build_types import build_types_of, inputs_digest, is_build_current
+from keymint.stages import build, identity_keys
 from keymint.stages.built_documents import OUTDATED, edits
+from keymint.stages.environment_scripts import plan_scripts
+from keymint.stages.identity_keys import Keyring
+from keymint.stages.package_stage import PackagePlan, recorded, steps_of
+from keymint.stages.shared_install import plan_shared_install
+from keymint.stages.signing import sign
+from keymint.store.changes import Action, File, FolderChange, Plan, Step
+from keymint.view.stamps import Stamp, digest, digest_files
+from keymint.workspace import key_record
+from keymint.workspace.enclave_changes import (
+    EnclaveChanges,
+    build_types_in_use,
+    obsolete_steps,
+    pruned,
+    shared_copies,
+    shared_steps,
+    withdraw,
+)
 from keymint.workspace.installed_enclaves import (
     CERTIFICATE,
     INSTALLED,
@@ -37,31 +57,8 @@ from keymint.workspace.installed_enclaves import (
     require_sources,
     unaccounted,
 )
-from keymint.stages.environment_scripts import plan_scripts
-from keymint.stages.identity_keys import Keyring
-from keymint.life.workspace_register import (
-    complete_register,
-    register_change,
-    register_of,
-    require_free_serials,
-    rights_of,
-)
-from keymint.workspace.enclave_changes import (
-    EnclaveChanges,
-    build_types_in_use,
-    obsolete_steps,
-    pruned,
-    shared_copies,
-    shared_steps,
-    withdraw,
-)
-from keymint.stages.shared_install import plan_shared_install
-from keymint.stages.signing import sign
-from keymint.stages.package_stage import PackagePlan, recorded, steps_of
-from keymint.life.terms import shown
-from keymint.life.issued_certificates import SignedRights
+from keymint.workspace.package_build_types import build_types_of, inputs_digest, is_build_current
 from keymint.workspace.session import Inputs, Session
-from keymint.view.stamps import Stamp, digest, digest_files
 
 STAGE = INSTALLED
 

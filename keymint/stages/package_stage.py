@@ -13,13 +13,13 @@ from typing import Any, Protocol, TypeVar
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.api import Artifact
-from keymint.store.changes import Plan, Step
 from keymint.errors import KeymintError
-from keymint.workspace import key_record
-from keymint.life.terms import Term
 from keymint.life.issued_certificates import IssuedCertificate, SignedRights
-from keymint.workspace.session import Session
+from keymint.life.terms import Term
+from keymint.store.changes import Plan, Step
 from keymint.view.stamps import Stamp, State
+from keymint.workspace import key_record
+from keymint.workspace.session import Session
 
 _T_co = TypeVar("_T_co", covariant=True)
 

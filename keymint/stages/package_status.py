@@ -9,16 +9,14 @@ from datetime import datetime
 from comarmor.values import dataclass
 from keymint.api import LoadedPolicy, Role
 from keymint.errors import KeymintError
-from keymint.stages import build
-from keymint.stages import create
-from keymint.stages import install
-from keymint.workspace.package_build_types import is_build_current
-from keymint.workspace.installed_enclaves import hidden, installed, installed_certificate, orphans
-from keymint.life.workspace_register import withdrawn
 from keymint.life.renewal_schedule import CERTIFICATE, EnclaveTerms, enclave_terms
+from keymint.life.terms import recalled
+from keymint.life.workspace_register import withdrawn
+from keymint.stages import build, create, install
 from keymint.stages.shared_documents import built_shared, is_current, users
 from keymint.stages.shared_install import installed_shared, is_installed
-from keymint.life.terms import recalled
+from keymint.workspace.installed_enclaves import hidden, installed, installed_certificate, orphans
+from keymint.workspace.package_build_types import is_build_current
 from keymint.workspace.session import Session
 
 

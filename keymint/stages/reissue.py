@@ -8,24 +8,24 @@ from dataclasses import replace
 from datetime import datetime
 
 from keymint.api import BuildOptions, LoadedPolicy, Role
-from keymint.store.changes import Action, Plan
-from keymint.stages.proof.proof_gate import proof_stage, proven
-from keymint.names import name_of
 from keymint.authority.authorities import plan_authorities
 from keymint.authority.authority_files import bundled
-from keymint.stages.build import BuildStage, options_as_built
-from keymint.workspace.package_build_types import is_build_current
-from keymint.stages.distribution import plan_distribution
 from keymint.life.earlier_rights import RIGHTS_OUTLIVE
-from keymint.workspace.installed_enclaves import INSTALLED, with_sources
-from keymint.stages.install import InstallStage
-from keymint.stages.install_request import InstallRequest
-from keymint.workspace.policy_loading import policy_in_force
-from keymint.life.workspace_register import complete_register
+from keymint.life.issued_certificates import SUPERSEDED
 from keymint.life.revocation_lists_in_force import plan_lists
 from keymint.life.revoking import plan_revocation
+from keymint.life.workspace_register import complete_register
+from keymint.names import name_of
+from keymint.stages.build import BuildStage, options_as_built
+from keymint.stages.distribution import plan_distribution
+from keymint.stages.install import InstallStage
+from keymint.stages.install_request import InstallRequest
 from keymint.stages.package_stage import Crew
-from keymint.life.issued_certificates import SUPERSEDED
+from keymint.stages.proof.proof_gate import proof_stage, proven
+from keymint.store.changes import Action, Plan
+from keymint.workspace.installed_enclaves import INSTALLED, with_sources
+from keymint.workspace.package_build_types import is_build_current
+from keymint.workspace.policy_loading import policy_in_force
 from keymint.workspace.session import Session
 
 

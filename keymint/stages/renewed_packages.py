@@ -8,17 +8,17 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from comarmor.errors import Defects, Diagnostic
 from comarmor.values import dataclass
 from keymint.api import BuildOptions
-from keymint.store.changes import FolderChange, Plan
-from keymint.errors import KeymintError
-from keymint.names import name_of, subject_of
 from keymint.authority import authorities
-from keymint.stages import build
-from keymint.workspace.package_build_types import is_build_current
-from keymint.workspace.installed_enclaves import installed
+from keymint.errors import KeymintError
 from keymint.life.package_issuance import place_of
 from keymint.life.workspace_register import register_of
-from keymint.workspace.session import Session
+from keymint.names import name_of, subject_of
+from keymint.stages import build
+from keymint.store.changes import FolderChange, Plan
 from keymint.view.stamps import Stamp, State
+from keymint.workspace.installed_enclaves import installed
+from keymint.workspace.package_build_types import is_build_current
+from keymint.workspace.session import Session
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,11 +18,10 @@ from collections.abc import Iterator, Sequence
 from comarmor.errors import Defects, Diagnostic, Origin
 from comarmor.rules import KIND_OF
 from comarmor.text import counted, did_you_mean
-from keymint.api import graph_json
-from keymint.api import Hint
-from keymint.errors import KeymintError
+from keymint.api import Hint, graph_json
 from keymint.api.graph import Edge, Object
 from keymint.api.graph_json import legal_subject, legal_text
+from keymint.errors import KeymintError
 
 COLUMNS = ("subject", "permission", "object", "count")
 OPTIONAL = ("partition",)

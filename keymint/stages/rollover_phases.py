@@ -10,19 +10,19 @@ from comarmor.errors import Origin
 from comarmor.text import counted
 from comarmor.values import dataclass
 from keymint.api import Phase
-from keymint.store.changes import Plan
-from keymint.stages.reissue import reissued, reissued_by_profile
-from keymint.stages.second_keystore import dropped_keystore, exchanged_keystore, staged_keystore
+from keymint.authority import rollover
+from keymint.authority.authority_issuance import authority_named
+from keymint.authority.authority_uses import refusing
+from keymint.authority.given_authority import GivenAuthority
 from keymint.errors import KeymintError, usage_error
 from keymint.names import subject_of
 from keymint.pki import certificates
 from keymint.stages import install
-from keymint.authority import rollover
-from keymint.authority.authority_issuance import authority_named
-from keymint.authority.authority_uses import refusing
-from keymint.workspace.installed_enclaves import with_sources
-from keymint.authority.given_authority import GivenAuthority
 from keymint.stages.package_stage import Crew
+from keymint.stages.reissue import reissued, reissued_by_profile
+from keymint.stages.second_keystore import dropped_keystore, exchanged_keystore, staged_keystore
+from keymint.store.changes import Plan
+from keymint.workspace.installed_enclaves import with_sources
 from keymint.workspace.session import Session
 
 _NEXT = {Phase.DISTRIBUTE: Phase.REISSUE, Phase.REISSUE: Phase.END, Phase.STAGE: Phase.END}

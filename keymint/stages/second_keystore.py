@@ -14,20 +14,20 @@ from pathlib import Path
 
 from comarmor.errors import Diagnostic
 from keymint.api import Phase
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed
-from keymint.stages.proof.proof_gate import proof_stage, proven
-from keymint.stages.reissue import rebuilt, reissued_by_profile
-from keymint.errors import KeymintError
 from keymint.authority.authorities import MintedAuthority, plan_authorities
 from keymint.authority.authority_files import NEXT
-from keymint.workspace.installed_enclaves import with_sources
-from keymint.workspace.gitignore import NAME as GITIGNORE
+from keymint.authority.rollover import phase_of, plan_switch, staged_session
+from keymint.errors import KeymintError
+from keymint.life.revocation_lists_in_force import plan_lists
 from keymint.stages.install import InstallStage
 from keymint.stages.install_request import InstallRequest
-from keymint.workspace.policy_loading import lazy_policy
-from keymint.life.revocation_lists_in_force import plan_lists
-from keymint.authority.rollover import phase_of, plan_switch, staged_session
 from keymint.stages.package_stage import Crew
+from keymint.stages.proof.proof_gate import proof_stage, proven
+from keymint.stages.reissue import rebuilt, reissued_by_profile
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed
+from keymint.workspace.gitignore import NAME as GITIGNORE
+from keymint.workspace.installed_enclaves import with_sources
+from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Session
 
 STAGE = "install.next"

@@ -14,14 +14,14 @@ from typing import cast
 from comarmor.errors import Defects, Diagnostic
 from comarmor.regex import lazy_regex
 from keymint.api import BuildOptions, BuildResult, BuildType, Package, SharedDocuments
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, by_folder
 from keymint.errors import KeymintError
 from keymint.names import subject_of
-from keymint.workspace.package_build_types import BUILD, build_types_of, inputs_digest, shared_builder
 from keymint.stages.built_documents import kept, refuse_edits
 from keymint.stages.package_stage import PackagePlan, recorded, steps_of
-from keymint.workspace.session import Session, once
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, by_folder
 from keymint.view.stamps import Stamp, digest
+from keymint.workspace.package_build_types import BUILD, build_types_of, inputs_digest, shared_builder
+from keymint.workspace.session import Session, once
 
 FOLDER = "shared.d"
 """Folder of the build space; a dot is illegal in names of packages."""

@@ -12,13 +12,12 @@ from typing import cast
 
 from comarmor.errors import Diagnostic
 from keymint.api import AuthorityRole, BuildType, Package, SharedCredentials, SharedDocuments
-from keymint.store.changes import Action, File, Plan, Step
-from keymint.errors import KeymintError
-from keymint.names import subject_of
 from keymint.authority.authorities import MintedAuthority
 from keymint.authority.authority_files import chains_digest, trusted_chains
+from keymint.errors import KeymintError
+from keymint.names import subject_of
 from keymint.stages.built_documents import OUTDATED, edits
-from keymint.workspace.installed_enclaves import INSTALLED, differing, has_outputs
+from keymint.stages.package_stage import PackagePlan, recorded, steps_of
 from keymint.stages.shared_documents import (
     built_shared,
     is_current,
@@ -33,9 +32,10 @@ from keymint.stages.shared_documents import (
 )
 from keymint.stages.signers import Signers
 from keymint.stages.signing import authority_of
-from keymint.stages.package_stage import PackagePlan, recorded, steps_of
-from keymint.workspace.session import Session
+from keymint.store.changes import Action, File, Plan, Step
 from keymint.view.stamps import Stamp, digest, digest_files
+from keymint.workspace.installed_enclaves import INSTALLED, differing, has_outputs
+from keymint.workspace.session import Session
 from keymint.workspace.workspace import placed
 
 

@@ -10,19 +10,19 @@ from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin
 from keymint.api import Artifact, EnclaveCredentials, Package
-from keymint.errors import KeymintError, known_authority
-from keymint.pki import certificates, keys
 from keymint.authority.authorities import MintedAuthority
 from keymint.authority.authority_files import trusted_chains
-from keymint.workspace.package_build_types import build_types_of, roles_of, two_writers
-from keymint.workspace.installed_enclaves import CERTIFICATE
-from keymint.life.package_issuance import place_of
-from keymint.life.workspace_register import entry_of, issuer_of, register_of
-from keymint.life.revocation_lists_in_force import enclave_lists
-from keymint.stages.signers import Signers
+from keymint.errors import KeymintError, known_authority
 from keymint.life.issued_certificates import SUPERSEDED, IssuedCertificate, Register
-from keymint.workspace.session import Session
+from keymint.life.package_issuance import place_of
+from keymint.life.revocation_lists_in_force import enclave_lists
+from keymint.life.workspace_register import entry_of, issuer_of, register_of
+from keymint.pki import certificates, keys
+from keymint.stages.signers import Signers
 from keymint.view.stamps import digest_files
+from keymint.workspace.installed_enclaves import CERTIFICATE
+from keymint.workspace.package_build_types import build_types_of, roles_of, two_writers
+from keymint.workspace.session import Session
 from keymint.workspace.workspace import placed
 
 

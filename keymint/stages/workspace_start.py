@@ -7,8 +7,8 @@ import os
 from pathlib import Path
 
 from keymint.api import Bootstrap
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, by_folder, changed_below
 from keymint.errors import ExitCode, KeymintError
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, by_folder, changed_below
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.workspace import PROFILE_MARKER
 

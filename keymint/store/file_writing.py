@@ -19,8 +19,8 @@ from typing import NoReturn
 
 from comarmor.errors import Origin
 from comarmor.text import quoted
-from keymint.store.changes import File, file_mode
 from keymint.errors import KeymintError
+from keymint.store.changes import File, file_mode
 
 PREFIX, SUFFIX = ".keymint-", ".tmp"
 """Prefix and suffix of the names of temporary files and folders."""

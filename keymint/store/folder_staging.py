@@ -18,8 +18,8 @@ from typing import NoReturn
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
-from keymint.store.changes import File
 from keymint.errors import KeymintError
+from keymint.store.changes import File
 from keymint.store.file_writing import (
     NEW_FILE,
     create,

@@ -18,9 +18,9 @@ from typing import Any
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
+from keymint.names import listed
 from keymint.store.file_writing import check_component, is_temporary
 from keymint.store.group_commit import commit
-from keymint.names import listed
 from keymint.store.open_folders import OpenFolders, Roots
 from keymint.store.staged import Exchange, Staged
 from keymint.view.stamps import digest, sealed, unsealed

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write changes beside their places: nothing of them is visible until :mod:`keymint.store.group_commit` exchanges the names.
+"""Write changes beside their places; nothing is visible until :mod:`~keymint.store.group_commit` exchanges the names.
 
 What changes in one folder appears in one step, and with it the changes in its subfolders: a new folder is staged whole,
 and so is the replacement of a folder in which several files change.

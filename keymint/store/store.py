@@ -7,7 +7,8 @@
 * A new folder appears complete. A folder in which several files change is swapped in one step; see
   :mod:`keymint.store.folder_staging` and :mod:`keymint.store.folder_swap`.
 * A secret is 0600 from its first byte and its folder 0700, whatever the umask.
-* What a killed run made visible in part, the next run finishes; the rest of it is removed. See :mod:`keymint.store.journal`.
+* What a killed run made visible in part, the next run finishes; the rest of it is removed. See
+  :mod:`keymint.store.journal`.
 """
 
 from __future__ import annotations
@@ -28,9 +29,9 @@ from keymint.store.group_commit import commit
 from keymint.store.journal import Intent, Journal
 from keymint.store.open_folders import OpenFolders, Roots
 from keymint.store.staged import Exchange, Staged, Staging, remove_staged
+from keymint.store.workspace_lock import LOCK, folder_lock, wait_for_lock
 from keymint.view.stamps import MAX_RECORD
 from keymint.view.tree import read_file
-from keymint.store.workspace_lock import LOCK, folder_lock, wait_for_lock
 
 
 class Store:

@@ -9,11 +9,11 @@ from pathlib import Path
 
 from comarmor.values import dataclass
 from keymint.api import Artifact, BuildType
-from keymint.store.changes import Action, File, FolderChange, Step, by_folder, changed
 from keymint.errors import KeymintError
 from keymint.names import ROOT, subject_of
-from keymint.workspace.package_build_types import recorded_build_types
+from keymint.store.changes import Action, File, FolderChange, Step, by_folder, changed
 from keymint.workspace.installed_enclaves import CERTIFICATE, INSTALLED, files_in, installed
+from keymint.workspace.package_build_types import recorded_build_types
 from keymint.workspace.session import Session
 
 

@@ -10,12 +10,12 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from keymint.store.changes import File, FolderChange
+from keymint.store.store import Store
+from keymint.store.workspace_lock import clock
 from keymint.view.folder_status import Sight
 from keymint.view.stamps import MAX_RECORD, sealed, unsealed
-from keymint.store.store import Store
 from keymint.view.tree import Tree, read_file
 from keymint.workspace.workspace import Workspace
-from keymint.store.workspace_lock import clock
 
 INDEX = "files.json"
 """Name of the index in the folder of records."""

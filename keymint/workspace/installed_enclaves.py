@@ -11,12 +11,12 @@ from pathlib import Path
 from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin
-from keymint.store.changes import File, file_mode
 from keymint.errors import KeymintError
 from keymint.names import ROOT, subject_of
 from keymint.pki import certificates
-from keymint.workspace.session import Inputs, Session, once
+from keymint.store.changes import File, file_mode
 from keymint.view.stamps import Stamp
+from keymint.workspace.session import Inputs, Session, once
 from keymint.workspace.workspace import hidden_by
 
 CERTIFICATE, KEY = "cert.pem", "key.pem"

@@ -8,8 +8,8 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, MutableMapp
 from comarmor.errors import Diagnostic
 from keymint.api import Artifact, AuthorityRole, BuildType, Package, Prover, RevocationReader, SharedDocuments
 from keymint.errors import KeymintError
-from keymint.workspace.session import Session, once
 from keymint.view.stamps import digest
+from keymint.workspace.session import Session, once
 
 BUILD = "build"
 """Key of the record of built packages."""

@@ -11,15 +11,15 @@ from pathlib import Path
 from comarmor.errors import Diagnostic, Severity
 from comarmor.xml.package_folders import CopiedPackages, PackageFolders
 from keymint.api import AppliedProfile, DigestedPolicy, LoadedPolicy, PolicyDecision, PolicyStructure, StructuredPolicy
-from keymint.store.changes import Plan
-from keymint.errors import KeymintError
 from keymint.api.graph import Edge
+from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import package_name
+from keymint.store.changes import Plan
+from keymint.view.stamps import Stamp, State, digest
 from keymint.workspace import shipped_profiles
 from keymint.workspace.policy_types import foreign_policy
 from keymint.workspace.session import Session
-from keymint.view.stamps import Stamp, State, digest
 
 _STAGE, _FILES, _SUBJECTS = "policy", "seen", "subjects"
 """Keys of the record of the policy: the paths that it was read from, and the subjects that it names."""
@@ -38,7 +38,9 @@ def load_policy(session: Session, *, trust_links: bool = False) -> LoadedPolicy:
         UnacceptedPackagesError: it includes files of ROS packages that its owner did not accept as they are now.
     """
     policy = _load(session, shipped_profiles.installed(session, trust_links=trust_links))
-    shipped_profiles.refuse_unaccepted(session, policy, functools.partial(accepted_policy, session, absent_is_empty=True))
+    shipped_profiles.refuse_unaccepted(
+        session, policy, functools.partial(accepted_policy, session, absent_is_empty=True)
+    )
     return policy
 
 

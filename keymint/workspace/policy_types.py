@@ -9,8 +9,8 @@ from pathlib import Path
 from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import PolicyImporter, RecognisedPolicy
-from keymint.errors import KeymintError
 from keymint.api.plugin_loader import Plugins
+from keymint.errors import KeymintError
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,11 +30,11 @@ from keymint.api import (
     Role,
     WorkspaceProfile,
 )
-from keymint.store.changes import Plan
+from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError
 from keymint.names import ROOT
 from keymint.pki.tokens.token_sessions import Tokens
-from keymint.api.plugin_loader import Plugins
+from keymint.store.changes import Plan
 from keymint.view.stamps import State, digest, digest_files
 from keymint.view.tree import Tree
 from keymint.workspace.workspace import (

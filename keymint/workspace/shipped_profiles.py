@@ -20,8 +20,8 @@ from keymint.api import (
     PolicyType,
     PolicyWithPackages,
 )
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed
 from keymint.errors import ExitCode, KeymintError
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed
 from keymint.workspace.session import Session
 
 STAGE = "create"

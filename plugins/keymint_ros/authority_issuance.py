@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 from comarmor.errors import Origin
 from keymint.api import AuthorityIssuance, CertificateSpec, Phase, Rollover
-from keymint.errors import known_authority
 from keymint.api.source_documents import Reader, place, require_new, text
+from keymint.errors import known_authority
 from keymint_ros import certificate, validity
 from keymint_ros.templates import filled
 

@@ -11,8 +11,8 @@ from comarmor.errors import Origin
 from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint.api import CertificateSpec, Extension, KeySpec, Validity
-from keymint.errors import KeymintError
 from keymint.api.source_documents import incomplete, place, require_new, text
+from keymint.errors import KeymintError
 from keymint_ros import placeholders, validity
 
 if TYPE_CHECKING:

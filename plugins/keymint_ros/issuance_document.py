@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 from comarmor.errors import Origin
 from keymint.api import Issuance
-from keymint.errors import KeymintError
 from keymint.api.source_documents import Reader, place, text
+from keymint.errors import KeymintError
 from keymint_ros import certificate, validity
 from keymint_ros.manifest import ISSUANCE
 from keymint_ros.templates import filled

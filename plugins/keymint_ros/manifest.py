@@ -10,8 +10,8 @@ from comarmor.errors import Origin
 from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint.api import Role
-from keymint.errors import KeymintError
 from keymint.api.source_documents import Reader, file_in, normal_path, place, require_new, text
+from keymint.errors import KeymintError
 
 if TYPE_CHECKING:
     from lxml import etree

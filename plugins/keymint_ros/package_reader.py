@@ -26,9 +26,6 @@ from keymint.api import (
     SourcePart,
     WorkspaceProfile,
 )
-from keymint.errors import KeymintError, known_authority
-from keymint.ir import DeferredRules, Rule, SubjectRules
-from keymint.names import subject_of
 from keymint.api.source_documents import (
     DEFAULT_DOMAINS,
     Reader,
@@ -38,8 +35,19 @@ from keymint.api.source_documents import (
     signer,
     text,
 )
-from keymint_ros import adopted, certificate, manifest, permissions, permissions_writer, placeholders, validity
-from keymint_ros import issuance_document
+from keymint.errors import KeymintError, known_authority
+from keymint.ir import DeferredRules, Rule, SubjectRules
+from keymint.names import subject_of
+from keymint_ros import (
+    adopted,
+    certificate,
+    issuance_document,
+    manifest,
+    permissions,
+    permissions_writer,
+    placeholders,
+    validity,
+)
 from keymint_ros.manifest import MARKER, SIGNER, PackageManifest, PackagePart
 from keymint_ros.profile_reader import base_of
 

@@ -8,10 +8,10 @@ from datetime import datetime
 
 from comarmor.errors import Diagnostic, Origin
 from keymint.api import Role, WorkspaceProfile
+from keymint.api.source_documents import Reader
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import name_of
-from keymint.api.source_documents import Reader
 from keymint_ros import bootstrap, manifest, permissions, permissions_of_2018, permissions_writer, validity
 from keymint_ros.manifest import MARKER
 from keymint_ros.permissions import Grant

@@ -14,8 +14,8 @@ from comarmor.errors import Origin
 from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint.api import Authority, PolicySource, WorkspaceProfile
-from keymint.errors import KeymintError, known_authority
 from keymint.api.source_documents import Reader, domains, file_in, place, require_new, text
+from keymint.errors import KeymintError, known_authority
 from keymint_ros import (
     authority_issuance,
     bootstrap,

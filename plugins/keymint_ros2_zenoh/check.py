@@ -73,7 +73,10 @@ def _examined(
     except KeymintError as error:
         yield from error.diagnostics
         return
-    usual = configuration_requirements.as_built(found, read(built, file), file), configuration_requirements.open_default(found, file)
+    usual = (
+        configuration_requirements.as_built(found, read(built, file), file),
+        configuration_requirements.open_default(found, file),
+    )
     for each in (*chain(*usual), *configuration_requirements.entries(found), *more(found)):
         yield replace(each, help=each.help or help_)
 
@@ -140,5 +143,7 @@ class _EnclaveCheck(IdentityCheck):
         name, file = self._package.name, f"{self._inspection.folder}/{SESSION}"
         help_ = f"'keymint build -f {name}' and 'keymint install {name}' write the document of the sources"
         router = common_name(router_of(self._package))
-        for each in _examined(content, built, file, help_, lambda found: configuration_requirements.unpinned(found, router, file)):
+        for each in _examined(
+            content, built, file, help_, lambda found: configuration_requirements.unpinned(found, router, file)
+        ):
             yield replace(each, subject=self._subject, help=each.help or help_)

@@ -20,8 +20,8 @@ from keymint.api import (
     SourcePart,
     WorkspaceProfile,
 )
-from keymint.errors import KeymintError
 from keymint.api.source_documents import Reader, text
+from keymint.errors import KeymintError
 from keymint_ros2_zenoh.lowering.name_keys import check_distro
 from keymint_ros2_zenoh.settings import Router, ZenohSettings, is_address
 

@@ -15,8 +15,8 @@ from keymint_ros2_dds.transports.simulated_transport import Simulated
 from keymint_ros2_dds.vendors.participants import System
 
 from keymint.api import Enclave, EndpointTransport, Environment, Tier, Transport, Verdict
-from keymint.errors import KeymintError
 from keymint.api.graph import Column, Edge, Object
+from keymint.errors import KeymintError
 from keymint.pki import smime
 from tests.effort import tries
 

@@ -16,9 +16,9 @@ from lxml import etree
 
 from comarmor.errors import Origin
 from keymint import cli
-from keymint.pki import smime
 from keymint.life import register_database
 from keymint.life.issued_certificates import Register
+from keymint.pki import smime
 
 _RULES = """<ros_topic qualifier="ALLOW">
   <attachment>/chatter{}</attachment><permissions><ros_publish/></permissions>

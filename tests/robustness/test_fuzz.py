@@ -22,20 +22,20 @@ import pytest
 import comarmor
 from comarmor.errors import Diagnostic
 from keymint.api import BuildOptions, LoadedPolicy
-from keymint.store.changes import Plan
+from keymint.api.plugin_loader import Plugins
+from keymint.authority.authorities import plan_authorities
 from keymint.errors import KeymintError
 from keymint.pki.tokens.pin_sources import Pins
 from keymint.pki.tokens.token_sessions import Tokens
-from keymint.authority.authorities import plan_authorities
 from keymint.stages.build import BuildStage
 from keymint.stages.create import CreateStage, packages_to_create
 from keymint.stages.install import InstallStage
-from keymint.workspace.policy_loading import load_policy
 from keymint.stages.package_stage import PlanStage
-from keymint.api.plugin_loader import Plugins
-from keymint.workspace.session import Inputs
+from keymint.store.changes import Plan
 from keymint.view.stamps import State
 from keymint.view.tree import Tree
+from keymint.workspace.policy_loading import load_policy
+from keymint.workspace.session import Inputs
 from keymint.workspace.workspace import Workspace
 from tests.effort import tries
 

@@ -18,10 +18,10 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
 from comarmor.errors import Origin
+from keymint.life import register_database
+from keymint.pki import keys
 from keymint.robots import bundle
 from keymint.robots import certification_request as request
-from keymint.pki import keys
-from keymint.life import register_database
 from tests.effort import FULL
 
 from . import scenarios, tracing

@@ -15,9 +15,8 @@ from typing import Any
 import pytest
 
 from comarmor.errors import Origin
-from keymint.robots import bundle
-from keymint.robots import certification_request
 from keymint.pki import keys
+from keymint.robots import bundle, certification_request
 from keymint.store.staged import Staged
 from keymint.store.store import Store
 from tests.effort import tries

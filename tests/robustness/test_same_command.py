@@ -20,10 +20,9 @@ from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from comarmor.errors import Origin
-from keymint.robots import bundle
-from keymint.robots import certification_request
-from keymint.pki import certificates, keys
 from keymint.life import register_database
+from keymint.pki import certificates, keys
+from keymint.robots import bundle, certification_request
 from tests import sros2_keystore
 from tests.effort import FULL
 from tests.keymint.commands.life.test_authority import outside

@@ -15,10 +15,10 @@ from comarmor.patterns.glob import parse
 from comarmor.patterns.possible_names import advice
 from comarmor.patterns.relations import TooComplexError
 from comarmor.text import did_you_mean
-from keymint.analysis.lint.attachment_mistakes import CODES as SLIPS
-from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
 from keymint.analysis.expression_origins import ExpressionOrigins
 from keymint.analysis.findings import quoted_list, undecided
+from keymint.analysis.lint.attachment_mistakes import CODES as SLIPS
+from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
 from keymint.analysis.lint.name_similarity import similar_names, similar_subjects
 from keymint.analysis.lint.redundant_rules import MOST_PAIRS, RedundantRules, can_name_exist, within_bounds
 from keymint.analysis.root_names import CODES as ROOT_CODES

@@ -14,10 +14,8 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted
 from keymint.check import check as find
 from keymint.command_line.durations import period
-from keymint.command_line.options import FILE, packages_argument, standard_only_option, strict_option
-from keymint.stages.proof.proof_diagnostics import effort_of, proof_findings
-from keymint.run.run import Run
 from keymint.command_line.named_files import write_outputs
+from keymint.command_line.options import FILE, packages_argument, standard_only_option, strict_option
 from keymint.command_line.vendor_versions import advisories, vendors_option
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError
@@ -25,18 +23,20 @@ from keymint.examine.keystore import SHOWN_NOTES, proven_keystore
 from keymint.examine.nodes import NODE_NOTES, of_packages
 from keymint.examine.not_examined import not_examined
 from keymint.executors import Pool
+from keymint.life.earlier_rights import RIGHTS_OUTLIVE
+from keymint.life.workspace_register import with_enclaves
 from keymint.names import subject_of
 from keymint.output.report import Report, findings_if, folded
 from keymint.output.sarif import of_diagnostics
 from keymint.output.sarif import sarif as sarif_log
-from keymint.life.earlier_rights import RIGHTS_OUTLIVE
-from keymint.workspace.policy_loading import lazy_policy
+from keymint.run.run import Run
 from keymint.stages.policy_drift import uncreated
+from keymint.stages.proof.proof_diagnostics import effort_of, proof_findings
 from keymint.stages.proof.proof_results import ProofEffort
 from keymint.stages.proof.prove import NO_PROVER, STAGE
-from keymint.life.workspace_register import with_enclaves
-from keymint.workspace.session import Session
 from keymint.view.stamps import State
+from keymint.workspace.policy_loading import lazy_policy
+from keymint.workspace.session import Session
 
 
 @verb()

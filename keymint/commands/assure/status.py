@@ -13,21 +13,21 @@ import click
 from comarmor.errors import Diagnostic
 from keymint.api import LoadedPolicy
 from keymint.command_line.options import strict_option
-from keymint.stages.proof.proof_diagnostics import effort_of
-from keymint.run.run import Run
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError
 from keymint.examine import keys
 from keymint.examine.not_examined import not_examined
 from keymint.examine.rights import has_earlier, presented_rights
+from keymint.life.terms import days_left
 from keymint.output.expiry_metrics import gauges
 from keymint.output.openmetrics import openmetrics
 from keymint.output.report import Report, findings_if, members
+from keymint.run.run import Run
 from keymint.stages.create import packages_to_create
-from keymint.workspace.policy_loading import lazy_policy
-from keymint.life.terms import days_left
-from keymint.workspace.session import Session
 from keymint.stages.package_status import StatusRow, package_rows, shared_rows
+from keymint.stages.proof.proof_diagnostics import effort_of
+from keymint.workspace.policy_loading import lazy_policy
+from keymint.workspace.session import Session
 
 
 @verb()

@@ -12,23 +12,22 @@ import click
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted
 from keymint.api import Tier, Transport
-from keymint.store.changes import Action, Step
-from keymint.command_line.options import FILE, PATH, packages_argument, transport_option, vendors_of_option
-from keymint.command_line.named_policies import workspace_library_rules
-from keymint.run.run import Run
-from keymint.command_line.named_files import read_input, write_outputs
-from keymint.command_line.verb import verb
-from keymint.command_line.verify_report import labelled_edges, write_report
 from keymint.api.graph import Graph
 from keymint.api.graph_json import load
+from keymint.command_line.named_files import read_input, write_outputs
+from keymint.command_line.named_policies import workspace_library_rules
+from keymint.command_line.options import FILE, PATH, packages_argument, transport_option, vendors_of_option
+from keymint.command_line.verb import verb
+from keymint.command_line.verify_report import labelled_edges, write_report
+from keymint.life.workspace_register import with_enclaves
 from keymint.output.json import comparisons_json
 from keymint.output.junit import junit as junit_document
 from keymint.output.mismatches import SARIF_RULES, diagnostics, enumerated, junit_suites, sarif_results
 from keymint.output.report import Report, findings_if
 from keymint.output.sarif import sarif as sarif_log
-from keymint.workspace.policy_loading import load_policy
-from keymint.life.workspace_register import with_enclaves
+from keymint.run.run import Run
 from keymint.stages.proof.trust_anchors import differences
+from keymint.store.changes import Action, Step
 from keymint.verify.compare import Asking
 from keymint.verify.copies import copied
 from keymint.verify.mismatch import Comparison
@@ -42,6 +41,7 @@ from keymint.verify.scope import (
 from keymint.verify.tally import Tally
 from keymint.verify.usable_transports import choose
 from keymint.verify.verification import Verification
+from keymint.workspace.policy_loading import load_policy
 
 
 @verb(executor=True)

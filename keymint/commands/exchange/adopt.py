@@ -11,12 +11,10 @@ from pathlib import Path
 import click
 
 from comarmor.errors import Diagnostic, Origin, Severity
+from keymint.adoption.adopted_workspace import Adoption, plan_adoption
 from keymint.adoption.keystore_policy import AdoptedPolicy, Compared, compared
 from keymint.adoption.reading import found_in
-from keymint.adoption.adopted_workspace import Adoption, plan_adoption
 from keymint.api import Bootstrap, DocumentComparer, FoundKeystore, KeystoreFiles
-from keymint.store.changes import Plan
-from keymint.commands.exchange.adopted_policy import STATES, learned_policy, named_policy
 from keymint.command_line.options import (
     DEFAULT_DISTRO,
     DEFAULT_PROFILE_TYPE,
@@ -25,13 +23,15 @@ from keymint.command_line.options import (
     PolicyOptions,
     distro_option,
 )
-from keymint.stages.proof.proof_diagnostics import effort_of
-from keymint.run.run import Run
 from keymint.command_line.verb import verb
+from keymint.commands.exchange.adopted_policy import STATES, learned_policy, named_policy
 from keymint.errors import ExitCode, KeymintError
 from keymint.examine.nodes import NODE_NOTES, node_notes, of_documents
 from keymint.output.keystores import as_json, summary
 from keymint.output.report import Report, findings_exit
+from keymint.run.run import Run
+from keymint.stages.proof.proof_diagnostics import effort_of
+from keymint.store.changes import Plan
 from keymint.workspace.session import Inputs
 from keymint.workspace.workspace import Workspace
 

@@ -9,10 +9,10 @@ from pathlib import Path
 from keymint.adoption.keystore_learning import Learning, learned_from
 from keymint.adoption.keystore_policy import AdoptedPolicy
 from keymint.api import FoundKeystore, ImportRequest, KeystoreFiles, PolicyImporter
-from keymint.command_line.options import PolicyOptions
 from keymint.command_line.named_policies import Policies
-from keymint.stages.proof.proof_diagnostics import effort_of
+from keymint.command_line.options import PolicyOptions
 from keymint.run.run import Run
+from keymint.stages.proof.proof_diagnostics import effort_of
 from keymint.stages.workspace_start import policy_path
 from keymint.workspace.policy_types import foreign_policy
 from keymint.workspace.workspace import Workspace

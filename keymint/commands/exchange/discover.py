@@ -19,18 +19,17 @@ from typing import Any
 import click
 
 from comarmor.errors import Diagnostic, Origin
-from keymint.api import graph_json
-from keymint.api import DiscoveredGraph, GraphSource
-from keymint.command_line.graph_source_option import graph_source
-from keymint.command_line.options import PATH, Number, PluginOption
-from keymint.run.run import Run
-from keymint.command_line.named_files import deliver, exists, read_input
-from keymint.command_line.verb import verb
-from keymint.errors import ExitCode, KeymintError, usage_error
+from keymint.api import DiscoveredGraph, GraphSource, graph_json
 from keymint.api.generated_names import NAMES_DIFFER, differing
 from keymint.api.graph import Graph
+from keymint.command_line.graph_source_option import graph_source
+from keymint.command_line.named_files import deliver, exists, read_input
+from keymint.command_line.options import PATH, Number, PluginOption
+from keymint.command_line.verb import verb
+from keymint.errors import ExitCode, KeymintError, usage_error
 from keymint.names import typed_subject
 from keymint.output.report import Report
+from keymint.run.run import Run
 
 _EXIT_CODES = {signal.SIGINT: ExitCode.INTERRUPTED, signal.SIGTERM: ExitCode.TERMINATED}
 

@@ -13,17 +13,17 @@ import click
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean, quoted
 from keymint.api import LoadedPolicy, PolicyExporter, PolicyFormat
+from keymint.command_line.named_files import deliver, read_input, refuse_replacing
+from keymint.command_line.named_policies import Policies
+from keymint.command_line.options import FILE, PATH, PolicyOptions, force_option, policy_options
+from keymint.command_line.verb import verb
 from keymint.commands.exchange.import_policy import proofs_of
 from keymint.commands.exchange.import_proof import diagnostics_of, unproven
-from keymint.command_line.options import FILE, PATH, PolicyOptions, force_option, policy_options
-from keymint.command_line.named_policies import Policies
-from keymint.run.run import Run
-from keymint.command_line.named_files import deliver, read_input, refuse_replacing
-from keymint.command_line.verb import verb
 from keymint.errors import KeymintError, usage_error
 from keymint.ir import SubjectRules
 from keymint.names import no_subject, typed_subject
 from keymint.output.report import Report
+from keymint.run.run import Run
 
 _FORMATS = "keymint.policy_formats"
 

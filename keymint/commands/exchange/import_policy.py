@@ -12,16 +12,16 @@ from comarmor.errors import Diagnostic, Origin
 from comarmor.text import counted, first_few
 from comarmor.xml.reader import looks_like_xml, parse
 from keymint.api import ForeignDocuments, ImportedSubject, ImportRequest, PolicyImporter
-from keymint.commands.exchange.import_proof import SubjectProof, diagnostics_of, unproven
-from keymint.command_line.options import FILE, PATH, PolicyOptions, distro_option, force_option, library_option
-from keymint.command_line.named_policies import Policies
-from keymint.stages.proof.proof_diagnostics import STATES, effort_of
-from keymint.run.run import Run
 from keymint.command_line.named_files import deliver, exists, read_input, refuse_replacing
+from keymint.command_line.named_policies import Policies
+from keymint.command_line.options import FILE, PATH, PolicyOptions, distro_option, force_option, library_option
 from keymint.command_line.verb import verb
+from keymint.commands.exchange.import_proof import SubjectProof, diagnostics_of, unproven
 from keymint.errors import KeymintError
 from keymint.examine.nodes import node_notes
 from keymint.output.report import Report
+from keymint.run.run import Run
+from keymint.stages.proof.proof_diagnostics import STATES, effort_of
 from keymint.workspace.policy_types import foreign_policy
 
 

@@ -14,18 +14,17 @@ import click
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.xml.reader import looks_like_xml
-from keymint.api import graph_json
-from keymint.api import LearnedPolicy, LoadedPolicy, PolicyLearner
-from keymint.commands.exchange.learn_keystore import from_keystore, refuse_replacing_policy
-from keymint.command_line.options import PATH, PolicyOptions, force_option, policy_options
-from keymint.command_line.named_policies import Policies
-from keymint.run.run import Run
-from keymint.command_line.named_files import read_input, show_written, write_outputs
-from keymint.command_line.verb import verb
-from keymint.errors import KeymintError, usage_error
+from keymint.api import LearnedPolicy, LoadedPolicy, PolicyLearner, graph_json
 from keymint.api.generated_names import NAMES_DIFFER, differing
 from keymint.api.graph import Edge, Graph
+from keymint.command_line.named_files import read_input, show_written, write_outputs
+from keymint.command_line.named_policies import Policies
+from keymint.command_line.options import PATH, PolicyOptions, force_option, policy_options
+from keymint.command_line.verb import verb
+from keymint.commands.exchange.learn_keystore import from_keystore, refuse_replacing_policy
+from keymint.errors import KeymintError, usage_error
 from keymint.output.report import Report, findings_if
+from keymint.run.run import Run
 from keymint.workspace.policy_types import foreign_policy
 
 

@@ -10,12 +10,12 @@ from typing import Any
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import counted
 from keymint.api import GrantedRules
-from keymint.command_line.options import PolicyOptions
-from keymint.command_line.named_policies import Policies
-from keymint.stages.proof.proof_diagnostics import STATES, effort_of
-from keymint.run.run import Run
 from keymint.command_line.named_files import deliver, refuse_replacing
+from keymint.command_line.named_policies import Policies
+from keymint.command_line.options import PolicyOptions
 from keymint.output.report import Report
+from keymint.run.run import Run
+from keymint.stages.proof.proof_diagnostics import STATES, effort_of
 
 
 def from_keystore(

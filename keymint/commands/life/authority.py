@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 
 import click
 
@@ -22,8 +23,8 @@ VERBS: Mapping[str, str] = {
 class _Verbs(VerbGroup):
     """The verbs about authorities; one is named like a keyword of Python."""
 
-    VERBS = VERBS
-    MODULE = "keymint.commands.authority_{}"
+    GROUPS: Mapping[str, Mapping[str, str]] = MappingProxyType({"Verbs": VERBS})
+    MODULE = "keymint.commands.life.authority_{verb}"
     NAME = "command"
 
 

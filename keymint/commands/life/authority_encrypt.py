@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
+from keymint.authority.authority_encryption import plan_encryption
 from keymint.command_line.options import authority_argument
-from keymint.run.run import Run
 from keymint.command_line.verb import verb
 from keymint.output.report import Report
-from keymint.authority.authority_encryption import plan_encryption
+from keymint.run.run import Run
 
 
 @verb(dry_run=True, of="authority")

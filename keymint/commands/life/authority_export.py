@@ -9,15 +9,14 @@ from pathlib import Path
 import click
 
 from comarmor.errors import Diagnostic, Origin
-from keymint.command_line.options import FILE, authority_argument
-from keymint.run.run import Run
+from keymint.authority import authority_files, token_authorities
+from keymint.authority.authority_issuance import authority_named
 from keymint.command_line.named_files import deliver, write_outputs
+from keymint.command_line.options import FILE, authority_argument
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError, usage_error
 from keymint.output.report import Report
-from keymint.authority import authority_files
-from keymint.authority import token_authorities
-from keymint.authority.authority_issuance import authority_named
+from keymint.run.run import Run
 from keymint.workspace.session import Session
 
 

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import click
 
+from keymint.authority.authority_renewal import plan_import
 from keymint.command_line.authority_change import given_authority, issued_again
 from keymint.command_line.options import FILE, authority_argument, flag_day_option
-from keymint.run.run import Run
 from keymint.command_line.verb import verb
 from keymint.output.report import Report
-from keymint.authority.authority_renewal import plan_import
+from keymint.run.run import Run
 
 
 @verb(dry_run=True, of="authority")

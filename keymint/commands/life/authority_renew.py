@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
+from keymint.authority.authority_renewal import plan_renewal
 from keymint.command_line.authority_change import issued_again
 from keymint.command_line.options import authority_argument, flag_day_option
-from keymint.run.run import Run
 from keymint.command_line.verb import verb
 from keymint.output.report import Report
-from keymint.authority.authority_renewal import plan_renewal
+from keymint.run.run import Run
 
 
 @verb(dry_run=True, of="authority")

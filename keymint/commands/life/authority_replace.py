@@ -11,15 +11,15 @@ import click
 
 from comarmor.errors import Diagnostic
 from keymint.api import Phase
-from keymint.store.changes import Plan
+from keymint.authority import rollover
 from keymint.command_line.authority_change import given_authority
 from keymint.command_line.options import FILE, authority_argument
-from keymint.stages.rollover_phases import Request, planned
-from keymint.run.run import Run
 from keymint.command_line.verb import verb
 from keymint.errors import usage_error
 from keymint.output.report import Report
-from keymint.authority import rollover
+from keymint.run.run import Run
+from keymint.stages.rollover_phases import Request, planned
+from keymint.store.changes import Plan
 from keymint.workspace.session import Session
 
 

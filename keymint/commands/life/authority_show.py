@@ -12,14 +12,14 @@ import click
 
 from comarmor.errors import Diagnostic
 from comarmor.text import counted
-from keymint.command_line.options import complete_authority
-from keymint.run.run import Run
-from keymint.command_line.verb import verb
-from keymint.output.report import Report
-from keymint.authority.authority_issuance import authority_named
-from keymint.life.authority_status import AuthorityStatus, CertificateStatus, statuses
 from keymint.adoption.hardening import lacks
+from keymint.authority.authority_issuance import authority_named
+from keymint.command_line.options import complete_authority
+from keymint.command_line.verb import verb
+from keymint.life.authority_status import AuthorityStatus, CertificateStatus, statuses
 from keymint.life.terms import days_left
+from keymint.output.report import Report
+from keymint.run.run import Run
 from keymint.workspace.session import Session
 
 

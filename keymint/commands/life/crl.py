@@ -9,16 +9,16 @@ from typing import Any
 
 import click
 
-from keymint.store.changes import Plan
 from keymint.command_line import durations
-from keymint.stages.reissue import reissued
-from keymint.run.run import Run
 from keymint.command_line.verb import verb
 from keymint.errors import ExitCode, KeymintError
+from keymint.life.revocation_lists_in_force import lists, loaded_lists
+from keymint.life.workspace_register import complete_register, register_change
 from keymint.names import subject_of
 from keymint.output.report import Report, members
-from keymint.life.workspace_register import complete_register, register_change
-from keymint.life.revocation_lists_in_force import lists, loaded_lists
+from keymint.run.run import Run
+from keymint.stages.reissue import reissued
+from keymint.store.changes import Plan
 from keymint.workspace.session import Session
 
 

@@ -9,17 +9,17 @@ from dataclasses import asdict, replace
 import click
 
 from comarmor.text import first_few
-from keymint.store.changes import Plan
+from keymint.adoption.hardening import Weakness, open_steps, plan_authority, plan_names
+from keymint.authority.authority_renewal import plan_renewal
 from keymint.command_line.authority_change import issued_again
 from keymint.command_line.options import flag_day_option, packages_argument
-from keymint.stages.reissue import reissued, reissued_by_profile
-from keymint.run.run import Run
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError
 from keymint.output.report import Report
-from keymint.authority.authority_renewal import plan_renewal
+from keymint.run.run import Run
+from keymint.stages.reissue import reissued, reissued_by_profile
+from keymint.store.changes import Plan
 from keymint.workspace.installed_enclaves import with_sources
-from keymint.adoption.hardening import Weakness, open_steps, plan_authority, plan_names
 from keymint.workspace.session import Session
 
 

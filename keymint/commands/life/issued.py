@@ -7,15 +7,15 @@ from functools import partial
 
 import click
 
-from keymint.store.changes import Action, Plan, Step
 from keymint.command_line.options import packages_argument
-from keymint.commands.life.revoke import document
-from keymint.run.run import Run
 from keymint.command_line.verb import verb
+from keymint.commands.life.revoke import document
 from keymint.errors import KeymintError
+from keymint.life.workspace_register import complete_register, register_change
 from keymint.names import package_name, subject_of
 from keymint.output.report import Report
-from keymint.life.workspace_register import complete_register, register_change
+from keymint.run.run import Run
+from keymint.store.changes import Action, Plan, Step
 from keymint.workspace.session import Session
 
 STAGE = "register"

@@ -13,19 +13,11 @@ import click
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted
 from comarmor.values import dataclass
-from keymint.store.changes import Plan
 from keymint.command_line import durations
 from keymint.command_line.options import packages_argument, prove_option
-from keymint.stages.reissue import reissued, updated
-from keymint.run.run import Run, exit_code_of
-from keymint.stages.second_keystore import DEFERRED, STAGE, in_step
 from keymint.command_line.verb import verb
 from keymint.errors import ExitCode, KeymintError
-from keymint.names import listed, subject_of
-from keymint.output.report import Report, findings_if
-from keymint.stages.install_request import InstallRequest
 from keymint.life.package_issuance import plan_issuance
-from keymint.life.workspace_register import with_enclaves
 from keymint.life.renewal_schedule import (
     PERMISSIONS,
     AuthorityDue,
@@ -37,8 +29,16 @@ from keymint.life.renewal_schedule import (
     renewed,
     schedule,
 )
-from keymint.stages.renewed_packages import chosen, packages_of, refuse_new_authorities
 from keymint.life.terms import Threshold, shown
+from keymint.life.workspace_register import with_enclaves
+from keymint.names import listed, subject_of
+from keymint.output.report import Report, findings_if
+from keymint.run.run import Run, exit_code_of
+from keymint.stages.install_request import InstallRequest
+from keymint.stages.reissue import reissued, updated
+from keymint.stages.renewed_packages import chosen, packages_of, refuse_new_authorities
+from keymint.stages.second_keystore import DEFERRED, STAGE, in_step
+from keymint.store.changes import Plan
 from keymint.workspace.session import Session
 
 NOT_HERE = "authority-key-missing"

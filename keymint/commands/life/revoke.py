@@ -10,18 +10,18 @@ import click
 
 from comarmor.errors import Severity
 from comarmor.text import counted
-from keymint.store.changes import Plan
 from keymint.command_line.options import complete_package, prove_option
-from keymint.stages.reissue import reissued, updated
-from keymint.run.run import Run
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError
+from keymint.life.issued_certificates import REASONS, SUPERSEDED, IssuedCertificate
+from keymint.life.revoking import Revoking, plan_revocation
 from keymint.names import listed, package_name, subject_of
 from keymint.output.report import Report, members
-from keymint.workspace.installed_enclaves import INSTALLED
+from keymint.run.run import Run
 from keymint.stages.install_request import InstallRequest
-from keymint.life.revoking import Revoking, plan_revocation
-from keymint.life.issued_certificates import REASONS, SUPERSEDED, IssuedCertificate
+from keymint.stages.reissue import reissued, updated
+from keymint.store.changes import Plan
+from keymint.workspace.installed_enclaves import INSTALLED
 from keymint.workspace.session import Session
 
 

@@ -12,20 +12,20 @@ import click
 from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
-from keymint.robots import bundle as bundles
-from keymint.robots.bundle_acceptance import Acceptance, Owner
-from keymint.robots.bundle_acceptance import accept as accepted
-from keymint.robots.bundle import Bundle
-from keymint.robots.bundle_container import MAX_BYTES
-from keymint.robots.robot_keystore import Keystore
-from keymint.store.changes import Action, FolderChange, Step
+from keymint.command_line.named_files import read_input
 from keymint.command_line.options import FILE
 from keymint.command_line.robot_options import folder_option, keystore_of, opened
-from keymint.run.run import Run
-from keymint.command_line.named_files import read_input
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError, usage_error
 from keymint.output.report import Report, members
+from keymint.robots import bundle as bundles
+from keymint.robots.bundle import Bundle
+from keymint.robots.bundle_acceptance import Acceptance, Owner
+from keymint.robots.bundle_acceptance import accept as accepted
+from keymint.robots.bundle_container import MAX_BYTES
+from keymint.robots.robot_keystore import Keystore
+from keymint.run.run import Run
+from keymint.store.changes import Action, FolderChange, Step
 
 _FINGERPRINT = lazy_regex("[0-9a-f]{64}")
 

@@ -14,24 +14,24 @@ from comarmor.patterns.matching import matches
 from comarmor.patterns.tokens import SPECIAL
 from comarmor.text import did_you_mean
 from keymint.api import Phase
-from keymint.store.changes import Action, Plan
+from keymint.authority.authorities import MintedAuthority, plan_authorities
+from keymint.authority.rollover import phase_of
 from keymint.command_line.bundle_files import bundle_output_option, require_output, write_bundles
 from keymint.command_line.options import complete_package
-from keymint.stages.rollover_phases import require_staged
-from keymint.run.run import Run
-from keymint.stages.second_keystore import session_ahead
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError
 from keymint.examine.lists import of_enclaves
+from keymint.life.workspace_register import withdrawn
 from keymint.names import package_name, subject_of
 from keymint.output.report import Report
-from keymint.authority.authorities import MintedAuthority, plan_authorities
 from keymint.robots.bundle_making import MadeBundle, plan_bundles
-from keymint.workspace.installed_enclaves import installed
+from keymint.run.run import Run
 from keymint.stages.install import InstallStage, is_current
-from keymint.life.workspace_register import withdrawn
-from keymint.authority.rollover import phase_of
 from keymint.stages.package_stage import PackagePlan
+from keymint.stages.rollover_phases import require_staged
+from keymint.stages.second_keystore import session_ahead
+from keymint.store.changes import Action, Plan
+from keymint.workspace.installed_enclaves import installed
 from keymint.workspace.session import Session
 
 

@@ -7,15 +7,15 @@ import click
 
 from comarmor.text import did_you_mean
 from keymint.command_line.options import complete_package
-from keymint.run.run import Run
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError
+from keymint.host.shells import SHELLS, exports
 from keymint.names import package_name, subject_of
 from keymint.output.report import Report
-from keymint.workspace.installed_enclaves import installed
+from keymint.run.run import Run
 from keymint.stages.environment_scripts import enclave_environment
+from keymint.workspace.installed_enclaves import installed
 from keymint.workspace.session import Session
-from keymint.host.shells import SHELLS, exports
 
 
 @verb()

@@ -14,20 +14,20 @@ import click
 from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import KeySpec
-from keymint.robots import certification_request as requests
-from keymint.robots.bundle import CERTIFICATE, KEY
-from keymint.robots.robot_keystore import Keystore
+from keymint.command_line.named_files import show_written, write_outputs
 from keymint.command_line.options import FILE
 from keymint.command_line.robot_options import RobotKeystore, folder_option, keystore_of, opened
-from keymint.run.run import Run
-from keymint.command_line.named_files import show_written, write_outputs
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError
 from keymint.names import package_name, subject_of
 from keymint.output.report import Report
-from keymint.pki.tokens.pin_sources import VARIABLE as PIN_VARIABLE
 from keymint.pki import certificates, keys
 from keymint.pki.distinguished_names import common_name
+from keymint.pki.tokens.pin_sources import VARIABLE as PIN_VARIABLE
+from keymint.robots import certification_request as requests
+from keymint.robots.bundle import CERTIFICATE, KEY
+from keymint.robots.robot_keystore import Keystore
+from keymint.run.run import Run
 
 _KINDS: Mapping[str, KeySpec] = {
     "P-256": KeySpec("ec", curve="SECP256R1"),
@@ -134,7 +134,8 @@ def _made(run: Run, there: Keystore, keystore: RobotKeystore, name: str, *, reke
 
     Raises:
         KeymintError: the key or the certificate that the enclave has cannot be used; it has another key than the one to
-            ask for, and nobody said that it gets a new one; or those of :class:`keymint.pki.tokens.token_sessions.Tokens`.
+            ask for, and nobody said that it gets a new one; or as a token refuses, see
+            :class:`keymint.pki.tokens.token_sessions.Tokens`.
     """
     files = there.installed(name)
     nonce, claimed = secrets.token_hex(requests.NONCE_BYTES), common_name(subject_of(name))

@@ -10,22 +10,22 @@ from pathlib import Path
 import click
 
 from comarmor.errors import Origin
-from keymint.robots import certification_request as requests
-from keymint.store.changes import Plan
-from keymint.commands.robots.accept import fingerprint
+from keymint.authority.authorities import plan_authorities
 from keymint.command_line.bundle_files import bundle_output_option, require_output, write_bundles
-from keymint.command_line.options import FILE, prove_option
-from keymint.stages.reissue import reissued
-from keymint.run.run import Run
 from keymint.command_line.named_files import read_input
+from keymint.command_line.options import FILE, prove_option
 from keymint.command_line.verb import verb
+from keymint.commands.robots.accept import fingerprint
 from keymint.errors import usage_error
 from keymint.names import package_name
 from keymint.output.report import Report
-from keymint.authority.authorities import plan_authorities
+from keymint.robots import certification_request as requests
 from keymint.robots.bundle_making import MadeBundle, plan_bundles
-from keymint.stages.install_request import InstallRequest
 from keymint.robots.request_decisions import Given, plan_requests
+from keymint.run.run import Run
+from keymint.stages.install_request import InstallRequest
+from keymint.stages.reissue import reissued
+from keymint.store.changes import Plan
 from keymint.workspace.session import Session
 
 

@@ -14,22 +14,22 @@ from comarmor.errors import Diagnostic
 from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
 from keymint.analysis.subject_patterns import structure
 from keymint.api import BuildOptions, LoadedPolicy
-from keymint.store.changes import Action, Plan, Step
+from keymint.command_line.named_files import read_input
 from keymint.command_line.options import (
     DocumentOptions,
     document_options,
     packages_argument,
     renew_option,
 )
-from keymint.run.run import Run
-from keymint.command_line.named_files import read_input
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.output.report import Report
+from keymint.run.run import Run
 from keymint.stages.build import BuildStage
-from keymint.workspace.policy_loading import load_policy
 from keymint.stages.policy_drift import policy_changed
+from keymint.store.changes import Action, Plan, Step
+from keymint.workspace.policy_loading import load_policy
 from keymint.workspace.session import Session
 
 

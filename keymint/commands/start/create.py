@@ -7,15 +7,15 @@ from functools import partial
 
 import click
 
-from keymint.store.changes import Plan
 from keymint.command_line.accepted_packages import AcceptanceOptions, accept, acceptance_options, release
 from keymint.command_line.options import valid_for_option
-from keymint.run.run import Run
 from keymint.command_line.verb import verb
 from keymint.errors import usage_error
 from keymint.names import no_subject, package_name
 from keymint.output.report import Report
+from keymint.run.run import Run
 from keymint.stages.create import CreateStage, packages_to_create
+from keymint.store.changes import Plan
 from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Inputs
 

@@ -12,7 +12,7 @@ import click
 from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import Bootstrap, ProfileSettings, WorkspaceProfile
-from keymint.store.changes import Action, Plan, Step
+from keymint.authority.authorities import plan_authorities
 from keymint.command_line.build_type_names import build_types_of, transports_of
 from keymint.command_line.options import (
     DEFAULT_DISTRO,
@@ -23,12 +23,12 @@ from keymint.command_line.options import (
     option_group,
     valid_for_option,
 )
-from keymint.run.run import Run
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError
 from keymint.output.report import Report
-from keymint.authority.authorities import plan_authorities
+from keymint.run.run import Run
 from keymint.stages.workspace_start import plan_init, policy_path, refuse_unsupported
+from keymint.store.changes import Action, Plan, Step
 from keymint.workspace.policy_types import foreign_policy
 from keymint.workspace.session import Inputs
 from keymint.workspace.workspace import PROFILE_MARKER, Workspace

@@ -7,22 +7,22 @@ from functools import partial
 
 import click
 
-from keymint.store.changes import Plan
-from keymint.commands.start.build import no_packages
-from keymint.command_line.options import install_request, packages_argument, standard_only_option
-from keymint.stages.proof.proof_gate import proof_stage, proven
-from keymint.stages.reissue import following, rebuilt, superseding
-from keymint.run.run import Run, exit_code_of
-from keymint.command_line.verb import verb
-from keymint.errors import ExitCode
-from keymint.output.report import Report, findings_exit
 from keymint.authority.authorities import plan_authorities
+from keymint.command_line.options import install_request, packages_argument, standard_only_option
+from keymint.command_line.verb import verb
+from keymint.commands.start.build import no_packages
+from keymint.errors import ExitCode
+from keymint.life.revocation_lists_in_force import plan_lists
+from keymint.output.report import Report, findings_exit
+from keymint.run.run import Run, exit_code_of
 from keymint.stages.distribution import plan_distribution
 from keymint.stages.install import InstallStage
 from keymint.stages.install_request import InstallRequest
-from keymint.workspace.policy_loading import lazy_policy
 from keymint.stages.policy_drift import UNCREATED, policy_changed, uncreated
-from keymint.life.revocation_lists_in_force import plan_lists
+from keymint.stages.proof.proof_gate import proof_stage, proven
+from keymint.stages.reissue import following, rebuilt, superseding
+from keymint.store.changes import Plan
+from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Session
 
 

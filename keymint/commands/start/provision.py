@@ -12,10 +12,8 @@ import click
 
 from comarmor.errors import Origin
 from keymint.api import BuildOptions, LoadedPolicy
-from keymint.store.changes import Plan
+from keymint.authority.authorities import plan_authorities
 from keymint.command_line.accepted_packages import AcceptanceOptions, accept, acceptance_options, release
-from keymint.commands.start.build import build_options, policy_slips, unknown_hints
-from keymint.commands.start.init import ProfileOptions, bootstrap_request, profile_options, refuse_contradiction
 from keymint.command_line.options import (
     DEFAULT_PROFILE_TYPE,
     PATH,
@@ -24,21 +22,23 @@ from keymint.command_line.options import (
     install_request,
     renew_option,
 )
-from keymint.stages.proof.proof_gate import proof_stage, proven
-from keymint.stages.reissue import superseding
-from keymint.run.run import Run
 from keymint.command_line.verb import verb
+from keymint.commands.start.build import build_options, policy_slips, unknown_hints
+from keymint.commands.start.init import ProfileOptions, bootstrap_request, profile_options, refuse_contradiction
+from keymint.life.revocation_lists_in_force import plan_lists
 from keymint.names import no_subject
 from keymint.output.report import Report
-from keymint.authority.authorities import plan_authorities
-from keymint.stages.workspace_start import plan_init, plan_policy, policy_path, refuse_unsupported
+from keymint.run.run import Run
 from keymint.stages.build import BuildStage
 from keymint.stages.create import CreateStage, packages_to_create
 from keymint.stages.distribution import plan_distribution
 from keymint.stages.install import InstallStage
 from keymint.stages.install_request import InstallRequest
+from keymint.stages.proof.proof_gate import proof_stage, proven
+from keymint.stages.reissue import superseding
+from keymint.stages.workspace_start import plan_init, plan_policy, policy_path, refuse_unsupported
+from keymint.store.changes import Plan
 from keymint.workspace.policy_loading import lazy_policy
-from keymint.life.revocation_lists_in_force import plan_lists
 from keymint.workspace.session import Inputs, Session
 
 

@@ -6,9 +6,9 @@ from __future__ import annotations
 import click
 from click.shell_completion import get_completion_class
 
-from keymint.run.run import Run
 from keymint.command_line.verb import verb
 from keymint.output.report import Report
+from keymint.run.run import Run
 
 
 @verb(workspace=False)

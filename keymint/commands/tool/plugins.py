@@ -10,10 +10,10 @@ from comarmor.errors import Diagnostic
 from comarmor.text import quoted
 from comarmor.xml.package_folders import SEARCH_PATH, InstalledPackages, ShippingPackage
 from comarmor.xml.sandboxed_paths import path_text
-from keymint.run.run import Run
 from keymint.command_line.verb import verb
 from keymint.errors import ExitCode, KeymintError
 from keymint.output.report import Report
+from keymint.run.run import Run
 
 
 @verb(workspace=False)

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from keymint.run.run import Run
 from keymint.command_line.verb import verb
 from keymint.output.report import Report
+from keymint.run.run import Run
 
 
 @verb(workspace=False)

@@ -15,9 +15,8 @@ from keymint.analysis.policy_diff import diff_policies as compare
 from keymint.analysis.policy_diff import has_gains
 from keymint.analysis.query_budget import STATES, QueryBudget
 from keymint.api import LoadedPolicy
-from keymint.command_line.options import PolicyOptions, policy_options
 from keymint.command_line.named_policies import Policies
-from keymint.run.run import Run
+from keymint.command_line.options import PolicyOptions, policy_options
 from keymint.command_line.verb import verb
 from keymint.host.git import at_revision, is_revision
 from keymint.output.console import Console
@@ -25,6 +24,7 @@ from keymint.output.differences import as_text, summary
 from keymint.output.json import differences_json
 from keymint.output.markdown import markdown
 from keymint.output.report import Report, findings_if
+from keymint.run.run import Run
 
 _UNKNOWN = Diagnostic.warning(
     "diff-unknown",

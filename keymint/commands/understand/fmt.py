@@ -15,15 +15,15 @@ from comarmor.text import counted
 from comarmor.values import dataclass
 from comarmor.xml.reader import looks_like_xml
 from keymint.api import PolicyTypeWithForm
-from keymint.command_line.options import PATH
-from keymint.run.run import Run
 from keymint.command_line.named_files import is_folder, read_input, replace_inputs
+from keymint.command_line.options import PATH
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError, usage_error
 from keymint.output.report import Report, findings_if
 from keymint.output.unified_diff import file_diff, first_difference
-from keymint.workspace.policy_types import foreign_policy
+from keymint.run.run import Run
 from keymint.view.tree import MAX_FILE
+from keymint.workspace.policy_types import foreign_policy
 from keymint.workspace.workspace import Workspace
 
 _STANDARD = Path("-")

@@ -11,13 +11,12 @@ import click
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
-from keymint.api import graph_json
-from keymint.api import LoadedPolicy
+from keymint.api import LoadedPolicy, graph_json
+from keymint.api.graph import EdgeOutcome, Graph
 from keymint.command_line.graph_source_option import graph_source
-from keymint.command_line.options import PATH, Number, PluginOption, PolicyOptions, option_group, policy_options
-from keymint.command_line.named_policies import Policies, library_rules, workspace_library_rules
-from keymint.run.run import Run
 from keymint.command_line.named_files import deliver, read_input
+from keymint.command_line.named_policies import Policies, library_rules, workspace_library_rules
+from keymint.command_line.options import PATH, Number, PluginOption, PolicyOptions, option_group, policy_options
 from keymint.command_line.verb import verb
 from keymint.command_line.verify_report import sources
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, choose_subjects, select_edges
@@ -25,8 +24,8 @@ from keymint.drawing.palette import Theme
 from keymint.drawing.picture_options import DrawingOptions, Split
 from keymint.drawing.policy_graph import label_graph, policy_graph
 from keymint.errors import KeymintError, usage_error
-from keymint.api.graph import EdgeOutcome, Graph
 from keymint.output.report import Report
+from keymint.run.run import Run
 from keymint.workspace.policy_loading import load_policy
 
 FORMATS = ("svg", "png", "dot", "html")

@@ -14,16 +14,16 @@ from keymint.analysis.lint.lint_rules import lint as look
 from keymint.analysis.lint.portability import portability
 from keymint.analysis.subject_patterns import pattern_examples, rules_of
 from keymint.api import RuleCheck
-from keymint.command_line.options import FILE, PATH, PluginOption, PolicyOptions, policy_options
-from keymint.command_line.named_policies import Policies
-from keymint.run.run import Run
 from keymint.command_line.named_files import write_outputs
+from keymint.command_line.named_policies import Policies
+from keymint.command_line.options import FILE, PATH, PluginOption, PolicyOptions, policy_options
 from keymint.command_line.verb import verb
 from keymint.errors import usage_error
 from keymint.examine.nodes import NODE_NOTES, node_notes, of_policy
 from keymint.output.report import Report, findings_exit
 from keymint.output.sarif import of_diagnostics
 from keymint.output.sarif import sarif as sarif_log
+from keymint.run.run import Run
 
 
 @verb()

@@ -22,13 +22,13 @@ from keymint.analysis.rule_lists import RAW, allow_only, display_name, find_perm
 from keymint.analysis.subject_patterns import rules_of, unknown_subject
 from keymint.analysis.who_can import PermissionHolder, who_can
 from keymint.api import LoadedPolicy
-from keymint.command_line.options import PolicyOptions, kind_option, policy_options
 from keymint.command_line.named_policies import Policies
-from keymint.run.run import Run
+from keymint.command_line.options import PolicyOptions, kind_option, policy_options
 from keymint.command_line.verb import verb
 from keymint.errors import usage_error
 from keymint.output.json import line_json
 from keymint.output.report import Report, findings_if, members
+from keymint.run.run import Run
 
 _MOST = 20
 _Answer = tuple[str, dict[str, Any]]

@@ -12,16 +12,16 @@ import click
 from comarmor.errors import Defects, Diagnostic, Origin, Spot
 from keymint.analysis.policy_tests import ExpectationChecker, ExpectationResult, diagnostics
 from keymint.api import Expectation, PolicyTypeWithTests
-from keymint.command_line.options import FILE, PATH, Number, PolicyOptions, policy_options
-from keymint.command_line.named_policies import Policies
-from keymint.run.run import Run
 from keymint.command_line.named_files import write_outputs
+from keymint.command_line.named_policies import Policies
+from keymint.command_line.options import FILE, PATH, Number, PolicyOptions, policy_options
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError
 from keymint.ir import Rule
 from keymint.output.junit import JUnitCase, JUnitFailure, JUnitSuite
 from keymint.output.junit import junit as junit_document
 from keymint.output.report import Report, findings_if
+from keymint.run.run import Run
 
 
 @verb()

@@ -9,8 +9,8 @@ from dataclasses import replace
 
 from comarmor.errors import Diagnostic
 from keymint.api import Claim, Counterexample, Proof
-from keymint.names import name_of
 from keymint.life import terms
+from keymint.names import name_of
 from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, ProofResults
 from keymint.workspace.session import Session
 

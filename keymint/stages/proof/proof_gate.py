@@ -9,16 +9,16 @@ from functools import partial
 
 from comarmor.errors import Diagnostic, Severity
 from keymint.api import LoadedPolicy, Proof
-from keymint.store.changes import Action, Plan
-from keymint.stages.proof.proof_diagnostics import dated_of, diagnostics_of, effort_of, merged_packages
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import name_of
 from keymint.stages.built_documents import HAND_EDITED
 from keymint.stages.install_request import InstallRequest
+from keymint.stages.package_stage import Crew
+from keymint.stages.proof.proof_diagnostics import dated_of, diagnostics_of, effort_of, merged_packages
 from keymint.stages.proof.proof_results import EnclaveProof
 from keymint.stages.proof.prove import NO_PROVER, ProofStage
 from keymint.stages.proof.shared_proof import affected
-from keymint.stages.package_stage import Crew
+from keymint.store.changes import Action, Plan
 from keymint.workspace.session import Session
 
 

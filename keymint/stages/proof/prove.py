@@ -26,21 +26,20 @@ from keymint.api import (
     ValidityTerm,
     VendorModels,
 )
+from keymint.authority.authority_files import chains_digest
 from keymint.errors import KeymintError
 from keymint.executors import Pool
 from keymint.ir import SubjectRules
-from keymint.names import name_of, subject_of
-from keymint.stages.proof import proof_record
-from keymint.stages.proof import shared_proof
 from keymint.life import terms
-from keymint.authority.authority_files import chains_digest
-from keymint.workspace.package_build_types import build_types_of, inputs_digest, prover_of
-from keymint.workspace.installed_enclaves import enclave_digests, enclave_files, not_installed
+from keymint.names import name_of, subject_of
+from keymint.stages.proof import proof_record, shared_proof
 from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, ProofResults, costliest
-from keymint.stages.shared_documents import load_packages, record_key, shared_folder, users
 from keymint.stages.proof.trust_anchors import anchors_of, contradictions_for, shared_anchors, unread_of
-from keymint.workspace.session import Session
+from keymint.stages.shared_documents import load_packages, record_key, shared_folder, users
 from keymint.view.stamps import Stamp, digest
+from keymint.workspace.installed_enclaves import enclave_digests, enclave_files, not_installed
+from keymint.workspace.package_build_types import build_types_of, inputs_digest, prover_of
+from keymint.workspace.session import Session
 
 STAGE = "prove"
 LEAST = 50

@@ -7,14 +7,14 @@ from collections.abc import Mapping
 
 from keymint import __version__
 from keymint.api import BuildOptions
+from keymint.authority.authority_files import chains_digest
 from keymint.errors import KeymintError
 from keymint.names import subject_of
-from keymint.authority.authority_files import chains_digest
-from keymint.workspace.installed_enclaves import INSTALLED, enclave_files, installed
 from keymint.stages.shared_documents import STAGE, build_shared, load_packages, record_key, sources_digest, users
 from keymint.stages.shared_install import installed_shared
-from keymint.workspace.session import Session, once
 from keymint.view.stamps import digest, digest_files
+from keymint.workspace.installed_enclaves import INSTALLED, enclave_files, installed
+from keymint.workspace.session import Session, once
 
 
 @once

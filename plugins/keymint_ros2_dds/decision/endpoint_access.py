@@ -89,6 +89,8 @@ def topic_rule(domain_rule: DocumentDomainRule, topic: str, semantics: Semantics
         expression = fnmatch_dialects.in_bytes(rule.expression)
         if expression == "*" or re.fullmatch(fnmatch_dialects.translate(expression, dialect), name, re.DOTALL):
             return rule
-        if semantics.topic_rules_both_ways and re.fullmatch(fnmatch_dialects.translate(name, dialect), expression, re.DOTALL):
+        if semantics.topic_rules_both_ways and re.fullmatch(
+            fnmatch_dialects.translate(name, dialect), expression, re.DOTALL
+        ):
             return rule
     return None

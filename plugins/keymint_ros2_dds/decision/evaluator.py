@@ -305,4 +305,6 @@ def _patterns(expressions: Iterable[str], semantics: Semantics) -> _Expressions:
 
 @lru_cache(maxsize=4096)
 def _compiled(patterns: tuple[str, ...], dialect: Dialect) -> re.Pattern[str]:
-    return re.compile("|".join(f"(?:{fnmatch_dialects.translate(pattern, dialect)})" for pattern in patterns), re.DOTALL)
+    return re.compile(
+        "|".join(f"(?:{fnmatch_dialects.translate(pattern, dialect)})" for pattern in patterns), re.DOTALL
+    )

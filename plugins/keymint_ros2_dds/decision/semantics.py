@@ -18,8 +18,8 @@ from typing import Any
 
 from comarmor.patterns.tokens import Dialect
 from comarmor.values import dataclass
-from keymint_ros2_dds.decision import subject_names
 from keymint_ros2_dds.decision import fnmatch_dialects as fnmatch
+from keymint_ros2_dds.decision import subject_names
 from keymint_ros2_dds.lowering.name_mapping import DISTROS
 from keymint_ros2_dds.reading import grant_dates
 from keymint_ros2_dds.reading.quirks import BLANKS, CRASHES, REFUSES, UNMODELLED, Quirk, VendorReading

@@ -15,15 +15,15 @@ from keymint.api import BuildOptions, Claim, DomainRange, Grant, Package, Validi
 from keymint.errors import KeymintError
 from keymint.keymake.kinds import Arguments, Kind, kind_of
 from keymint_ros2_dds import subject_name_text
-from keymint_ros2_dds.compiling.grant_compiler import Compiled, vendor_notes
 from keymint_ros2_dds.compiling.gathering import gathered
+from keymint_ros2_dds.compiling.grant_compiler import Compiled, vendor_notes
 from keymint_ros2_dds.decision import VARIATIONS
 from keymint_ros2_dds.documents import dds_xml, permissions_document
-from keymint_ros2_dds.emit.emission import Emitted, comparison, emit
-from keymint_ros2_dds.enclave_layout import PERMISSIONS
 from keymint_ros2_dds.emit.compiled_elsewhere import emit_received
+from keymint_ros2_dds.emit.emission import Emitted, comparison, emit
 from keymint_ros2_dds.emit.kind_structure import PLAIN_TEXT, Signature, Structure
 from keymint_ros2_dds.emit.kind_template import Template
+from keymint_ros2_dds.enclave_layout import PERMISSIONS
 from keymint_ros2_dds.lowering.grant_rules import GrantRule
 from keymint_ros2_dds.proving import proof_cache
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant

@@ -11,15 +11,14 @@ from cryptography import x509
 from comarmor.errors import Diagnostic
 from keymint.api import FoundAuthority
 from keymint.errors import KeymintError
-from keymint.pki import certificates, extensions, key_files, keys
-from keymint.pki import foreign_authorities
+from keymint.pki import certificates, extensions, foreign_authorities, key_files, keys
 from keymint.pki.distinguished_names import to_text
 from keymint_ros2_dds.authority_roles import IDENTITY, PERMISSIONS
 from keymint_ros2_dds.enclave_layout import CA
 from keymint_ros2_dds.examine import AUTHORITY_FILES
+from keymint_ros2_dds.keystores.enclave_places import EnclavePlace
 from keymint_ros2_dds.keystores.file_contents import Contents
 from keymint_ros2_dds.keystores.found_enclaves import dates_of, exposure, is_exposed
-from keymint_ros2_dds.keystores.enclave_places import EnclavePlace
 
 _NAMES = {IDENTITY: "identity_ca", PERMISSIONS: "permissions_ca"}
 BOTH = "ca"

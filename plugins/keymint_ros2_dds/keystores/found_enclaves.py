@@ -35,8 +35,8 @@ from keymint_ros2_dds.enclave_layout import (
     PERMISSIONS_XML,
 )
 from keymint_ros2_dds.examine import AUTHORITY_FILES, EnclaveRules
-from keymint_ros2_dds.keystores.file_contents import Contents
 from keymint_ros2_dds.keystores.enclave_places import EnclavePlace
+from keymint_ros2_dds.keystores.file_contents import Contents
 from keymint_ros2_dds.reading import signed_governance, signed_permissions
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, PermissionsDocument, as_ranges

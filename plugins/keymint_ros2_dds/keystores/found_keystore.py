@@ -13,10 +13,10 @@ from keymint_ros2_dds.authority_roles import IDENTITY
 from keymint_ros2_dds.authority_roles import PERMISSIONS as SIGNS
 from keymint_ros2_dds.enclave_layout import CRL, GOVERNANCE, GOVERNANCE_P7S, GOVERNANCE_XML, KEY, LAYOUTS, files
 from keymint_ros2_dds.keystores import governance_as_source
-from keymint_ros2_dds.keystores.found_authorities import authorities
-from keymint_ros2_dds.keystores.file_contents import Contents, contents
-from keymint_ros2_dds.keystores.found_enclaves import examined
 from keymint_ros2_dds.keystores.enclave_places import FORMS, Places, places
+from keymint_ros2_dds.keystores.file_contents import Contents, contents
+from keymint_ros2_dds.keystores.found_authorities import authorities
+from keymint_ros2_dds.keystores.found_enclaves import examined
 from keymint_ros2_dds.keystores.found_revocations import newest_list
 
 _READ = frozenset(name for layout in LAYOUTS for name in files(layout))

@@ -16,8 +16,8 @@ from keymint.errors import KeymintError
 from keymint.pki import certificates, revocation_lists
 from keymint.pki.revocation_lists import RevocationList
 from keymint_ros2_dds.enclave_layout import CRL
-from keymint_ros2_dds.keystores.file_contents import Contents
 from keymint_ros2_dds.keystores.enclave_places import EnclavePlace, Places
+from keymint_ros2_dds.keystores.file_contents import Contents
 
 _CODE = "adopt-revocations"
 

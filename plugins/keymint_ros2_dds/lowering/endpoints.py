@@ -6,8 +6,8 @@ from __future__ import annotations
 from functools import lru_cache
 
 from keymint.api import Endpoint
-from keymint.errors import KeymintError
 from keymint.api.graph import Edge, Object
+from keymint.errors import KeymintError
 from keymint_ros2_dds.lowering.dds_topics import needed_topics
 from keymint_ros2_dds.lowering.name_mapping import ARDENT, check_distro, has_kind
 

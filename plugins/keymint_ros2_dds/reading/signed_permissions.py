@@ -22,8 +22,7 @@ from comarmor.xml.reader import line, parse
 from keymint.api import DomainRange
 from keymint.errors import KeymintError
 from keymint_ros2_dds.domains import MAX_DOMAIN
-from keymint_ros2_dds.reading import quirks
-from keymint_ros2_dds.reading import grant_dates
+from keymint_ros2_dds.reading import grant_dates, quirks
 from keymint_ros2_dds.reading.quirks import BLANKS, CRASHES, PLAIN, REFUSES, UNMODELLED, Quirk
 
 ACTIONS = ("publish", "subscribe", "relay")

@@ -9,12 +9,18 @@ from itertools import repeat
 
 from comarmor.errors import Origin
 from keymint.api import Enclave, Environment, Verdict
+from keymint.api.graph import Column, Edge
 from keymint.api.installed_enclaves import EnclavesBySubject
 from keymint.errors import KeymintError
-from keymint.api.graph import Column, Edge
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.decision import OMG, DecisionOutcome, DocumentEvaluator, EndpointDecision, Variation
-from keymint_ros2_dds.decision import fnmatch_dialects
+from keymint_ros2_dds.decision import (
+    OMG,
+    DecisionOutcome,
+    DocumentEvaluator,
+    EndpointDecision,
+    Variation,
+    fnmatch_dialects,
+)
 from keymint_ros2_dds.decision.endpoint_access import DomainAccess, topic_rule
 from keymint_ros2_dds.reading.signed_governance import DocumentDomainRule, DocumentTopicRule
 from keymint_ros2_dds.transports import authentication, enclave_files

@@ -10,9 +10,9 @@ from itertools import groupby
 
 from comarmor.regex import lazy_regex
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
-from keymint.host.vendor_process import MissingVendorError, ProcessDiedError, ProcessFailedError
-from keymint.errors import KeymintError
 from keymint.api.graph import Edge
+from keymint.errors import KeymintError
+from keymint.host.vendor_process import MissingVendorError, ProcessDiedError, ProcessFailedError
 from keymint_ros2_dds.decision import of_version
 from keymint_ros2_dds.lowering.endpoints import endpoints, meanings
 from keymint_ros2_dds.lowering.name_mapping import DISTROS

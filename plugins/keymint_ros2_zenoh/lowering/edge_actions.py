@@ -8,12 +8,12 @@ from functools import lru_cache
 
 from comarmor.rules import parts
 from keymint.api import Endpoint
-from keymint.errors import KeymintError
 from keymint.api.graph import Edge
+from keymint.errors import KeymintError
 from keymint_ros2_zenoh.keyexpr.key_expr import literal
-from keymint_ros2_zenoh.lowering.name_rules import KINDS
-from keymint_ros2_zenoh.lowering.name_keys import advanced_key, check_distro, data_key
 from keymint_ros2_zenoh.lowering.message_slots import SLOTS, Place, Slot, action
+from keymint_ros2_zenoh.lowering.name_keys import advanced_key, check_distro, data_key
+from keymint_ros2_zenoh.lowering.name_rules import KINDS
 
 
 def actions(distro: str, edge: Edge) -> tuple[Endpoint, ...]:

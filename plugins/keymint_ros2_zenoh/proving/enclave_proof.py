@@ -16,9 +16,9 @@ from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.documents.configuration_reader import read
 from keymint_ros2_zenoh.emission import common_name, router_of
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, ROUTER, SESSION
+from keymint_ros2_zenoh.proving.anchor_check import differences
 from keymint_ros2_zenoh.proving.claims import MODEL, RightsQuestion, prove_rights
 from keymint_ros2_zenoh.proving.router_side import RouterRights
-from keymint_ros2_zenoh.proving.anchor_check import differences
 from keymint_ros2_zenoh.settings import is_router
 
 CONNECT = "connect"

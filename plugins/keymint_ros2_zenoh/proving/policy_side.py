@@ -13,9 +13,9 @@ from comarmor.values import dataclass
 from keymint_ros2_zenoh.keyexpr.key_expansion import key_exprs
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr
 from keymint_ros2_zenoh.lowering.key_rules import slot_rules
-from keymint_ros2_zenoh.lowering.name_rules import NameRules
-from keymint_ros2_zenoh.lowering.name_keys import advanced_key, data_key, graph_key, own_tokens_key
 from keymint_ros2_zenoh.lowering.message_slots import GRAPH_SLOTS, USERS, Place, Slot
+from keymint_ros2_zenoh.lowering.name_keys import advanced_key, data_key, graph_key, own_tokens_key
+from keymint_ros2_zenoh.lowering.name_rules import NameRules
 from keymint_ros2_zenoh.messages import Flow, Message
 from keymint_ros2_zenoh.proving.expansion_proof import proven_exact
 

@@ -18,10 +18,10 @@ from keymint_ros2_zenoh.keyexpr.key_expr import parse
 from keymint_ros2_zenoh.keyexpr.key_relations import includes, intersects
 from keymint_ros2_zenoh.lowering.name_keys import ADVANCED
 from keymint_ros2_zenoh.messages import Flow, Message
+from keymint_ros2_zenoh.proving.anchor_check import router_differences
 from keymint_ros2_zenoh.proving.claims import MODEL
 from keymint_ros2_zenoh.proving.enclave_proof import configuration_claim, router_rights
 from keymint_ros2_zenoh.proving.router_side import RouterRights
-from keymint_ros2_zenoh.proving.anchor_check import router_differences
 from keymint_ros2_zenoh.proving.wildcard_leaks import Leak, Rights, leaks
 from keymint_ros2_zenoh.settings import is_router
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from comarmor.errors import Origin
 from keymint.api import Enclave, Environment, Verdict
-from keymint.api.installed_enclaves import EnclavesBySubject
 from keymint.api.graph import Edge
+from keymint.api.installed_enclaves import EnclavesBySubject
 from keymint.pki import certificates
 from keymint_ros2_zenoh.decision import admission
 from keymint_ros2_zenoh.decision.message_access import AccessDecision, Link

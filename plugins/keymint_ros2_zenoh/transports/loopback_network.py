@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from itertools import count
 
-from keymint.host.vendor_process import ProcessFailedError
 from keymint.errors import KeymintError
+from keymint.host.vendor_process import ProcessFailedError
 from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel
 from keymint_ros2_zenoh.transports.installed_configurations import InstalledConfiguration
 from keymint_ros2_zenoh.vendors import access_log, loopback

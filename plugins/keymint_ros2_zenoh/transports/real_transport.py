@@ -8,10 +8,10 @@ from functools import cached_property
 from itertools import groupby
 
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
-from keymint.host.vendor_process import MissingVendorError
 from keymint.api.graph import Edge
-from keymint_ros2_zenoh.transports.enclave_model import InstalledModels
+from keymint.host.vendor_process import MissingVendorError
 from keymint_ros2_zenoh.transports.delivery import exchange
+from keymint_ros2_zenoh.transports.enclave_model import InstalledModels
 from keymint_ros2_zenoh.transports.logged_decisions import logged_decisions
 from keymint_ros2_zenoh.transports.loopback_network import Network, running
 from keymint_ros2_zenoh.vendors.zenoh_library import installed_version

@@ -14,9 +14,9 @@ from comarmor.errors import Diagnostic, Severity
 from keymint.adoption.keystore_learning import Learning, learned_from
 from keymint.adoption.reading import found_in
 from keymint.api import DocumentComparison, FoundKeystore, KeystoreFiles, Relation
+from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError
 from keymint.stages.proof.proof_results import ProofEffort
-from keymint.api.plugin_loader import Plugins
 from tests import sros2_keystore
 
 POLICY = """<policy version="0.2.0"><enclaves><enclave path="/a"><profiles><profile ns="/" node="a">

@@ -18,9 +18,7 @@ from comarmor.patterns.relations import disjoint
 from comarmor.patterns.steps import spend, step_limit
 from comarmor.rules import Effect
 from keymint.analysis import subject_patterns
-from keymint.analysis.lint import name_similarity
-from keymint.analysis.lint import portability
-from keymint.analysis.lint import redundant_rules
+from keymint.analysis.lint import name_similarity, portability, redundant_rules
 from keymint.analysis.lint.lint_rules import lint
 from keymint.ir import Rule, SubjectRules
 from tests.effort import calls_of

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from comarmor.rules import KIND_OF
-from keymint.errors import KeymintError
 from keymint.api.graph import Edge, Graph, Object
 from keymint.api.graph_json import dump, legal_node, legal_subject, load, merge
+from keymint.errors import KeymintError
 from tests.conftest import CHECKOUT
 from tests.effort import tries
 

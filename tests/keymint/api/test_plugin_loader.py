@@ -11,8 +11,8 @@ import pytest
 
 from comarmor.errors import Origin
 from keymint.api import API_VERSION
-from keymint.errors import KeymintError
 from keymint.api.plugin_loader import GROUPS, PluginInfo, Plugins, entries_of
+from keymint.errors import KeymintError
 
 GROUP = "keymint.build_types"
 

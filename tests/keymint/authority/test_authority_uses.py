@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from keymint.errors import ExitCode, KeymintError
 from keymint.authority.authority_uses import Use, implementations, refusing, uses
+from keymint.errors import ExitCode, KeymintError
 from keymint.workspace.session import Session
 from tests.keymint.stages.sessions import session_of
 

@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 
 from keymint.api import KeySpec
-from keymint.pki.tokens.pin_sources import VARIABLE, Pins
 from keymint.pki import certificates
+from keymint.pki.tokens.pin_sources import VARIABLE, Pins
 from keymint.pki.tokens.token_sessions import Tokens
 from tests.conftest import NOW, snapshot
 from tests.keymint.pki.conftest import make_spec

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from keymint.client import Client
-from keymint.errors import KeymintError
 from keymint.api.graph import Edge, Graph, Object
 from keymint.api.graph_json import dump
+from keymint.client import Client
+from keymint.errors import KeymintError
 from tests.conftest import CHECKOUT, Outcome, snapshot
 from tests.keymint.commands.test_json import held
 from tests.keymint.commands.test_unchanged import settle

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from keymint.api import API_VERSION
+from keymint.api.plugin_loader import PluginInfo, Plugins
 from keymint.command_line.graph_source_option import graph_source
 from keymint.errors import ExitCode, KeymintError
-from keymint.api.plugin_loader import PluginInfo, Plugins
 
 ONE = SimpleNamespace(API=API_VERSION)
 OTHER = SimpleNamespace(API=API_VERSION)

@@ -12,8 +12,8 @@ from typing import Any, cast
 import pytest
 
 from keymint.command_line.robot_options import VARIABLE, RobotKeystore, keystore_of, opened
-from keymint.run.run import Run
 from keymint.errors import ExitCode, KeymintError
+from keymint.run.run import Run
 
 
 def run(cwd: Path, **environment: str) -> Run:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from comarmor.errors import Origin, Reason
 from keymint.api import PolicyDecision, Tier, Verdict
+from keymint.api.graph import Column, ConfusionMatrix, Edge, Object
 from keymint.command_line.verify_report import labelled_edges
 from keymint.drawing.labelled_graph import Label
-from keymint.api.graph import Column, ConfusionMatrix, Edge, Object
 from keymint.verify.mismatch import Comparison, Mismatch
 from keymint.verify.rows import EdgeRow
 from keymint.verify.verification import Verification

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from cryptography import x509
 
-from keymint.store import group_commit
 from keymint.client import Client
+from keymint.store import group_commit
 from keymint.store.staged import Exchange
 
 REKEY = ("renew", "--rekey", "talker")

@@ -12,10 +12,9 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from comarmor.errors import Origin
-from keymint.robots import bundle
-from keymint.robots import bundle_container
-from keymint.robots.bundle_manifest import Manifest, dump
 from keymint.pki import cms
+from keymint.robots import bundle, bundle_container
+from keymint.robots.bundle_manifest import Manifest, dump
 from tests.signers import by_sros2
 
 from .fault import Fault
@@ -110,7 +109,9 @@ class Forged:
         if self.signer is None:
             members = dict(bundle_container.unpack(genuine, Origin("genuine")))
             members.update(files)
-            return bundle_container.pack({name: data for name, data in members.items() if name in files or "manifest" in name})
+            return bundle_container.pack(
+                {name: data for name, data in members.items() if name in files or "manifest" in name}
+            )
         issuer = self.signer(keystore, subject)
         digests = {name: hashlib.sha256(data).hexdigest() for name, data in sorted(files.items())}
         encoded = dump(replace(self.manifest(read.manifest), files=digests))

@@ -15,10 +15,10 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from keymint_ros import RosPackageType, package_type
 
 from keymint.api import Issuance, IssuanceFiles
-from keymint.store.changes import Action
 from keymint.errors import KeymintError
-from keymint.pki import certificates, keys, public_keys
 from keymint.life.package_issuance import plan_issuance
+from keymint.pki import certificates, keys, public_keys
+from keymint.store.changes import Action
 from tests.conftest import NOW, snapshot
 from tests.keymint.stages.sessions import session_of
 

@@ -12,8 +12,7 @@ from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from comarmor.errors import Origin
 from keymint.api import Validity
 from keymint.errors import KeymintError
-from keymint.pki import certificates, keys
-from keymint.pki import foreign_authorities
+from keymint.pki import certificates, foreign_authorities, keys
 from tests.keymint.commands.life.test_authority import outside
 from tests.keymint.pki.conftest import make_spec
 

@@ -15,11 +15,10 @@ from cryptography.hazmat.primitives.serialization import Encoding
 
 from comarmor.errors import Origin
 from keymint.api import CertificateSpec, KeySpec, Validity
-from keymint.robots import bundle
-from keymint.robots import certification_request
+from keymint.pki import certificates, keys
+from keymint.robots import bundle, certification_request
 from keymint.robots.bundle_acceptance import Pending, Present
 from keymint.robots.bundle_manifest import Manifest
-from keymint.pki import certificates, keys
 from tests.conftest import NOW
 
 AT = datetime.fromtimestamp(NOW, UTC)

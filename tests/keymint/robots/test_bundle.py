@@ -12,11 +12,10 @@ from pathlib import Path
 import pytest
 
 from keymint.api import Extension
-from keymint.robots import bundle
-from keymint.robots import bundle_container
-from keymint.robots.bundle_manifest import dump
 from keymint.errors import KeymintError
 from keymint.pki import certificates, cms, keys
+from keymint.robots import bundle, bundle_container
+from keymint.robots.bundle_manifest import dump
 from tests.effort import FULL
 
 from .conftest import FILE, Made, authority, revocations, robot_key, spec

@@ -8,9 +8,9 @@ from datetime import datetime
 
 import pytest
 
-from keymint.robots.bundle_acceptance import RECORD, Acceptance, Owner, Pending, Present, accept
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
+from keymint.robots.bundle_acceptance import RECORD, Acceptance, Owner, Pending, Present, accept
 
 from .conftest import AT, DAY, FILE, NONCE, Made, asked, authority, keystore, revocations, robot_key
 

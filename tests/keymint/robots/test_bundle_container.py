@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from comarmor.errors import Origin
-from keymint.robots import bundle_container
 from keymint.errors import KeymintError
+from keymint.robots import bundle_container
 
 from .hostile_archives import ARCHIVES, KEPT
 
@@ -130,7 +130,11 @@ def test_a_compressed_bomb_is_as_small_as_it_was_sent() -> None:
 
 
 def test_too_much_cannot_be_packed() -> None:
-    for members in ({"../a": b""}, {f"a{number}": b"" for number in range(65)}, {"a": b"x" * bundle_container.MAX_BYTES}):
+    for members in (
+        {"../a": b""},
+        {f"a{number}": b"" for number in range(65)},
+        {"a": b"x" * bundle_container.MAX_BYTES},
+    ):
         with pytest.raises(ValueError, match="of a bundle"):
             bundle_container.pack(members)
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from comarmor.errors import Origin
-from keymint.robots import bundle
-from keymint.robots.certification_request import Request
-from keymint.errors import KeymintError
 from keymint.authority.authorities import plan_authorities
-from keymint.robots.bundle_making import MadeBundle, plan_bundles
+from keymint.errors import KeymintError
 from keymint.life import register_database
+from keymint.robots import bundle
+from keymint.robots.bundle_making import MadeBundle, plan_bundles
+from keymint.robots.certification_request import Request
 from tests.conftest import NOW
 
 from .sessions import session_of

@@ -11,9 +11,9 @@ import jsonschema
 import pytest
 
 from comarmor.errors import Origin
-from keymint.robots.bundle_manifest import Manifest, dump, load
 from keymint.errors import KeymintError
 from keymint.names import ROOT
+from keymint.robots.bundle_manifest import Manifest, dump, load
 from tests.conftest import CHECKOUT
 
 WHERE = Origin("talker.bundle")

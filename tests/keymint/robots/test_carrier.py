@@ -9,12 +9,11 @@ import hypothesis
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
 
-from keymint.robots import bundle
-from keymint.robots import bundle_container
-from keymint.robots.bundle_acceptance import RECORD, Owner, accept
-from keymint.robots.bundle_manifest import load
 from keymint.errors import KeymintError
 from keymint.pki import keys
+from keymint.robots import bundle, bundle_container
+from keymint.robots.bundle_acceptance import RECORD, Owner, accept
+from keymint.robots.bundle_manifest import load
 from tests.effort import FULL
 
 from .conftest import AT, FILE, NONCE, Made, asked, authority, keystore, robot_key

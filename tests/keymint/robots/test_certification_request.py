@@ -16,9 +16,9 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import AttributeOID, NameOID
 
 from comarmor.errors import Origin
-from keymint.robots import certification_request
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
+from keymint.robots import certification_request
 
 from .conftest import NONCE, authority, robot_key, spec
 
@@ -61,7 +61,9 @@ def test_what_is_made_is_read() -> None:
 
 def test_an_rsa_key_may_be_requested() -> None:
     key = rsa.generate_private_key(65537, 2048)
-    assert certification_request.read(certification_request.make("/talker", key, NONCE), WHERE).fingerprint == keys.fingerprint(key)
+    assert certification_request.read(
+        certification_request.make("/talker", key, NONCE), WHERE
+    ).fingerprint == keys.fingerprint(key)
 
 
 def test_the_current_key_may_sign_too() -> None:

@@ -7,9 +7,9 @@ from datetime import datetime, timedelta
 
 import pytest
 
-from keymint.robots.bundle_acceptance import Owner, accept
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
+from keymint.robots.bundle_acceptance import Owner, accept
 
 from .conftest import AT, DAY, FILE, NONCE, Made, authority, keystore, revocations, robot_key, spec
 

@@ -9,9 +9,9 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from comarmor.errors import Origin
-from keymint.robots import certification_request
 from keymint.errors import KeymintError
 from keymint.pki import keys
+from keymint.robots import certification_request
 from keymint.robots.request_decisions import Given, current_fingerprint, plan_requests
 from keymint.workspace.session import Session
 

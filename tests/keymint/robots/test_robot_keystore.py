@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from keymint.errors import KeymintError
+from keymint.pki import keys
 from keymint.robots import certification_request
 from keymint.robots.bundle_acceptance import Owner, accept
 from keymint.robots.robot_keystore import Keystore
 from keymint.store.changes import FolderChange
-from keymint.errors import KeymintError
-from keymint.pki import keys
 from keymint.store.store import Store
 from keymint.view.tree import Tree
 

@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 
 from comarmor.errors import Diagnostic, Severity
-from keymint.store.changes import Action, File, FolderChange, Plan, Step
-from keymint.run.answer_recording import next_report
 from keymint.errors import ExitCode
 from keymint.output.report import Report
-from keymint.workspace.session import Inputs, Session
+from keymint.run.answer_recording import next_report
+from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.view.stamps import State
+from keymint.workspace.session import Inputs, Session
 from tests.conftest import Outcome
 
 

@@ -13,15 +13,15 @@ import pytest
 from keymint_ros2_dds.emit import compiled_elsewhere
 
 from keymint.api import BuildOptions, Environment
+from keymint.api.plugin_loader import Plugins
 from keymint.executors.cluster import Cluster
 from keymint.pki.tokens.pin_sources import Pins
 from keymint.pki.tokens.token_sessions import Tokens
-from keymint.stages.build import BuildStage
 from keymint.run.cluster_compiling import compile_elsewhere
-from keymint.api.plugin_loader import Plugins
-from keymint.workspace.session import Inputs, Session
+from keymint.stages.build import BuildStage
 from keymint.view.stamps import State
 from keymint.view.tree import Tree
+from keymint.workspace.session import Inputs, Session
 from keymint.workspace.workspace import Workspace, packages
 from tests.conftest import CHECKOUT, NOW, Outcome
 from tests.keymint.executors.key_material import key_material

@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
 from keymint.run.execution import RECORD, execute, open_store
+from keymint.run.workers import Workers
+from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.store.journal import Intent
 from keymint.view.stamps import Stamp, State, load
-from keymint.run.workers import Workers
 from keymint.workspace.workspace import Workspace
 
 

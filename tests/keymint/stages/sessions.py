@@ -7,12 +7,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from keymint.api import Environment
+from keymint.api.plugin_loader import Plugins
 from keymint.pki.tokens.pin_sources import Pins
 from keymint.pki.tokens.token_sessions import Tokens
-from keymint.api.plugin_loader import Plugins
-from keymint.workspace.session import Inputs, Session
 from keymint.view.stamps import load
 from keymint.view.tree import Tree
+from keymint.workspace.session import Inputs, Session
 from keymint.workspace.workspace import Workspace
 from tests.conftest import NOW
 

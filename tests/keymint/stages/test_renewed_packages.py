@@ -13,10 +13,10 @@ from keymint_ros import package_type
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Issuance
-from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.errors import KeymintError
 from keymint.pki import public_keys
 from keymint.stages.renewed_packages import chosen, packages_of, refuse_new_authorities
+from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from tests.keymint.stages.sessions import session_of
 
 NAMES = ("talker", "robot1/listener")

@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from keymint.api import graph_json
-from keymint.api import Hint
-from keymint.errors import KeymintError
+from keymint.api import Hint, graph_json
 from keymint.api.graph import Edge, Graph, Object
+from keymint.errors import KeymintError
 from keymint.stages.request_counts import load_hints, unknown_subjects
 
 HEAD = "subject,permission,object,count\n"

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from keymint import cli
-from keymint.store import group_commit
 from keymint.pki import smime
+from keymint.store import group_commit
 from keymint.store.staged import Exchange
 from tests.conftest import NOW, snapshot
 from tests.keymint.conftest import POLICY

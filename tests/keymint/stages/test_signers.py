@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from keymint.errors import KeymintError
 from keymint.authority.authorities import plan_authorities
+from keymint.errors import KeymintError
 from keymint.stages.signers import Signers
 from tests.keymint.stages.keystores import AUTHORITY_KEYS
 from tests.keymint.stages.sessions import session_of

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from keymint.store.changes import File
 from keymint.errors import KeymintError
+from keymint.store.changes import File
 from keymint.store.file_writing import (
     FOLDER,
     check_component,

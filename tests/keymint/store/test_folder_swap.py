@@ -20,9 +20,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from keymint.errors import KeymintError
 from keymint.store import folder_swap
 from keymint.store.changes import File, FolderChange
-from keymint.errors import KeymintError
 from keymint.store.journal import Intent
 from keymint.store.staged import Staged
 from keymint.store.store import Store

@@ -15,10 +15,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from keymint.store import group_commit
-from keymint.store import syncing
-from keymint.store.changes import File, FolderChange
 from keymint.errors import KeymintError
+from keymint.store import group_commit, syncing
+from keymint.store.changes import File, FolderChange
 from keymint.store.staged import Staged
 from keymint.store.store import Store
 from tests.effort import tries

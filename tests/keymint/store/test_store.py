@@ -18,8 +18,8 @@ from typing import Any
 
 import pytest
 
-from keymint.store.changes import File, FolderChange
 from keymint.errors import KeymintError
+from keymint.store.changes import File, FolderChange
 from keymint.store.file_writing import MAX_COMPONENT
 from keymint.store.journal import Intent, Journal
 from keymint.store.store import Store

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from keymint.store.changes import File
 from keymint.errors import KeymintError
+from keymint.store.changes import File
 from keymint.store.user_files import write_files
 
 PART = ".key.pem.keymint-part"

@@ -9,16 +9,16 @@ from pathlib import Path
 
 import pytest
 
-from keymint.workspace import file_index
-from keymint.store.changes import File, FolderChange
 from keymint.run.execution import open_store
-from keymint.workspace.file_index import INDEX
+from keymint.store.changes import File, FolderChange
+from keymint.store.store import Store
+from keymint.store.workspace_lock import clock
 from keymint.view.folder_status import Sight
 from keymint.view.stamps import digest
-from keymint.store.store import Store
 from keymint.view.tree import Tree
+from keymint.workspace import file_index
+from keymint.workspace.file_index import INDEX
 from keymint.workspace.workspace import Workspace
-from keymint.store.workspace_lock import clock
 
 
 @pytest.fixture

@@ -14,10 +14,16 @@ import pytest
 from comarmor.errors import Origin
 from comarmor.xml.package_folders import CopiedPackages, ShippedFile
 from keymint.api import AcceptedPackage
-from keymint.store.changes import Action
 from keymint.errors import KeymintError
+from keymint.store.changes import Action
 from keymint.workspace import shipped_profiles
-from keymint.workspace.shipped_profiles import UnacceptedPackagesError, load_with, plan_acceptance, refuse_unaccepted, shipped_files
+from keymint.workspace.shipped_profiles import (
+    UnacceptedPackagesError,
+    load_with,
+    plan_acceptance,
+    refuse_unaccepted,
+    shipped_files,
+)
 from tests.keymint.stages.sessions import session_of
 
 FILE = ShippedFile("nav2_bringup", "controller.xml", b"<profiles/>", Origin("p.xml", 2))

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from comarmor.errors import Origin
-from keymint.robots import certification_request
 from keymint.pki.tokens.pin_sources import VARIABLE
+from keymint.robots import certification_request
 from tests.conftest import snapshot
 from tests.softhsm import PIN, SoftHsm
 

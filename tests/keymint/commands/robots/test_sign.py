@@ -17,9 +17,8 @@ from cryptography.hazmat.primitives.serialization import Encoding, load_pem_priv
 from cryptography.x509.oid import AttributeOID, NameOID
 
 from comarmor.errors import Origin
-from keymint.robots import bundle
-from keymint.robots import certification_request
 from keymint.pki import certificates, keys
+from keymint.robots import bundle, certification_request
 from tests.conftest import NOW, snapshot
 
 NONCE = "0123456789abcdef" * 2
@@ -79,7 +78,10 @@ def test_the_key_of_a_robot_is_certified(keymint, ws: Path) -> None:
     read = bundle.read(file.read_bytes(), Origin("talker.bundle"))
     assert read.certificate == installed(ws)
     assert f"talker={certificates.fingerprint(read.certificate)}" == confirmed
-    assert read.manifest.nonce == certification_request.read((ws.parent / "talker.request.pem").read_bytes(), Origin("r")).nonce
+    assert (
+        read.manifest.nonce
+        == certification_request.read((ws.parent / "talker.request.pem").read_bytes(), Origin("r")).nonce
+    )
     assert "key.pem" not in read.files
     assert not (ws / "install/enclaves/talker/key.pem").exists()
     assert stat.S_IMODE(file.stat().st_mode) == 0o644

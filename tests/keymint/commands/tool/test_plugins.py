@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``keymint plugins`` lists the profiles that ROS packages ship; tests/keymint/api/test_plugin_loader.py has the rest."""
+"""``keymint plugins`` lists the profiles that ROS packages ship."""
 
 from __future__ import annotations
 

@@ -16,10 +16,10 @@ from cryptography.hazmat.primitives.asymmetric import ec, padding
 
 from comarmor.errors import Diagnostic, Origin
 from keymint.api import KeySpec
+from keymint.api.plugin_loader import how_to_add
 from keymint.errors import KeymintError
 from keymint.pki import keys
 from keymint.pki.tokens.token_sessions import MODULE_VARIABLE, Tokens
-from keymint.api.plugin_loader import how_to_add
 from tests.softhsm import MODULE, PIN, SoftHsm
 
 pytestmark = pytest.mark.softhsm

@@ -13,8 +13,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type
-from keymint_ros2_dds.compiling import gathering  # noqa: A004 - the module's name
-from keymint_ros2_dds.compiling import grant_compiler  # noqa: A004 - the module's name
+from keymint_ros2_dds.compiling import (
+    gathering,
+    grant_compiler,
+)
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import DEFAULT, GrantRule
 
@@ -29,7 +31,6 @@ from tests.plugins.keymint_ros2_dds.compiling.test_grant_compiler import (
     TOPICS,
     rules,
 )
-from tests.plugins.keymint_ros2_dds.packages import package, rule
 from tests.plugins.keymint_ros2_dds.emit.test_emission import (
     MIXED,
     PLAIN,
@@ -40,6 +41,7 @@ from tests.plugins.keymint_ros2_dds.emit.test_emission import (
     tags,
     topics,
 )
+from tests.plugins.keymint_ros2_dds.packages import package, rule
 
 
 @pytest.fixture

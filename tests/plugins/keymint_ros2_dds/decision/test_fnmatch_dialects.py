@@ -80,14 +80,20 @@ def test_cyclone_dds_has_a_matcher_of_its_own() -> None:
     ],
 )
 def test_row_17_where_dialects_differ(pattern: str, standard: list[str], cyclone: list[str], fast: list[str]) -> None:
-    for dialect, found in ((fnmatch_dialects.STANDARD, standard), (fnmatch_dialects.CYCLONE_DDS, cyclone), (fnmatch_dialects.FAST_DDS, fast)):
+    for dialect, found in (
+        (fnmatch_dialects.STANDARD, standard),
+        (fnmatch_dialects.CYCLONE_DDS, cyclone),
+        (fnmatch_dialects.FAST_DDS, fast),
+    ):
         names = {*standard, *cyclone, *fast}
         assert {name for name in names if matches(dialect, pattern, name)} >= set(found)
         assert [name for name in found if not matches(dialect, pattern, name)] == []
 
 
 @given(
-    st.sampled_from([fnmatch_dialects.STANDARD, fnmatch_dialects.FAST_DDS, fnmatch_dialects.CYCLONE_DDS]), st.text(max_size=8), st.text(max_size=8)
+    st.sampled_from([fnmatch_dialects.STANDARD, fnmatch_dialects.FAST_DDS, fnmatch_dialects.CYCLONE_DDS]),
+    st.text(max_size=8),
+    st.text(max_size=8),
 )
 def test_any_text_is_a_pattern(dialect: Dialect, pattern: str, name: str) -> None:
     found = matches(dialect, fnmatch_dialects.in_bytes(pattern), fnmatch_dialects.in_bytes(name))
@@ -95,7 +101,9 @@ def test_any_text_is_a_pattern(dialect: Dialect, pattern: str, name: str) -> Non
         assert found == (pattern == name)
 
 
-@pytest.mark.parametrize("dialect", [fnmatch_dialects.STANDARD, fnmatch_dialects.FAST_DDS, fnmatch_dialects.CYCLONE_DDS])
+@pytest.mark.parametrize(
+    "dialect", [fnmatch_dialects.STANDARD, fnmatch_dialects.FAST_DDS, fnmatch_dialects.CYCLONE_DDS]
+)
 def test_no_pattern_takes_long(dialect: Dialect) -> None:
     """A document made by hand must not hang a verification: this took years by trying every place of every star."""
     assert not matches(dialect, "*a" * 40 + "*b", "a" * 200)

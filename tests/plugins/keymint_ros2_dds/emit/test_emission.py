@@ -10,13 +10,13 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type
-from keymint_ros2_dds.emit import emission
 from keymint_ros2_dds.compiling import gathering
+from keymint_ros2_dds.emit import emission
 from lxml import etree
 
 from keymint.api import BuildOptions, Claim, DomainRange, Hint, Proof
-from keymint.errors import KeymintError
 from keymint.api.graph import Edge, Object
+from keymint.errors import KeymintError
 from tests.effort import tries
 from tests.plugins.keymint_ros2_dds.packages import domain_rule, governed, package, rule
 

@@ -16,9 +16,8 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type, proving
-from keymint_ros2_dds.emit import emission
 from keymint_ros2_dds.documents import permissions_document
-from keymint_ros2_dds.emit import kind_members
+from keymint_ros2_dds.emit import emission, kind_members
 from keymint_ros2_dds.emit.kind_structure import Structure
 from keymint_ros2_dds.emit.kind_template import Template
 from keymint_ros2_dds.rule_packages import package_of

@@ -20,8 +20,8 @@ from comarmor.patterns.glob import parse
 from comarmor.patterns.printing import exact
 from comarmor.rules import Effect
 from keymint.api import BuildOptions
-from keymint.errors import KeymintError
 from keymint.api.graph import Edge, Object
+from keymint.errors import KeymintError
 from tests.effort import tries
 from tests.plugins.keymint_ros2_dds.compiling.test_grant_compiler import built_or_refused
 from tests.plugins.keymint_ros2_dds.oracles import cyclone, fastdds, omg

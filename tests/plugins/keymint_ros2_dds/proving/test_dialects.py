@@ -25,12 +25,18 @@ DIALECTS = (fnmatch_dialects.STANDARD, fnmatch_dialects.FAST_DDS, fnmatch_dialec
 def test_patterns_match_what_the_dialect_matches(expression: str, text: str, dialect) -> None:
     (pattern,) = read((expression,), dialect)
     name = fnmatch_dialects.in_bytes(text)
-    expected = re.fullmatch(fnmatch_dialects.translate(fnmatch_dialects.in_bytes(expression), dialect), name, re.DOTALL) is not None
+    expected = (
+        re.fullmatch(fnmatch_dialects.translate(fnmatch_dialects.in_bytes(expression), dialect), name, re.DOTALL)
+        is not None
+    )
     assert matches(pattern, name) == expected
 
 
 def test_each_pattern_is_returned_once_in_order() -> None:
-    assert [matches(pattern, "b") for pattern in read(("b", "a*", "b", "a**"), fnmatch_dialects.STANDARD)] == [True, False]
+    assert [matches(pattern, "b") for pattern in read(("b", "a*", "b", "a**"), fnmatch_dialects.STANDARD)] == [
+        True,
+        False,
+    ]
 
 
 def test_notation_that_implementations_read_differently_is_an_error() -> None:

@@ -11,8 +11,7 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.decision import VARIATIONS, DocumentEvaluator
-from keymint_ros2_dds.decision import fnmatch_dialects
+from keymint_ros2_dds.decision import VARIATIONS, DocumentEvaluator, fnmatch_dialects
 from keymint_ros2_dds.lowering.lowered_rules import lower
 from keymint_ros2_dds.proving import permission_lists, policy_evaluator
 from keymint_ros2_dds.proving.dialects import read
@@ -163,7 +162,9 @@ def _cyclone(expression, name):
 @example("[!]a]")
 @example("[c-a]")
 def test_expressions_become_what_the_dialect_matches(dialect, oracle, expression):
-    assume(dialect is fnmatch_dialects.CYCLONE_DDS or not expression.endswith("-"))  # glibc reads a range in an unclosed bracket
+    assume(
+        dialect is fnmatch_dialects.CYCLONE_DDS or not expression.endswith("-")
+    )  # glibc reads a range in an unclosed bracket
     try:
         (pattern,) = read((expression,), dialect)
     except PatternError:

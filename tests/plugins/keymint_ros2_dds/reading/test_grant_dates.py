@@ -46,7 +46,9 @@ def test_a_zone_moves_a_date_except_on_fast_dds(local: datetime, minutes: int) -
 @given(MOMENTS)
 def test_without_a_zone_and_with_a_z_it_is_utc(local: datetime) -> None:
     for text in (local.isoformat(), f" {local.isoformat()}Z\n", f"{local.isoformat()}.123"):
-        assert {each(text) for each in (grant_dates.standard, grant_dates.cyclone, grant_dates.fast)} == {local.replace(tzinfo=UTC)}
+        assert {each(text) for each in (grant_dates.standard, grant_dates.cyclone, grant_dates.fast)} == {
+            local.replace(tzinfo=UTC)
+        }
 
 
 def test_beyond_the_calendar_is_its_end() -> None:

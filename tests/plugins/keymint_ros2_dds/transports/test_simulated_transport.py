@@ -11,8 +11,8 @@ import pytest
 from keymint_ros2_dds.transports import cyclonedds_0_10, fastdds_2_9, omg
 
 from keymint.api import Enclave, Environment, Tier, Verdict
-from keymint.errors import KeymintError
 from keymint.api.graph import Column, Edge, Graph, Object, complete
+from keymint.errors import KeymintError
 from keymint.pki import smime
 
 from ..enclaves import NOW, authority, installed  # noqa: TID252 - helpers of the folder above

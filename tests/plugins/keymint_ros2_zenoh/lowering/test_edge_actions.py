@@ -8,8 +8,8 @@ from keymint_ros2_zenoh.decision.operations import operations
 from keymint_ros2_zenoh.lowering.edge_actions import actions
 
 from comarmor.rules import PARTS
-from keymint.errors import KeymintError
 from keymint.api.graph import Edge, Object
+from keymint.errors import KeymintError
 
 
 def named(permission: str, kind: str, name: str, domain: int = 0) -> list[tuple[str, str]]:

@@ -9,12 +9,11 @@ from pathlib import Path
 
 import pytest
 from keymint_ros2_zenoh.decision.message_access import AccessModel
-from keymint_ros2_zenoh.transports import zenoh_1
-from keymint_ros2_zenoh.transports import installed_configurations
+from keymint_ros2_zenoh.transports import installed_configurations, zenoh_1
 
 from keymint.api import Enclave, Environment, Tier, Verdict
-from keymint.errors import KeymintError
 from keymint.api.graph import Edge, Object
+from keymint.errors import KeymintError
 from tests.plugins.keymint_ros2_zenoh.install_spaces import InstallSpace, key
 
 CHATTER = Object("ros_topic", "/chatter")
@@ -54,7 +53,9 @@ def test_the_rights_of_all_enclaves_are_read_once_although_each_enclave_is_asked
     space: InstallSpace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = []
-    monkeypatch.setattr(installed_configurations, "AccessModel", lambda control: made.append(control) or AccessModel(control))
+    monkeypatch.setattr(
+        installed_configurations, "AccessModel", lambda control: made.append(control) or AccessModel(control)
+    )
     transport = zenoh_1.open(Environment(datetime.now(UTC), Path("/nowhere")))
     for enclave in space.write():
         list(transport.label([enclave], [Edge(enclave.subject, "ros_publish", CHATTER)], Tier.DECISION))
