@@ -17,7 +17,7 @@ from keymint_ros2_comarmor import policy_type
 
 from comarmor.errors import Origin
 from keymint.api import PolicySource
-from keymint.graph import Edge, Graph, Object, complete
+from keymint.api.graph import Edge, Graph, Object, complete
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 

@@ -24,7 +24,10 @@ import navigation
 from keymint_ros.distros import library
 from keymint_ros2_comarmor import policy_type
 from keymint_ros2_dds import build_type
-from keymint_ros2_dds.compiling import compile, gathering  # noqa: A004 - the module's name
+from keymint_ros2_dds.compiling import (
+    gathering,
+    grant_compiler,
+)
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.rule_packages import package_of
 from keymint_ros2_dds.vendor_limits import BROKEN, signed_size
@@ -88,7 +91,7 @@ def families(size: int) -> Iterator[tuple[str, list[str]]]:
 def measured(rules: SubjectRules) -> tuple[int, int, int, float]:
     """Return the bytes of the plain, the grouped and the smallest form, and the seconds of a build."""
     source = package(rules)
-    with mock.patch.object(compile, "gathered", functools.partial(gathering.gathered, min_saved=10**9)):
+    with mock.patch.object(grant_compiler, "gathered", functools.partial(gathering.gathered, min_saved=10**9)):
         grouped = build_type.build(source, BuildOptions())
     begin = time.process_time()
     built = build_type.build(source, BuildOptions())

@@ -3,4 +3,4 @@
 
 __version__ = "0.1.0"
 SPACES = ("profile", "private", "public", "src", "build", "install")
-"""The folders of a workspace; see :class:`keymint.workspace.Workspace`."""
+"""The folders of a workspace; see :class:`keymint.workspace.workspace.Workspace`."""

@@ -6,21 +6,21 @@ from __future__ import annotations
 import gc
 import sys
 
-from keymint import process
+from keymint.host import streams_and_signals
 
 
 def run(arguments: list[str]) -> int:
     """Run the command line as the only task of this process, and return its exit code."""
     gc.set_threshold(1_000_000, 20, 50)  # imports and a run create many objects, few of them in cycles
-    process.open_missing_streams()
-    process.hold_signals()
+    streams_and_signals.open_missing_streams()
+    streams_and_signals.hold_signals()
     from keymint import cli  # noqa: PLC0415 - signals wait until the import is done
 
-    process.stop_on_signals()
+    streams_and_signals.stop_on_signals()
     try:
-        process.release_signals()
+        streams_and_signals.release_signals()
         code = cli.main(arguments)
-    except process.StoppedError as stop:
+    except streams_and_signals.StoppedError as stop:
         code = cli.stopped(arguments, stop.number)
     gc.freeze()  # the process ends: nothing is searched for cycles any more
     return code

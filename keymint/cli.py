@@ -23,52 +23,68 @@ import click
 from comarmor.regex import lazy_regex
 from comarmor.text import printable, printable_lines
 from keymint import SPACES, __version__
-from keymint.commands.verb_group import VerbGroup
+from keymint.command_line.verb_group import VerbGroup
 from keymint.errors import ExitCode
-from keymint.process import Output, OutputError, StoppedError, received, settle
+from keymint.host.streams_and_signals import Output, OutputError, StoppedError, received, settle
 
 if TYPE_CHECKING:
-    from keymint.commands.run import Setting
     from keymint.output.console import Streams
-    from keymint.unchanged import Call
+    from keymint.run.run import Setting
+    from keymint.view.recorded_answers import Call
 
-VERBS: Mapping[str, str] = {
-    "init": "Create a workspace.",
-    "create": "Create source packages from the policy.",
-    "build": "Build unsigned documents.",
-    "install": "Sign documents and stage enclaves for deployment.",
-    "check": "Compare the installed keystore with its expected state.",
-    "renew": "Renew certificates and permissions that are due.",
-    "env": "Print the environment variables of a process that uses an enclave.",
-    "prove": "Prove that installed documents permit exactly what the policy allows, for all names.",
-    "revoke": "Revoke certificates, and issue new ones that old permissions do not fit.",
-    "issued": "List the certificates that were issued, and which are revoked.",
-    "crl": "Show the revocation lists, or issue them again.",
-    "status": "Show the stage and the expiry of every package.",
-    "verify": "Report mismatches between policy and transports, edge by edge.",
-    "why": "Explain one decision, from policy to transport.",
-    "lint": "Report unreachable, redundant and suspicious rules of a policy.",
-    "diff": "Compare two policies: which subject gains or loses which permission.",
-    "query": "Ask a policy who can do what, including subjects that it does not name.",
-    "test": "Run the unit tests of a policy.",
-    "fmt": "Bring policy files into their canonical form.",
-    "authority": "Show, renew, replace, import or export the certificate authorities.",
-    "provision": "Run init, create, build and install in one step, e.g. in CI.",
-    "adopt": "Examine a keystore that another tool made, and take it over.",
-    "harden": "Mend what a keystore that was taken over lacks, step by step, each with its cost.",
-    "sign": "Certify keys that robots made.",
-    "bundle": "Write installed enclaves into signed files for robots.",
-    "request": "Ask for a certificate, on the robot: its key never leaves it.",
-    "accept": "Take what the authority made for the enclaves of this robot.",
-    "import": "Translate a policy of another tool, and prove that both mean the same.",
-    "export": "Write a policy in the language of another tool, proven to mean the same.",
-    "discover": "Record the graph of a running system, or read captures of one.",
-    "learn": "Generate the smallest policy that allows a graph.",
-    "graph": "Draw a policy, or the graph of a system.",
-    "plugins": "List the installed plugins.",
-    "transports": "List the transports: which are usable here, and how to install the others.",
-    "completion": "Print the completion script for a shell.",
+GROUPS: Mapping[str, Mapping[str, str]] = {
+    "Start": {
+        "provision": "Run init, create, build and install in one step, e.g. in CI.",
+        "init": "Create a workspace.",
+        "create": "Create source packages from the policy.",
+        "build": "Build unsigned documents.",
+        "install": "Sign documents and stage enclaves for deployment.",
+    },
+    "Understand": {
+        "lint": "Report unreachable, redundant and suspicious rules of a policy.",
+        "fmt": "Bring policy files into their canonical form.",
+        "query": "Ask a policy who can do what, including subjects that it does not name.",
+        "why": "Explain one decision, from policy to transport.",
+        "diff": "Compare two policies: which subject gains or loses which permission.",
+        "graph": "Draw a policy, or the graph of a system.",
+        "test": "Run the unit tests of a policy.",
+    },
+    "Assure": {
+        "check": "Compare the installed keystore with its expected state.",
+        "status": "Show the stage and the expiry of every package.",
+        "prove": "Prove that installed documents permit exactly what the policy allows, for all names.",
+        "verify": "Report mismatches between policy and transports, edge by edge.",
+    },
+    "Life": {
+        "renew": "Renew certificates and permissions that are due.",
+        "revoke": "Revoke certificates, and issue new ones that old permissions do not fit.",
+        "issued": "List the certificates that were issued, and which are revoked.",
+        "crl": "Show the revocation lists, or issue them again.",
+        "authority": "Show, renew, replace, import or export the certificate authorities.",
+        "harden": "Mend what a keystore that was taken over lacks, step by step, each with its cost.",
+    },
+    "Robots": {
+        "env": "Print the environment variables of a process that uses an enclave.",
+        "request": "Ask for a certificate, on the robot: its key never leaves it.",
+        "sign": "Certify keys that robots made.",
+        "accept": "Take what the authority made for the enclaves of this robot.",
+        "bundle": "Write installed enclaves into signed files for robots.",
+    },
+    "Exchange": {
+        "import": "Translate a policy of another tool, and prove that both mean the same.",
+        "export": "Write a policy in the language of another tool, proven to mean the same.",
+        "adopt": "Examine a keystore that another tool made, and take it over.",
+        "discover": "Record the graph of a running system, or read captures of one.",
+        "learn": "Generate the smallest policy that allows a graph.",
+    },
+    "Tool": {
+        "plugins": "List the installed plugins.",
+        "transports": "List the transports: which are usable here, and how to install the others.",
+        "completion": "Print the completion script for a shell.",
+    },
 }
+"""The verbs with their help, in groups; each is a folder of :mod:`keymint.commands`."""
+VERBS = {verb: help_ for group in GROUPS.values() for verb, help_ in group.items()}
 
 
 _JSON_FORMAT = lazy_regex(r"-f ?json|--format[ =]json")
@@ -79,7 +95,7 @@ _LAST = datetime(9900, 1, 1, tzinfo=UTC)
 class _Verbs(VerbGroup):
     """The verbs."""
 
-    VERBS = VERBS
+    GROUPS = GROUPS
     MODULES: Mapping[str, str] = MappingProxyType({"import": "import_policy"})
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -212,7 +228,7 @@ def _fail(arguments: Sequence[str], code: str, message: str, exit_code: ExitCode
 
 def call_of(given: Sequence[str]) -> Call:
     """Return the command with all that its answer may depend on."""
-    from keymint.unchanged import Call, Consulted  # noqa: PLC0415 - not needed for --help
+    from keymint.view.recorded_answers import Call, Consulted  # noqa: PLC0415 - not needed for --help
 
     plain = bool(os.environ.get("NO_COLOR")) or os.environ.get("TERM") == "dumb"
     colours = sys.stdout.isatty() and not plain, sys.stderr.isatty() and not plain
@@ -220,13 +236,13 @@ def call_of(given: Sequence[str]) -> Call:
 
 
 def _recalled(given: Sequence[str]) -> int | None:
-    """Answer a command that was carried out before, and return its exit code; see :mod:`keymint.unchanged`."""
+    """Answer a command that was carried out before, and return its exit code."""
     if not given or given[0].startswith("-") or "-h" in given or "--help" in given:
         return None
-    from keymint import unchanged  # noqa: PLC0415 - not needed for --help
+    from keymint.view import recorded_answers  # noqa: PLC0415 - not needed for --help
 
     try:
-        answer = unchanged.recall(call_of(given)) if given[0] in unchanged.VERBS else None
+        answer = recorded_answers.recall(call_of(given)) if given[0] in recorded_answers.VERBS else None
     except click.UsageError:
         return None  # there is no usable clock or current directory, which the command reports if it needs one
     if answer is None:
@@ -260,7 +276,7 @@ def setting(
         ask: shows a text and returns what the user types, unseen; None if there is no terminal.
         read: returns at most so many bytes of standard input.
     """
-    from keymint.commands.run import Setting  # noqa: PLC0415 - not needed for --help
+    from keymint.run.run import Setting  # noqa: PLC0415 - not needed for --help
 
     return Setting(
         now=datetime.fromtimestamp(call.now, UTC),

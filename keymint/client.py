@@ -26,18 +26,18 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.values import dataclass
 from keymint import cli
 from keymint.api import LoadedPolicy
-from keymint.changes import Plan
-from keymint.commands.options import InstallRequest
-from keymint.commands.reissue import reissued
-from keymint.commands.run import Run
 from keymint.errors import KeymintError
+from keymint.life.terms import DEFAULT, Threshold
 from keymint.names import package_name, subject_of
 from keymint.output.console import Streams
 from keymint.output.report import Report
-from keymint.plan.create import CreateStage
-from keymint.plan.policy import load_policy, locations_digest
-from keymint.plan.terms import DEFAULT, Threshold
-from keymint.session import Inputs, Session
+from keymint.run.run import Run
+from keymint.stages.create import CreateStage
+from keymint.stages.install_request import InstallRequest
+from keymint.stages.reissue import reissued
+from keymint.store.changes import Plan
+from keymint.workspace.policy_loading import load_policy, locations_digest
+from keymint.workspace.session import Inputs, Session
 
 __all__ = ["Client", "Enclave", "KeymintError", "Threshold"]
 
@@ -99,7 +99,7 @@ class Client:
             names = create.subjects((name,))
             created = create.plan([create.package(each) for each in names])
             needed = tuple(dict.fromkeys((*names, *session.after(created).infrastructure())))
-            return reissued(run, session, created, needed, request=InstallRequest(prove=prove), policy=policy)
+            return reissued(run.crew, session, created, needed, request=InstallRequest(prove=prove), policy=policy)
 
         run = self._run("provision", name)
         enclave = self._enclave(run.carry_out(self._workspace, make_plan), name)
@@ -125,7 +125,7 @@ class Client:
         Raises:
             KeymintError: a subject is not known, or something cannot be issued.
         """
-        from keymint.commands.renew import renew  # noqa: PLC0415 - of no use to other calls
+        from keymint.commands.life.renew import renew  # noqa: PLC0415 - of no use to other calls
 
         return self._enclaves_of(self._verb(renew, subjects, threshold=threshold, rekey=rekey, prove=True))
 
@@ -134,7 +134,7 @@ class Client:
 
         Args:
             subjects: the subjects.
-            reason: one of :data:`keymint.register.register.REASONS`.
+            reason: one of :data:`keymint.life.issued_certificates.REASONS`.
 
         Returns:
             The enclaves to deploy and restart: those with a new revocation list or a new certificate.
@@ -142,7 +142,7 @@ class Client:
         Raises:
             KeymintError: a subject never had a certificate, or something cannot be issued.
         """
-        from keymint.commands.revoke import revoke  # noqa: PLC0415 - of no use to other calls
+        from keymint.commands.life.revoke import revoke  # noqa: PLC0415 - of no use to other calls
 
         return self._enclaves_of(self._verb(revoke, subjects, reason=reason, prove=True))
 
@@ -159,7 +159,7 @@ class Client:
         Raises:
             KeymintError: the enclave is not installed as its sources are now, or the authority's key is not here.
         """
-        from keymint.commands.bundle import bundle  # noqa: PLC0415 - of no use to other calls
+        from keymint.commands.robots.bundle import bundle  # noqa: PLC0415 - of no use to other calls
 
         (made,) = self._verb(bundle, (subject,), output=Path(output)).result["bundles"]
         return Path(made["file"])

@@ -9,7 +9,12 @@ from comarmor.errors import ComArmorError as KeymintError
 from comarmor.errors import ExitCode, Origin
 from comarmor.text import did_you_mean
 
-__all__ = ["ExitCode", "KeymintError", "known_authority", "process_ended"]
+__all__ = ["ExitCode", "KeymintError", "known_authority", "process_ended", "usage_error"]
+
+
+def usage_error(message: str, help_: str) -> KeymintError:
+    """Return an error in the arguments of the command line; its exit code is 2."""
+    return KeymintError(message, help=help_, code="usage", exit_code=ExitCode.USAGE)
 
 
 def process_ended(code: str) -> KeymintError:

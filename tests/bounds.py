@@ -12,13 +12,13 @@ from keymint_ros2_dds.rule_packages import package_of
 
 from comarmor.errors import Origin
 from comarmor.patterns.steps import step_limit
-from keymint.analysis.lint import lint
+from keymint.analysis.lint.lint_rules import lint
 from keymint.analysis.policy_diff import diff_policies
 from keymint.analysis.subject_patterns import rules_of
 from keymint.api import BuildOptions, LoadedPolicy, PolicySource
+from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
-from keymint.plugins import Plugins
 
 COMPILE = 17_000_000
 """Most steps of compiling a subject: two orders of its rules, the proofs of its document, and a small margin."""

@@ -18,8 +18,9 @@ from typing import Any
 import hypothesis
 import pytest
 
-from keymint import cli, plugins
-from keymint.plugins import PluginInfo
+from keymint import cli
+from keymint.api import plugin_loader
+from keymint.api.plugin_loader import PluginInfo
 from tests import advice
 from tests.effort import tries
 from tests.softhsm import SoftHsm, opened
@@ -109,7 +110,7 @@ def plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="session", autouse=True)
 def read_once() -> Iterator[None]:
     """Let the runs in this process read the entry points of a distribution once, unless its files change."""
-    read, known = plugins.entries_of, {}
+    read, known = plugin_loader.entries_of, {}
 
     def entries_of(metadata: str) -> tuple[PluginInfo, ...]:
         key = (metadata, *(file_status(f"{metadata}/{file}") for file in ("entry_points.txt", "METADATA")))
@@ -118,7 +119,7 @@ def read_once() -> Iterator[None]:
         return known[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(plugins, "entries_of", entries_of)
+        patch.setattr(plugin_loader, "entries_of", entries_of)
         yield
 
 

@@ -17,21 +17,27 @@ from tests.conftest import CHECKOUT
 
 pytestmark = pytest.mark.xdist_group("audit")  # one worker, so that the verbs run once
 
-WRITERS = {
-    f"keymint/{name}.py"
-    for name in (
-        "store", "folder_staging", "folder_swap", "file_writing", "open_folders", "group_commit", "journal",
-        "user_files", "workspace_lock",
-    )
-}  # fmt: skip
-"""The lock's time of change is the clock of the file system."""
-TEMPORARY = {"keymint/command_process.py", "keymint/git.py", "keymint/verify/copies.py"}
+WRITERS = "keymint/store/"
+"""The only folder that writes files of a user. Its lock's time of change is the clock of the file system."""
+TEMPORARY = {"keymint/host/vendor_process.py", "keymint/host/git.py", "keymint/verify/copies.py"}
 """Keep what a program says, trees of a revision, or enclaves for transports in temporary files that they remove."""
 VENDORS = "plugins/keymint_ros2_dds/vendors/"
 """The only folder that builds and runs foreign programs; it writes to the cache only."""
-STARTERS = {"keymint/command_process.py", "keymint/process.py", "keymint/git.py", "keymint/commands/completion.py"}
+STARTERS = {
+    "keymint/host/vendor_process.py",
+    "keymint/host/streams_and_signals.py",
+    "keymint/host/git.py",
+    "keymint/commands/tool/completion.py",
+}
 """Run probes of the vendors, git, or the shell that the completion script is for."""
-READERS = ("keymint/check/", "keymint/plan/", "keymint/verify/", "keymint/status.py")
+READERS = (
+    "keymint/check/",
+    "keymint/examine/",
+    "keymint/stages/",
+    "keymint/life/",
+    "keymint/authority/",
+    "keymint/verify/",
+)
 
 POLICY = "ws/profile/comarmor.d"
 WRITING_VERBS = (
@@ -146,8 +152,8 @@ def test_all_verbs_ran(run: tuple[list[int], list[Event]]) -> None:
 
 def test_only_the_store_writes(run: tuple[list[int], list[Event]]) -> None:
     writers = {event.module for event in run[1] if event.kind == "write"}
-    assert {module for module in writers if not module.startswith(VENDORS)} - TEMPORARY <= WRITERS
-    assert {"keymint/store.py", "keymint/file_writing.py"} <= writers
+    assert {module for module in writers if not module.startswith((VENDORS, WRITERS))} <= TEMPORARY
+    assert {"keymint/store/store.py", "keymint/store/file_writing.py"} <= writers
 
 
 def test_only_git_and_the_vendors_start_programs(run: tuple[list[int], list[Event]]) -> None:
@@ -173,7 +179,9 @@ def test_verbs_that_read_see_only_their_snapshot(run: tuple[list[int], list[Even
     }
     assert seen == set()
     assert any(
-        event.module == "keymint/file_reading.py" and event.kind == "read" for event in run[1] if event.step >= first
+        event.module == "keymint/view/file_reading.py" and event.kind == "read"
+        for event in run[1]
+        if event.step >= first
     )
 
 

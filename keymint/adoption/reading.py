@@ -7,10 +7,10 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
-from keymint.adoption.snapshot import read_keystore
+from keymint.adoption.keystore_files import read_keystore
 from keymint.api import FoundKeystore, KeystoreFiles, KeystoreReader
+from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError
-from keymint.plugins import Plugins
 
 
 def found_in(plugins: Plugins, folder: Path, typed: str, now: datetime) -> tuple[str, KeystoreFiles, FoundKeystore]:

@@ -21,7 +21,7 @@ from keymint.analysis.subject_patterns import EVERY, SubjectClass, structure
 from keymint.analysis.subject_templates import exact_halves, fill_placeholders
 from keymint.analysis.symbolic_rules import SymbolicRules
 from keymint.api import LoadedPolicy
-from keymint.graph import Edge, Object
+from keymint.api.graph import Edge, Object
 from keymint.ir import Rule
 
 _UNWRITTEN = "the policy type does not provide its rules for subjects that a policy does not name"

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Protocol
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
+from keymint.api.graph import Edge
 from keymint.api.packages import Package, PackageSettings, PackageSources
-from keymint.graph import Edge
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey

@@ -15,9 +15,9 @@ from keymint.api.building import (
     SharedCredentials,
     SharedInspection,
 )
+from keymint.api.graph import Edge
 from keymint.api.packages import Package
 from keymint.api.transports import Enclave
-from keymint.graph import Edge
 from keymint.ir import SubjectRules
 
 

@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
-from keymint.api.keystores import FoundEnclave, KeystoreFiles
+from keymint.api.foreign_keystores import FoundEnclave, KeystoreFiles
 from keymint.api.packages import DomainRange
 from keymint.ir import SubjectRules
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 from comarmor.errors import Origin, Reason
 from comarmor.rules import Expectation
 from comarmor.values import dataclass
+from keymint.api.graph import Edge
 from keymint.api.profiles import PolicySource
-from keymint.graph import Edge
 from keymint.ir import Rule, SubjectRules
 
 if TYPE_CHECKING:

@@ -11,10 +11,10 @@ from typing import Any, Protocol, runtime_checkable
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
+from keymint.api.graph import Edge
 from keymint.api.packages import DomainRange, Package
 from keymint.api.policies import PolicyDecision
 from keymint.api.transports import Endpoint, Verdict
-from keymint.graph import Edge
 from keymint.ir import SubjectRules
 
 

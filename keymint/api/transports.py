@@ -12,8 +12,8 @@ from typing import Protocol, runtime_checkable
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
+from keymint.api.graph import Column, Edge
 from keymint.errors import KeymintError
-from keymint.graph import Column, Edge
 
 
 class Tier(StrEnum):

@@ -16,6 +16,7 @@ from typing import Any
 from comarmor.errors import Diagnostic
 from comarmor.regex import lazy_regex
 from keymint.api import Inspection
+from keymint.api.plugin_loader import Plugins
 from keymint.check.authorities import authorities, in_defect
 from keymint.check.enclaves import Examined, LoadedEnclave, examine, load
 from keymint.check.file_status import file_status
@@ -25,12 +26,11 @@ from keymint.errors import KeymintError
 from keymint.examine import keys
 from keymint.examine.keystore import deciding, staged
 from keymint.executors import Pool
-from keymint.plan import identity_keys
-from keymint.plan.enclaves import unaccounted, with_sources
-from keymint.plan.identity_keys import Keyring
-from keymint.plan.trust_anchors import differences
-from keymint.plugins import Plugins
-from keymint.session import Session
+from keymint.stages import identity_keys
+from keymint.stages.identity_keys import Keyring
+from keymint.stages.proof.trust_anchors import differences
+from keymint.workspace.installed_enclaves import unaccounted, with_sources
+from keymint.workspace.session import Session
 
 LEAST = 64
 """Enclaves that are worth a process of their own."""

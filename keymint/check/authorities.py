@@ -11,13 +11,14 @@ from cryptography import x509
 
 from comarmor.errors import Defects, Diagnostic
 from keymint.api import ValidityTerm
+from keymint.authority import authority_files, token_authorities
+from keymint.authority.authority_files import AuthorityFiles
 from keymint.errors import KeymintError
+from keymint.life import terms
 from keymint.pki import certificates, keys
-from keymint.plan import authority_files, terms, token_keys
-from keymint.plan.authority_files import AuthorityFiles
-from keymint.plan.private_keys import key_defects
-from keymint.plan.trust_anchors import against
-from keymint.session import Inputs, Session
+from keymint.stages.proof.trust_anchors import against
+from keymint.workspace.session import Inputs, Session
+from keymint.workspace.stored_keys import key_defects
 
 
 def authorities(session: Session, within: timedelta) -> Iterator[Diagnostic]:
@@ -72,7 +73,7 @@ _DECIDED_BY_A_PERSON = frozenset(
 def _key(inputs: Inputs, files: AuthorityFiles) -> Generator[Diagnostic, None, keys.PublicKey | None]:
     """Check the private key; the generator returns its public key if it can be read."""
     if files.authority.certificate.key.uri:
-        yield from token_keys.left_over(files)
+        yield from token_authorities.left_over(files)
     elif files.key is not None:
         try:
             return authority_files.load_private_key(inputs, files).public_key()

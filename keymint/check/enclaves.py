@@ -10,19 +10,19 @@ from datetime import timedelta
 from comarmor.errors import Diagnostic, Severity
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, BuildType, Inspection, Package
-from keymint.changes import file_mode
+from keymint.authority.authority_files import trusted_chains
 from keymint.check.file_status import CHANGED, link, linked_twice, modes
 from keymint.errors import KeymintError
+from keymint.life.workspace_register import withdrawn
 from keymint.names import subject_of
 from keymint.pki import key_files, keys
-from keymint.plan import build, identity_keys, install
-from keymint.plan.authority_files import trusted_chains
-from keymint.plan.build_types import build_types_of
-from keymint.plan.enclaves import KEY, enclave_files, files_in, not_installed
-from keymint.plan.private_keys import key_defects
-from keymint.plan.register import withdrawn
-from keymint.session import Session
-from keymint.state import digest
+from keymint.stages import build, identity_keys, install
+from keymint.store.changes import file_mode
+from keymint.view.stamps import digest
+from keymint.workspace.installed_enclaves import KEY, enclave_files, files_in, not_installed
+from keymint.workspace.package_build_types import build_types_of, is_build_current
+from keymint.workspace.session import Session
+from keymint.workspace.stored_keys import key_defects
 
 Inspections = Mapping[str, tuple[BuildType, Inspection]]
 """What each build type of a package sees of its enclave."""
@@ -76,7 +76,7 @@ def load(session: Session, name: str, within: timedelta) -> LoadedEnclave:
     Raises:
         KeymintError: the package has defects.
     """
-    package = session.package(name, built=build.is_current(session, name))
+    package = session.package(name, built=is_build_current(session, name))
     files, unreadable = enclave_files(session, name)
     unread = tuple(each for each in unreadable if each.code != "symlink-refused")  # reported with the modes
     return LoadedEnclave(package, files, unread, _inspections(session, package, files, within))
@@ -146,7 +146,7 @@ def _inspections(session: Session, package: Package, files: Mapping[str, bytes],
 def _recorded(session: Session, name: str) -> Mapping[str, bytes] | None:
     """Return the built documents of a package if the record has their digests and that of its sources, else None."""
     stamp = session.state.stamp(build.STAGE, name)
-    if stamp is None or not build.is_current(session, name):
+    if stamp is None or not is_build_current(session, name):
         return None
     documents = build.built_documents(session, name)
     return documents if {file: digest(content) for file, content in documents.items()} == stamp.outputs else None

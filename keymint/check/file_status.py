@@ -16,11 +16,11 @@ from functools import lru_cache
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin, Severity
-from keymint.changes import file_mode
-from keymint.file_reading import FileStatus
 from keymint.pki import key_files
-from keymint.session import Inputs
-from keymint.state import digest
+from keymint.store.changes import file_mode
+from keymint.view.file_reading import FileStatus
+from keymint.view.stamps import digest
+from keymint.workspace.session import Inputs
 
 _GROUP, _OTHERS = stat.S_IWGRP, stat.S_IWOTH
 _PEM = ".pem"

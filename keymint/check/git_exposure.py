@@ -9,10 +9,10 @@ from pathlib import Path
 
 from comarmor.errors import Diagnostic
 from keymint.errors import KeymintError
-from keymint.git import GIT_MISSING, run_git
+from keymint.host.git import GIT_MISSING, run_git
 from keymint.pki import key_files
-from keymint.plan import gitignore
-from keymint.session import Inputs
+from keymint.workspace import gitignore
+from keymint.workspace.session import Inputs
 
 _MOST = 64 * 1024
 """Bytes up to which a file is searched for a private key."""

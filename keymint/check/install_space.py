@@ -10,18 +10,19 @@ from comarmor.errors import Diagnostic
 from keymint.api import Artifact, BuildOptions, SharedInspection
 from keymint.check.file_status import as_installed
 from keymint.errors import KeymintError
+from keymint.life.workspace_register import withdrawn
 from keymint.names import ROOT
-from keymint.plan import environment, gitignore
-from keymint.plan.build_types import shared_builder
-from keymint.plan.enclaves import INSTALLED, files_in, installed
-from keymint.plan.register import withdrawn
-from keymint.plan.shared_documents import build_shared, load_packages, record_key, users
-from keymint.plan.shared_files import EnclaveChanges, build_types_in_use, copies_of, shared_copies
-from keymint.plan.shared_install import installed_shared
-from keymint.plan.shared_proof import enclaves_of
-from keymint.plan.trust_anchors import shared_anchors
-from keymint.session import Session
-from keymint.state import Stamp, digest
+from keymint.stages import environment_scripts
+from keymint.stages.proof.shared_proof import enclaves_of
+from keymint.stages.proof.trust_anchors import shared_anchors
+from keymint.stages.shared_documents import build_shared, load_packages, record_key, users
+from keymint.stages.shared_install import installed_shared
+from keymint.view.stamps import Stamp, digest
+from keymint.workspace import gitignore
+from keymint.workspace.enclave_changes import EnclaveChanges, build_types_in_use, copies_of, shared_copies
+from keymint.workspace.installed_enclaves import INSTALLED, files_in, installed
+from keymint.workspace.package_build_types import shared_builder
+from keymint.workspace.session import Session
 
 _OTHER_COPY = "differs from the enclaves' content"
 _OTHER_SCRIPT = "differs from what Keymint writes, and shells that source it may use another keystore"
@@ -44,7 +45,7 @@ def outside_enclaves(session: Session, within: timedelta) -> Iterator[Diagnostic
     outside = [path for path in files if path.rpartition("/")[0] not in enclaves]
     expected = _copies(session, names, outside)
     all_revoked = not names and withdrawn(session)
-    own_scripts = environment.scripts(
+    own_scripts = environment_scripts.scripts(
         session, session.profile.build_types if all_revoked else build_types_in_use(session)
     )
     targets = set(map(session.tree.follows, files))
@@ -59,7 +60,7 @@ def outside_enclaves(session: Session, within: timedelta) -> Iterator[Diagnostic
         if path in own or path in targets or relative in known or relative in expected or relative == gitignore.NAME:
             continue
         if relative in own_scripts:  # a workspace that was not installed since they exist has none
-            is_ours = environment.is_ours(session.tree.try_read(path) or b"")
+            is_ours = environment_scripts.is_ours(session.tree.try_read(path) or b"")
             help_ = restores if is_ours else "rename it or remove it, and run 'keymint install'"
             yield from as_installed(session, path, digest(own_scripts[relative]), help_, _OTHER_SCRIPT)
         else:

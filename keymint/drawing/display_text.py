@@ -9,8 +9,8 @@ from collections.abc import Iterable, Sequence
 
 from comarmor.regex import lazy_regex
 from comarmor.text import printable
+from keymint.api.graph import EdgeOutcome, Object
 from keymint.drawing.labelled_graph import Label, LabelledEdge
-from keymint.graph import EdgeOutcome, Object
 
 KINDS = {
     "ros_topic": "topic",

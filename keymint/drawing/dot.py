@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from comarmor.text import printable
+from keymint.api.graph import EdgeOutcome, Object
 from keymint.drawing.display_text import INWARD, OUTWARD, object_name, role, sentence
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph
 from keymint.drawing.legend import edge_classes
 from keymint.drawing.palette import LIGHT
 from keymint.drawing.picture_options import DrawingOptions
 from keymint.drawing.simplify import SimplifiedGraph, simplify
-from keymint.graph import EdgeOutcome, Object
 
 
 def dot(labelled: LabelledGraph, options: DrawingOptions | None = None) -> bytes:

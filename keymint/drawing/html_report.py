@@ -19,6 +19,7 @@ from markupsafe import Markup
 
 from comarmor.errors import Origin, cited
 from comarmor.text import counted, printable
+from keymint.api.graph import DomainObject, EdgeOutcome
 from keymint.drawing.display_text import KINDS, OUTCOMES, object_name
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph, select_edges
 from keymint.drawing.layout import NodeKey
@@ -26,7 +27,6 @@ from keymint.drawing.palette import Theme, style_sheet
 from keymint.drawing.picture_options import DrawingOptions
 from keymint.drawing.simplify import EXPLICIT, priority, simplify
 from keymint.drawing.svg import draw, environment
-from keymint.graph import DomainObject, EdgeOutcome
 
 MOST_ROWS = 10_000
 """Maximum number of edges in a report; false labels and explicit denials are listed beyond it. Next are allowed edges.

@@ -11,8 +11,8 @@ from typing import NoReturn
 from comarmor.errors import Origin
 from comarmor.text import did_you_mean, first_few
 from comarmor.values import dataclass
+from keymint.api.graph import ConfusionMatrix, Edge, EdgeOutcome, Object
 from keymint.errors import ExitCode, KeymintError
-from keymint.graph import ConfusionMatrix, Edge, EdgeOutcome, Object
 from keymint.names import typed_subject
 
 

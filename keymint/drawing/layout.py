@@ -16,6 +16,7 @@ from itertools import accumulate
 
 from comarmor.text import printable
 from comarmor.values import dataclass
+from keymint.api.graph import DomainObject, Object
 from keymint.drawing.display_text import (
     INWARD,
     KINDS,
@@ -26,7 +27,6 @@ from keymint.drawing.display_text import (
     shorten,
 )
 from keymint.drawing.labelled_graph import LabelledEdge
-from keymint.graph import DomainObject, Object
 
 CHARACTER = 7.3
 """Width of a character of the labels, in pixels: at most 7.2 in a fixed-width font of 12 px."""

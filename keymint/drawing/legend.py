@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from comarmor.values import dataclass
+from keymint.api.graph import EdgeOutcome
 from keymint.drawing.display_text import INWARD, KINDS, OUTCOMES, OUTWARD, columns, role
 from keymint.drawing.labelled_graph import LabelledGraph
 from keymint.drawing.layout import CHARACTER, Panel
 from keymint.drawing.simplify import SimplifiedGraph
-from keymint.graph import EdgeOutcome
 
 LINE = 22.0
 """Height of a line of text, in pixels."""

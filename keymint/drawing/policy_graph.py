@@ -14,9 +14,9 @@ from comarmor.patterns.tokens import Star
 from comarmor.rules import PERMISSIONS
 from comarmor.text import did_you_mean
 from keymint.api import LoadedPolicy, PolicyDecision
+from keymint.api.graph import LABELLED, Edge, Graph, Object, complete
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph
 from keymint.errors import KeymintError
-from keymint.graph import LABELLED, Edge, Graph, Object, complete
 from keymint.names import no_subject
 
 MOST_EDGES = 250_000

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from lxml import etree
 
+from keymint.api.plugin_loader import how_to_add
 from keymint.drawing.palette import FONTS
 from keymint.errors import KeymintError
-from keymint.plugins import how_to_add
 
 MOST_PIXELS = 100_000_000
 """Maximum pixels of a picture: 400 MB while it is drawn."""

@@ -13,10 +13,10 @@ from dataclasses import replace
 
 from comarmor.text import counted, printable
 from comarmor.values import dataclass
+from keymint.api.graph import DomainObject, EdgeOutcome
 from keymint.drawing.display_text import KINDS
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, namespace
 from keymint.drawing.picture_options import DrawingOptions, Split
-from keymint.graph import DomainObject, EdgeOutcome
 
 FOLD_FROM = 40
 """Objects from which on a graph's objects are folded by default."""

@@ -12,6 +12,7 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 from comarmor.text import counted, printable
+from keymint.api.graph import EdgeOutcome
 from keymint.drawing.display_text import columns, object_name, sentence, shorten
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, namespace
 from keymint.drawing.layout import CHARACTER, EdgeLine, NodeBox, NodeKey, Panel, lay_out
@@ -19,7 +20,6 @@ from keymint.drawing.legend import LINE, edge_classes, flowed, legend
 from keymint.drawing.palette import style_sheet
 from keymint.drawing.picture_options import DrawingOptions, Split
 from keymint.drawing.simplify import SimplifiedGraph, folded_name, priority, simplify
-from keymint.graph import EdgeOutcome
 
 if TYPE_CHECKING:
     from jinja2 import Environment

@@ -8,14 +8,14 @@ from collections.abc import Iterator
 from cryptography import x509
 
 from comarmor.errors import Diagnostic
+from keymint.authority.authority_files import issuers
 from keymint.errors import KeymintError
-from keymint.pki import certificates, forms
-from keymint.plan.authority_files import issuers
-from keymint.plan.build import is_current
-from keymint.plan.enclaves import CERTIFICATE, installed_certificate, with_sources
-from keymint.plan.register import complete_register, issuer_of, register_of
-from keymint.plan.terms import shown
-from keymint.session import Session
+from keymint.life.terms import shown
+from keymint.life.workspace_register import complete_register, issuer_of, register_of
+from keymint.pki import certificate_forms, certificates
+from keymint.workspace.installed_enclaves import CERTIFICATE, installed_certificate, with_sources
+from keymint.workspace.package_build_types import is_build_current
+from keymint.workspace.session import Session
 
 
 def issued_here(session: Session) -> Iterator[tuple[str, x509.Certificate, x509.Certificate]]:
@@ -47,7 +47,7 @@ def registered(session: Session) -> Iterator[Diagnostic]:
     register = register_of(session)
     for name, certificate, issuer in issued_here(session):
         known = register.certificates.get((issuer_of(issuer), certificate.serial_number))
-        package = session.package(name, built=is_current(session, name))
+        package = session.package(name, built=is_build_current(session, name))
         where = session.workspace.origin(f"{session.enclave_folder(name)}/{CERTIFICATE}")
         issue = f"'keymint install {name}' issues another one"
         first, last = certificates.period(certificate)
@@ -65,7 +65,7 @@ def registered(session: Session) -> Iterator[Diagnostic]:
             help_ = f"remove the enclave; 'keymint renew --rekey {name}' makes a new key and certificate"
             yield Diagnostic.error("certificate-revoked", message, where, help_, package.subject)
         else:
-            wanted = forms.cut(package.identity.validity, issuer)
+            wanted = certificate_forms.cut(package.identity.validity, issuer)
             if (first, last) != (wanted.not_before, wanted.not_after):
                 message = f"is in force from {shown(first)} to {shown(last)}, which is not what the sources ask for"
                 yield Diagnostic.warning("certificate-drift", message, where, issue, package.subject)

@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from contextlib import suppress
 
 from comarmor.errors import Diagnostic
+from keymint.authority.authority_files import authority_keys, other
 from keymint.errors import KeymintError
+from keymint.life.package_issuance import place_of
 from keymint.names import subject_of
 from keymint.pki import certificates, keys
-from keymint.plan.authority_files import authority_keys, other
-from keymint.plan.enclaves import installed_certificate
-from keymint.plan.issuance import place_of
-from keymint.session import Session
+from keymint.workspace.installed_enclaves import installed_certificate
+from keymint.workspace.session import Session
 
 
 def elsewhere(session: Session) -> Iterator[Diagnostic]:

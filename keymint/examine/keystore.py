@@ -8,20 +8,20 @@ from dataclasses import replace
 
 from comarmor.errors import Diagnostic
 from comarmor.text import first_few
-from keymint import journal
 from keymint.api import LoadedPolicy, Phase
+from keymint.authority.rollover import staged_session
 from keymint.errors import KeymintError
 from keymint.examine.issued import registered
 from keymint.examine.lists import lists_in_force, of_enclaves
 from keymint.examine.rights import presented_rights
 from keymint.executors import Pool
+from keymint.life.earlier_rights import RIGHTS_OUTLIVE
 from keymint.names import subject_of
-from keymint.plan.earlier_rights import RIGHTS_OUTLIVE
-from keymint.plan.enclaves import INSTALLED, with_sources
-from keymint.plan.proof_results import ProofEffort, ProofResults
-from keymint.plan.prove import ProofStage
-from keymint.plan.rollover import staged_session
-from keymint.session import Session, once
+from keymint.stages.proof.proof_results import ProofEffort, ProofResults
+from keymint.stages.proof.prove import ProofStage
+from keymint.store import journal
+from keymint.workspace.installed_enclaves import INSTALLED, with_sources
+from keymint.workspace.session import Session, once
 
 SHOWN_NOTES = frozenset({RIGHTS_OUTLIVE, "authority-key-missing", "not-examined"})
 """Codes of notes that are shown in any case: an owner must know of them."""

@@ -7,17 +7,16 @@ from collections.abc import Iterator, Mapping
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import counted, first_few
+from keymint.authority.authority_files import issuers
 from keymint.errors import KeymintError
 from keymint.examine.issued import issued_here
+from keymint.life.revocation_lists_in_force import enclave_lists
+from keymint.life.workspace_register import issuer_of, register_of
 from keymint.names import subject_of
 from keymint.pki import revocation_lists
-from keymint.plan.authority_files import issuers
-from keymint.plan.build import is_current
-from keymint.plan.build_types import build_types_of, revocation_files
-from keymint.plan.enclaves import enclave_files, with_sources
-from keymint.plan.register import issuer_of, register_of
-from keymint.plan.revocation import enclave_lists
-from keymint.session import Session, once
+from keymint.workspace.installed_enclaves import enclave_files, with_sources
+from keymint.workspace.package_build_types import build_types_of, is_build_current, revocation_files
+from keymint.workspace.session import Session, once
 
 _INSTALL = "'keymint install' writes it again; then deploy and restart the enclaves"
 
@@ -51,7 +50,7 @@ def of_enclaves(session: Session) -> Iterator[Diagnostic]:
     """
     in_force, accepted = enclave_lists(session), _accepted(session)
     for name in with_sources(session):
-        package, files = session.package(name, built=is_current(session, name)), enclave_files(session, name)[0]
+        package, files = session.package(name, built=is_build_current(session, name)), enclave_files(session, name)[0]
         build_types, layout = build_types_of(session, package).values(), session.profile.layout
         expected = in_force.get(package.identity.issuer, b"")
         folder = session.workspace.shown(session.enclave_folder(name))

@@ -11,15 +11,15 @@ from comarmor.errors import Diagnostic, Origin
 from comarmor.text import first_few
 from keymint import __version__
 from keymint.api import FoundEnclave, GrantReader, KeystoreFiles, LoadedPolicy, NodeCheck
+from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import subject_of
-from keymint.plan.build_types import recorded_build_types
-from keymint.plan.prove import STAGE, policy_digest
-from keymint.plan.shared_documents import FOLDER
-from keymint.plugins import Plugins
-from keymint.session import Session
-from keymint.state import Stamp, State, digest
+from keymint.stages.proof.prove import STAGE, policy_digest
+from keymint.stages.shared_documents import FOLDER
+from keymint.view.stamps import Stamp, State, digest
+from keymint.workspace.package_build_types import recorded_build_types
+from keymint.workspace.session import Session
 
 NODE_NOTES = frozenset({"node-cannot-start", "parameter-client-cannot-start"})
 """Codes of these notes, which are shown in any case."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from comarmor.errors import Diagnostic
-from keymint.session import Inputs
+from keymint.workspace.session import Inputs
 
 _REGISTER = "which certificates were issued and revoked is not known"
 _KEYS = "no private key here is compared with its certificate"

@@ -18,6 +18,7 @@ from cryptography import x509
 from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint import __version__
+from keymint.adoption import hardening
 from keymint.api import (
     Claim,
     Holder,
@@ -29,28 +30,27 @@ from keymint.api import (
     Proof,
     Role,
 )
-from keymint.bundles import container
+from keymint.authority import authority_files
+from keymint.authority.authority_files import chains_digest
 from keymint.errors import KeymintError
 from keymint.examine.not_examined import has_register
 from keymint.ir import DeferredRules, Rule, SubjectRules
+from keymint.life import earlier_rights, register_database
+from keymint.life.issued_certificates import SignedRights
+from keymint.life.workspace_register import issuer_of, register_of
 from keymint.names import ROOT, package_name, subject_of
 from keymint.pki import certificates, distinguished_names, smime
 from keymint.pki.distinguished_names import to_text
 from keymint.pki.mime import SignedDocument
-from keymint.plan import authority_files, earlier_rights, hardening
-from keymint.plan.authority_files import chains_digest
-from keymint.plan.build import is_current
-from keymint.plan.build_types import inputs_digest
-from keymint.plan.enclaves import installed_certificate
-from keymint.plan.proof_record import dump_claims, load_claims
-from keymint.plan.proof_results import EnclaveProof, ProofEffort, ProofResults
-from keymint.plan.prove import STAGE, policy_digest
-from keymint.plan.register import issuer_of, register_of
-from keymint.plan.shared_documents import FOLDER
-from keymint.register import database
-from keymint.register.register import SignedRights
-from keymint.session import Session, once
-from keymint.state import Stamp, State, digest
+from keymint.robots import bundle_container
+from keymint.stages.proof.proof_record import dump_claims, load_claims
+from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, ProofResults
+from keymint.stages.proof.prove import STAGE, policy_digest
+from keymint.stages.shared_documents import FOLDER
+from keymint.view.stamps import Stamp, State, digest
+from keymint.workspace.installed_enclaves import installed_certificate
+from keymint.workspace.package_build_types import inputs_digest, is_build_current
+from keymint.workspace.session import Session, once
 
 _MOST = 1 << 20
 """Largest file in bytes in which a certificate or a signed document is looked for."""
@@ -183,7 +183,7 @@ def _earlier(session: Session) -> Mapping[bytes, SignedRights]:
         rights = (each for each in register_of(session).rights if each.not_after >= session.now)
         return {each.content: each for each in rights}
     except ValueError:
-        raise database.damaged(session.workspace.origin(session.workspace.register)) from None
+        raise register_database.damaged(session.workspace.origin(session.workspace.register)) from None
 
 
 def _dump(now: datetime, outliving: Iterable[_Outliving]) -> str:
@@ -211,7 +211,7 @@ def _universe(holders: Sequence[Holder], documents: Sequence[PresentableDocument
 def _packages(session: Session, build_type: str) -> Mapping[str, Package]:
     """Return the packages of subjects that a build type builds, by name."""
     names = (name for name in session.packages() if session.role(name) is Role.SUBJECT)
-    found = (session.package(name, built=is_current(session, name)) for name in names)
+    found = (session.package(name, built=is_build_current(session, name)) for name in names)
     return {each.name: each for each in found if build_type in each.build_types}
 
 
@@ -230,12 +230,14 @@ def _files(session: Session) -> Mapping[str, bytes]:
         if path.endswith(".xml"):
             continue
         status = tree.status(path)
-        if status is None or status.st_size > container.MAX_BYTES:
+        if status is None or status.st_size > bundle_container.MAX_BYTES:
             continue
         content = tree.try_read(path) or b""
         if content[257:262] == b"ustar":
             try:
-                found |= {f"{path}:{name}": each for name, each in container.unpack(content, Origin(path)).items()}
+                found |= {
+                    f"{path}:{name}": each for name, each in bundle_container.unpack(content, Origin(path)).items()
+                }
             except KeymintError:
                 continue
         elif len(content) <= _MOST and (_SIGNED in content or _CERTIFICATE in content):

@@ -7,4 +7,7 @@ secrets. Keys, signatures and files stay in the process that the user started.
 
 from keymint.executors.pool import Pool
 
-__all__ = ["Pool"]
+__all__ = ["PROCESSES", "Pool"]
+
+PROCESSES = "processes"
+"""The executor that is not a cluster: processes of this machine."""

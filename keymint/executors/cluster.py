@@ -21,10 +21,10 @@ from datetime import datetime
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
+from keymint.api.plugin_loader import Plugins, how_to_add
 from keymint.errors import ExitCode, KeymintError
 from keymint.executors import worker
 from keymint.executors.pool import PARTS_FOR_EACH, Result, Task, Work, divided, in_order
-from keymint.plugins import Plugins, how_to_add
 
 if TYPE_CHECKING:
     from distributed import Client, Security

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from keymint.plugins import Plugins
+from keymint.api.plugin_loader import Plugins
 
 if TYPE_CHECKING:
     from concurrent.futures import Future  # slow to import, and only some runs need a pool

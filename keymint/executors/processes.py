@@ -11,9 +11,9 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 from typing import Any
 
+from keymint.api.plugin_loader import Plugins
 from keymint.errors import process_ended
 from keymint.executors.pool import PARTS_FOR_EACH, Result, Task, Work, divided, in_order
-from keymint.plugins import Plugins
 
 
 class Processes:

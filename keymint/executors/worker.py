@@ -15,10 +15,10 @@ from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint import __version__
 from keymint.api import Environment
+from keymint.api.plugin_loader import Plugins
 from keymint.errors import ExitCode, KeymintError
 from keymint.executors import answers
 from keymint.executors.pool import Work
-from keymint.plugins import Plugins
 
 DONE, REFUSED = b"+", b"-"
 """How an answer begins."""

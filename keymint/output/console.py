@@ -15,9 +15,9 @@ from typing import IO, Any
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted, encodable, printable, printable_lines
 from comarmor.values import dataclass
-from keymint.changes import Action, DocumentSize, Step
+from keymint.host.streams_and_signals import Output
 from keymint.output.report import Report, report_json
-from keymint.process import Output
+from keymint.store.changes import Action, DocumentSize, Step
 
 _COLOURS: Mapping[Severity, str] = {
     Severity.ERROR: "31",

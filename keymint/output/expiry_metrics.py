@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import datetime
 
+from keymint.life.renewal_schedule import CERTIFICATE, LIST, PERMISSIONS, authority_ends, authority_renewals
 from keymint.names import subject_of
 from keymint.output.openmetrics import Gauge, moments
-from keymint.plan.renewal import CERTIFICATE, LIST, PERMISSIONS, authority_ends, authority_renewals
-from keymint.session import Session
-from keymint.status import StatusRow
+from keymint.stages.package_status import StatusRow
+from keymint.workspace.session import Session
 
 
 def gauges(session: Session, rows: Sequence[StatusRow]) -> tuple[Gauge, ...]:

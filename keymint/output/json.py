@@ -10,7 +10,7 @@ from typing import Any
 from comarmor.errors import Origin
 from keymint.analysis.policy_diff import SubjectChanges
 from keymint.api import PolicyDecision, Verdict
-from keymint.graph import Edge
+from keymint.api.graph import Edge
 from keymint.output.mismatches import request_text
 from keymint.output.report import members
 from keymint.verify.mismatch import Comparison, Mismatch

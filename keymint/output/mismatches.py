@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from comarmor.errors import Diagnostic, Severity, cited
 from comarmor.text import counted
-from keymint.graph import Edge, EdgeOutcome
+from keymint.api.graph import Edge, EdgeOutcome
 from keymint.ir import Rule
 from keymint.names import name_of
 from keymint.output.junit import JUnitCase, JUnitFailure, JUnitSuite

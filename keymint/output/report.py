@@ -11,9 +11,9 @@ from typing import Any
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.values import dataclass
-from keymint.changes import Step
 from keymint.errors import ExitCode
-from keymint.workspace import Workspace
+from keymint.store.changes import Step
+from keymint.workspace.workspace import Workspace
 
 FORMAT = "keymint-report"
 VERSION = 2

@@ -19,7 +19,7 @@ from comarmor.text import quoted
 from comarmor.values import dataclass
 from keymint.api import CertificateSpec
 from keymint.errors import KeymintError
-from keymint.pki import distinguished_names, extensions, forms, keys
+from keymint.pki import certificate_forms, distinguished_names, extensions, keys
 from keymint.pki.distinguished_names import to_text
 
 MAX_BYTES = 1 << 20
@@ -266,7 +266,7 @@ def certificate_satisfies(
     Raises:
         KeymintError: as issuing would.
     """
-    form = forms.form(spec, public_key, issuer, authority=authority)
+    form = certificate_forms.form(spec, public_key, issuer, authority=authority)
     try:
         certificate = load(pem)
     except KeymintError:
@@ -344,7 +344,7 @@ def _issue(
     *,
     authority: bool,
 ) -> Issued:
-    form = forms.form(spec, public_key, issuer, authority=authority)
+    form = certificate_forms.form(spec, public_key, issuer, authority=authority)
     certificate = form.signed(spec.serial, public_key, signing_key)
     try:
         _ = certificate.extensions if spec.extensions else ()

@@ -38,7 +38,7 @@ _LAST = datetime.max.replace(tzinfo=UTC) - timedelta(seconds=1)
 
 @dataclass(frozen=True, slots=True)
 class Revocation:
-    """A revoked serial number, when it was revoked (UTC), and why (see :data:`keymint.register.register.REASONS`)."""
+    """A revoked serial number, when it was revoked (UTC), and why: a reason of RFC 5280, 5.3.1."""
 
     serial: int
     at: datetime

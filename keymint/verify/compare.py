@@ -11,8 +11,8 @@ from operator import attrgetter
 
 from comarmor.values import dataclass
 from keymint.api import Enclave, Tier, Transport, Verdict
+from keymint.api.graph import ConfusionMatrix, Edge
 from keymint.errors import KeymintError
-from keymint.graph import ConfusionMatrix, Edge
 from keymint.verify.mismatch import Comparison, Mismatch
 from keymint.verify.tally import Tally
 

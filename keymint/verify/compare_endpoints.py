@@ -12,8 +12,8 @@ from dataclasses import replace
 from operator import and_
 
 from keymint.api import Enclave, EndpointTransport, Tier
+from keymint.api.graph import ConfusionMatrix, Edge
 from keymint.errors import KeymintError
-from keymint.graph import ConfusionMatrix, Edge
 from keymint.verify.compare import ENCLAVE_REFUSED, Asking, Explain, label_enclave
 from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.halves import halves

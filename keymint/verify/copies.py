@@ -17,10 +17,10 @@ from typing import cast
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.api import Availability, Enclave, EndpointTransport, Tier, Transport, Verdict
+from keymint.api.graph import Column, Edge
 from keymint.errors import KeymintError
-from keymint.graph import Column, Edge
-from keymint.tree import Tree
 from keymint.verify.usable_transports import names_rules
+from keymint.view.tree import Tree
 
 PUBLIC = {".json", ".json5", ".p7s", ".pem", ".sig", ".xml"}
 """Suffixes of files that a model may read, and that may leave this machine."""

@@ -14,7 +14,7 @@ from functools import lru_cache
 from comarmor.patterns import glob
 from comarmor.patterns.matching import matcher
 from keymint.api import LoadedPolicy, PolicyDecision, RowPolicy
-from keymint.graph import Column, Edge
+from keymint.api.graph import Column, Edge
 from keymint.verify.rows import RAW, EdgeRow, Naming, mapped
 
 

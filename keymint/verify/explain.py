@@ -10,8 +10,8 @@ from functools import cache
 
 from comarmor.errors import Origin
 from keymint.api import Enclave, Tier, Transport, Verdict
+from keymint.api.graph import Edge
 from keymint.errors import KeymintError
-from keymint.graph import Edge
 from keymint.verify.compare import label_enclave
 from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.mismatch import Mismatch

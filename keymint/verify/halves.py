@@ -12,7 +12,7 @@ from dataclasses import replace
 from itertools import chain
 
 from keymint.api import Enclave, Transport
-from keymint.graph import Edge
+from keymint.api.graph import Edge
 from keymint.verify.compare import Explain, label_by_subject
 from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.mismatch import Comparison

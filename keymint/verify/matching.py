@@ -11,7 +11,7 @@ from comarmor.patterns.rule_matching import rule_matches, rule_matches_partition
 from comarmor.rules import Effect, parts
 from comarmor.text import nearest_word
 from comarmor.values import dataclass
-from keymint.graph import Edge
+from keymint.api.graph import Edge
 from keymint.ir import Rule
 from keymint.verify.rows import RAW
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import PolicyDecision, Tier, Verdict
-from keymint.graph import ConfusionMatrix, Edge, EdgeOutcome
+from keymint.api.graph import ConfusionMatrix, Edge, EdgeOutcome
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,9 +8,9 @@ from dataclasses import astuple, replace
 
 from comarmor.values import dataclass
 from keymint.api import DivisiblePolicy, LoadedPolicy, Transport
+from keymint.api.graph import ConfusionMatrix, Graph, Object
+from keymint.api.plugin_loader import Plugins
 from keymint.executors import Pool
-from keymint.graph import ConfusionMatrix, Graph, Object
-from keymint.plugins import Plugins
 from keymint.verify.compare import Asking
 from keymint.verify.copies import Copies, placed
 from keymint.verify.endpoint_policy import EndpointPolicy

@@ -16,7 +16,7 @@ from itertools import chain, islice
 from comarmor.patterns import glob
 from comarmor.patterns.tokens import Charset, PatternError, Star
 from comarmor.rules import PARTS
-from keymint.graph import LABELLED, Edge, Object
+from keymint.api.graph import LABELLED, Edge, Object
 from keymint.ir import Rule, SubjectRules
 from keymint.verify.rows import RAW
 

@@ -11,7 +11,7 @@ from functools import lru_cache
 
 from comarmor.values import dataclass
 from keymint.api import NameMapping
-from keymint.graph import Column, Edge
+from keymint.api.graph import Column, Edge
 
 RAW = "topic"
 

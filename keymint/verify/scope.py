@@ -25,14 +25,14 @@ from keymint.api import (
     SelectiveTransport,
     Transport,
 )
+from keymint.api.graph import LABELLED, Column, Edge, Graph, Object, column
 from keymint.errors import KeymintError
-from keymint.graph import LABELLED, Column, Edge, Graph, Object, column
 from keymint.ir import SubjectRules
 from keymint.names import subject_of
-from keymint.plan.enclaves import installed
-from keymint.session import Inputs, Session
 from keymint.verify import probes
 from keymint.verify.rows import EdgeRow, EdgeRows, Naming
+from keymint.workspace.installed_enclaves import installed
+from keymint.workspace.session import Inputs, Session
 
 _Value = TypeVar("_Value")
 

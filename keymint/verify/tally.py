@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections import Counter
 
 from keymint.api import Verdict
-from keymint.graph import Edge
+from keymint.api.graph import Edge
 
 
 class Tally:

@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from keymint.api import Availability, Tier, Transport
+from keymint.api.plugin_loader import Plugins
 from keymint.errors import ExitCode, KeymintError
-from keymint.plugins import Plugins
 
 
 def choose(

@@ -9,7 +9,7 @@ from itertools import chain
 
 from comarmor.values import dataclass
 from keymint.api import EndpointTransport, LoadedPolicy, PolicyDecision, Tier, Transport
-from keymint.graph import Edge
+from keymint.api.graph import Edge
 from keymint.verify.compare import Asking, compare
 from keymint.verify.compare_endpoints import compare_endpoints
 from keymint.verify.endpoint_policy import EndpointPolicy, label

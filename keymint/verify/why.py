@@ -23,12 +23,10 @@ from keymint.api import (
     Tier,
     Transport,
 )
+from keymint.api.graph import Edge, Object
 from keymint.errors import ExitCode, KeymintError
-from keymint.graph import Edge, Object
 from keymint.ir import Rule
 from keymint.names import name_of, typed_permission, typed_subject
-from keymint.plan.enclaves import installed
-from keymint.session import Session
 from keymint.verify.compare import label_enclave
 from keymint.verify.copies import copied
 from keymint.verify.endpoint_policy import EndpointPolicy
@@ -37,7 +35,9 @@ from keymint.verify.matching import matching_rules, nearest
 from keymint.verify.mismatch import Mismatch
 from keymint.verify.rows import RAW, Naming
 from keymint.verify.scope import Names, naming_of
-from keymint.workspace import packages
+from keymint.workspace.installed_enclaves import installed
+from keymint.workspace.session import Session
+from keymint.workspace.workspace import packages
 
 
 @dataclass(frozen=True, slots=True)

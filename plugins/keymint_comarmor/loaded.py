@@ -13,7 +13,7 @@ from comarmor.rules import Effect
 from comarmor.values import dataclass
 from comarmor.xml.package_folders import ShippedFile
 from keymint.api import AppliedProfile, PolicyDecision, PolicyStructure
-from keymint.graph import Edge
+from keymint.api.graph import Edge
 from keymint.ir import SubjectRules
 
 

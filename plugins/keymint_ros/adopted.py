@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from keymint.api import AdoptedSources, DomainRange, KeySpec, Validity, WorkspaceProfile
 from keymint_ros import bootstrap, permissions_writer
-from keymint_ros.profile import base_of
+from keymint_ros.profile_reader import base_of
 from keymint_ros.templates import filled
 from keymint_ros.validity import written
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 from comarmor.errors import Origin
 from keymint.api import AuthorityIssuance, CertificateSpec, Phase, Rollover
+from keymint.api.source_documents import Reader, place, require_new, text
 from keymint.errors import known_authority
-from keymint.source_documents import Reader, place, require_new, text
 from keymint_ros import certificate, validity
 from keymint_ros.templates import filled
 
@@ -75,9 +75,9 @@ def applied(spec: CertificateSpec, issuance: AuthorityIssuance) -> CertificateSp
         # The begin stays: certificates that it issued before would otherwise begin before it.
         end = validity.renewed(spec.validity, issuance.renewed).not_after
         return replace(spec, validity=replace(spec.validity, not_after=end))
-    from keymint.pki import adoption  # noqa: PLC0415 - few profiles have one, and it takes time to import
+    from keymint.pki import foreign_authorities  # noqa: PLC0415 - few profiles have one, and it takes time to import
 
-    return adoption.adopted(spec, issuance.adopted)
+    return foreign_authorities.adopted(spec, issuance.adopted)
 
 
 def with_authority_issuance(issuance: Mapping[str, AuthorityIssuance]) -> Mapping[str, bytes]:

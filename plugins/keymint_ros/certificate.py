@@ -11,8 +11,8 @@ from comarmor.errors import Origin
 from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint.api import CertificateSpec, Extension, KeySpec, Validity
+from keymint.api.source_documents import incomplete, place, require_new, text
 from keymint.errors import KeymintError
-from keymint.source_documents import incomplete, place, require_new, text
 from keymint_ros import placeholders, validity
 
 if TYPE_CHECKING:
@@ -226,7 +226,7 @@ def _token_key(element: etree._Element, key: KeySpec, uri: etree._Element) -> Ke
                 help="leave it out; <pin_env> names the environment variable of the PIN",
                 code="key-password",
             )
-    from keymint.pki import pkcs11_uri  # noqa: PLC0415 - few documents need it
+    from keymint.pki.tokens import pkcs11_uri  # noqa: PLC0415 - few documents need it
 
     given_uri = text(uri) or ""
     pkcs11_uri.parse(given_uri, place(uri))

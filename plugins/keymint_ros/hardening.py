@@ -16,7 +16,7 @@ from keymint.api import Validity, WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint_ros import bootstrap, manifest
 from keymint_ros.manifest import SIGNER
-from keymint_ros.profile import base_of
+from keymint_ros.profile_reader import base_of
 
 _NAME = lazy_regex(r"<subject_name>[^<]*</subject_name>")
 _VALIDITY = lazy_regex(r"^([ \t]*)<validity>", re.MULTILINE)

@@ -10,15 +10,15 @@ from comarmor.errors import Origin
 from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint.api import Role
+from keymint.api.source_documents import Reader, file_in, normal_path, place, require_new, text
 from keymint.errors import KeymintError
-from keymint.source_documents import Reader, file_in, normal_path, place, require_new, text
 
 if TYPE_CHECKING:
     from lxml import etree
 
 MARKER = "keymint_package.xml"
 ISSUANCE = "issuance.xml"
-"""What an authority decided about the certificate of the package; see :mod:`keymint_ros.issuance`."""
+"""What an authority decided about the certificate of the package; see :mod:`keymint_ros.issuance_document`."""
 BUILD_TYPE = "keymint_ros2_dds"
 SIGNER = "permissions_ca"
 """Name of the authority that signs documents, where one alone does; packages of 2018 and new profiles name it."""

@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from keymint.api import AcceptedPackage
-from keymint.source_documents import Reader, require_new
+from keymint.api.source_documents import Reader, require_new
 from keymint_ros.templates import filled
 
 if TYPE_CHECKING:

@@ -27,10 +27,10 @@ from comarmor.values import dataclass
 from comarmor.xml import reader
 from comarmor.xml.includes import PACKAGE
 from comarmor.xml.reader import line
+from keymint.api.source_documents import Reader, domains, place
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
 from keymint.names import name_of
-from keymint.source_documents import Reader, domains, place
 from keymint_ros import placeholders, validity
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean
+from keymint.api.source_documents import place, text
 from keymint.errors import KeymintError
-from keymint.source_documents import place, text
 
 if TYPE_CHECKING:
     from lxml import etree

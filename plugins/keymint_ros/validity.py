@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from comarmor.errors import Origin
 from comarmor.text import quoted
 from keymint.api import Validity
+from keymint.api.source_documents import place, text
 from keymint.errors import KeymintError
-from keymint.source_documents import place, text
 
 if TYPE_CHECKING:
     from lxml import etree

@@ -13,9 +13,9 @@ from keymint_comarmor.loaded import ComArmorPolicy
 
 from comarmor.errors import Diagnostic
 from keymint.api import LearnedPolicy, LoadedPolicy
+from keymint.api.generated_names import generalised, is_generated
+from keymint.api.graph import Edge, Graph
 from keymint.errors import KeymintError
-from keymint.generated_names import generalised, is_generated
-from keymint.graph import Edge, Graph
 from keymint_ros2_comarmor.common_parts import share
 from keymint_ros2_comarmor.learned_document import document, fragment
 from keymint_ros2_comarmor.learned_rules import needs_of

@@ -11,8 +11,8 @@ from comarmor.language.syntax import Attachment, ProfileRule
 from comarmor.patterns.printing import escape
 from comarmor.rules import PERMISSIONS, Effect
 from comarmor.values import dataclass
-from keymint.generated_names import generalised
-from keymint.graph import Edge
+from keymint.api.generated_names import generalised
+from keymint.api.graph import Edge
 
 Need = tuple[str, str, str, tuple[str, ...]]
 """Kind, attachment or name, permission, and partitions; no partitions means the default one."""

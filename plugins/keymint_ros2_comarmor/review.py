@@ -11,7 +11,7 @@ from comarmor.language.attachments import parts as subject_parts
 from comarmor.patterns.expression import matches
 from comarmor.rules import parts
 from comarmor.text import quoted
-from keymint.graph import Edge, Graph
+from keymint.api.graph import Edge, Graph
 
 _Need = tuple[str, str, str, tuple[str, ...]]
 """Kind, permission, name and partitions of an elementary request."""

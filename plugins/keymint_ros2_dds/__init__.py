@@ -49,13 +49,13 @@ class DdsSecurity:
 
     check_rules = lazy("keymint_ros2_dds.rule_check:check_rules")
     check_node = lazy("keymint_ros2_dds.node_start:check_node")
-    compare = lazy("keymint_ros2_dds.foreign_documents:compare")
-    compared = lazy("keymint_ros2_dds.proving.relation:compared")
-    compared_with = lazy("keymint_ros2_dds.proving.relation:compared_with")
-    granted = lazy("keymint_ros2_dds.keystores.grants:granted")
+    compare = lazy("keymint_ros2_dds.keystores.document_comparison:compare")
+    compared = lazy("keymint_ros2_dds.proving.document_relation:compared")
+    compared_with = lazy("keymint_ros2_dds.proving.document_relation:compared_with")
+    granted = lazy("keymint_ros2_dds.keystores.grants_as_rules:granted")
 
-    found = lazy("keymint_ros2_dds.keystores.found:found")
-    not_kept = lazy("keymint_ros2_dds.kept_documents:not_kept")
+    found = lazy("keymint_ros2_dds.keystores.found_keystore:found")
+    not_kept = lazy("keymint_ros2_dds.keystores.kept_documents:not_kept")
 
     endpoints = lazy("keymint_ros2_dds.lowering.endpoints:endpoints")
     actions = lazy("keymint_ros2_dds.lowering.endpoints:actions")
@@ -77,13 +77,13 @@ class DdsSecurity:
     excess = lazy("keymint_ros2_dds.proving.presented:excess")
     distro_of = lazy("keymint_ros2_dds.proving.installed_distro:distro_of")
 
-    is_remote = lazy("keymint_ros2_dds.kinds.elsewhere:is_remote")
-    receive = lazy("keymint_ros2_dds.kinds.elsewhere:receive")
-    compiling = lazy("keymint_ros2_dds.kinds.elsewhere:compiling")
+    is_remote = lazy("keymint_ros2_dds.emit.compiled_elsewhere:is_remote")
+    receive = lazy("keymint_ros2_dds.emit.compiled_elsewhere:receive")
+    compiling = lazy("keymint_ros2_dds.emit.compiled_elsewhere:compiling")
 
-    question = lazy("keymint_ros2_dds.proving.elsewhere:question")
-    know = lazy("keymint_ros2_dds.proving.elsewhere:receive")
-    proving = lazy("keymint_ros2_dds.proving.elsewhere:proving")
+    question = lazy("keymint_ros2_dds.proving.proofs_elsewhere:question")
+    know = lazy("keymint_ros2_dds.proving.proofs_elsewhere:receive")
+    proving = lazy("keymint_ros2_dds.proving.proofs_elsewhere:proving")
 
 
 build_type = DdsSecurity()

@@ -10,11 +10,12 @@ from comarmor.errors import Defects, Diagnostic, Origin, Severity
 from keymint.api import BuildOptions, BuildResult, Package
 from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
-from keymint_ros2_dds import governance_warnings, kept_documents, token_key, vendor_limits
+from keymint_ros2_dds import governance_warnings, token_key, vendor_limits
 from keymint_ros2_dds.documents import governance_document
 from keymint_ros2_dds.domains import in_words, uncovered
+from keymint_ros2_dds.emit.kind_members import emit_by_kind
 from keymint_ros2_dds.enclave_layout import GOVERNANCE, GOVERNANCE_XML, PERMISSIONS, PERMISSIONS_XML
-from keymint_ros2_dds.kinds.members import emit_by_kind
+from keymint_ros2_dds.keystores import kept_documents
 from keymint_ros2_dds.settings import settings_of, validity_of
 
 

@@ -32,7 +32,7 @@ from keymint_ros2_dds.enclave_layout import (
     has_one_authority,
 )
 from keymint_ros2_dds.examine import Document, EnclaveRules
-from keymint_ros2_dds.kept_documents import not_kept
+from keymint_ros2_dds.keystores.kept_documents import not_kept
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance, cuts
 from keymint_ros2_dds.proving.protection import STRICT, Weaker, weaker
 from keymint_ros2_dds.reading import signed_governance, signed_permissions

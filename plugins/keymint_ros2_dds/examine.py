@@ -2,8 +2,8 @@
 """The rules about the files of one enclave, each in one place.
 
 A view asks some of them and says what an answer weighs: ``keymint check`` (:mod:`keymint_ros2_dds.check`), proofs
-(:func:`differences`) and ``keymint adopt`` (:mod:`keymint_ros2_dds.keystores.enclaves`), which compares a keystore of
-another tool with the authorities that it has itself.
+(:func:`differences`) and ``keymint adopt`` (:mod:`keymint_ros2_dds.keystores.found_enclaves`), which compares a
+keystore of another tool with the authorities that it has itself.
 """
 
 from __future__ import annotations

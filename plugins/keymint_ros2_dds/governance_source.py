@@ -13,8 +13,8 @@ from comarmor.text import quoted
 from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint.api import DomainRange, Grant, PackageSettings, PackageSources, SourcePart
+from keymint.api.source_documents import DEFAULT_DOMAINS, Reader, domains, incomplete, signer, text
 from keymint.errors import KeymintError
-from keymint.source_documents import DEFAULT_DOMAINS, Reader, domains, incomplete, signer, text
 from keymint_ros2_dds.settings import STRICT_DOMAIN, STRICT_TOPIC, DdsSettings, DomainRule, Governance, TopicProtection
 
 if TYPE_CHECKING:

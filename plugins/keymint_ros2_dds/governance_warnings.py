@@ -17,7 +17,7 @@ from comarmor.patterns.relations import union_covers
 from keymint.api import DomainRange, Package
 from keymint_ros2_dds.documents import governance_document
 from keymint_ros2_dds.domains import in_words, uncovered
-from keymint_ros2_dds.lowering.lower import Lowered, lower
+from keymint_ros2_dds.lowering.lowered_rules import Lowered, lower
 from keymint_ros2_dds.proving import octets, permission_lists
 from keymint_ros2_dds.proving.enclave_governance import cuts
 from keymint_ros2_dds.proving.protection import ACCEPT

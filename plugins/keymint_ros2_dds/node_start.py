@@ -21,8 +21,8 @@ from comarmor.rules import PARTS
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS
-from keymint_ros2_dds.lowering.lower import lower
-from keymint_ros2_dds.lowering.mapping import DISTROS
+from keymint_ros2_dds.lowering.lowered_rules import lower
+from keymint_ros2_dds.lowering.name_mapping import DISTROS
 from keymint_ros2_dds.proving.permission_lists import of_policy
 from keymint_ros2_dds.proving.policy_evaluator import decide
 

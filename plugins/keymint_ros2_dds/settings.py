@@ -10,7 +10,7 @@ from typing import Any
 from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import DomainRange, Grant, Package, Validity
-from keymint.source_documents import incomplete
+from keymint.api.source_documents import incomplete
 
 BUILD_TYPE = "keymint_ros2_dds"
 """The name by which packages ask for this build type."""

@@ -34,7 +34,7 @@ def check(package: Package, *, allow_vendor_specific: bool) -> Iterator[Diagnost
             spec.origin, f"leave out <pkcs11>, or use {READS_KEY_URI[0]} or later", package.subject,
         )  # fmt: skip
         return
-    from keymint.pki.pkcs11_uri import parse  # noqa: PLC0415 - few packages need it
+    from keymint.pki.tokens.pkcs11_uri import parse  # noqa: PLC0415 - few packages need it
 
     if parse(spec.key.uri, spec.origin).module_path:
         yield Diagnostic.error(

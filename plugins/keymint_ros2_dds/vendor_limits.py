@@ -12,7 +12,7 @@ from comarmor.rules import Effect
 from keymint.api import KeySpec, Package
 from keymint.errors import KeymintError
 from keymint.pki import distinguished_names, keys
-from keymint_ros2_dds.lowering.lower import Lowered
+from keymint_ros2_dds.lowering.lowered_rules import Lowered
 
 TIGHT = 45_000
 """Bytes of a signed document up to which handshakes worked on every vendor."""

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from comarmor.errors import Defects, Diagnostic, Severity
 from keymint.api import BuildOptions, BuildResult, Package
 from keymint_ros2_zenoh import emission, key_limits
-from keymint_ros2_zenoh.documents.write import write
+from keymint_ros2_zenoh.documents.configuration_writer import write
 from keymint_ros2_zenoh.enclave_layout import ROUTER, SESSION
 from keymint_ros2_zenoh.gathering import gathered
 from keymint_ros2_zenoh.lowering.key_rule import KeyRule

@@ -18,10 +18,10 @@ from keymint.errors import KeymintError
 from keymint.names import name_of
 from keymint.pki import certificates, extensions
 from keymint.pki.identity_check import IdentityCheck
-from keymint_ros2_zenoh import requirements
+from keymint_ros2_zenoh import configuration_requirements
 from keymint_ros2_zenoh.decision.admission import first_common_name, lacking_usage, names_host
 from keymint_ros2_zenoh.documents.configuration import Configuration
-from keymint_ros2_zenoh.documents.read import read
+from keymint_ros2_zenoh.documents.configuration_reader import read
 from keymint_ros2_zenoh.emission import common_name, enclaves_of, router_of
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, ROUTER, SESSION
 from keymint_ros2_zenoh.settings import is_router, settings_of
@@ -47,7 +47,7 @@ def check_shared(inspection: SharedInspection) -> tuple[Diagnostic, ...]:
     names = {package.subject: common_name(package) for package in enclaves_of(inspection.packages)}
 
     def of_router(found: Configuration) -> Iterator[Diagnostic]:
-        yield from requirements.holders(found, names, file)
+        yield from configuration_requirements.holders(found, names, file)
         yield from _installed_names(inspection, names)
 
     return tuple(_examined(content, inspection.documents[ROUTER], file, _INSTALL, of_router))
@@ -73,8 +73,11 @@ def _examined(
     except KeymintError as error:
         yield from error.diagnostics
         return
-    usual = requirements.as_built(found, read(built, file), file), requirements.open_default(found, file)
-    for each in (*chain(*usual), *requirements.entries(found), *more(found)):
+    usual = (
+        configuration_requirements.as_built(found, read(built, file), file),
+        configuration_requirements.open_default(found, file),
+    )
+    for each in (*chain(*usual), *configuration_requirements.entries(found), *more(found)):
         yield replace(each, help=each.help or help_)
 
 
@@ -140,5 +143,7 @@ class _EnclaveCheck(IdentityCheck):
         name, file = self._package.name, f"{self._inspection.folder}/{SESSION}"
         help_ = f"'keymint build -f {name}' and 'keymint install {name}' write the document of the sources"
         router = common_name(router_of(self._package))
-        for each in _examined(content, built, file, help_, lambda found: requirements.unpinned(found, router, file)):
+        for each in _examined(
+            content, built, file, help_, lambda found: configuration_requirements.unpinned(found, router, file)
+        ):
             yield replace(each, subject=self._subject, help=each.help or help_)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from comarmor.errors import Origin
 from comarmor.rules import Effect
-from keymint_ros2_zenoh.keyexpr.expansion import maximal
+from keymint_ros2_zenoh.keyexpr.key_expansion import maximal
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr
 from keymint_ros2_zenoh.lowering.key_rule import KeyRule
 from keymint_ros2_zenoh.messages import Flow, Message

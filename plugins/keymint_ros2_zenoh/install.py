@@ -11,7 +11,7 @@ from keymint.errors import KeymintError
 from keymint.pki import certificates, smime
 from keymint_ros2_zenoh import signature as signatures
 from keymint_ros2_zenoh.authority_roles import ACCESS, IDENTITY
-from keymint_ros2_zenoh.documents.read import read
+from keymint_ros2_zenoh.documents.configuration_reader import read
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, ROUTER, SESSION, SIGNATURE
 from keymint_ros2_zenoh.settings import is_router
 

@@ -20,9 +20,9 @@ from keymint.api import (
     SourcePart,
     WorkspaceProfile,
 )
+from keymint.api.source_documents import Reader, text
 from keymint.errors import KeymintError
-from keymint.source_documents import Reader, text
-from keymint_ros2_zenoh.lowering.names import check_distro
+from keymint_ros2_zenoh.lowering.name_keys import check_distro
 from keymint_ros2_zenoh.settings import Router, ZenohSettings, is_address
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from keymint.graph import complete
-from keymint.graph_json import load
+from keymint.api.graph import complete
+from keymint.api.graph_json import load
 from tests.conftest import CHECKOUT
 
 EXAMPLE = CHECKOUT / "examples" / "ppac_2018"

@@ -30,8 +30,8 @@ from keymint.api import (
     Verdict,
     WorkspaceProfile,
 )
-from keymint.graph import Edge
-from keymint.plugins import PluginInfo
+from keymint.api.graph import Edge
+from keymint.api.plugin_loader import PluginInfo
 from tests.keymint.plain_build_type import PlainBuildType
 
 NAME = "board"

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from keymint import cli
-from keymint.store import Store
+from keymint.store.store import Store
 from tests.conftest import NOW
 
 POLICY = """<profiles xmlns:xi="http://www.w3.org/2001/XInclude">
@@ -51,6 +51,14 @@ def policy(tmp_path: Path) -> Path:
     path = tmp_path / "policy.xml"
     path.write_text(POLICY)
     return path
+
+
+@pytest.fixture
+def created(keymint: Callable, policy: Path, tmp_path: Path) -> Path:
+    """A workspace with source packages that are not built yet."""
+    assert keymint("init", "ws", "--policy", policy).code == 0
+    assert keymint("create", "--all", "-w", "ws").code == 0
+    return tmp_path / "ws"
 
 
 @pytest.fixture

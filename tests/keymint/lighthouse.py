@@ -17,9 +17,9 @@ from keymint.api import (
     Role,
     WorkspaceProfile,
 )
+from keymint.api.plugin_loader import PluginInfo
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
-from keymint.plugins import PluginInfo
 from tests.keymint.plain_build_type import PlainBuildType
 
 NAME = "lighthouse"

@@ -24,7 +24,7 @@ from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohSystem
 
 from keymint import cli
 from keymint.api import Availability, Environment, Tier, Transport
-from keymint.command_process import MissingVendorError
+from keymint.host.vendor_process import MissingVendorError
 from tests.effort import FULL
 
 from .handmade import Authorities

@@ -12,7 +12,7 @@ from pathlib import Path
 from cryptography.x509 import NameOID
 
 from keymint.api import Enclave, Tier, Transport
-from keymint.graph import Edge
+from keymint.api.graph import Edge
 from keymint.pki import smime
 
 from .handmade import Authorities

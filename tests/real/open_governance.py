@@ -20,8 +20,8 @@ from xml.sax.saxutils import escape
 from cryptography.hazmat.primitives import serialization
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import VARIATIONS, DocumentEvaluator
-from keymint_ros2_dds.decision.access import DomainAccess
-from keymint_ros2_dds.lowering.lower import lower
+from keymint_ros2_dds.decision.endpoint_access import DomainAccess
+from keymint_ros2_dds.lowering.lowered_rules import lower
 from keymint_ros2_dds.proving import ProofQuestion, prove_document
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
 from keymint_ros2_dds.reading import signed_governance
@@ -32,7 +32,7 @@ from keymint_ros2_dds.vendors.participants import RefusedError, System, Vendor
 from comarmor.errors import Origin
 from comarmor.rules import Effect
 from keymint.api import Claim, ComparisonTask, DomainRange, Proof
-from keymint.command_process import ProcessFailedError
+from keymint.host.vendor_process import ProcessFailedError
 from keymint.ir import Rule, SubjectRules
 
 from .handmade import Authorities

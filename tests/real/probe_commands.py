@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from keymint.command_process import GRACE_SECONDS
+from keymint.host.vendor_process import GRACE_SECONDS
 
 if TYPE_CHECKING:
     from keymint_ros2_dds.vendors.participants import ProbeEndpoint, ProbeParticipant

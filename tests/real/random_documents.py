@@ -9,7 +9,7 @@ from datetime import datetime, timedelta
 from typing import TypeVar
 from xml.sax.saxutils import escape
 
-from keymint.graph import Edge, Object
+from keymint.api.graph import Edge, Object
 
 _T = TypeVar("_T")
 

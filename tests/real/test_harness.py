@@ -12,8 +12,8 @@ import pytest
 from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.participants import FastDDS, System
 
-from keymint import command_process
-from keymint.command_process import MissingVendorError, ProcessFailedError
+from keymint.host import vendor_process
+from keymint.host.vendor_process import MissingVendorError, ProcessFailedError
 
 from .conftest import missing
 
@@ -78,7 +78,7 @@ def test_no_process_outlives_its_system(impostor: FastDDS, tmp_path: Path) -> No
 
 
 def test_a_probe_that_hangs_is_an_error(impostor: FastDDS, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(command_process, "GRACE_SECONDS", 0.1)
+    monkeypatch.setattr(vendor_process, "GRACE_SECONDS", 0.1)
     with System(impostor) as system:
         participant = system.open(tmp_path)
         with pytest.raises(ProcessFailedError, match="did not answer"):

@@ -20,8 +20,8 @@ from keymint_ros2_dds.transports.enclave_model import EnclaveModel
 from keymint_ros2_dds.vendors.participants import RefusedError, System, Vendor
 
 from keymint.api import Enclave, Environment, Issuance, KeySpec
-from keymint.pins import VARIABLE, Pins
-from keymint.pki.tokens import Tokens
+from keymint.pki.tokens.pin_sources import VARIABLE, Pins
+from keymint.pki.tokens.token_sessions import Tokens
 from tests.conftest import CHECKOUT
 from tests.softhsm import PIN, SoftHsm
 

@@ -17,8 +17,8 @@ from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, DocumentEvaluator, Variation
 from keymint_ros2_dds.vendors.participants import RefusedError, System, Vendor
 
-from keymint.command_process import ProcessFailedError
 from keymint.errors import KeymintError
+from keymint.host.vendor_process import ProcessFailedError
 
 from .conftest import variation_of
 from .handmade import Authorities, criteria, governance_document, permissions_document, rule

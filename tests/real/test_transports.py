@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 from keymint_ros2_dds.transports import real_cyclonedds
 from keymint_ros2_dds.transports.participants_transport import RealTransport
-from keymint_ros2_dds.transports.simulated import Simulated
+from keymint_ros2_dds.transports.simulated_transport import Simulated
 from keymint_ros2_dds.vendors.participants import System
 
 from keymint.api import Enclave, EndpointTransport, Environment, Tier, Transport, Verdict
+from keymint.api.graph import Column, Edge, Object
 from keymint.errors import KeymintError
-from keymint.graph import Column, Edge, Object
 from keymint.pki import smime
 from tests.effort import tries
 

@@ -12,8 +12,8 @@ import pytest
 from keymint_ros2_zenoh.vendors import zenoh_library
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError, ZenohSystem
 
-from keymint import command_process
-from keymint.command_process import MissingVendorError, ProcessFailedError
+from keymint.host import vendor_process
+from keymint.host.vendor_process import MissingVendorError, ProcessFailedError
 
 from .conftest import missing
 from .zenoh_system import ZenohTestSystem
@@ -59,7 +59,7 @@ def test_a_process_that_hangs_is_an_error(zenoh_system: ZenohSystem, monkeypatch
 
     process = zenoh_system.start()
     process._process.send_signal(signal.SIGSTOP)
-    monkeypatch.setattr(command_process, "GRACE_SECONDS", 0.1)
+    monkeypatch.setattr(vendor_process, "GRACE_SECONDS", 0.1)
     with pytest.raises(ProcessFailedError, match="did not answer the command 'zid' in time"):
         process.ask("zid", session="none")
 

@@ -12,8 +12,8 @@ import pytest
 from keymint_ros2_zenoh.transports import real_zenoh, zenoh_1
 
 from keymint.api import Enclave, Environment, Tier, Verdict
+from keymint.api.graph import Edge, Object
 from keymint.errors import KeymintError
-from keymint.graph import Edge, Object
 from tests.plugins.keymint_ros2_zenoh.install_spaces import ROUTER, InstallSpace, key
 
 pytestmark = pytest.mark.zenoh

@@ -25,7 +25,7 @@ import traceback
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from keymint import folder_swap
+from keymint.store import folder_swap
 
 _NOWHERE = "/nonexistent/robustness"
 _PATIENCE = 60

@@ -27,7 +27,7 @@ from typing import Any
 
 import pytest
 
-from keymint import folder_swap, group_commit
+from keymint.store import folder_swap, group_commit
 
 Entry = tuple[int, str]
 """A name in a folder."""

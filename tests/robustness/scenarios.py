@@ -16,9 +16,9 @@ from lxml import etree
 
 from comarmor.errors import Origin
 from keymint import cli
+from keymint.life import register_database
+from keymint.life.issued_certificates import Register
 from keymint.pki import smime
-from keymint.register import database
-from keymint.register.register import Register
 
 _RULES = """<ros_topic qualifier="ALLOW">
   <attachment>/chatter{}</attachment><permissions><ros_publish/></permissions>
@@ -233,7 +233,7 @@ def registered(workspace: Path) -> Register:
     """Return the register of issued certificates."""
     path = workspace / "private/register.sqlite3"
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
-    return database.load(path.read_bytes(), Origin(str(path)))
+    return register_database.load(path.read_bytes(), Origin(str(path)))
 
 
 def require_registered(workspace: Path) -> None:

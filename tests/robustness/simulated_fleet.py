@@ -19,7 +19,7 @@ from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, OMG
 from keymint_ros2_dds.transports.enclave_model import EnclaveModel
 
 from keymint.api import Enclave, Environment
-from keymint.graph import Edge, Object
+from keymint.api.graph import Edge, Object
 from tests.conftest import NOW, Outcome
 
 DAY = timedelta(days=1)

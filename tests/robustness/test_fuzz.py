@@ -22,21 +22,21 @@ import pytest
 import comarmor
 from comarmor.errors import Diagnostic
 from keymint.api import BuildOptions, LoadedPolicy
-from keymint.changes import Plan
+from keymint.api.plugin_loader import Plugins
+from keymint.authority.authorities import plan_authorities
 from keymint.errors import KeymintError
-from keymint.pins import Pins
-from keymint.pki.tokens import Tokens
-from keymint.plan.authorities import plan_authorities
-from keymint.plan.build import BuildStage
-from keymint.plan.create import CreateStage, packages_to_create
-from keymint.plan.install import InstallStage
-from keymint.plan.policy import load_policy
-from keymint.plan.stage import PlanStage
-from keymint.plugins import Plugins
-from keymint.session import Inputs
-from keymint.state import State
-from keymint.tree import Tree
-from keymint.workspace import Workspace
+from keymint.pki.tokens.pin_sources import Pins
+from keymint.pki.tokens.token_sessions import Tokens
+from keymint.stages.build import BuildStage
+from keymint.stages.create import CreateStage, packages_to_create
+from keymint.stages.install import InstallStage
+from keymint.stages.package_stage import PlanStage
+from keymint.store.changes import Plan
+from keymint.view.stamps import State
+from keymint.view.tree import Tree
+from keymint.workspace.policy_loading import load_policy
+from keymint.workspace.session import Inputs
+from keymint.workspace.workspace import Workspace
 from tests.effort import tries
 
 from . import mutation

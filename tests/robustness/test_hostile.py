@@ -19,8 +19,8 @@ from pathlib import Path
 
 import pytest
 
+from keymint.host.streams_and_signals import Output
 from keymint.output.console import Console, Streams
-from keymint.process import Output
 from tests.conftest import NOW, snapshot
 from tests.effort import FULL
 

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from keymint.bundles import container
+from keymint.robots import bundle_container
 from tests.effort import FULL
-from tests.keymint.bundles.hostile_archives import ARCHIVES, KEPT
+from tests.keymint.robots.hostile_archives import ARCHIVES, KEPT
 
 from . import bombs, hostile, peak
 from .memory import in_memory
@@ -21,7 +21,7 @@ ENCLAVE = "ws/install/enclaves/a"
 
 
 def _bundles() -> bombs.Bombs:
-    large = {"large": lambda: b"\0" * (6 * container.MAX_BYTES)}
+    large = {"large": lambda: b"\0" * (6 * bundle_container.MAX_BYTES)}
     return {name: make for name, make in ARCHIVES.items() if name not in KEPT} | large
 
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from keymint import group_commit
+from keymint.store import group_commit
 from tests.effort import FULL, tries
 
 from . import scenarios

@@ -15,10 +15,10 @@ from typing import Any
 import pytest
 
 from comarmor.errors import Origin
-from keymint.bundles import bundle, request
 from keymint.pki import keys
-from keymint.staged import Staged
-from keymint.store import Store
+from keymint.robots import bundle, certification_request
+from keymint.store.staged import Staged
+from keymint.store.store import Store
 from tests.effort import tries
 
 from .power_loss import Crash, Image, Recorder, Recording, crashes, image, write_image
@@ -92,7 +92,7 @@ def test_a_request_is_there_with_its_key_only(robot: Path, keymint: Keymint) -> 
             if written is not None:
                 assert waiting["request.pem"] == written
             if waiting:
-                kept = request.read(waiting["request.pem"], WHERE)
+                kept = certification_request.read(waiting["request.pem"], WHERE)
                 assert keys.fingerprint(keys.from_pem(waiting["key.pem"])) == kept.fingerprint
 
 

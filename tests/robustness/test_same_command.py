@@ -20,12 +20,12 @@ from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from comarmor.errors import Origin
-from keymint.bundles import bundle, request
+from keymint.life import register_database
 from keymint.pki import certificates, keys
-from keymint.register import database
+from keymint.robots import bundle, certification_request
 from tests import sros2_keystore
 from tests.effort import FULL
-from tests.keymint.commands.test_authority import outside
+from tests.keymint.commands.life.test_authority import outside
 
 from . import scenarios, tracing
 from .test_kill import CRITICAL
@@ -98,7 +98,7 @@ def without_listener(folder: Path) -> None:
 
 
 def asked(folder: Path) -> None:
-    (folder / "r.pem").write_bytes(request.make("/listener", KEY, "0123456789abcdef" * 2))
+    (folder / "r.pem").write_bytes(certification_request.make("/listener", KEY, "0123456789abcdef" * 2))
     (folder / "ws/private/identities/listener/key.pem").unlink()  # the robot's own takes its place
 
 
@@ -193,7 +193,7 @@ def issued(workspace: Path) -> dict[int, Any]:
     path = workspace / "private/register.sqlite3"
     if not path.exists():
         return {}
-    found = database.load(path.read_bytes(), Origin("test")).certificates
+    found = register_database.load(path.read_bytes(), Origin("test")).certificates
     serials = {serial: each for (_, serial), each in found.items()}
     assert len(serials) == len(found)
     return serials

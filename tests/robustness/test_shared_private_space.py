@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from comarmor.errors import Origin
-from keymint.register import database
-from keymint.register.register import Register
+from keymint.life import register_database
+from keymint.life.issued_certificates import Register
 
 from . import scenarios, tracing
 
@@ -99,7 +99,7 @@ def ended(run: subprocess.Popen[str]) -> tuple[int, str]:
 
 def register(folder: Path) -> Register:
     path = folder / VAULT / "register.sqlite3"
-    return database.load(path.read_bytes(), Origin(str(path)))
+    return register_database.load(path.read_bytes(), Origin(str(path)))
 
 
 def revoked(folder: Path) -> set[str]:
@@ -115,7 +115,7 @@ def require_clean(folder: Path, keymint: Keymint) -> None:
 def test_a_run_waits_for_one_in_the_other_workspace(
     made: Path, keymint: Keymint, pause: Callable[..., subprocess.Popen[str]]
 ) -> None:
-    first = pause("keymint.commands.run:execute", "locked", revoke(made, "one"))
+    first = pause("keymint.run.run:execute", "locked", revoke(made, "one"))
     second = subprocess.Popen(
         [sys.executable, "-m", "keymint", *revoke(made, "two")],
         env=tracing.environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -134,7 +134,7 @@ def test_a_run_waits_for_one_in_the_other_workspace(
 def test_of_two_that_create_it_the_second_takes_the_keys_of_the_first(
     folder: Path, keymint: Keymint, pause: Callable[..., subprocess.Popen[str]]
 ) -> None:
-    first = pause("keymint.store:Store.lock_missing", "locked", provision(folder, "one"))
+    first = pause("keymint.store.store:Store.lock_missing", "locked", provision(folder, "one"))
     assert keymint(*provision(folder, "two")).code == 0
     keys = {path: path.read_bytes() for path in (folder / VAULT).rglob("*.pem")}
     assert ended(first) == (0, "")
@@ -147,7 +147,7 @@ def test_without_locks_a_register_that_changed_is_an_error_and_nothing_is_lost(
     made: Path, keymint: Keymint, pause: Callable[..., subprocess.Popen[str]]
 ) -> None:
     """Not every file system locks folders."""
-    first = pause("keymint.commands.run:require_register", "unlocked", revoke(made, "one"))
+    first = pause("keymint.run.run:require_register", "unlocked", revoke(made, "one"))
     assert keymint(*revoke(made, "two")).code == 0
     code, err = ended(first)
     assert (code, err.count("was changed by another run meanwhile"), "run the command again" in err) == (1, 1, True)

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from keymint_ros2_dds.vendors.ros_network import RosNetwork
 
-from keymint.command_process import MissingVendorError
+from keymint.host.vendor_process import MissingVendorError
 
 from .ros_system import RosSystem
 

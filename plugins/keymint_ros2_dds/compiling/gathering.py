@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gathers topics into bracket expressions, where that makes a document much smaller.
 
-Cyclone DDS lets every bracket expression match ``]`` as well (see :mod:`keymint_ros2_dds.lowering.portable`). So rules
-with gathered topics come last, after a denial of every name with a ``]``; the names that they permit have none.
+Cyclone DDS lets every bracket expression match ``]`` as well, see
+:mod:`keymint_ros2_dds.lowering.portable_expressions`. So rules with gathered topics come last, after a denial of every
+name with a ``]``; the names that they permit have none.
 """
 
 from __future__ import annotations

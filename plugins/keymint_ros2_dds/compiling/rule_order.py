@@ -31,7 +31,7 @@ from keymint_ros2_dds.compiling.partitions import UnportableError
 from keymint_ros2_dds.compiling.rule_groups import RuleGroup, denied_partitions, merged, rule_groups
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, GrantRule, begun
-from keymint_ros2_dds.lowering.lower import Lowered
+from keymint_ros2_dds.lowering.lowered_rules import Lowered
 
 _ORDER = "portability-order"
 _Groups = Mapping[TopicAction, Sequence[RuleGroup]]

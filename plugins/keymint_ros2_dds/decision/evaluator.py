@@ -17,7 +17,7 @@ from comarmor.errors import Origin
 from comarmor.patterns.expression import beginning
 from comarmor.patterns.tokens import Dialect
 from comarmor.values import dataclass
-from keymint_ros2_dds.decision import fnmatch
+from keymint_ros2_dds.decision import fnmatch_dialects
 from keymint_ros2_dds.decision.semantics import OMG, Semantics, TopicCheck, Variation
 from keymint_ros2_dds.reading.signed_permissions import (
     DocumentCriteria,
@@ -181,7 +181,7 @@ class DocumentEvaluator:
         """
         if self.refusal is not None:
             return self.refusal
-        name = fnmatch.in_bytes(topic)
+        name = fnmatch_dialects.in_bytes(topic)
         if topic_checked and self.semantics.topic_check:
             named = [next((step for step in each if step.topics.match(name)), None) for each in self._naming]
             if not any(self._default if step is None else step.allows for step in named):
@@ -189,7 +189,7 @@ class DocumentEvaluator:
                 if denying is None:
                     return self._by_default(topic)
                 return self._by(denying, f"denies the topic {topic!r}", allowed=False)
-        names = [fnmatch.in_bytes(partition) for partition in partitions] or DEFAULT_PARTITION
+        names = [fnmatch_dialects.in_bytes(partition) for partition in partitions] or DEFAULT_PARTITION
         for step in self._steps.get(action, ()):
             if not step.topics.match(name):
                 continue
@@ -297,12 +297,14 @@ def _step(rule: DocumentRule, group: Sequence[DocumentCriteria], semantics: Sema
 
 
 def _patterns(expressions: Iterable[str], semantics: Semantics) -> _Expressions:
-    texts = frozenset(fnmatch.in_bytes(semantics.reads_text(expression)) for expression in expressions)
-    plain = frozenset(text for text in texts if fnmatch.is_plain(text))
+    texts = frozenset(fnmatch_dialects.in_bytes(semantics.reads_text(expression)) for expression in expressions)
+    plain = frozenset(text for text in texts if fnmatch_dialects.is_plain(text))
     wild = _compiled(tuple(sorted(texts - plain)), semantics.fnmatch) if texts - plain else None
     return _Expressions(plain, wild, frozenset(map(beginning, texts - plain)))
 
 
 @lru_cache(maxsize=4096)
 def _compiled(patterns: tuple[str, ...], dialect: Dialect) -> re.Pattern[str]:
-    return re.compile("|".join(f"(?:{fnmatch.translate(pattern, dialect)})" for pattern in patterns), re.DOTALL)
+    return re.compile(
+        "|".join(f"(?:{fnmatch_dialects.translate(pattern, dialect)})" for pattern in patterns), re.DOTALL
+    )

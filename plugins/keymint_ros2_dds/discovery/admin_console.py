@@ -19,7 +19,7 @@ from comarmor.xml.reader import line, parse
 from keymint.api import DiscoveredGraph
 from keymint.errors import KeymintError
 from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, DiscoveredParticipant
-from keymint_ros2_dds.discovery.to_graph import discovered
+from keymint_ros2_dds.discovery.capture_graph import discovered
 
 MAX_DOMAIN = 232
 _NUMBER = lazy_regex(r"[0-9]{1,9}")

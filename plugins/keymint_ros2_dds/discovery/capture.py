@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 from comarmor.values import dataclass
-from keymint.graph import Object
-from keymint.graph_json import partitions
+from keymint.api.graph import Object
+from keymint.api.graph_json import partitions
 
 
 @dataclass(frozen=True, slots=True, order=True)

@@ -19,7 +19,7 @@ from comarmor.errors import Diagnostic
 from keymint.api import Availability, DiscoveredGraph
 from keymint.errors import KeymintError
 from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, DiscoveredParticipant
-from keymint_ros2_dds.discovery.to_graph import discovered
+from keymint_ros2_dds.discovery.capture_graph import discovered
 
 LIBRARY = "libddsc.so.0debian"
 INSTALL = "apt-get install libddsc0debian"

@@ -26,9 +26,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from comarmor.errors import Diagnostic, Severity
 from comarmor.regex import lazy_regex
 from comarmor.text import first_few
+from keymint.api.generated_names import is_generated
+from keymint.api.graph_json import legal_node
 from keymint.errors import ExitCode, KeymintError
-from keymint.generated_names import is_generated
-from keymint.graph_json import legal_node
 from keymint_ros2_dds.discovery.capture import DiscoveredEndpoint, DiscoveredParticipant
 from keymint_ros2_dds.discovery.ros_entities import ros_name
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from comarmor.regex import lazy_regex
 from comarmor.ros_names import is_fully_qualified
 from comarmor.values import dataclass
-from keymint.graph import Object
+from keymint.api.graph import Object
 
 _TYPE = lazy_regex(r"([A-Za-z]\w*(?:::[A-Za-z]\w*)*)::dds_::([A-Za-z]\w*)_\Z")
 _SUFFIXES = {"rt": "", "rq": "Request", "rr": "Reply"}

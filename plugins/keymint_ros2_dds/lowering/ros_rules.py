@@ -15,7 +15,7 @@ from comarmor.patterns.glob import Glob
 from comarmor.patterns.possible_names import matches_ros_name
 from comarmor.rules import PARTS
 from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS, DdsTopic, TopicAction
-from keymint_ros2_dds.lowering.mapping import ARDENT
+from keymint_ros2_dds.lowering.name_mapping import ARDENT
 
 RosPattern = tuple[str, str, Glob]
 """Kind, permission and pattern of a rule on names."""

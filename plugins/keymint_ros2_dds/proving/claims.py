@@ -11,7 +11,7 @@ from comarmor.patterns.decision_lists import Unknown, Witness
 from comarmor.patterns.tokens import PatternError
 from keymint.api import Claim, DomainRange, Proof
 from keymint_ros2_dds.decision import VARIATIONS, shipped
-from keymint_ros2_dds.decision.access import DomainAccess
+from keymint_ros2_dds.decision.endpoint_access import DomainAccess
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.domains import merged
 from keymint_ros2_dds.proving import octets, protection

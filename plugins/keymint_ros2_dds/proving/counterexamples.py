@@ -12,7 +12,7 @@ from keymint.api import Counterexample, Endpoint, PolicyDecision, Verdict
 from keymint.ir import SubjectRules
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import DocumentEvaluator, EndpointDecision, Variation
-from keymint_ros2_dds.decision.access import DomainAccess
+from keymint_ros2_dds.decision.endpoint_access import DomainAccess
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.proving import octets, policy_evaluator, protection
 from keymint_ros2_dds.proving.grant_periods import GrantPeriod

@@ -8,7 +8,7 @@ from functools import cache, lru_cache
 
 from comarmor.patterns.glob import Glob, parse
 from comarmor.patterns.tokens import Dialect, Undefined
-from keymint_ros2_dds.decision import fnmatch
+from keymint_ros2_dds.decision import fnmatch_dialects
 from keymint_ros2_dds.proving import octets
 
 
@@ -27,9 +27,9 @@ def read(expressions: tuple[str, ...], dialect: Dialect) -> tuple[Glob, ...]:
         PatternError: an expression contains notation that implementations read differently.
     """
     joined = "".join(expressions)
-    if fnmatch.is_plain(joined):
+    if fnmatch_dialects.is_plain(joined):
         if not joined.isascii():
-            expressions = tuple(map(fnmatch.in_bytes, expressions))
+            expressions = tuple(map(fnmatch_dialects.in_bytes, expressions))
         return tuple((text,) if text else () for text in dict.fromkeys(expressions))
     strict = _strict(dialect)
     patterns = dict.fromkeys([parse(expression, strict) for expression in expressions])

@@ -20,7 +20,7 @@ from comarmor.patterns.glob import Glob, normalise
 from comarmor.patterns.tokens import charset
 from comarmor.regex import lazy_regex
 from keymint.ir import Rule, SubjectRules
-from keymint_ros2_dds.decision import fnmatch
+from keymint_ros2_dds.decision import fnmatch_dialects
 from keymint_ros2_dds.decision.semantics import STANDARD, Semantics
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.reading.signed_permissions import DocumentCriteria, DocumentGrant, PermissionsDocument
@@ -58,7 +58,7 @@ def of_glob(glob: Glob) -> Glob:
     """Return a pattern over bytes: its literals as UTF-8."""
     if all(token.isascii() for token in glob if isinstance(token, str)):
         return glob
-    return tuple(fnmatch.in_bytes(token) if isinstance(token, str) else token for token in glob)
+    return tuple(fnmatch_dialects.in_bytes(token) if isinstance(token, str) else token for token in glob)
 
 
 def in_text(name: str) -> str:
@@ -102,7 +102,7 @@ def locale_dependence(
         if "[" in expression
     )
     unread = next(sets, "")
-    if semantics.fnmatch is not fnmatch.CYCLONE_DDS:
+    if semantics.fnmatch is not fnmatch_dialects.CYCLONE_DDS:
         for expression, source in own:
             if _CLASS.search(expression):
                 return unread, f"{cited(expression, source)} a class of characters: what it matches {_DEPENDS}"

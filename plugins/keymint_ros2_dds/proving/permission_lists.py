@@ -18,7 +18,7 @@ from comarmor.rules import Effect
 from keymint_ros2_dds.decision.semantics import Semantics, TopicCheck
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import Partitions
-from keymint_ros2_dds.lowering.lower import Lowered
+from keymint_ros2_dds.lowering.lowered_rules import Lowered
 from keymint_ros2_dds.proving import octets
 from keymint_ros2_dds.proving.dialects import read
 from keymint_ros2_dds.reading.signed_permissions import DocumentCriteria, DocumentGrant, DocumentRule

@@ -12,11 +12,11 @@ from comarmor.patterns import glob
 from comarmor.patterns.matching import matches
 from comarmor.ros_names import is_fully_qualified
 from comarmor.rules import Effect, parts
-from keymint.graph import Edge, Object
+from keymint.api.graph import Edge, Object
 from keymint.ir import Rule, SubjectRules
-from keymint_ros2_dds.decision import fnmatch
+from keymint_ros2_dds.decision import fnmatch_dialects
 from keymint_ros2_dds.lowering.endpoints import meanings
-from keymint_ros2_dds.lowering.mapping import ARDENT
+from keymint_ros2_dds.lowering.name_mapping import ARDENT
 from keymint_ros2_dds.proving import octets
 
 
@@ -47,7 +47,7 @@ def _is_about(rule: Rule, edge: Edge, partition: str) -> bool:
 
 def _matches(expression: str, name: str) -> bool:
     """Tell whether an expression matches a name, byte by byte."""
-    return matches(octets.of_glob(glob.parse(expression)), fnmatch.in_bytes(name))
+    return matches(octets.of_glob(glob.parse(expression)), fnmatch_dialects.in_bytes(name))
 
 
 def _names(rule: Rule, edge: Edge) -> Iterator[str]:

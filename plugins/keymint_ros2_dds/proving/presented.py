@@ -23,7 +23,7 @@ from keymint_ros2_dds.decision import VARIATIONS, read, shipped
 from keymint_ros2_dds.decision.semantics import STANDARD, Semantics, TopicCheck
 from keymint_ros2_dds.decision.subject_names import is_odd, needed, tokens
 from keymint_ros2_dds.documents import dds_xml
-from keymint_ros2_dds.lowering.lower import lower
+from keymint_ros2_dds.lowering.lowered_rules import lower
 from keymint_ros2_dds.proving.claims import prove_document
 from keymint_ros2_dds.proving.questions import ProofQuestion
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, PermissionsDocument, is_plain

@@ -12,7 +12,7 @@ from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import shipped
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.enclave_layout import PERMISSIONS
-from keymint_ros2_dds.lowering.lower import Lowered, lower
+from keymint_ros2_dds.lowering.lowered_rules import Lowered, lower
 from keymint_ros2_dds.proving.claims import prove_document
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
 from keymint_ros2_dds.proving.questions import ProofQuestion

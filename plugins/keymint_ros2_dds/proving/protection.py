@@ -17,7 +17,7 @@ from comarmor.patterns.glob import EVERYTHING
 from comarmor.patterns.proofs import escapes
 from comarmor.values import dataclass
 from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDecision, Proof, Verdict
-from keymint_ros2_dds.decision.access import DomainAccess
+from keymint_ros2_dds.decision.endpoint_access import DomainAccess
 from keymint_ros2_dds.decision.semantics import Semantics, Variation
 from keymint_ros2_dds.proving import octets
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance, cuts

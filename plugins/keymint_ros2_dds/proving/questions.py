@@ -10,7 +10,7 @@ from comarmor.patterns.decision_lists import SearchBudget
 from comarmor.values import dataclass
 from keymint.api import ComparisonTask, DomainRange
 from keymint_ros2_dds.decision.semantics import Semantics
-from keymint_ros2_dds.lowering.lower import Lowered
+from keymint_ros2_dds.lowering.lowered_rules import Lowered
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance, cuts
 from keymint_ros2_dds.reading.signed_permissions import DocumentRule, PermissionsDocument
 
@@ -22,7 +22,7 @@ class ProofQuestion:
     Attributes:
         document: the document.
         task: its bytes, and what it must permit.
-        lowered: its rules in terms of DDS, from :func:`keymint_ros2_dds.lowering.lower.lower`.
+        lowered: its rules in terms of DDS, from :func:`keymint_ros2_dds.lowering.lowered_rules.lower`.
         governance: the governance beside it; None puts every topic, and joining, under access control.
         since: the document must permit no more than the policy from this time on, UTC; None: exactly it, at any time.
     """

@@ -22,7 +22,7 @@ from comarmor.xml.reader import line, parse
 from keymint.api import DomainRange
 from keymint.errors import KeymintError
 from keymint_ros2_dds.domains import MAX_DOMAIN
-from keymint_ros2_dds.reading import dates, quirks
+from keymint_ros2_dds.reading import grant_dates, quirks
 from keymint_ros2_dds.reading.quirks import BLANKS, CRASHES, PLAIN, REFUSES, UNMODELLED, Quirk
 
 ACTIONS = ("publish", "subscribe", "relay")
@@ -227,7 +227,7 @@ def _plain(content: bytes) -> tuple[DocumentGrant, ...] | None:
         return None
     text = content.decode()
     match = _plain_form().fullmatch(text)
-    if match is None or dates.fast(match["begin"]) is None or dates.fast(match["end"]) is None:
+    if match is None or grant_dates.fast(match["begin"]) is None or grant_dates.fast(match["end"]) is None:
         return None
 
     def line_at(index: int) -> int:
@@ -291,7 +291,7 @@ def _quirks(root: etree._Element) -> Iterator[Quirk]:
             if not bare:
                 yield Quirk(line(element), "a grant without a subject name", REFUSES, REFUSES)
         elif element.tag in {"not_before", "not_after"}:
-            if dates.fast(text) is None:
+            if grant_dates.fast(text) is None:
                 yield Quirk(line(element), f"the date {text!r}", PLAIN, UNMODELLED)
         else:
             if "\n" in bare:

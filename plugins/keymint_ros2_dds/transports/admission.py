@@ -8,9 +8,9 @@ from contextlib import contextmanager, suppress
 from itertools import groupby
 
 from keymint.api import Enclave, Verdict
-from keymint.command_process import ProcessFailedError
+from keymint.api.graph import Edge
 from keymint.errors import KeymintError
-from keymint.graph import Edge
+from keymint.host.vendor_process import ProcessFailedError
 from keymint_ros2_dds.decision import Variation
 from keymint_ros2_dds.enclave_layout import reads_revocations
 from keymint_ros2_dds.lowering.endpoints import endpoints

@@ -15,9 +15,9 @@ from itertools import islice, tee
 
 from comarmor.values import dataclass
 from keymint.api import Availability, Enclave, Tier, Transport, Verdict
-from keymint.graph import Edge
+from keymint.api.graph import Edge
 from keymint_ros2_dds.lowering.endpoints import endpoints
-from keymint_ros2_dds.lowering.mapping import ARDENT
+from keymint_ros2_dds.lowering.name_mapping import ARDENT
 
 _OF_SERVICES = ("rq", "rr")
 DEVIATION = "ardent-services: ROS 2 Ardent creates the endpoints of services in the empty partition first"

@@ -11,9 +11,9 @@ from operator import attrgetter
 from pathlib import Path
 
 from keymint.api import Availability, Enclave, Tier, Verdict
-from keymint.command_process import MissingVendorError
+from keymint.api.graph import Edge
 from keymint.errors import KeymintError
-from keymint.graph import Edge
+from keymint.host.vendor_process import MissingVendorError
 from keymint_ros2_dds.decision import CYCLONEDDS_0_10
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import admission, enclave_files

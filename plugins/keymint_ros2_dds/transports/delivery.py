@@ -18,7 +18,7 @@ from typing import cast
 
 from comarmor.values import dataclass
 from keymint.api import Enclave, Verdict
-from keymint.graph import Edge
+from keymint.api.graph import Edge
 from keymint_ros2_dds.decision import Variation
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import admission

@@ -9,12 +9,19 @@ from itertools import repeat
 
 from comarmor.errors import Origin
 from keymint.api import Enclave, Environment, Verdict
+from keymint.api.graph import Column, Edge
 from keymint.api.installed_enclaves import EnclavesBySubject
 from keymint.errors import KeymintError
-from keymint.graph import Column, Edge
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.decision import OMG, DecisionOutcome, DocumentEvaluator, EndpointDecision, Variation, fnmatch
-from keymint_ros2_dds.decision.access import DomainAccess, topic_rule
+from keymint_ros2_dds.decision import (
+    OMG,
+    DecisionOutcome,
+    DocumentEvaluator,
+    EndpointDecision,
+    Variation,
+    fnmatch_dialects,
+)
+from keymint_ros2_dds.decision.endpoint_access import DomainAccess, topic_rule
 from keymint_ros2_dds.reading.signed_governance import DocumentDomainRule, DocumentTopicRule
 from keymint_ros2_dds.transports import authentication, enclave_files
 from keymint_ros2_dds.transports.authentication import Authentication
@@ -157,7 +164,7 @@ def _topic_rules(
     """Return the name of each endpoint's topic, in bytes, and the rule of the governance that matches it."""
     names = [each.object.name for each in endpoints.requests]
     rules = {name: topic_rule(domain_rule, name, variation.semantics) for name in names}
-    return [(fnmatch.in_bytes(name), rules[name]) for name in names]
+    return [(fnmatch_dialects.in_bytes(name), rules[name]) for name in names]
 
 
 class EnclaveModels:

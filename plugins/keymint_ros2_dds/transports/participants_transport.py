@@ -8,9 +8,9 @@ from functools import cached_property
 from typing import ClassVar
 
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
-from keymint.command_process import MissingVendorError
+from keymint.api.graph import Column, Edge
 from keymint.errors import KeymintError
-from keymint.graph import Column, Edge
+from keymint.host.vendor_process import MissingVendorError
 from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, FASTDDS_3_3, Variation
 from keymint_ros2_dds.transports import admission, enclave_files
 from keymint_ros2_dds.transports.delivery import exchange

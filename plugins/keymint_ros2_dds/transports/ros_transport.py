@@ -10,12 +10,12 @@ from itertools import groupby
 
 from comarmor.regex import lazy_regex
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
-from keymint.command_process import MissingVendorError, ProcessDiedError, ProcessFailedError
+from keymint.api.graph import Edge
 from keymint.errors import KeymintError
-from keymint.graph import Edge
+from keymint.host.vendor_process import MissingVendorError, ProcessDiedError, ProcessFailedError
 from keymint_ros2_dds.decision import of_version
 from keymint_ros2_dds.lowering.endpoints import endpoints, meanings
-from keymint_ros2_dds.lowering.mapping import DISTROS
+from keymint_ros2_dds.lowering.name_mapping import DISTROS
 from keymint_ros2_dds.transports.enclave_model import EnclaveModels
 from keymint_ros2_dds.vendors.participants import RefusedError
 from keymint_ros2_dds.vendors.ros_network import PRIVATE, RosNetwork

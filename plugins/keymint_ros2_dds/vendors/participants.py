@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Self
 
 from comarmor.values import dataclass
-from keymint.command_process import CommandProcess, ProcessFailedError
+from keymint.host.vendor_process import CommandProcess, ProcessFailedError
 from keymint_ros2_dds.enclave_layout import CRL
 from keymint_ros2_dds.vendors import cyclone_access_control
 from keymint_ros2_dds.vendors.ports import FIRST_PARTICIPANT, free_ports

@@ -17,7 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from comarmor.values import dataclass
-from keymint.command_process import MissingVendorError
+from keymint.host.vendor_process import MissingVendorError
 from keymint_ros2_dds.vendors import cyclone_access_control, program_cache
 
 _SOURCES = Path(__file__).parent

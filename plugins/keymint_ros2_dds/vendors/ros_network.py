@@ -15,7 +15,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Self
 
-from keymint.command_process import MissingVendorError, ProcessFailedError
+from keymint.host.vendor_process import MissingVendorError, ProcessFailedError
 from keymint_ros2_dds.vendors.participants import ProbeProcess, RefusedError
 
 _PROGRAM = str(Path(__file__).with_name("ros_node.py"))

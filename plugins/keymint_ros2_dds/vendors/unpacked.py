@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from comarmor.values import dataclass
-from keymint.command_process import MissingVendorError
+from keymint.host.vendor_process import MissingVendorError
 from keymint_ros2_dds.vendors import program_cache
 from keymint_ros2_dds.vendors.probe_builds import Probe
 

@@ -13,9 +13,9 @@ from collections.abc import Iterator
 from comarmor.errors import Diagnostic
 from comarmor.patterns.relations import disjoint
 from comarmor.rules import Effect
-from keymint_ros2_zenoh.keyexpr.expansion import key_exprs
+from keymint_ros2_zenoh.keyexpr.key_expansion import key_exprs
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr
-from keymint_ros2_zenoh.keyexpr.relations import includes, intersects
+from keymint_ros2_zenoh.keyexpr.key_relations import includes, intersects
 from keymint_ros2_zenoh.lowering.name_rules import NameRule, NameRules
 
 SENDING = ("ros_publish", "ros_call")

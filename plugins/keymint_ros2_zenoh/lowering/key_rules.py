@@ -17,13 +17,13 @@ from comarmor.values import dataclass
 from keymint.api import DomainRange
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
-from keymint_ros2_zenoh.keyexpr.expansion import TooManyAlternativesError, key_exprs
+from keymint_ros2_zenoh.keyexpr.key_expansion import TooManyAlternativesError, key_exprs
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr
 from keymint_ros2_zenoh.lowering.deny_wildcards import deny_wildcards
 from keymint_ros2_zenoh.lowering.key_rule import KeyRule
+from keymint_ros2_zenoh.lowering.message_slots import GRAPH_SLOTS, SLOTS, USERS, Place, Slot
+from keymint_ros2_zenoh.lowering.name_keys import advanced_key, data_key, graph_key, own_tokens_key
 from keymint_ros2_zenoh.lowering.name_rules import NameRules, name_rules
-from keymint_ros2_zenoh.lowering.names import advanced_key, data_key, graph_key, own_tokens_key
-from keymint_ros2_zenoh.lowering.slots import GRAPH_SLOTS, SLOTS, USERS, Place, Slot
 from keymint_ros2_zenoh.messages import Flow, Message
 
 MAX_DOMAINS = 32

@@ -15,9 +15,9 @@ from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
-from keymint_ros2_zenoh.keyexpr.expansion import TooManyAlternativesError, key_exprs
-from keymint_ros2_zenoh.lowering.names import check_distro
-from keymint_ros2_zenoh.lowering.slots import SLOTS
+from keymint_ros2_zenoh.keyexpr.key_expansion import TooManyAlternativesError, key_exprs
+from keymint_ros2_zenoh.lowering.message_slots import SLOTS
+from keymint_ros2_zenoh.lowering.name_keys import check_distro
 
 KINDS = ("ros_topic", "ros_service", "ros_action", "ros_parameter")
 """Kinds of rules that Zenoh can express."""

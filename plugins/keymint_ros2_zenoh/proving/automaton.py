@@ -12,9 +12,9 @@ from collections.abc import Iterable, Mapping
 from comarmor.patterns.glob import Glob, units
 from comarmor.patterns.tokens import MAX_CODE, Charset, Star, charset
 from comarmor.values import dataclass
-from keymint_ros2_zenoh.keyexpr.expansion import ALPHABET
+from keymint_ros2_zenoh.keyexpr.key_expansion import ALPHABET
 from keymint_ros2_zenoh.keyexpr.key_expr import ANY_CHARACTERS, ANY_CHUNK, ANY_CHUNKS, VERBATIM, KeyExpr
-from keymint_ros2_zenoh.lowering.names import TYPE_AND_HASH
+from keymint_ros2_zenoh.lowering.name_keys import TYPE_AND_HASH
 
 END = 0
 """The node that accepts the empty word only."""

@@ -11,12 +11,12 @@ from comarmor.patterns.steps import spend
 from comarmor.values import dataclass
 from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDecision, Proof, Verdict
 from keymint.ir import SubjectRules
-from keymint_ros2_zenoh.decision.access import AccessModel, Link
+from keymint_ros2_zenoh.decision.message_access import AccessModel, Link
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr
-from keymint_ros2_zenoh.keyexpr.relations import includes, intersects
+from keymint_ros2_zenoh.keyexpr.key_relations import includes, intersects
 from keymint_ros2_zenoh.lowering.key_rules import domain_ids
+from keymint_ros2_zenoh.lowering.message_slots import action
 from keymint_ros2_zenoh.lowering.name_rules import name_rules
-from keymint_ros2_zenoh.lowering.slots import action
 from keymint_ros2_zenoh.messages import Flow, Message
 from keymint_ros2_zenoh.proving import policy_evaluator
 from keymint_ros2_zenoh.proving.automaton import Automaton

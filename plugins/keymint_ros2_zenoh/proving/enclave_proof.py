@@ -10,15 +10,15 @@ from comarmor.errors import Diagnostic, Reason
 from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDecision, Proof, ProofTask, Verdict
 from keymint.errors import KeymintError
 from keymint.pki.identity_check import enclave_file
-from keymint_ros2_zenoh import requirements
+from keymint_ros2_zenoh import configuration_requirements
 from keymint_ros2_zenoh.decision.admission import first_common_name
 from keymint_ros2_zenoh.documents.configuration import Configuration
-from keymint_ros2_zenoh.documents.read import read
+from keymint_ros2_zenoh.documents.configuration_reader import read
 from keymint_ros2_zenoh.emission import common_name, router_of
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, ROUTER, SESSION
+from keymint_ros2_zenoh.proving.anchor_check import differences
 from keymint_ros2_zenoh.proving.claims import MODEL, RightsQuestion, prove_rights
 from keymint_ros2_zenoh.proving.router_side import RouterRights
-from keymint_ros2_zenoh.proving.trust import differences
 from keymint_ros2_zenoh.settings import is_router
 
 CONNECT = "connect"
@@ -77,11 +77,11 @@ def _connects(task: ProofTask, session: Configuration, router: str) -> Claim:
     """Return the claim that sessions exchange messages with the router alone."""
     package, file = task.package, f"{task.folder}/{SESSION}"
     found = (
-        *requirements.by_itself(session, package, file),
-        *requirements.open_default(session, file),
-        *requirements.unpinned(session, router, file),
+        *configuration_requirements.by_itself(session, package, file),
+        *configuration_requirements.open_default(session, file),
+        *configuration_requirements.unpinned(session, router, file),
     )
-    unmodelled, domains = requirements.unmodelled(session, router=False), package.grant.domains
+    unmodelled, domains = configuration_requirements.unmodelled(session, router=False), package.grant.domains
     return configuration_claim(CONNECT, package.subject, _SESSIONS, found, _EXPECTED, unmodelled, domains)
 
 

@@ -7,8 +7,8 @@ from comarmor.patterns import glob
 from comarmor.patterns.decision_lists import BudgetError, ProofResult, SearchBudget, Unknown
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.steps import cached
-from keymint_ros2_zenoh.keyexpr.expansion import key_exprs
-from keymint_ros2_zenoh.lowering.names import data_key
+from keymint_ros2_zenoh.keyexpr.key_expansion import key_exprs
+from keymint_ros2_zenoh.lowering.name_keys import data_key
 from keymint_ros2_zenoh.proving.automaton import Automaton
 from keymint_ros2_zenoh.proving.key_search import difference, side_of
 

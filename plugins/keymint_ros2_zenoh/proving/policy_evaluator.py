@@ -14,12 +14,12 @@ from comarmor.patterns.tokens import Charset, charset
 from comarmor.rules import Effect, parts
 from comarmor.values import dataclass
 from keymint.api import PolicyDecision
-from keymint.graph import Edge, Object
+from keymint.api.graph import Edge, Object
 from keymint.ir import Rule, SubjectRules
-from keymint_ros2_zenoh.keyexpr.expansion import ALPHABET
+from keymint_ros2_zenoh.keyexpr.key_expansion import ALPHABET
 from keymint_ros2_zenoh.keyexpr.key_expr import VERBATIM
-from keymint_ros2_zenoh.lowering.names import ADVANCED, GRAPH, TOKEN_ENCLAVE, TYPE_AND_HASH
-from keymint_ros2_zenoh.lowering.slots import GRAPH_SLOTS, USERS, Place, Slot
+from keymint_ros2_zenoh.lowering.message_slots import GRAPH_SLOTS, USERS, Place, Slot
+from keymint_ros2_zenoh.lowering.name_keys import ADVANCED, GRAPH, TOKEN_ENCLAVE, TYPE_AND_HASH
 from keymint_ros2_zenoh.messages import Flow, Message
 
 _KIND = {

@@ -10,12 +10,12 @@ from comarmor.patterns.glob import Glob
 from comarmor.patterns.printing import exact
 from comarmor.rules import Effect
 from comarmor.values import dataclass
-from keymint_ros2_zenoh.keyexpr.expansion import key_exprs
+from keymint_ros2_zenoh.keyexpr.key_expansion import key_exprs
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr
 from keymint_ros2_zenoh.lowering.key_rules import slot_rules
+from keymint_ros2_zenoh.lowering.message_slots import GRAPH_SLOTS, USERS, Place, Slot
+from keymint_ros2_zenoh.lowering.name_keys import advanced_key, data_key, graph_key, own_tokens_key
 from keymint_ros2_zenoh.lowering.name_rules import NameRules
-from keymint_ros2_zenoh.lowering.names import advanced_key, data_key, graph_key, own_tokens_key
-from keymint_ros2_zenoh.lowering.slots import GRAPH_SLOTS, USERS, Place, Slot
 from keymint_ros2_zenoh.messages import Flow, Message
 from keymint_ros2_zenoh.proving.expansion_proof import proven_exact
 
@@ -56,7 +56,7 @@ class PolicySide:
         """Return what one list of denials can express: where permissions share a message, more than :meth:`permitted`.
 
         It permits a reply on names that one permission is denied and another one is allowed on other names of the same
-        rule; see :data:`keymint_ros2_zenoh.lowering.slots.SLOTS` for why this is no right.
+        rule; see :data:`keymint_ros2_zenoh.lowering.message_slots.SLOTS` for why this is no right.
         """
         lists: dict[Effect, list[KeyExpr]] = {effect: [] for effect in Effect}
         for effect, slots, pattern, _ in slot_rules(self.names):

@@ -7,21 +7,21 @@ from collections.abc import Iterator, Mapping
 
 from keymint.api import Claim, Package, Proof, SharedProofTask
 from keymint.errors import KeymintError
-from keymint_ros2_zenoh import requirements
+from keymint_ros2_zenoh import configuration_requirements
 from keymint_ros2_zenoh.authority_roles import ACCESS
 from keymint_ros2_zenoh.decision.admission import first_common_name
 from keymint_ros2_zenoh.documents.configuration import Configuration
-from keymint_ros2_zenoh.documents.read import read
+from keymint_ros2_zenoh.documents.configuration_reader import read
 from keymint_ros2_zenoh.emission import common_name
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, ROUTER
 from keymint_ros2_zenoh.keyexpr.key_expr import parse
-from keymint_ros2_zenoh.keyexpr.relations import includes, intersects
-from keymint_ros2_zenoh.lowering.names import ADVANCED
+from keymint_ros2_zenoh.keyexpr.key_relations import includes, intersects
+from keymint_ros2_zenoh.lowering.name_keys import ADVANCED
 from keymint_ros2_zenoh.messages import Flow, Message
+from keymint_ros2_zenoh.proving.anchor_check import router_differences
 from keymint_ros2_zenoh.proving.claims import MODEL
 from keymint_ros2_zenoh.proving.enclave_proof import configuration_claim, router_rights
 from keymint_ros2_zenoh.proving.router_side import RouterRights
-from keymint_ros2_zenoh.proving.trust import router_differences
 from keymint_ros2_zenoh.proving.wildcard_leaks import Leak, Rights, leaks
 from keymint_ros2_zenoh.settings import is_router
 
@@ -59,18 +59,18 @@ def _route(task: SharedProofTask, configuration: Configuration, file: str) -> Cl
     routers = [package for package in task.packages if is_router(package)]
     if len(routers) != 1:
         return Claim(MODEL, ROUTE, (), _ROUTE, Proof.UNKNOWN, f"the workspace has {len(routers)} packages of routers")
-    found = tuple(requirements.by_itself(configuration, routers[0], file))
+    found = tuple(configuration_requirements.by_itself(configuration, routers[0], file))
     expected = "the router must decide on every message, by the certificate of its sender"
-    unmodelled = requirements.unmodelled(configuration, router=True)
+    unmodelled = configuration_requirements.unmodelled(configuration, router=True)
     return configuration_claim(ROUTE, routers[0].subject, _ROUTE, found, expected, unmodelled)
 
 
 def _identify(configuration: Configuration, names: Mapping[str, str], file: str) -> Claim:
     """Return the claim that each enclave has the rights of one entry, and nobody else has any."""
     found = (
-        *requirements.open_default(configuration, file),
-        *requirements.entries(configuration),
-        *requirements.holders(configuration, names, file),
+        *configuration_requirements.open_default(configuration, file),
+        *configuration_requirements.entries(configuration),
+        *configuration_requirements.holders(configuration, names, file),
     )
     expected = "each enclave must have one subject entry with its common name, and nobody else one"
     return configuration_claim(IDENTIFY, "", _IDENTIFY, found, expected)

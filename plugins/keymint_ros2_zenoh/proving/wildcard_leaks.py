@@ -23,8 +23,8 @@ from keymint_ros2_zenoh.keyexpr.key_expr import (
     KeyExprError,
     of_chunks,
 )
-from keymint_ros2_zenoh.keyexpr.relations import includes, intersects
-from keymint_ros2_zenoh.lowering.names import TYPE_AND_HASH
+from keymint_ros2_zenoh.keyexpr.key_relations import includes, intersects
+from keymint_ros2_zenoh.lowering.name_keys import TYPE_AND_HASH
 
 
 @dataclass(frozen=True, slots=True)

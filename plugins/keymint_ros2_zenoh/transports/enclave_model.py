@@ -8,15 +8,15 @@ from pathlib import Path
 
 from comarmor.errors import Origin
 from keymint.api import Enclave, Environment, Verdict
+from keymint.api.graph import Edge
 from keymint.api.installed_enclaves import EnclavesBySubject
-from keymint.graph import Edge
 from keymint.pki import certificates
 from keymint_ros2_zenoh.decision import admission
-from keymint_ros2_zenoh.decision.access import AccessDecision, Link
+from keymint_ros2_zenoh.decision.message_access import AccessDecision, Link
 from keymint_ros2_zenoh.decision.operations import Request, operations
-from keymint_ros2_zenoh.transports import installed
+from keymint_ros2_zenoh.transports import installed_configurations
 from keymint_ros2_zenoh.transports.edge_verdict import edge_verdict
-from keymint_ros2_zenoh.transports.installed import InstalledConfiguration
+from keymint_ros2_zenoh.transports.installed_configurations import InstalledConfiguration
 from keymint_ros2_zenoh.vendors import loopback
 
 
@@ -39,7 +39,7 @@ class EnclaveModel:
     """
 
     def __init__(self, enclave: Enclave, router: InstalledConfiguration, environment: Environment) -> None:
-        self.files = installed.session(enclave, environment)
+        self.files = installed_configurations.session(enclave, environment)
         own_name = self.files.common_name(self.files.configuration.tls.connect_certificate)
         others_name = router.common_name(router.configuration.tls.listen_certificate)
         self.refusal = _refusal(self.files, router, environment)
@@ -114,7 +114,7 @@ class InstalledModels:
             KeymintError: it cannot be read.
         """
         if install not in self._routers:
-            self._routers[install] = installed.router(install, self._environment)
+            self._routers[install] = installed_configurations.router(install, self._environment)
         return self._routers[install]
 
 

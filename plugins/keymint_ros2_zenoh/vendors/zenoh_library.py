@@ -7,7 +7,7 @@ import importlib.metadata
 import importlib.util
 import sys
 
-from keymint.command_process import MissingVendorError
+from keymint.host.vendor_process import MissingVendorError
 
 DISTRIBUTION = "eclipse-zenoh"
 OLDEST = (1, 6)

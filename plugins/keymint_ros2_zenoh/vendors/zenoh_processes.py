@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Self
 
-from keymint.command_process import GRACE_SECONDS, CommandProcess, ProcessFailedError
+from keymint.host.vendor_process import GRACE_SECONDS, CommandProcess, ProcessFailedError
 from keymint_ros2_zenoh.vendors import access_log
 from keymint_ros2_zenoh.vendors.access_log import LoggedDecision
 

@@ -17,8 +17,9 @@ from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.relations import disjoint
 from comarmor.patterns.steps import spend, step_limit
 from comarmor.rules import Effect
-from keymint.analysis import name_similarity, portability, redundant_rules, subject_patterns
-from keymint.analysis.lint import lint
+from keymint.analysis import subject_patterns
+from keymint.analysis.lint import name_similarity, portability, redundant_rules
+from keymint.analysis.lint.lint_rules import lint
 from keymint.ir import Rule, SubjectRules
 from tests.effort import calls_of
 from tests.families import FAMILIES

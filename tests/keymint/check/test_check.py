@@ -15,7 +15,7 @@ from keymint_ros2_dds import DdsSecurity
 
 from keymint.executors.pool import divided
 from keymint.executors.processes import Processes
-from keymint.plan import build
+from keymint.stages import build
 from tests.conftest import NOW, snapshot
 
 DAY = 86_400

@@ -12,7 +12,7 @@ import pytest
 
 from keymint import SPACES
 from keymint.cli import VERBS
-from keymint.commands import authority
+from keymint.commands.life import authority
 
 
 def run(*arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -171,7 +171,7 @@ def test_plugins_are_listed_with_where_they_come_from(keymint) -> None:
 
 def test_an_error_of_our_own_is_one_line(tmp_path: Path) -> None:
     code = (
-        "import keymint.commands.run as c, sys; from keymint import cli\n"
+        "import keymint.run.run as c, sys; from keymint import cli\n"
         "def broken(*_): raise ZeroDivisionError('oops')\n"
         "c.Run.workspace = broken\nsys.exit(cli.main(['status']))"
     )

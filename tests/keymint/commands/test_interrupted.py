@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from cryptography import x509
 
-from keymint import group_commit
 from keymint.client import Client
-from keymint.staged import Exchange
+from keymint.store import group_commit
+from keymint.store.staged import Exchange
 
 REKEY = ("renew", "--rekey", "talker")
 REVOKE = ("revoke", "talker", "--reason", "superseded")

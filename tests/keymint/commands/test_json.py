@@ -9,9 +9,9 @@ from pathlib import Path
 import jsonschema
 import pytest
 
+from keymint.api.graph import Edge, Graph, Object
+from keymint.api.graph_json import dump
 from keymint.cli import VERBS
-from keymint.graph import Edge, Graph, Object
-from keymint.graph_json import dump
 from tests import sros2_keystore
 from tests.conftest import CHECKOUT, Outcome
 

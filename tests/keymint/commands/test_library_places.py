@@ -49,7 +49,7 @@ def test_the_reason_of_a_decision_cites_it(tmp_path: Path) -> None:
     import keymint_ros2_comarmor
 
     from keymint.api import PolicySource
-    from keymint.graph import Edge, Object
+    from keymint.api.graph import Edge, Object
 
     path = tmp_path / "policy.xml"
     path.write_text(DENIED)

@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 
-from keymint.commands import run
-from keymint.session import Inputs
-from keymint.workspace import Workspace
+from keymint.run import run
+from keymint.workspace.session import Inputs
+from keymint.workspace.workspace import Workspace
 
 Keymint = Callable[..., Any]
 POLICY = """<profiles>

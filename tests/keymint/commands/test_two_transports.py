@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from lxml import etree
 
-from keymint import plugins
+from keymint.api import plugin_loader
 from tests.keymint import board
 
 DDS = ("-t", "omg")
@@ -21,8 +21,8 @@ RIGHTS = "install/board/rights.txt"
 @pytest.fixture
 def two(keymint: Callable, policy: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """A workspace whose talker has DDS and the board, and whose listener has DDS."""
-    installed = tuple(plugins._installed())
-    monkeypatch.setattr(plugins, "_installed", lambda: (*installed, *board.ENTRIES))
+    installed = tuple(plugin_loader._installed())
+    monkeypatch.setattr(plugin_loader, "_installed", lambda: (*installed, *board.ENTRIES))
     made = keymint("provision", policy, "-w", "ws", "--transport", "dds", "--transport", "board", "--no-prove")
     assert made.code == 0, made.err
     manifest = tmp_path / "ws/src/robot1/listener/keymint_package.xml"

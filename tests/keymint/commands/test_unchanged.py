@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from keymint import unchanged
+from keymint.view import recorded_answers
 from tests.conftest import CHECKOUT, NOW, Outcome, snapshot
 
 EXAMPLES = CHECKOUT / "examples"
@@ -35,14 +35,14 @@ def recalled(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
     """Tell of each command whether it was answered from its record."""
     answers: list[bool] = []
 
-    before = unchanged.recall
+    before = recorded_answers.recall
 
-    def recall(call: unchanged.Call) -> unchanged.Answer | None:
+    def recall(call: recorded_answers.Call) -> recorded_answers.Answer | None:
         answer = before(call)
         answers.append(answer is not None)
         return answer
 
-    monkeypatch.setattr(unchanged, "recall", recall)
+    monkeypatch.setattr(recorded_answers, "recall", recall)
     return answers
 
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 from hypothesis import strategies as st
 
 from comarmor.errors import Origin
+from keymint.api.graph import LABELLED, Edge, Object
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph
-from keymint.graph import LABELLED, Edge, Object
 
 HOSTILE = "</script></style><img src=x onerror=alert(1)>\"'&\u202e\x01]]>"
 ALLOWED, DENIED = Label(True, "an ALLOW rule", Origin("policy.xml", 3)), Label(False, "no rule")

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import pytest
 
+from keymint.api.graph import ConfusionMatrix, EdgeOutcome
 from keymint.drawing.labelled_graph import (
     LabelledGraph,
     choose_subjects,
     select_edges,
 )
 from keymint.errors import KeymintError
-from keymint.graph import ConfusionMatrix, EdgeOutcome
 
 from .graphs import ALLOWED, DENIED, labelled, one_of_each
 

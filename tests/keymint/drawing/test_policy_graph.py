@@ -11,11 +11,11 @@ from keymint_ros2_comarmor import policy_type
 
 from comarmor.errors import Origin
 from keymint.api import LoadedPolicy, PolicySource
+from keymint.api.graph import Edge, EdgeOutcome, Graph, Object, complete
 from keymint.drawing import policy_graph as room
 from keymint.drawing.labelled_graph import LabelledGraph
 from keymint.drawing.policy_graph import label_graph, policy_graph
 from keymint.errors import KeymintError
-from keymint.graph import Edge, EdgeOutcome, Graph, Object, complete
 
 RULE = """<{kind} qualifier="{effect}"{more}><attachment>{name}</attachment><permissions><{permission}/></permissions>
 </{kind}>"""

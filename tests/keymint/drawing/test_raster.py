@@ -9,13 +9,13 @@ import sys
 
 import pytest
 
+from keymint.api.plugin_loader import how_to_add
 from keymint.drawing import raster
 from keymint.drawing.dot import dot
 from keymint.drawing.picture_options import DrawingOptions
 from keymint.drawing.raster import png
 from keymint.drawing.svg import svg
 from keymint.errors import KeymintError
-from keymint.plugins import how_to_add
 
 from .graphs import hostile, one_of_each
 

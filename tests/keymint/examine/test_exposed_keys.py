@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.keymint.commands.test_adopt import made
+from tests.keymint.commands.exchange.test_adopt import made
 
 MODES = {"private/ca.key.pem": 0o644, "enclaves/talker/key.pem": 0o640}
 AUTHORITY, TALKER = ("", "private/ca.key.pem"), ("/talker", "src/talker/issuance.xml")

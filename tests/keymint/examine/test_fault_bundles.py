@@ -9,7 +9,7 @@ import pytest
 from cryptography import x509
 
 from comarmor.errors import Origin
-from keymint.bundles import bundle
+from keymint.robots import bundle
 from tests.conftest import snapshot
 from tests.effort import FULL
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from keymint.journal import MARK, Intent, Journal, intent_of
-from keymint.staged import Exchange
+from keymint.store.journal import MARK, Intent, Journal, intent_of
+from keymint.store.staged import Exchange
 
 
 def test_a_run_that_may_be_visible_in_part_is_a_finding(keymint: Callable, provisioned: Path) -> None:

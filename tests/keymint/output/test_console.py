@@ -7,8 +7,8 @@ import io
 
 import pytest
 
-from keymint.changes import Action, Step
 from keymint.output.console import Console, Streams
+from keymint.store.changes import Action, Step
 
 
 def drawn(seconds: float, *, verbosity: int = 0, as_json: bool = False, terminal: bool = True) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gauges of what ends; ``tests/keymint/commands/test_status.py`` reads the whole text."""
+"""Gauges of what ends; ``tests/keymint/commands/assure/test_status.py`` reads the whole text."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from keymint.output.expiry_metrics import gauges
-from keymint.status import package_rows
+from keymint.stages.package_status import package_rows
 from tests.conftest import NOW
-from tests.keymint.plan.sessions import session_of
+from tests.keymint.stages.sessions import session_of
 
 
 def test_an_enclave_that_ends_with_its_authority_has_no_moment_of_renewal(keymint: Callable, ws: Path) -> None:

@@ -13,12 +13,12 @@ from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from comarmor.errors import Origin
-from keymint.bundles import bundle
 from keymint.errors import KeymintError
+from keymint.life.issued_certificates import REASONS
 from keymint.pki import certificates, keys, revocation_lists
 from keymint.pki.certificates import Issuer
 from keymint.pki.revocation_lists import Revocation
-from keymint.register.register import REASONS
+from keymint.robots import bundle
 
 NOW = datetime(2027, 1, 15, 8, tzinfo=UTC)
 WHERE = Origin("public/ca.crl.pem")

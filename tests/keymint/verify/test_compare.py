@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from comarmor.errors import Origin, Reason
 from keymint.api import Availability, Enclave, PolicyDecision, Tier, Verdict
+from keymint.api.graph import ConfusionMatrix, Edge, Graph, Object, complete
 from keymint.errors import KeymintError
-from keymint.graph import ConfusionMatrix, Edge, Graph, Object, complete
 from keymint.verify.compare import ENCLAVE_REFUSED, Asking, compare, label_enclave
 from keymint.verify.mismatch import Mismatch
 

@@ -16,8 +16,8 @@ from keymint_ros2_dds import build_type
 
 from comarmor.errors import Origin, Reason
 from keymint.api import Availability, Enclave, PolicyDecision, PolicySource, Tier, Verdict
+from keymint.api.graph import Column, Edge, Object
 from keymint.errors import KeymintError
-from keymint.graph import Column, Edge, Object
 from keymint.verify.compare import ENCLAVE_REFUSED, Asking, compare
 from keymint.verify.compare_endpoints import compare_endpoints
 from keymint.verify.endpoint_policy import EndpointPolicy, label

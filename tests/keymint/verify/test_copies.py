@@ -12,10 +12,10 @@ import pytest
 
 from comarmor.errors import Origin
 from keymint.api import Availability, Enclave, Tier, Verdict
+from keymint.api.graph import Edge, Object
 from keymint.errors import ExitCode, KeymintError
-from keymint.graph import Edge, Object
-from keymint.tree import Tree
 from keymint.verify.copies import copied
+from keymint.view.tree import Tree
 
 EDGE = Edge("/a/b", "ros_publish", Object("ros_topic", "/x"))
 

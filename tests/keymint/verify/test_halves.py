@@ -13,7 +13,7 @@ from keymint_ros2_dds import build_type
 
 from comarmor.errors import Origin
 from keymint.api import Availability, Enclave, PolicySource, Tier, Verdict
-from keymint.graph import Column, ConfusionMatrix, Edge, EdgeOutcome, Object
+from keymint.api.graph import Column, ConfusionMatrix, Edge, EdgeOutcome, Object
 from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.halves import with_halves
 from keymint.verify.mismatch import Comparison, Mismatch

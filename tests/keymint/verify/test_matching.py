@@ -7,7 +7,7 @@ import pytest
 
 from comarmor.errors import Origin
 from comarmor.rules import Effect
-from keymint.graph import Edge, Object
+from keymint.api.graph import Edge, Object
 from keymint.ir import Rule
 from keymint.verify.matching import matching_rules, nearest
 

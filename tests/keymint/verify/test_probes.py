@@ -15,7 +15,7 @@ from comarmor.errors import Origin
 from comarmor.patterns import glob
 from comarmor.patterns.matching import matcher
 from comarmor.rules import Effect
-from keymint.graph import Edge, Object
+from keymint.api.graph import Edge, Object
 from keymint.ir import Rule, SubjectRules
 from keymint.verify import probes
 

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from keymint.api import Availability, Enclave, Tier, Verdict
+from keymint.api.graph import Edge
 from keymint.errors import ExitCode, KeymintError
-from keymint.graph import Edge
 from keymint.verify.usable_transports import choose, models
 
 BOTH = (Tier.DECISION, Tier.EXCHANGE)

@@ -18,7 +18,7 @@ from keymint.api import (
     RowPolicy,
     StructuredPolicy,
 )
-from keymint.graph import Edge, Object
+from keymint.api.graph import Edge, Object
 
 POLICY = """<profiles><profile name="all" modifier="AUDIT"><attachment>/r/*</attachment>
 <ros_topic qualifier="ALLOW"><attachment>/x*</attachment><permissions><ros_publish/></permissions></ros_topic></profile>

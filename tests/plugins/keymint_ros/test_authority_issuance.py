@@ -13,7 +13,7 @@ from keymint_ros.authority_issuance import FILE
 
 from comarmor.data import locate
 from keymint.api import Authority, AuthorityIssuance, AuthorityIssuanceFiles, Phase, Rollover
-from tests.keymint.commands.test_authority import outside
+from tests.keymint.commands.life.test_authority import outside
 
 from .workspaces import ROOT, Workspace, diagnostic_of
 

@@ -15,7 +15,7 @@ from lxml import etree
 
 from comarmor.data import locate
 from keymint.api import Package, Role
-from keymint.plugins import Plugins
+from keymint.api.plugin_loader import Plugins
 
 from .workspaces import REQUEST, ROOT, Workspace, diagnostic_of, load_package
 

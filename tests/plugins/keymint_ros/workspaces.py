@@ -14,9 +14,9 @@ from keymint_ros import package_type, profile_type
 from comarmor.errors import Diagnostic, Origin
 from comarmor.rules import Effect
 from keymint.api import Bootstrap, Package, WorkspaceProfile
+from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
-from keymint.plugins import Plugins
 
 NOW = datetime(2026, 11, 21, 15, 30, tzinfo=UTC)
 ROOT = Path("/ws/profile")

@@ -15,8 +15,8 @@ import comarmor
 from comarmor.errors import Origin
 from comarmor.rules import PARTS
 from keymint.api import LearnedPolicy, PolicySource
-from keymint.graph import Edge, Graph, Object, complete
-from keymint.graph_json import KIND_OF
+from keymint.api.graph import Edge, Graph, Object, complete
+from keymint.api.graph_json import KIND_OF
 from tests.effort import tries
 
 SUBJECTS = ("/a", "/b", "/ns/a", "/ns/b", "/ns/a/b")

@@ -10,7 +10,7 @@ from keymint_ros2_comarmor.learned_rules import fold, literal, needs_of, templat
 from comarmor.language.attachments import expand, for_parts, parse, parts
 from comarmor.patterns.expression import literal as only_name
 from comarmor.rules import PERMISSIONS, Effect
-from keymint.graph import Edge, Object
+from keymint.api.graph import Edge, Object
 
 NEEDS = st.lists(
     st.sampled_from([(kind, permission) for kind, all_ in PERMISSIONS.items() for permission in all_]).flatmap(

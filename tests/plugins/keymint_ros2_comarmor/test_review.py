@@ -10,7 +10,7 @@ from keymint_ros2_comarmor import policy_type
 
 from comarmor.errors import Origin
 from keymint.api import PolicySource
-from keymint.graph import Edge, Graph, Object
+from keymint.api.graph import Edge, Graph, Object
 
 EXISTING = """\
 <profiles>

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_dds.kinds import members
+from keymint_ros2_dds.emit import kind_members
 
 
 @pytest.fixture(autouse=True)
 def no_known_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(members, "_known", {})
+    monkeypatch.setattr(kind_members, "_known", {})

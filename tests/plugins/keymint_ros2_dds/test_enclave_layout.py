@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 from keymint_ros2_dds.enclave_layout import CRL, LAYOUTS, enclave_files, files, has_one_authority, reads_revocations
-from keymint_ros2_dds.lowering.mapping import DISTROS
+from keymint_ros2_dds.lowering.name_mapping import DISTROS
 
 
 def test_distributions_read_revocation_lists_from_humble_on() -> None:

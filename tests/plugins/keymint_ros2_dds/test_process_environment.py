@@ -11,7 +11,7 @@ from keymint_ros2_dds import build_type
 from keymint_ros2_dds.process_environment import enclave_variables, keystore_variables
 
 from keymint.api import EnvironmentVariable, ProcessEnvironment
-from keymint.shells import resolved
+from keymint.host.shells import resolved
 
 SWITCHES = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
 

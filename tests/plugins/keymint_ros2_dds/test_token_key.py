@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from keymint_ros2_dds import build_type, token_key
 from keymint_ros2_dds.enclave_layout import KEY, KEY_URI, READS_KEY_URI, files
-from keymint_ros2_dds.lowering.mapping import DISTROS
+from keymint_ros2_dds.lowering.name_mapping import DISTROS
 from keymint_ros2_dds.settings import BUILD_TYPE, settings_of
 
 from comarmor.errors import Severity

@@ -12,7 +12,7 @@ from keymint_ros2_sros2 import policy_type
 
 from comarmor.errors import ComArmorError, Origin
 from keymint.api import LoadedPolicy, PolicySource
-from keymint.graph import Edge, Object
+from keymint.api.graph import Edge, Object
 from tests.effort import calls_of
 
 from .sros2_policies import enclave, policy

@@ -11,10 +11,10 @@ from types import ModuleType
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from keymint_ros2_zenoh import requirements
+from keymint_ros2_zenoh import configuration_requirements
 from keymint_ros2_zenoh.build import build, build_shared
 from keymint_ros2_zenoh.documents.configuration import Configuration
-from keymint_ros2_zenoh.documents.read import read
+from keymint_ros2_zenoh.documents.configuration_reader import read
 from keymint_ros2_zenoh.gathering import gathered
 from keymint_ros2_zenoh.key_limits import check_identity
 from keymint_ros2_zenoh.lowering.rule_check import lower_package
@@ -127,7 +127,10 @@ RULES = st.builds(
 def test_every_policy_gives_the_sound_shape(first: list[Rule], second: list[Rule]) -> None:
     packages = package(*first), package(*second, subject="/b")
     found = router(*packages)
-    assert not [*requirements.open_default(found, "router.json5"), *requirements.entries(found)]
+    assert not [
+        *configuration_requirements.open_default(found, "router.json5"),
+        *configuration_requirements.entries(found),
+    ]
     assert len(found.access_control.subjects) == 2
     rules = {each.id: each for each in found.access_control.rules}
     for policy, own in zip(found.access_control.policies, sorted(packages, key=lambda each: each.name), strict=True):

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_zenoh import build_type
 from keymint_ros2_zenoh import signature as signatures
-from keymint_ros2_zenoh.proving import trust
+from keymint_ros2_zenoh.proving import anchor_check
 
 from comarmor.errors import Severity
 from keymint.api import Extension, Package, TrustAnchor
@@ -171,7 +171,7 @@ def test_a_session_that_zenoh_refuses(talker: dict[str, bytes]) -> None:
 
 def router_codes(files: Mapping[str, bytes], **fields: Any) -> list[str]:
     access = TrustAnchor("access", "public/permissions_ca.cert.pem", pem("permissions_ca"))
-    anchored = trust.router_differences(files, "install", access)
+    anchored = anchor_check.router_differences(files, "install", access)
     own = build_type.check_shared(shared_inspection(PACKAGES, files, **fields))
     return sorted(each.code for each in (*own, *anchored))
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from keymint_ros2_zenoh.gathering import gathered
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr, canonical
-from keymint_ros2_zenoh.keyexpr.relations import includes
+from keymint_ros2_zenoh.keyexpr.key_relations import includes
 from keymint_ros2_zenoh.lowering.key_rule import KeyRule
 from keymint_ros2_zenoh.messages import Flow, Message
 

@@ -10,7 +10,7 @@ from keymint_ros2_zenoh.enclave_layout import SESSION, files
 from keymint_ros2_zenoh.process_environment import enclave_variables, keystore_variables
 
 from keymint.api import ProcessEnvironment
-from keymint.shells import resolved
+from keymint.host.shells import resolved
 
 ROUTER = {"ZENOH_ROUTER_CONFIG_URI": "/k/zenoh/router.json5"}
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
-from keymint_ros2_zenoh.documents.read import read
+from keymint_ros2_zenoh.documents.configuration_reader import read
 
 from tests.conftest import CHECKOUT
 

@@ -6,8 +6,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from keymint_ros2_dds import build_type, emission
-from keymint_ros2_dds.compiling import compile as compiling
+from keymint_ros2_dds import build_type
+from keymint_ros2_dds.compiling import grant_compiler as compiling
+from keymint_ros2_dds.emit import emission
 from keymint_ros2_dds.rule_packages import package_of
 
 from comarmor.patterns.steps import step_limit

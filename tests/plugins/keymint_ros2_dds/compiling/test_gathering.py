@@ -13,23 +13,25 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type
-from keymint_ros2_dds.compiling import compile, gathering  # noqa: A004 - the module's name
+from keymint_ros2_dds.compiling import (
+    gathering,
+    grant_compiler,
+)
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import DEFAULT, GrantRule
 
 from comarmor.errors import Severity
 from comarmor.rules import Effect
 from keymint.api import BuildOptions, Hint
-from keymint.graph import Edge, Object
+from keymint.api.graph import Edge, Object
 from tests.effort import tries
-from tests.plugins.keymint_ros2_dds.compiling.test_compile import (
+from tests.plugins.keymint_ros2_dds.compiling.test_grant_compiler import (
     ASKED,
     FEW,
     TOPICS,
     rules,
 )
-from tests.plugins.keymint_ros2_dds.packages import package, rule
-from tests.plugins.keymint_ros2_dds.test_emission import (
+from tests.plugins.keymint_ros2_dds.emit.test_emission import (
     MIXED,
     PLAIN,
     TOPIC,
@@ -39,26 +41,27 @@ from tests.plugins.keymint_ros2_dds.test_emission import (
     tags,
     topics,
 )
+from tests.plugins.keymint_ros2_dds.packages import package, rule
 
 
 @pytest.fixture
 def always_gathered() -> Iterator[None]:
     """Gather wherever it is possible, however little it saves."""
-    with mock.patch.object(compile, "gathered", functools.partial(gathering.gathered, min_saved=-(10**6))):
+    with mock.patch.object(grant_compiler, "gathered", functools.partial(gathering.gathered, min_saved=-(10**6))):
         yield
 
 
 @settings(max_examples=tries(50, 100))
 @given(st.lists(rules(), min_size=1, max_size=6), hint_lists())
 def test_gathering_changes_no_decision(drawn, hints):
-    with mock.patch.object(compile, "gathered", functools.partial(gathering.gathered, min_saved=-(10**6))):
+    with mock.patch.object(grant_compiler, "gathered", functools.partial(gathering.gathered, min_saved=-(10**6))):
         held_against_the_policy(drawn, BuildOptions(hints=hints), TOPICS, ((),))
 
 
 @settings(max_examples=tries(30, 60))
 @given(MIXED)
 def test_gathering_keeps_partitions(drawn):
-    with mock.patch.object(compile, "gathered", functools.partial(gathering.gathered, min_saved=-(10**6))):
+    with mock.patch.object(grant_compiler, "gathered", functools.partial(gathering.gathered, min_saved=-(10**6))):
         held_against_the_policy(drawn, BuildOptions(), FEW, ASKED)
 
 

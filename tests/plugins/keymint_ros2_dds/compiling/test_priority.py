@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 from keymint.api import BuildOptions, Hint
-from keymint.graph import Edge, Object
-from tests.plugins.keymint_ros2_dds.packages import package, rule
-from tests.plugins.keymint_ros2_dds.test_emission import (
+from keymint.api.graph import Edge, Object
+from tests.plugins.keymint_ros2_dds.emit.test_emission import (
     TOPIC,
     document,
     topics,
 )
+from tests.plugins.keymint_ros2_dds.packages import package, rule
 
 
 class TestPriority:

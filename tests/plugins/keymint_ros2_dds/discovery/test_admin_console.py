@@ -6,8 +6,8 @@ from __future__ import annotations
 import pytest
 from keymint_ros2_dds.discovery import graph_source
 
+from keymint.api.graph import Edge, Graph, Object, complete
 from keymint.errors import KeymintError
-from keymint.graph import Edge, Graph, Object, complete
 from tests.plugins.keymint_ros2_dds.discovery.admin_console_file import (
     TALKER_GUID,
     TALKER_KEY,

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, DiscoveredParticipant
-from keymint_ros2_dds.discovery.to_graph import discovered
+from keymint_ros2_dds.discovery.capture_graph import discovered
 
 from comarmor.errors import Severity
 from keymint.errors import KeymintError

@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 from keymint_ros2_dds.discovery.ros_entities import RosName, ros_name, ros_type
 
-from keymint.graph import Object
+from keymint.api.graph import Object
 
 
 def topic(name: str, *partitions: str) -> Object:

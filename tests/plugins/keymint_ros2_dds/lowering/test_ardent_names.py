@@ -20,10 +20,10 @@ from comarmor.patterns.glob import parse
 from comarmor.patterns.printing import exact
 from comarmor.rules import Effect
 from keymint.api import BuildOptions
+from keymint.api.graph import Edge, Object
 from keymint.errors import KeymintError
-from keymint.graph import Edge, Object
 from tests.effort import tries
-from tests.plugins.keymint_ros2_dds.compiling.test_compile import built_or_refused
+from tests.plugins.keymint_ros2_dds.compiling.test_grant_compiler import built_or_refused
 from tests.plugins.keymint_ros2_dds.oracles import cyclone, fastdds, omg
 from tests.plugins.keymint_ros2_dds.packages import domain_rule, governed, package, protection, rule
 

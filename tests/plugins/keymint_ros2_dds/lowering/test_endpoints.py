@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from keymint_ros2_dds.lowering.endpoints import endpoints, meanings
 
+from keymint.api.graph import LABELLED, Edge, Object
 from keymint.errors import KeymintError
-from keymint.graph import LABELLED, Edge, Object
 
 NAMES = st.lists(st.sampled_from(["a", "b_1", "Request", "Reply", "rt"]), min_size=1, max_size=3).map(
     lambda parts: "".join(f"/{part}" for part in parts)

@@ -22,8 +22,8 @@ from keymint_ros2_dds.proving import ASSUMPTIONS, prove_content
 from keymint_ros2_dds.vendors import probe_builds
 
 from keymint.api import Claim, ComparisonTask, Proof
-from keymint.command_process import MissingVendorError
 from keymint.errors import KeymintError
+from keymint.host.vendor_process import MissingVendorError
 from keymint.ir import SubjectRules
 from tests.plugins.keymint_ros2_dds.decision.cyclone_matcher import ac_fnmatch
 from tests.plugins.keymint_ros2_dds.packages import DOMAIN, rule

@@ -8,7 +8,7 @@ import re
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from keymint_ros2_dds.decision import fnmatch
+from keymint_ros2_dds.decision import fnmatch_dialects
 from keymint_ros2_dds.proving.dialects import read
 
 from comarmor.patterns.matching import matches
@@ -17,23 +17,29 @@ from tests.effort import tries
 
 PIECES = st.sampled_from([*"ab-]/*?!^\\\u00e9", "[ab]", "[!a]", "[a-b]", "[^a]", "[]a]", "[!]]"])
 TEXTS = st.text(alphabet="ab/-]!^\\\u00e9", max_size=5)
-DIALECTS = (fnmatch.STANDARD, fnmatch.FAST_DDS, fnmatch.CYCLONE_DDS)
+DIALECTS = (fnmatch_dialects.STANDARD, fnmatch_dialects.FAST_DDS, fnmatch_dialects.CYCLONE_DDS)
 
 
 @settings(max_examples=tries(60, 300), deadline=None)
 @given(st.lists(PIECES, max_size=5).map("".join), TEXTS, st.sampled_from(DIALECTS))
 def test_patterns_match_what_the_dialect_matches(expression: str, text: str, dialect) -> None:
     (pattern,) = read((expression,), dialect)
-    name = fnmatch.in_bytes(text)
-    expected = re.fullmatch(fnmatch.translate(fnmatch.in_bytes(expression), dialect), name, re.DOTALL) is not None
+    name = fnmatch_dialects.in_bytes(text)
+    expected = (
+        re.fullmatch(fnmatch_dialects.translate(fnmatch_dialects.in_bytes(expression), dialect), name, re.DOTALL)
+        is not None
+    )
     assert matches(pattern, name) == expected
 
 
 def test_each_pattern_is_returned_once_in_order() -> None:
-    assert [matches(pattern, "b") for pattern in read(("b", "a*", "b", "a**"), fnmatch.STANDARD)] == [True, False]
+    assert [matches(pattern, "b") for pattern in read(("b", "a*", "b", "a**"), fnmatch_dialects.STANDARD)] == [
+        True,
+        False,
+    ]
 
 
 def test_notation_that_implementations_read_differently_is_an_error() -> None:
     for expression in ("[[:nope:]]", "[[.a.]]", "[[=a=]]"):
         with pytest.raises(PatternError):
-            read((expression,), fnmatch.STANDARD)
+            read((expression,), fnmatch_dialects.STANDARD)

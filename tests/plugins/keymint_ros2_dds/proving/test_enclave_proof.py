@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type, decision, proving
-from keymint_ros2_dds.lowering.lower import lower
+from keymint_ros2_dds.lowering.lowered_rules import lower
 from keymint_ros2_dds.proving import enclave_proof
 from keymint_ros2_dds.transports.enclave_files import subject_name
 
@@ -20,7 +20,7 @@ from keymint.api import BuildOptions, ComparisonTask, DomainRange, Proof, ProofT
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, smime
 from tests.effort import tries
-from tests.plugins.keymint_ros2_dds.compiling.test_compile import DENIED, PARTITIONS, rules
+from tests.plugins.keymint_ros2_dds.compiling.test_grant_compiler import DENIED, PARTITIONS, rules
 from tests.plugins.keymint_ros2_dds.enclaves import anchors, authority, installed
 from tests.plugins.keymint_ros2_dds.oracles import policy as oracle
 from tests.plugins.keymint_ros2_dds.packages import DOMAIN, package, rule

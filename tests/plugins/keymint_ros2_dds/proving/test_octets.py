@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 from keymint_ros2_dds import build_type, proving
-from keymint_ros2_dds.decision import fnmatch
+from keymint_ros2_dds.decision import fnmatch_dialects
 from keymint_ros2_dds.proving import octets
 
 from comarmor.patterns import glob
@@ -125,7 +125,7 @@ def test_the_compiler_writes_no_name_beyond_printable_ascii(expression):
 
 def test_bytes_and_text_are_two_forms_of_one_name():
     for name in ("a", "é", "日本", "\U0001f600"):
-        assert octets.in_text(fnmatch.in_bytes(name)) == name
+        assert octets.in_text(fnmatch_dialects.in_bytes(name)) == name
     for code in range(1, 256):
-        assert fnmatch.in_bytes(octets.in_text(chr(code))) == chr(code)
+        assert fnmatch_dialects.in_bytes(octets.in_text(chr(code))) == chr(code)
     assert octets.of_glob(glob.parse("é[!a]?")) == ("Ã©", *glob.parse("[!a]?"))

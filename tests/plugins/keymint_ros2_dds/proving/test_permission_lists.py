@@ -11,8 +11,8 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.decision import VARIATIONS, DocumentEvaluator, fnmatch
-from keymint_ros2_dds.lowering.lower import lower
+from keymint_ros2_dds.decision import VARIATIONS, DocumentEvaluator, fnmatch_dialects
+from keymint_ros2_dds.lowering.lowered_rules import lower
 from keymint_ros2_dds.proving import permission_lists, policy_evaluator
 from keymint_ros2_dds.proving.dialects import read
 
@@ -21,7 +21,7 @@ from comarmor.patterns.matching import matches
 from comarmor.patterns.tokens import PatternError
 from keymint.ir import SubjectRules
 from tests.effort import tries
-from tests.plugins.keymint_ros2_dds.compiling.test_compile import DENIED, PARTITIONS, rules
+from tests.plugins.keymint_ros2_dds.compiling.test_grant_compiler import DENIED, PARTITIONS, rules
 from tests.plugins.keymint_ros2_dds.decision import documents as xml
 from tests.plugins.keymint_ros2_dds.decision.cyclone_reference import cyclone_regex
 from tests.plugins.keymint_ros2_dds.oracles import policy as oracle
@@ -151,9 +151,9 @@ def _cyclone(expression, name):
 @pytest.mark.parametrize(
     ("dialect", "oracle"),
     [
-        pytest.param(fnmatch.STANDARD, _libc(0), id="standard"),
-        pytest.param(fnmatch.FAST_DDS, _libc(2), id="Fast DDS"),
-        pytest.param(fnmatch.CYCLONE_DDS, _cyclone, id="Cyclone DDS"),
+        pytest.param(fnmatch_dialects.STANDARD, _libc(0), id="standard"),
+        pytest.param(fnmatch_dialects.FAST_DDS, _libc(2), id="Fast DDS"),
+        pytest.param(fnmatch_dialects.CYCLONE_DDS, _cyclone, id="Cyclone DDS"),
     ],
 )
 @settings(max_examples=tries(60, 300), deadline=None)
@@ -162,7 +162,9 @@ def _cyclone(expression, name):
 @example("[!]a]")
 @example("[c-a]")
 def test_expressions_become_what_the_dialect_matches(dialect, oracle, expression):
-    assume(dialect is fnmatch.CYCLONE_DDS or not expression.endswith("-"))  # glibc reads a range in an unclosed bracket
+    assume(
+        dialect is fnmatch_dialects.CYCLONE_DDS or not expression.endswith("-")
+    )  # glibc reads a range in an unclosed bracket
     try:
         (pattern,) = read((expression,), dialect)
     except PatternError:

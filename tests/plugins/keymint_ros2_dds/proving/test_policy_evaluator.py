@@ -13,7 +13,7 @@ from keymint_ros2_dds.proving.policy_evaluator import decide, is_ros_name
 from comarmor.rules import Effect
 from keymint.ir import SubjectRules
 from tests.effort import tries
-from tests.plugins.keymint_ros2_dds.compiling.test_compile import DENIED, FEW, PARTITIONS, rules
+from tests.plugins.keymint_ros2_dds.compiling.test_grant_compiler import DENIED, FEW, PARTITIONS, rules
 from tests.plugins.keymint_ros2_dds.oracles import policy
 from tests.plugins.keymint_ros2_dds.packages import rule
 

@@ -13,7 +13,7 @@ from keymint_ros2_dds.transports.ardent_middleware import DEVIATION, ArdentMiddl
 
 from comarmor.errors import Origin
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
-from keymint.graph import Edge, Object
+from keymint.api.graph import Edge, Object
 
 SERVICE = Edge("/t", "ros_call", Object("ros_service", "/n/s"))
 TOPIC = Edge("/t", "ros_publish", Object("ros_topic", "/n/x"))

@@ -13,7 +13,7 @@ from keymint_ros2_dds.transports.authentication import load
 from keymint_ros2_dds.transports.enclave_model import EnclaveModel
 
 from keymint.api import Enclave, Environment
-from keymint.graph import Column, Edge, Object
+from keymint.api.graph import Column, Edge, Object
 from tests.plugins.keymint_ros2_dds.enclaves import NOW, authority, installed, revoking
 from tests.plugins.keymint_ros2_dds.packages import package, rule
 

@@ -15,7 +15,7 @@ from keymint_ros2_dds.vendors.probe_builds import FASTDDS_3
 from keymint_ros2_dds.vendors.unpacked import unpacked
 
 from keymint.api import Environment, Tier, Transport
-from keymint.command_process import MissingVendorError
+from keymint.host.vendor_process import MissingVendorError
 from tests.conftest import CHECKOUT
 
 NAMES = ("fastdds-3.3.0", "fastdds-3.1.2")

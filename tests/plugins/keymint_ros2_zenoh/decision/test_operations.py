@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 from keymint_ros2_zenoh.decision.operations import Operation, operations
 
-from keymint.graph import Edge, Object
+from keymint.api.graph import Edge, Object
 
 KEY = "0/chatter/std_msgs::msg::dds_::String_/TypeHashNotSupported"
 BESIDE = f"{KEY}/@adv/pub/0123456789abcdef/1/_"

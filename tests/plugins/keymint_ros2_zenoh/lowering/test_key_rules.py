@@ -9,7 +9,7 @@ import sys
 import pytest
 from hypothesis import given, settings
 from keymint_ros2_zenoh.lowering.key_rules import MAX_DOMAINS, Lowered, lower
-from keymint_ros2_zenoh.lowering.slots import SLOTS, USERS, Place, Slot
+from keymint_ros2_zenoh.lowering.message_slots import SLOTS, USERS, Place, Slot
 from keymint_ros2_zenoh.messages import Flow, Message
 
 from comarmor.errors import Origin

@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
-from keymint_ros2_zenoh.decision.access import AccessModel, Link
+from keymint_ros2_zenoh.decision.message_access import AccessModel, Link
 from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
-from keymint_ros2_zenoh.lowering.slots import SLOTS, Place
+from keymint_ros2_zenoh.lowering.message_slots import SLOTS, Place
 from keymint_ros2_zenoh.messages import Flow, Message, Permission
 from keymint_ros2_zenoh.proving.claims import RightsQuestion, prove_rights
 from keymint_ros2_zenoh.proving.router_side import RouterRights

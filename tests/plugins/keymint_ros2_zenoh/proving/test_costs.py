@@ -7,7 +7,7 @@ from random import Random
 
 import pytest
 from keymint_ros2_zenoh.documents.access_control import AccessControl
-from keymint_ros2_zenoh.keyexpr.expansion import key_exprs
+from keymint_ros2_zenoh.keyexpr.key_expansion import key_exprs
 from keymint_ros2_zenoh.messages import Permission
 from keymint_ros2_zenoh.proving.claims import RightsQuestion, prove_rights
 from keymint_ros2_zenoh.proving.expansion_proof import proven_exact
@@ -19,7 +19,7 @@ from comarmor.patterns.steps import step_limit
 from keymint.api import Claim, Proof
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
-from keymint.plan.proof_results import STEPS
+from keymint.stages.proof.proof_results import STEPS
 from tests.effort import tries
 from tests.plugins.keymint_ros2_zenoh.lowering.policies import rule, subject_rules
 

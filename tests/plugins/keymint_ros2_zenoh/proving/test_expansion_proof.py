@@ -6,7 +6,7 @@ from __future__ import annotations
 import random
 
 import pytest
-from keymint_ros2_zenoh.keyexpr.expansion import TooManyAlternativesError
+from keymint_ros2_zenoh.keyexpr.key_expansion import TooManyAlternativesError
 from keymint_ros2_zenoh.keyexpr.key_expr import parse
 from keymint_ros2_zenoh.proving import expansion_proof
 from keymint_ros2_zenoh.proving.expansion_proof import proven_exact

@@ -11,13 +11,13 @@ from typing import Any
 import pytest
 from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
 from keymint_ros2_zenoh.documents.configuration import Configuration
-from keymint_ros2_zenoh.documents.read import read
-from keymint_ros2_zenoh.documents.write import write
+from keymint_ros2_zenoh.documents.configuration_reader import read
+from keymint_ros2_zenoh.documents.configuration_writer import write
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, ROUTER, SESSION, SIGNATURE
 from keymint_ros2_zenoh.messages import Flow, Message, Permission
+from keymint_ros2_zenoh.proving.anchor_check import differences, terms
 from keymint_ros2_zenoh.proving.enclave_proof import ASSUMPTIONS, prove
 from keymint_ros2_zenoh.proving.shared_proof import prove_shared
-from keymint_ros2_zenoh.proving.trust import differences, terms
 
 from keymint.api import Claim, Package, Proof, ProofTask, SharedProofTask, TrustAnchor, TrustAnchors
 from keymint.errors import KeymintError

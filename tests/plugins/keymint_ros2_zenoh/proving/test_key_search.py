@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr, canonical, parse
-from keymint_ros2_zenoh.keyexpr.relations import includes
+from keymint_ros2_zenoh.keyexpr.key_relations import includes
 from keymint_ros2_zenoh.proving.automaton import Automaton
 from keymint_ros2_zenoh.proving.key_search import Side, difference, side_of
 

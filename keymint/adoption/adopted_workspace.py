@@ -1,0 +1,285 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plan the workspace that a keystore of another tool becomes.
+
+The plan is carried on to the build and the installation that would follow. They must change nothing that the robots
+have; if they would, nothing is written.
+"""
+
+from __future__ import annotations
+
+import posixpath
+import stat
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from comarmor.errors import Diagnostic, Origin
+from comarmor.values import dataclass
+from keymint.adoption.keystore_policy import AdoptedPolicy
+from keymint.api import (
+    AdoptedSources,
+    AdoptingPackageType,
+    Bootstrap,
+    BuildOptions,
+    DomainRange,
+    FoundKeystore,
+    Issuance,
+    KeptDocuments,
+    KeystoreFile,
+    KeystoreFiles,
+)
+from keymint.authority.authorities import plan_authorities
+from keymint.authority.authority_renewal import plan_import
+from keymint.authority.given_authority import GivenAuthority
+from keymint.errors import KeymintError
+from keymint.ir import SubjectRules
+from keymint.life.workspace_register import complete_register, register_change
+from keymint.names import package_name
+from keymint.pki import certificates, key_files, public_keys
+from keymint.stages.build import BuildStage
+from keymint.stages.create import marker_last
+from keymint.stages.install import InstallStage
+from keymint.stages.workspace_start import plan_init, refuse_unsupported
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed_below, secret_file
+from keymint.workspace.policy_loading import record_unread
+from keymint.workspace.session import Inputs, Session
+from keymint.workspace.workspace import DEFAULTS
+
+STAGE = "adopt"
+
+
+@dataclass(frozen=True, slots=True)
+class Adoption:
+    """A keystore to take over.
+
+    Attributes:
+        build_type: name of the build type that reads it.
+        files: its files.
+        found: what it has.
+        policy: its policy.
+        profile_type: name of the type of the new profile.
+        request: the new profile.
+    """
+
+    build_type: str
+    files: KeystoreFiles
+    found: FoundKeystore
+    policy: AdoptedPolicy
+    profile_type: str
+    request: Bootstrap
+
+
+def plan_adoption(inputs: Inputs, adoption: Adoption) -> Plan:
+    """Plan the workspace, its build and its installation.
+
+    Args:
+        inputs: a workspace that does not exist yet.
+        adoption: what becomes of it.
+
+    Raises:
+        KeymintError: something cannot be taken over as it is; with all reasons.
+    """
+    plan = _profile(inputs, adoption)
+    session = inputs.after(plan).session()
+    refuse_unsupported(session)
+    for authority in adoption.found.authorities:
+        place = Origin(f"{adoption.files.folder}/{authority.file}")
+        key_place = Origin(f"{adoption.files.folder}/{next(iter(authority.key_files), '')}")
+        given = GivenAuthority(authority.certificate, place, authority.key, key_place, authority.exposed)
+        plan = plan.then(plan_import(session, authority.name, given))
+        session = inputs.after(plan).session()  # whose profile has the certificate
+
+    def go_on(step: Plan) -> None:
+        nonlocal plan, session
+        plan, session = plan.then(step), session.after(step)
+
+    for planned in (_sources, _keystore, _lists, _register):
+        go_on(planned(session, adoption))
+    names = [package_name(each.subject) for each in adoption.found.enclaves]
+    build = BuildStage(session, BuildOptions())
+    built = build.plan([build.package(name) for name in names])
+    _require_kept(session, adoption, built)
+    go_on(built)
+    minted, authorities = plan_authorities(session)
+    go_on(minted)
+    install = InstallStage(session, authorities, prune=False)
+    installed = install.plan([install.package(name) for name in names])
+    _require_unchanged(session, adoption, installed)
+    plan = plan.then(installed)
+    # From now on, each stage compares the packages with the policy.
+    return replace(plan, state=record_unread(session.after(installed), adoption.policy.subjects))
+
+
+def _profile(inputs: Inputs, adoption: Adoption) -> Plan:
+    """Plan the profile, with the policy and the defaults; its marker stays the last file to be written."""
+    plan = plan_init(inputs, adoption.profile_type, adoption.request)
+    (step,) = plan.steps
+    *folders, root = step.changes
+    defaults = {f"{DEFAULTS}/{part}.xml": content for part, content in adoption.found.defaults.items()}
+    changes = changed_below(inputs.tree, inputs.workspace.profile, {**adoption.policy.files, **defaults})
+    return replace(plan, steps=(replace(step, changes=(*folders, *changes, root)),))
+
+
+# -- sources ------------------------------------------------------------------------------------------------------
+
+
+def _sources(session: Session, adoption: Adoption) -> Plan:
+    """Plan the source package and the private key of each enclave."""
+    package_type, issuance_files = session.package_type, session.issuance_files
+    if not isinstance(package_type, AdoptingPackageType) or issuance_files is None:
+        raise KeymintError(
+            f"packages of the type {session.profile.package_type!r} cannot describe what another tool made",
+            where=session.profile_marker(), help="use the profile type keymint_ros", code="adopt-unsupported",
+        )  # fmt: skip
+    own_domain = (DomainRange(adoption.request.domain, adoption.request.domain),)
+    steps = []
+    for enclave in adoption.found.enclaves:
+        name = package_name(enclave.subject)
+        key, validity, granted = enclave.key_spec, enclave.validity, enclave.grant_validity
+        if key is None or validity is None or granted is None:
+            raise KeymintError(
+                f"the enclave {enclave.subject} has no usable certificate or permissions",
+                where=Origin(f"{adoption.files.folder}/{enclave.facts['place']}"),
+                help="'keymint adopt' without --apply says what is wrong", code="adopt-incomplete",
+            )  # fmt: skip
+        sources = AdoptedSources(
+            rules=adoption.policy.rules.get(enclave.subject, SubjectRules(enclave.subject, ())),
+            subject_name="" if adoption.found.subject_format else enclave.subject_name,
+            validity=validity,
+            grant_validity=granted,
+            domains=() if enclave.domains == own_domain else enclave.domains,
+            key=key,
+            documents=enclave.documents,
+        )
+        certificate = certificates.load(enclave.certificate)
+        public = b"" if enclave.key else public_keys.to_pem(certificates.public_key(certificate))
+        decided = Issuance(
+            public_key=public,
+            certificate=certificates.to_pem(certificate),
+            exposed=certificates.fingerprint(certificate) if enclave.exposed else "",
+        )
+        files = {
+            **issuance_files.with_issuance(decided),
+            **package_type.adopted_sources(session.profile, sources),
+        }
+        changes = [FolderChange(session.workspace.src / name, marker_last(session.package_type, files))]
+        if enclave.key:
+            changes.append(secret_file(session.workspace.identity_key(name), enclave.key))
+        steps.append(Step(STAGE, name, Action.CREATED, tuple(changes)))
+    return Plan(tuple(steps), session.state)
+
+
+# -- what the robots have -----------------------------------------------------------------------------------------
+
+
+def _keystore(session: Session, adoption: Adoption) -> Plan:
+    """Plan the copy of what the robots have; what is secret is 0600 whatever its mode was.
+
+    A link stays one if it leads to a file that is kept too; any other one becomes the file that it leads to.
+    """
+    folders: dict[Path, dict[str, File]] = {}
+    kept = frozenset(adoption.found.kept)
+    for target, path in _copies(session, adoption).items():
+        file = adoption.files.files[path]
+        folders.setdefault(target.parent, {})[target.name] = File(
+            file.content,
+            secret=_is_secret(file),
+            link=file.link if _leads_to(path, file.link) in kept else "",
+        )
+    changes = tuple(FolderChange(folder, files) for folder, files in sorted(folders.items()))
+    return Plan((Step(STAGE, "", Action.CREATED, changes, "the keystore as it was found"),), session.state)
+
+
+def _lists(session: Session, adoption: Adoption) -> Plan:
+    """Plan the revocation lists that the authorities go on with."""
+    steps = []
+    for name, content in adoption.found.revocation_lists.items():
+        path = session.workspace.revocation_list(name)
+        change = FolderChange(path.parent, {path.name: File(content)})
+        steps.append(Step(STAGE, name, Action.CREATED, (change,), "revocation list"))
+    return Plan(tuple(steps), session.state)
+
+
+def _register(session: Session, adoption: Adoption) -> Plan:
+    """Plan a register with what the lists revoke; without one it is made when something is issued."""
+    if not adoption.found.revocation_lists:
+        return Plan((), session.state)
+    return Plan((), session.state, first=register_change(session, complete_register(session, lossy=True)))
+
+
+def _leads_to(path: str, link: str) -> str:
+    """Return the path to which a link at a path leads; no folder of a keystore is a link."""
+    return posixpath.normpath(posixpath.join(posixpath.dirname(path), link)) if link else ""
+
+
+def _is_secret(file: KeystoreFile) -> bool:
+    """Tell whether a file has a private key, or may have one in a form that is not read: its owner hides it."""
+    is_hidden = not file.mode & stat.S_IROTH
+    return key_files.has_any(file.content) or (is_hidden and not _is_text(file.content))
+
+
+def _is_text(content: bytes) -> bool:
+    try:
+        return "\0" not in content.decode()
+    except UnicodeDecodeError:
+        return False
+
+
+def _copies(session: Session, adoption: Adoption) -> Mapping[Path, str]:
+    """Return the files that robots have: places in the install space, each with its path in the keystore."""
+    found, install = adoption.found, session.workspace.install
+    if found.kept:
+        return {install / path: path for path in found.kept}
+    return {
+        session.enclave(package_name(enclave.subject)) / name: path
+        for enclave in found.enclaves
+        for name, path in enclave.files.items()
+    }
+
+
+def _require_kept(session: Session, adoption: Adoption, built: Plan) -> None:
+    """Require that the build gives the documents that are signed.
+
+    Raises:
+        KeymintError: it does not; says why.
+    """
+    build_type: object = session.plugins.build_type(adoption.build_type)
+    errors: list[Diagnostic] = []
+    after = session.after(built)
+    for enclave in adoption.found.enclaves:
+        name = package_name(enclave.subject)
+        for document, content in enclave.documents.items():
+            if after.tree.read(session.workspace.build / name / document) == content:
+                continue
+            why = isinstance(build_type, KeptDocuments) and build_type.not_kept(after.package(name), document, content)
+            message = f"cannot be kept as it is signed: {why or 'its rules cannot be written in the same way'}"
+            place = f"{adoption.files.folder}/{enclave.facts['place']}/{document}"
+            help_ = "sign it again with the tool that made it, without what is in the way"
+            errors.append(Diagnostic.error("adopt-not-kept", message, Origin(place), help_, enclave.subject))
+    if errors:
+        raise KeymintError.of(errors)
+
+
+def _require_unchanged(session: Session, adoption: Adoption, installed: Plan) -> None:
+    """Require that the installation changes no file that the robots have.
+
+    Raises:
+        KeymintError: it would; names each such file.
+    """
+    copies = {str(target): path for target, path in _copies(session, adoption).items()}
+    errors = [
+        Diagnostic.error(
+            "adopt-not-kept", "would be changed by 'keymint install', so it is not taken over",
+            Origin(f"{adoption.files.folder}/{copies[path]}"),
+            "make it what the other enclaves have, or leave the file out if nothing reads it"
+        )
+        for path in _changed(installed)
+        if path in copies
+    ]  # fmt: skip
+    if errors:
+        raise KeymintError.of(errors)
+
+
+def _changed(plan: Plan) -> Iterator[str]:
+    for change in plan.changes():
+        yield from (posixpath.join(change.folder, name) for name in (*change.written, *change.removed))

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Read a keystore that another tool made. No link leads out of it, whatever its files say."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterator, Sequence
+from datetime import datetime
+from pathlib import Path
+
+from comarmor.errors import Diagnostic, Origin
+from comarmor.xml.sandboxed_paths import read_bounded
+from keymint.api import KeystoreFile, KeystoreFiles
+from keymint.errors import KeymintError
+from keymint.view.tree import MAX_FILE, unreadable
+
+MOST_FILES = 100_000
+"""Files of a keystore; one of ten thousand enclaves has seven for each."""
+MOST_BYTES = 1 << 30
+"""Bytes of all files together."""
+
+
+def read_keystore(folder: Path, typed: str, now: datetime) -> tuple[KeystoreFiles, tuple[Diagnostic, ...]]:
+    """Read all files of a keystore, and return them with an error for each that cannot be read.
+
+    Args:
+        folder: its folder; it may be a link itself.
+        typed: the same as the user typed it.
+        now: the clock, UTC.
+
+    Raises:
+        KeymintError: there is no such folder, or it is far larger than any keystore.
+    """
+    try:
+        root = folder.resolve(strict=True)
+    except (OSError, RuntimeError) as error:
+        raise KeymintError(
+            "no such folder", where=Origin(typed), help="name the folder of a keystore", code="keystore-missing"
+        ) from error
+    if not root.is_dir():
+        raise KeymintError(
+            "is not a folder", where=Origin(typed), help="name the folder of a keystore", code="keystore-missing"
+        )
+    files: dict[str, KeystoreFile] = {}
+    problems: list[Diagnostic] = []
+    size = 0
+    for path in _paths(root, str(root), problems, typed):
+        try:
+            file = _read(root, path)
+        except (KeymintError, OSError) as error:
+            problems += _problems(error, f"{typed}/{path}")
+            continue
+        files[path] = file
+        size += len(file.content)
+        if len(files) > MOST_FILES or size > MOST_BYTES:
+            raise KeymintError(
+                f"has more than {MOST_FILES} files or {MOST_BYTES >> 20} MiB, which no keystore has",
+                where=Origin(typed), help="name the folder of the keystore itself", code="keystore-size",
+            )  # fmt: skip
+    problems.sort(key=lambda each: str(each.where))
+    return KeystoreFiles(typed, dict(sorted(files.items())), now), tuple(problems)
+
+
+def _problems(error: KeymintError | OSError, place: str) -> Sequence[Diagnostic]:
+    return (unreadable(place, error) if isinstance(error, OSError) else error.at(Origin(place))).diagnostics
+
+
+def _paths(root: Path, folder: str, problems: list[Diagnostic], typed: str) -> Iterator[str]:
+    """Yield the paths of all files and links below a folder; folders behind links are not entered."""
+    waiting = [folder]
+    while waiting:
+        inner = waiting.pop()
+        try:
+            entries = sorted(os.scandir(inner), key=lambda each: each.name)
+        except OSError as error:
+            problems += _problems(error, f"{typed}/{os.path.relpath(inner, root)}")
+            continue
+        for entry in entries:
+            if not entry.is_dir(follow_symlinks=False):
+                yield os.path.relpath(entry.path, root)
+            elif entry.name != ".git":
+                waiting.append(entry.path)
+
+
+def _read(root: Path, path: str) -> KeystoreFile:
+    """Return a file.
+
+    Raises:
+        KeymintError: it is neither a file nor a link to one, leads out of the keystore, or it is too large.
+        OSError: it cannot be read.
+    """
+    status = (root / path).lstat()
+    link, real = "", root / path
+    if stat.S_ISLNK(status.st_mode):
+        link = str(real.readlink())
+        real = _target(root, path, link)
+        status = real.lstat()
+        if stat.S_ISDIR(status.st_mode):
+            raise KeymintError(
+                f"is a link to the folder {link!r}, which is not followed",
+                help="replace it by the folder", code="keystore-link",
+            )  # fmt: skip
+    if not stat.S_ISREG(status.st_mode):
+        raise KeymintError("is not a regular file", help="remove it", code="file-kind")
+    content = read_bounded(root, real, MAX_FILE + 1)
+    if len(content) > MAX_FILE:
+        raise KeymintError(f"has more than {MAX_FILE} bytes", help="remove it", code="file-size")
+    return KeystoreFile(content, stat.S_IMODE(status.st_mode), link)
+
+
+def _target(root: Path, path: str, link: str) -> Path:
+    """Return the file that a link leads to, within the keystore.
+
+    Raises:
+        KeymintError: it leads elsewhere, also by way of other links, or to nothing.
+    """
+    try:
+        real = (root / path).resolve(strict=True)
+    except (OSError, RuntimeError):
+        raise KeymintError(
+            f"is a link to {link!r}, which is not there", help="restore that file, or remove the link",
+            code="keystore-link",
+        ) from None  # fmt: skip
+    if link.startswith("/") or not real.is_relative_to(root):
+        raise KeymintError(
+            f"is a link to {link!r}, which is not followed: it leads out of the keystore, or does so elsewhere",
+            help="replace it by the file itself, or by a relative link within the keystore",
+            code="keystore-link",
+        )
+    return real

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Report unreachable, redundant and suspicious policy rules.
+
+A rule is reported only if it has no effect for every subject that it applies to: those that the policy names, and an
+example of each pattern of subjects that its profiles match.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from functools import partial
+
+from comarmor.errors import Diagnostic, Origin, Spot
+from comarmor.patterns.glob import parse
+from comarmor.patterns.possible_names import advice
+from comarmor.patterns.relations import TooComplexError
+from comarmor.text import did_you_mean
+from keymint.analysis.expression_origins import ExpressionOrigins
+from keymint.analysis.findings import quoted_list, undecided
+from keymint.analysis.lint.attachment_mistakes import CODES as SLIPS
+from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
+from keymint.analysis.lint.name_similarity import similar_names, similar_subjects
+from keymint.analysis.lint.redundant_rules import MOST_PAIRS, RedundantRules, can_name_exist, within_bounds
+from keymint.analysis.root_names import CODES as ROOT_CODES
+from keymint.analysis.root_names import root_names
+from keymint.analysis.subject_patterns import can_exist, pattern_examples, profile_subjects, rules_of, structure
+from keymint.api import LoadedPolicy, PolicyStructure, WrittenProfile
+from keymint.ir import Rule
+
+CODES: Mapping[str, str] = {
+    "rule-shadowed": "An ALLOW rule is unreachable: DENY rules override all of it.",
+    "rule-redundant": "An ALLOW rule is redundant: other rules allow all of it.",
+    "deny-redundant": "A DENY rule is redundant: other rules deny all of it.",
+    "deny-nothing": "A DENY rule denies nothing that any rule allows.",
+    "object-never": "No legal object name matches an expression.",
+    "subject-never": "No legal subject name matches an attachment.",
+    "profile-never": "A profile never applies together with the profiles around it.",
+    "tunable-unused": "A tunable is declared but never used.",
+    "name-similar": "A name is similar to one that would fit: a likely typo.",
+    **SLIPS,
+    **ROOT_CODES,
+    "lint-unknown": "A check was not completed within its limit of steps.",
+}
+"""Diagnostic codes of ``keymint lint`` with their descriptions."""
+
+
+def lint(policy: LoadedPolicy) -> list[Diagnostic]:
+    """Return the findings on a policy, sorted by place."""
+    written = structure(policy)
+    named = policy.subjects()
+    given_up: list[str] = []
+    subjects, complete = within_bounds((*named, *pattern_examples(policy, given_up)), partial(rules_of, policy))
+    attachments = ExpressionOrigins(written)
+    findings = [*_names(subjects, attachments), *(_profiles(written) if written else ())]
+    if complete:
+        findings += RedundantRules(subjects, attachments, written).findings()
+    else:
+        given_up.append(f"there are more than {MOST_PAIRS:,} pairs of a subject and a rule")
+    findings += [
+        undecided(
+            f"not every rule was checked for every subject: {reason}",
+            None,
+            "findings may not hold for some subjects, and some may be missing; lint parts of the policy",
+        )
+        for reason in given_up
+    ]
+    findings += similar_names({subject: subjects[subject] for subject in named if subject in subjects}, attachments)
+    if written:
+        findings += (*similar_subjects(written), *attachment_mistakes(written), *root_names(policy, written))
+    return sorted_diagnostics(findings)
+
+
+def sorted_diagnostics(diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
+    """Return diagnostics sorted by place, without duplicates."""
+    nowhere = Origin("")
+    return sorted(
+        dict.fromkeys(diagnostics),
+        key=lambda each: ((each.where or nowhere).spot, each.code, each.message),
+    )
+
+
+def _names(subjects: Mapping[str, tuple[Rule, ...]], attachments: ExpressionOrigins) -> Iterator[Diagnostic]:
+    """Yield expressions that no object can match, for any subject."""
+    verdicts: dict[tuple[Spot, str], tuple[bool, Rule, str]] = {}
+    for subject, rules in subjects.items():
+        for rule in rules:
+            for expression in rule.expressions:
+                key = (rule.origin.spot, expression)
+                if key not in verdicts:
+                    verdicts[key] = (can_name_exist(rule, expression), rule, subject)
+    for (_, expression), (possible, rule, subject) in verdicts.items():
+        if not possible:
+            help_ = "remove it" if rule.kind == "topic" else advice(expression)
+            message = f"no legal object name matches {expression!r} in this {rule.effect} {rule.kind} rule"
+            yield Diagnostic.warning("object-never", message, attachments.of(rule, subject)[expression].where, help_)
+
+
+def _profiles(written: PolicyStructure) -> Iterator[Diagnostic]:
+    """Yield profiles that never apply, attachments that no subject matches, and unused tunables."""
+    for name, where in written.unused:
+        yield Diagnostic.warning("tunable-unused", f"the tunable @{{{name}}} is never used", where, "remove it")
+    for profile in written.profiles:
+        applies = False
+        for expression, where in profile.attachments:
+            if not can_exist(parse(expression)):
+                message = f"no subject name matches the attachment {expression!r} of profile {profile.name!r}"
+                yield Diagnostic.warning("subject-never", message, where, "subject names look like /robot1/talker")
+                continue
+            try:
+                reachable = any(can_exist(one) for one in profile_subjects((*profile.around, (expression,))))
+            except TooComplexError:
+                reachable = True
+            applies = applies or reachable
+            if not reachable and len(profile.attachments) > 1:
+                why = f" to {expression!r}: the profiles around it apply only to {quoted_list(profile.around[-1])}"
+                yield _never(profile, expression, where, why)
+        if not applies and profile.around and len(profile.attachments) == 1:
+            ((expression, where),) = profile.attachments
+            around = quoted_list(profile.around[-1])
+            why = f": no subject matches both its attachment {expression!r} and the profiles around it ({around})"
+            yield _never(profile, expression, where, why)
+
+
+def _never(profile: WrittenProfile, attachment: str, where: Origin, why: str) -> Diagnostic:
+    help_ = did_you_mean(attachment, profile.around[-1], "fix the attachment, or move the profile out", similarity=0.8)
+    return Diagnostic.warning("profile-never", f"profile {profile.name!r} never applies{why}", where, help_)

@@ -1,0 +1,431 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The key and certificate files of an authority, and checks that they are the ones in use.
+
+A replaced key or certificate is an error here: only a person can know which of the files is right.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import field, replace
+
+from cryptography import x509
+
+from comarmor.errors import Origin
+from comarmor.values import dataclass
+from keymint.api import Authority, CertificateSpec, Phase, Rollover
+from keymint.errors import KeymintError
+from keymint.pki import certificates, distinguished_names, keys
+from keymint.view.stamps import digest_files
+from keymint.workspace import key_record
+from keymint.workspace.installed_enclaves import INSTALLED, deployed_authorities
+from keymint.workspace.session import Inputs, Session, once
+from keymint.workspace.stored_keys import load_key, password
+
+COST = "no deployed enclave trusts it until all are redeployed"
+"""The consequence of a new authority, for messages."""
+NEXT, FORMER = "next", "former"
+"""Suffixes of the names of keys and lists that are not in force, while the key of an authority is replaced."""
+
+
+@dataclass(frozen=True, slots=True)
+class AuthorityFiles:
+    """The files of an authority.
+
+    Attributes:
+        authority: the authority as the profile specifies it.
+        key_file: its private key, for messages.
+        certificate_file: its certificate, for messages.
+        key: content of the key file, or None.
+        content: content of the certificate file, or None.
+        certificate: its certificate, or None if it is missing or damaged.
+        recorded: fingerprint of the recorded key, or empty.
+        deployed: returns the authorities' certificates in installed enclaves.
+    """
+
+    authority: Authority
+    key_file: Origin
+    certificate_file: Origin
+    key: bytes | None = field(repr=False)
+    content: bytes | None
+    certificate: x509.Certificate | None
+    recorded: str
+    deployed: Callable[[], Sequence[x509.Certificate]] = field(repr=False)
+
+    @property
+    def name(self) -> str:
+        """The name of the authority."""
+        return self.authority.name
+
+    @property
+    def subject(self) -> x509.Name:
+        """The subject name that the profile specifies."""
+        spec = self.authority.certificate
+        if spec.adopted:
+            return certificates.load(spec.adopted).subject
+        return distinguished_names.parse(spec.subject_name, spec.origin)
+
+    def in_use(self) -> Sequence[x509.Certificate]:
+        """Return the certificates in installed enclaves that have the authority's name, its RDNs in any order."""
+        subject = self.subject
+        return [each for each in self.deployed() if distinguished_names.has_same_rdns(each.subject, subject)]
+
+    def known(self) -> frozenset[str]:
+        """Return the fingerprint of the recorded key, or else those of the keys that installed enclaves trust."""
+        if self.recorded:
+            return frozenset({self.recorded})
+        return frozenset(certificates.fingerprint(each) for each in self.in_use())
+
+    def as_adopted(self) -> AuthorityFiles:
+        """Return the files with the certificate that the profile adopts, if it adopts one."""
+        pem = self.authority.certificate.adopted
+        return replace(self, content=pem, certificate=certificates.load(pem)) if pem else self
+
+
+def read_files(session: Session, authority: Authority, *, deployed: bool = True) -> AuthorityFiles:
+    """Read the files of an authority.
+
+    Args:
+        session: the workspace and its profile.
+        authority: the authority.
+        deployed: installed enclaves are evidence of its certificate.
+    """
+    workspace, tree, state = session.workspace, session.tree, session.state
+    key_path, path = workspace.authority_key(authority.name), workspace.authority_certificate(authority.name)
+    content = tree.read(path)
+    # Before anything is installed nobody trusts the authority, so the user may replace it with their own.
+    is_trusted = state.stamps.get(INSTALLED)
+    return AuthorityFiles(
+        authority=authority,
+        key_file=workspace.origin(key_path),
+        certificate_file=workspace.origin(path),
+        key=tree.read(key_path),
+        content=content,
+        certificate=certificates.readable(content),
+        recorded=key_record.recorded(state, key_record.AUTHORITIES, authority.name) if is_trusted else "",
+        deployed=functools.partial(deployed_authorities, session) if deployed else tuple,
+    )
+
+
+def stored_certificate(inputs: Inputs, name: str) -> x509.Certificate:
+    """Return the certificate of an authority.
+
+    Raises:
+        KeymintError: it is missing or damaged.
+    """
+    path = inputs.workspace.authority_certificate(name)
+    return certificates.load(inputs.tree.read(path) or b"", inputs.workspace.origin(path))
+
+
+def with_issuers(name: str, issuers: Mapping[str, str]) -> Iterator[str]:
+    """Yield the names of an authority and of those above it; cycles were refused on loading.
+
+    Args:
+        name: the authority.
+        issuers: the name of the issuer of each authority, or an empty text.
+    """
+    while name in issuers:
+        yield name
+        name = issuers[name]
+
+
+def in_order(authorities: Sequence[Authority]) -> tuple[Authority, ...]:
+    """Return authorities in an order in which each follows its issuer."""
+    ordered: dict[str, Authority] = {}
+    waiting = list(authorities)
+    while waiting:
+        ready = [a for a in waiting if not a.certificate.issuer or a.certificate.issuer in ordered]
+        if not ready:
+            cycle = ", ".join(a.name for a in waiting)
+            raise KeymintError(
+                f"the authorities {cycle} wait for each other's certificate",
+                where=waiting[0].certificate.origin,
+                help="leave one issuer_name empty",
+                code="authority-cycle",
+            )
+        ordered |= {a.name: a for a in ready}
+        waiting = [a for a in waiting if a.name not in ordered]
+    return tuple(ordered.values())
+
+
+@once
+def trusted_chains(session: Session) -> Mapping[str, bytes]:
+    """Return what enclaves trust for each authority, PEM: the authority in force comes first, then those above it.
+
+    While they trust two authorities, the other one follows, and then the revocation lists of both, if there are any.
+    """
+    chains: dict[str, bytes] = {}
+    for authority in in_order(session.profile.authorities):
+        name, rollover = authority.name, bundled(authority)
+        own = session.tree.read(session.workspace.authority_certificate(name)) or b""
+        chains[name] = own + chains.get(authority.certificate.issuer, b"")
+        if rollover and own:
+            paths = (session.workspace.revocation_list(each) for each in (name, other(authority)))
+            chains[name] += rollover.certificate + b"".join(session.tree.read(path) or b"" for path in paths)
+    return chains
+
+
+@once
+def chains_digest(session: Session) -> str:
+    """Return the digest of :func:`trusted_chains`."""
+    return digest_files(trusted_chains(session))
+
+
+def issuers(session: Session) -> Iterator[tuple[str, str, x509.Certificate]]:
+    """Yield the authorities that enclaves trust: name of its files, name in the profile, and certificate.
+
+    While the key of an authority is replaced, these are two. A certificate that is missing or damaged is left out.
+    """
+    for authority in session.profile.authorities:
+        name = authority.name
+        certificate = certificates.readable(session.tree.try_read(session.workspace.authority_certificate(name)))
+        if certificate is not None:
+            yield name, name, certificate
+        if rollover := bundled(authority):
+            yield other(authority), name, certificates.load(rollover.certificate)
+
+
+def bundled(authority: Authority) -> Rollover | None:
+    """Return the replacement of an authority's key while enclaves trust two certificates of it; else None."""
+    rollover = authority.issuance.rollover
+    return rollover if rollover is not None and rollover.phase is not Phase.STAGE else None
+
+
+def other(authority: Authority) -> str:
+    """Return the name of the files of an authority's key and list that are not in force; empty if it has none."""
+    rollover = authority.issuance.rollover
+    if rollover is None:
+        return ""
+    return f"{authority.name}.{FORMER if rollover.phase is Phase.REISSUE else NEXT}"
+
+
+def trusted(session: Session) -> Mapping[x509.Certificate, str]:
+    """Return the authorities by their certificates: those in force, and those that take the place of another one."""
+    known = {certificate: name for _, name, certificate in issuers(session)}
+    rollovers = ((each.name, each.issuance.rollover) for each in session.profile.authorities)
+    return known | {certificates.load(each.certificate): name for name, each in rollovers if each}
+
+
+def authority_keys(session: Session) -> Mapping[str, str]:
+    """Return the names of the authorities by the fingerprints of their keys, which none may have but they.
+
+    While the key of an authority is replaced, it has two.
+    """
+    return {certificates.fingerprint(certificate): name for certificate, name in trusted(session).items()}
+
+
+def satisfies(pem: bytes, spec: CertificateSpec, key: keys.PublicKey, issuer: x509.Certificate | None) -> bool:
+    """Tell whether an authority's certificate is the one that the profile specifies, or used as it is.
+
+    That is one that was imported, or whose name has its RDNs in another order: with the name of the profile, it would
+    be a new authority.
+    """
+    if spec.adopted or is_reordered(pem, spec):
+        certificate = certificates.load(spec.adopted or pem)
+        return (
+            pem == (spec.adopted or pem)
+            and certificate.public_key() == key
+            and certificates.is_issued_by(certificate, issuer or certificate)
+        )
+    return certificates.certificate_satisfies(pem, spec, key, issuer, authority=True)
+
+
+def is_reordered(pem: bytes, spec: CertificateSpec) -> bool:
+    """Tell whether a certificate has the subject name of a specification with its RDNs in another order."""
+    name, wanted = certificates.load(pem).subject, distinguished_names.parse(spec.subject_name, spec.origin)
+    return name != wanted and distinguished_names.has_same_rdns(name, wanted)
+
+
+def load_private_key(inputs: Inputs, files: AuthorityFiles) -> keys.PrivateKey:
+    """Load the private key of an authority that has one; errors as :func:`keymint.workspace.stored_keys.load_key`."""
+    spec = files.authority.certificate
+    remedy = f"restore it from a backup; {new_authority_help(files.name)}"
+    return load_key(inputs, keys.from_pem, files.key or b"", spec, files.key_file, remedy)
+
+
+def stored_key(inputs: Inputs, authority: Authority, name: str) -> tuple[bytes, keys.PrivateKey] | None:
+    """Return a private key of an authority as it is stored, and loaded; None if it is not here.
+
+    Args:
+        inputs: the workspace.
+        authority: the authority.
+        name: the name of the file: that of the authority, or the one of a key that is not in force.
+
+    Raises:
+        KeymintError: it is damaged, or its password is not set or wrong.
+    """
+    path = inputs.workspace.authority_key(name)
+    pem = inputs.tree.read(path)
+    if pem is None:
+        return None
+    return pem, keys.from_pem(pem, password(inputs, authority.certificate), inputs.workspace.origin(path))
+
+
+def key_elsewhere(name: str, where: Origin, help_: str) -> KeymintError:
+    """Return the error on a request for the private key of an authority that is not here.
+
+    Args:
+        name: the name of the file: that of the authority, or the one of a key that is not in force.
+        where: this file.
+        help_: what to do.
+    """
+    message = f"the private key of the authority {name!r} is not here, and is needed"
+    return KeymintError(message, where=where, help=help_, code="authority-key-missing")
+
+
+def require_pair(
+    key: keys.PrivateKey, certificate: x509.Certificate, where: Origin | None, of: str, help_: str
+) -> None:
+    """Require that a private key is that of the certificate with which it is to come into force.
+
+    Args:
+        key: the key.
+        certificate: the certificate.
+        where: the file of the key.
+        of: what the certificate is called.
+        help_: what to do.
+
+    Raises:
+        KeymintError: it is another key.
+    """
+    if not keys.matches(key, certificate):
+        raise KeymintError(f"is not the private key of {of}", where=where, help=help_, code="authority-key-mismatch")
+
+
+def new_authority_help(name: str) -> str:
+    """Return the hint that names the option for a new authority, and its consequence."""
+    return f"'keymint install --new-authority {name}' makes a new authority ({COST})"
+
+
+def require_unused(files: AuthorityFiles) -> None:
+    """Require that no enclave trusts an authority that has neither key nor certificate here.
+
+    Raises:
+        KeymintError: one does, so the files were lost.
+    """
+    if files.in_use():
+        raise KeymintError(
+            f"the authority {files.name!r} has neither key nor certificate here, but enclaves that are installed trust "
+            "it",
+            where=files.certificate_file,
+            help=f"restore them, or the certificate alone from an enclave; {new_authority_help(files.name)}",
+            code="authority-lost",
+        )
+
+
+def require_fit(files: AuthorityFiles, key: keys.PublicKey) -> None:
+    """Require that the private key is the one of the certificate.
+
+    Raises:
+        KeymintError: it is not; names the wrong file, if that is known.
+    """
+    if files.certificate is None or certificates.public_key(files.certificate) == key:
+        return
+    if keys.fingerprint(key) in files.known():
+        raise KeymintError(
+            f"is the certificate of another key than {files.key_file}, which is the key of {files.name!r}",
+            where=files.certificate_file,
+            help=f"restore it, or remove it and run 'keymint install'; {new_authority_help(files.name)}",
+            code="authority-key-mismatch",
+        )
+    raise KeymintError(
+        f"is not the private key of {files.certificate_file}",
+        where=files.key_file,
+        help=f"restore the file that is wrong; {new_authority_help(files.name)}",
+        code="authority-key-mismatch",
+    )
+
+
+def require_name(files: AuthorityFiles) -> None:
+    """Require that the certificate has the subject name of the profile, its RDNs in any order.
+
+    Raises:
+        KeymintError: it has another name; with the profile's name it would be a new authority.
+    """
+    if files.certificate is None or distinguished_names.has_same_rdns(files.certificate.subject, files.subject):
+        return
+    spec = files.authority.certificate
+    raise KeymintError(
+        f"is for {distinguished_names.to_text(files.certificate.subject)!r}, but {spec.origin} asks for "
+        f"{distinguished_names.to_text(files.subject)!r}",
+        where=files.certificate_file,
+        help=f"restore the file or the subject_name; {new_authority_help(files.name)}",
+        code="authority-renamed",
+    )
+
+
+def require_known(files: AuthorityFiles, key: keys.PublicKey, given: Origin | None = None) -> None:
+    """Require that the authority's key was not replaced.
+
+    Args:
+        files: the files of the authority.
+        key: the key of its certificate.
+        given: the file with the certificate, if a user named one that is to be used.
+
+    Raises:
+        KeymintError: the record, or if it was lost every installed enclave, has another key of this authority.
+    """
+    known = files.known()
+    if not known or keys.fingerprint(key) in known:
+        return
+    help_ = f"restore {files.key_file} and {files.certificate_file}; {new_authority_help(files.name)}"
+    if given:
+        help_ = f"'keymint authority replace {files.name} --certificate {given.file}' replaces it step by step"
+    raise KeymintError(
+        f"the key of the authority {files.name!r} was replaced: the deployed enclaves trust another one",
+        where=given or (files.certificate_file if files.key is None else files.key_file),
+        help=help_,
+        code="authority-replaced",
+    )
+
+
+def require_in_use(files: AuthorityFiles, key: keys.PublicKey) -> None:
+    """Require that a key is that of the certificate, and that nobody exchanged both.
+
+    Raises:
+        KeymintError: as :func:`require_fit`, :func:`require_name` and :func:`require_known`, in this order.
+    """
+    require_fit(files, key)
+    require_name(files)
+    require_known(files, key)
+
+
+def require_rollover(files: AuthorityFiles, key: keys.PublicKey) -> None:
+    """Require that the key in force is not the one that the profile exchanges it with.
+
+    Raises:
+        KeymintError: it is, because a run that exchanges them was killed.
+    """
+    rollover = files.authority.issuance.rollover
+    if rollover and certificates.public_key(certificates.load(rollover.certificate)) == key:
+        raise KeymintError(
+            f"the replacement of the key of {files.name!r} was interrupted",
+            where=files.key_file,
+            help=f"'keymint authority replace {files.name}' goes on",
+            code="rollover-interrupted",
+        )
+
+
+def require_own_keys(session: Session, fingerprints: Mapping[str, str]) -> None:
+    """Require that no two authorities have the same key, with which each could act as the other.
+
+    Args:
+        session: the workspace and its profile.
+        fingerprints: fingerprint of each authority's key, by name.
+
+    Raises:
+        KeymintError: two authorities have the same key.
+    """
+    owners: dict[str, str] = {}
+    for name, fingerprint in fingerprints.items():
+        other = owners.setdefault(fingerprint, name)
+        if other != name:
+            stamped = key_record.recorded(session.state, key_record.AUTHORITIES, other) == fingerprint
+            wrong = name if stamped else other
+            raise KeymintError(
+                f"the authorities {other!r} and {name!r} have one and the same key",
+                where=session.workspace.origin(session.workspace.authority_certificate(wrong)),
+                help=f"restore {wrong!r}; or, in a token after another <pkcs11>, {new_authority_help(wrong)}",
+                code="authority-key-shared",
+            )

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Issue an authority's certificate again for the same key, with later dates, and take one from outside."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import datetime, timedelta
+
+from cryptography import x509
+
+from keymint.api import Authority, AuthorityIssuance, Validity
+from keymint.authority import authority_files
+from keymint.authority.authorities import MintedAuthority, plan_authorities
+from keymint.authority.authority_issuance import STAGE, authority_named, plan_authority_issuance
+from keymint.authority.given_authority import GivenAuthority, checked
+from keymint.errors import KeymintError
+from keymint.pki import certificates, distinguished_names, foreign_authorities, keys
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed, secret_file
+from keymint.workspace import key_record
+from keymint.workspace.session import Session
+
+
+def begin_of(now: datetime) -> datetime:
+    """Return the begin of a validity that is counted from now: a midnight at least a day ago, as in ADR 0008."""
+    return now.replace(hour=0, minute=0, second=0, microsecond=0) - timedelta(days=1)
+
+
+def plan_renewal(session: Session, name: str) -> Plan:
+    """Plan later dates for the certificate of an authority; its length, key and name stay.
+
+    Only the profile changes: what rests on it must be planned afterwards.
+
+    Raises:
+        KeymintError: there is no such authority, its key is elsewhere, its key is being replaced, or its name has its
+            RDNs in another order than the profile.
+    """
+    authority = authority_named(session, name)
+    require_no_rollover(session, name)
+    minted = plan_authorities(session)[1][name]
+    _require_key(name, minted)
+    pem = certificates.to_pem(minted.certificate)
+    if not authority.issuance.adopted and authority_files.is_reordered(pem, authority.certificate):
+        own = distinguished_names.to_text(minted.certificate.subject)
+        message = f"the profile has the RDNs of {own!r} in another order, so its certificate is used as it is"
+        help_ = f"write <subject_name>{own}</subject_name> for this authority, then renew it"
+        raise KeymintError(message, where=authority.certificate.origin, help=help_, code="authority-reordered")
+    issuance = replace(authority.issuance, renewed=begin_of(session.now))
+    if authority.issuance.adopted:
+        issuance = replace(issuance, adopted=_adopted_again(session, authority, minted))
+    plan = plan_authority_issuance(session, name, issuance, f"{name} renewed on {session.now:%Y-%m-%d}")
+    after = authority_named(session.after(plan).session(), name).certificate
+    if (after.validity, after.adopted) == (authority.certificate.validity, authority.certificate.adopted):
+        return Plan((), session.state)  # it would not end later
+    return plan
+
+
+def _adopted_again(session: Session, authority: Authority, minted: MintedAuthority) -> bytes:
+    """Return the successor of an imported certificate, or the certificate itself if it is from today."""
+    certificate = minted.certificate
+    where = session.workspace.origin(session.workspace.authority_certificate(authority.name))
+    is_of_today = certificate.not_valid_after_utc >= _later_end(session, authority, certificate)
+    if is_of_today and not any(foreign_authorities.lacking(certificate, authority.name, where)):
+        return certificates.to_pem(certificate)
+    return issued_like(session, authority, certificate, minted.issuer.key)
+
+
+def _later_end(session: Session, authority: Authority, certificate: x509.Certificate) -> datetime:
+    """Return the end of an imported certificate that is issued again: it is as long as before."""
+    begin = authority.issuance.renewed or certificate.not_valid_before_utc
+    return begin_of(session.now) + (certificate.not_valid_after_utc - begin)
+
+
+def issued_like(session: Session, authority: Authority, certificate: x509.Certificate, key: keys.PrivateKey) -> bytes:
+    """Return a certificate of an authority like an imported one, but with a later end, PEM.
+
+    Args:
+        session: the workspace and its profile.
+        authority: the authority.
+        certificate: the imported certificate.
+        key: the private key that it certifies.
+
+    Raises:
+        KeymintError: the authority above it cannot sign here.
+    """
+    end = max(_later_end(session, authority, certificate), certificate.not_valid_after_utc)
+    validity = Validity(certificate.not_valid_before_utc, end)
+    where = session.workspace.origin(session.workspace.authority_certificate(authority.name))
+    return foreign_authorities.issued_like(certificate, key, validity, issuer_of(session, authority), where)
+
+
+def issuer_of(session: Session, authority: Authority) -> certificates.Issuer | None:
+    """Return the authority above another one, as an issuer; None if the other one has a self-signed certificate."""
+    above = authority.certificate.issuer
+    return plan_authorities(session)[1][above].issuer if above else None
+
+
+def _require_key(name: str, minted: MintedAuthority) -> None:
+    """Require that an authority can sign here.
+
+    Raises:
+        KeymintError: its private key is elsewhere, or its password is not set.
+    """
+    try:
+        _ = minted.issuer
+    except KeymintError as error:
+        elsewhere = (
+            f"run this where the key is, then 'keymint authority export {name}' there and "
+            f"'keymint authority import {name} FILE' here"
+        )
+        raise KeymintError.of(
+            replace(each, help=elsewhere if each.code == "authority-key-missing" else each.help)
+            for each in error.diagnostics
+        ) from None
+
+
+def require_no_rollover(session: Session, name: str) -> None:
+    """Require that the key of an authority is not being replaced.
+
+    Raises:
+        KeymintError: it is.
+    """
+    rollover = authority_named(session, name).issuance.rollover
+    if rollover is not None:
+        raise KeymintError(
+            f"the key of the authority {name!r} is being replaced (phase {rollover.phase})",
+            help=f"'keymint authority replace {name}' says how to end that",
+            code="rollover-under-way",
+        )
+
+
+def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
+    """Plan to use a certificate that somebody else issued, and perhaps its private key.
+
+    Only profile, certificate and key change: what rests on them must be planned afterwards. Without a key, it stays
+    elsewhere, or is here already.
+
+    Raises:
+        KeymintError: as :func:`keymint.authority.given_authority.checked`; or installed enclaves trust another key of
+            this authority.
+    """
+    authority = authority_named(session, name)
+    require_no_rollover(session, name)
+    certificate, key = checked(session, authority, given)
+    public = certificates.public_key(certificate, given.where)
+    files = authority_files.read_files(session, authority)
+    authority_files.require_known(files, public, given.where)
+    changes: list[FolderChange] = []
+    key_path, stored = session.workspace.authority_key(name), authority_files.stored_key(session, authority, name)
+    present = stored[1].public_key() if stored else None
+    if key and present != public:
+        changes.append(secret_file(key_path, key))
+    elif present is not None and present != public:
+        # Nobody trusts the key that was minted: the enclaves, if there are any, trust the new one.
+        changes.append(FolderChange(key_path.parent, removed=(key_path.name,), private=True))
+    exposed = keys.fingerprint(public) if given.exposed else authority.issuance.exposed
+    decided = AuthorityIssuance(adopted=certificates.to_pem(certificate), exposed=exposed)
+    plan = plan_authority_issuance(session, name, decided, f"{name} imported from {given.where}")
+    path = session.workspace.authority_certificate(name)
+    changes += changed(session.tree, path.parent, {path.name: File(decided.adopted)})
+    files_step = Step(STAGE, name, Action.UPDATED, tuple(changes), "certificate authority")
+    fingerprint = keys.fingerprint(public)
+    state = key_record.record(session.state, key_record.AUTHORITIES, {name: fingerprint})
+    return replace(plan, steps=(*plan.steps, *((files_step,) if changes else ())), state=state)

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the verbs that change an authority have in common: the files that they take, and that all enclaves follow."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from comarmor.errors import Diagnostic, Origin
+from keymint.authority.authorities import plan_authorities
+from keymint.authority.authority_uses import refusing
+from keymint.authority.given_authority import GivenAuthority
+from keymint.command_line.named_files import read_input
+from keymint.errors import KeymintError
+from keymint.life.revocation_lists_in_force import list_of
+from keymint.run.run import Run
+from keymint.stages.reissue import reissued
+from keymint.store.changes import Plan
+from keymint.workspace.installed_enclaves import installed, with_sources
+from keymint.workspace.session import Session
+
+REISSUED = "authority-reissued"
+"""Code of the warning of :func:`keymint.authority.authorities.plan_authorities`, which knows no transport."""
+
+
+def given_authority(run: Run, certificate: Path, key: Path | None) -> GivenAuthority:
+    """Read the certificate of an authority that was made elsewhere, and its key if it is given.
+
+    Raises:
+        KeymintError: a file cannot be read.
+    """
+    given = GivenAuthority(read_input(run, certificate), Origin(str(certificate)))
+    return replace(given, key=read_input(run, key), key_file=Origin(str(key))) if key else given
+
+
+def _require_flag_day(session: Session, name: str) -> None:
+    """Require that old and new enclaves work together after a change of an authority's certificate.
+
+    Raises:
+        KeymintError: there are installed enclaves, and an implementation does not accept both certificates.
+    """
+    if titles := refusing(session, name, (), "reissues") if installed(session) else ():
+        raise KeymintError(
+            f"a new certificate of {name!r} is a flag day: with {' and '.join(titles)}, subjects that have the old one "
+            "and subjects that have the new one do not communicate",
+            where=session.workspace.origin(session.workspace.authority_certificate(name)),
+            help=f"plan a common restart of all robots and say --flag-day, or stage a second keystore with "
+            f"'keymint authority replace {name}'",
+            code="authority-flag-day",
+        )
+
+
+def issued_again(run: Run, session: Session, first: Plan, name: str, *, flag_day: bool) -> Plan:
+    """Return a plan that changes an authority, followed by what all installed enclaves get from it.
+
+    Args:
+        run: the run.
+        session: the workspace before the plan, and its profile.
+        first: what changes the profile, the key and the certificate of the authority.
+        name: the authority.
+        flag_day: the user accepts that old and new enclaves do not work together.
+
+    Raises:
+        KeymintError: an enclave cannot be built, signed or proven; with all defects. Or the plan is a flag day, which
+            the user did not accept.
+    """
+    if first.writes() and not flag_day:
+        _require_flag_day(session, name)
+    changed = session.after(first).session()
+    names = with_sources(changed)
+    if not names:
+        minted, _ = plan_authorities(changed)
+        return _told(first.then(minted), changed, name)
+    refresh = _lists_to_refresh(session, changed, name)
+    again = reissued(run.crew, changed, Plan((), changed.state), names, refresh=refresh)
+    return _told(first.then(again), changed, name)
+
+
+def _lists_to_refresh(session: Session, changed: Session, name: str) -> tuple[str, ...]:
+    """Return the authority if its revocation list ends with its certificate, which ends later now, and it can sign."""
+    present = list_of(session, name)
+    if present is None:
+        return ()
+    end = present.next_update
+    before, after = (plan_authorities(each)[1][name] for each in (session, changed))
+    ends_with_it = end == before.certificate.not_valid_after_utc < after.certificate.not_valid_after_utc
+    return (name,) if ends_with_it and after.can_sign else ()
+
+
+def _told(plan: Plan, session: Session, name: str) -> Plan:
+    """Return a plan that says what its change of an authority costs a running fleet."""
+    others = tuple(each for each in plan.diagnostics if each.code != REISSUED)
+    if not plan.writes() or not installed(session):
+        return replace(plan, diagnostics=others)
+    titles = refusing(session, name, (), "reissues")
+    where = session.workspace.origin(session.workspace.authority_certificate(name))
+    if titles:
+        message = f"the certificate of the authority {name!r} is reissued: all robots restart together"
+        help_ = f"copy the keystore to all of them first; {' and '.join(titles)} do not accept both certificates"
+    else:
+        message = f"the certificate of the authority {name!r} is reissued: robots that have it and others work together"
+        help_ = "copy the keystore to each robot before the old certificate ends; nodes read it when they start"
+    told = Diagnostic.warning(REISSUED, message, where, help_)
+    return replace(plan, diagnostics=(*others, told))

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that the command line names: read with limits, and replaced as a whole."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from comarmor.errors import Origin
+from keymint.errors import KeymintError
+from keymint.run.run import Run
+from keymint.store.changes import File
+from keymint.store.user_files import write_files
+from keymint.view.tree import read_file
+
+
+def read_input(run: Run, path: Path, most: int | None = None) -> bytes:
+    """Return the content of a file that the user named; links are followed.
+
+    Args:
+        run: the run.
+        path: the file.
+        most: its largest size in bytes; :data:`keymint.view.tree.MAX_FILE` by default.
+
+    Raises:
+        KeymintError: it is missing, is not a regular file, or cannot be read.
+    """
+    resolved = _resolved(run, path)
+    try:
+        content = read_file(resolved, most)
+    except KeymintError as error:
+        message = error.diagnostics[0].message
+        raise KeymintError(message, where=Origin(str(path)), code=error.diagnostics[0].code) from error
+    if content is None:
+        raise KeymintError("no such file", where=Origin(str(path)), help="check the path", code="file-missing")
+    return content
+
+
+def write_outputs(
+    run: Run, path: Path, content: bytes, beside: Mapping[str, bytes] | None = None, *, secret: bool = False
+) -> list[str]:
+    """Write a file that the user named, and files beside it, atomically; unchanged files are not written.
+
+    Args:
+        run: the run; with ``--dry-run`` nothing is written.
+        path: the file.
+        content: its bytes.
+        beside: further files by path relative to its folder, written first.
+        secret: the file is 0600 from its first byte, and the folder stays as it is.
+
+    Returns:
+        The files that are, or would be, written, as the user would type them.
+
+    Raises:
+        KeymintError: the path is a link or a directory, or the system refuses.
+    """
+    folder = _resolved(run, path.parent)
+    wanted = {folder / name: File(data, secret=secret) for name, data in (beside or {}).items()}
+    wanted[folder / path.name] = File(content, secret=secret)
+    changed = {place: file for place, file in wanted.items() if _current(place) != file.content}
+    if not run.dry_run:
+        write_files(folder, changed, run.console.waiting, wanted)
+    return [str(path.parent / place.relative_to(folder)) for place in changed]
+
+
+def replace_inputs(run: Run, changed: Mapping[Path, tuple[bytes, bytes]]) -> None:
+    """Replace files that were read with :func:`read_input`; each keeps its mode, and is replaced in one step.
+
+    Nothing is replaced before all of it is written beside. With ``--dry-run`` nothing is written.
+
+    Args:
+        run: the run.
+        changed: content that was read, and new content, by path.
+
+    Raises:
+        KeymintError: a file changed meanwhile, or the system refuses.
+    """
+    if run.dry_run or not changed:
+        return
+    files: dict[Path, File] = {}
+    for path, (before, content) in changed.items():
+        if read_input(run, path) != before:
+            help_ = "nothing was written; run the command again"
+            raise KeymintError("changed meanwhile", where=Origin(str(path)), help=help_, code="file-changed")
+        target = _resolved(run, path)
+        files[target] = File(content, mode=stat.S_IMODE(target.stat().st_mode))
+    write_files(Path(os.path.commonpath([path.parent for path in files])), files, run.console.waiting)
+
+
+def show_written(run: Run, path: Path, written: list[str]) -> None:
+    """Show which files :func:`write_outputs` wrote, or that the file at the path is up to date."""
+    run.console.lines(f"{file} {'would be written' if run.dry_run else 'written'}" for file in written)
+    if not written:
+        run.console.line(f"{path} is up to date")
+
+
+def deliver(run: Run, output: Path | None, content: bytes) -> dict[str, Any]:
+    """Write a document to the file that the user named, or print it.
+
+    Args:
+        run: the run.
+        output: the file; None for standard output.
+        content: the document.
+
+    Returns:
+        What the result of a verb says about it: the file, and what was written.
+
+    Raises:
+        KeymintError: the file cannot be written.
+    """
+    if output is None:
+        run.console.document(content)
+        return {"file": None, "written": []}
+    written = write_outputs(run, output, content)
+    show_written(run, output, written)
+    return {"file": str(output), "written": written}
+
+
+def refuse_replacing(run: Run, path: Path, content: bytes, what: str, help_: str, code: str) -> None:
+    """Refuse to replace a file that has other content.
+
+    Args:
+        run: the run.
+        path: the file that the user named.
+        content: what it is to have.
+        what: the content in words.
+        help_: what to do instead.
+        code: of the error.
+
+    Raises:
+        KeymintError: it exists, and is different.
+    """
+    if exists(run, path) and read_input(run, path) != content:
+        raise KeymintError(f"exists and differs from {what}", where=Origin(str(path)), help=help_, code=code)
+
+
+def exists(run: Run, path: Path) -> bool:
+    """Return whether a path that the user named exists."""
+    return _resolved(run, path).exists()
+
+
+def is_folder(run: Run, path: Path) -> bool:
+    """Return whether a path that the user named is an existing folder."""
+    return _resolved(run, path).is_dir()
+
+
+def _current(path: Path) -> bytes | None:
+    try:
+        return read_file(path)
+    except KeymintError:
+        return None  # the store reports why it cannot be replaced
+
+
+def _resolved(run: Run, path: Path) -> Path:
+    try:
+        return (run.setting.cwd / path).resolve()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise KeymintError("is not a usable path", where=Origin(str(path)), code="file-missing") from error

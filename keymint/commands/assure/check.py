@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint check``: compare the installed keystore with its expected state."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+
+import click
+
+from comarmor.errors import Diagnostic, Severity
+from comarmor.text import counted
+from keymint.check import check as find
+from keymint.command_line.durations import period
+from keymint.command_line.named_files import write_outputs
+from keymint.command_line.options import FILE, packages_argument, standard_only_option, strict_option
+from keymint.command_line.vendor_versions import advisories, vendors_option
+from keymint.command_line.verb import verb
+from keymint.errors import KeymintError
+from keymint.examine.keystore import SHOWN_NOTES, proven_keystore
+from keymint.examine.nodes import NODE_NOTES, of_packages
+from keymint.examine.not_examined import not_examined
+from keymint.executors import Pool
+from keymint.life.earlier_rights import RIGHTS_OUTLIVE
+from keymint.life.workspace_register import with_enclaves
+from keymint.names import subject_of
+from keymint.output.report import Report, findings_if, folded
+from keymint.output.sarif import of_diagnostics
+from keymint.output.sarif import sarif as sarif_log
+from keymint.run.run import Run
+from keymint.stages.policy_drift import uncreated
+from keymint.stages.proof.proof_diagnostics import effort_of, proof_findings
+from keymint.stages.proof.proof_results import ProofEffort
+from keymint.stages.proof.prove import NO_PROVER, STAGE
+from keymint.view.stamps import State
+from keymint.workspace.policy_loading import lazy_policy
+from keymint.workspace.session import Session
+
+
+@verb()
+@click.option("-j", "--jobs", type=click.IntRange(1, 256), metavar="N", help="Use N processes [all cores].")
+@packages_argument
+@click.option(
+    "--within",
+    callback=period,
+    default="0d",
+    metavar="PERIOD",
+    help="Also report certificates and grants that expire within this time: 12h, 30d, 4w.",
+)
+@click.option(
+    "--no-prove", is_flag=True, help="Leave out the proof that installed documents permit what the policy says."
+)
+@click.option("--fresh", is_flag=True, help="Prove again what was proven before.")
+@standard_only_option
+@strict_option
+@click.option("--sarif", type=FILE, metavar="FILE", help="Write the findings as SARIF 2.1.0.")
+@vendors_option
+@click.option("--without-private", is_flag=True, help="Exit with 0 although you may not read all of private/.")
+def check(
+    run: Run,
+    names: tuple[str, ...],
+    within: timedelta,
+    no_prove: bool,
+    fresh: bool,
+    allow_vendor_specific: bool,
+    strict: bool,
+    sarif: Path | None,
+    vendors: str | None,
+    without_private: bool,
+) -> Report:
+    """Compare the installed keystore with its expected state, and prove it.
+
+    Checks certificates, keys, signatures, schemas, dates, file modes, revocation lists, and whether the installed
+    documents match the sources; proves that they permit exactly what the policy says, as 'keymint prove' does.
+    Notes subjects whose nodes cannot start with default options.
+    docs/verification.md says in one table what each verb reads.
+    Exit code 3: there are findings, or you may not read all of private/. NAME is a package [all].
+    """
+    session = run.session(auditing=True)
+    chosen = run.names(session, names)
+    with run.pool() as pool:
+        findings, state = list(find(session, chosen, within, pool)), session.state
+        if not no_prove:
+            known = {(each.code, each.where and each.where.file) for each in findings}
+            effort = effort_of(run.setting.monotonic, standard_only=allow_vendor_specific)
+            enclaves = with_enclaves(session, chosen, names)
+            state, found = _proven(session, enclaves, effort, pool, fresh=fresh, strict=strict)
+            findings += (each for each in found if (each.code, each.where and each.where.file) not in known)
+    unexamined = tuple(not_examined(session))
+    findings += advisories(run, vendors)
+    of_policy, state = _of_policy(session, state, chosen, complete=not names)
+    findings += (each for each in of_policy if each not in findings)
+    shown = folded((*findings, *unexamined))
+    if sarif is not None:
+        write_outputs(run, sarif, sarif_log("keymint check", {}, of_diagnostics(shown), run.typed))
+    number = sum(finding.severity is not Severity.NOTE for finding in shown)
+    if not number:
+        run.keep(session, state)
+    more = f"; {len(unexamined)} not examined" if unexamined else ""
+    more += "; not proven, because of --no-prove" if no_prove else ""
+    run.console.line(f"checked {counted(len(chosen), 'enclave')}: {counted(number, 'finding')}{more}")
+    result = {
+        "checked": [subject_of(name) for name in chosen],
+        "proven": not no_prove,
+        "not_examined": len(unexamined),
+    }
+    outlive = strict and any(each.code == RIGHTS_OUTLIVE for each in shown)
+    exit_code = findings_if(number or outlive or (unexamined and not without_private))
+    return run.report(result, shown, exit_code, workspace=session.workspace, notes=SHOWN_NOTES | NODE_NOTES)
+
+
+def _proven(
+    session: Session, names: Sequence[str], effort: ProofEffort, pool: Pool, *, fresh: bool, strict: bool
+) -> tuple[State, tuple[Diagnostic, ...]]:
+    """Return the record to keep, and the findings of the proof; a workspace without a policy has none."""
+    if not session.profile.policies:
+        return session.state, ()
+    if fresh:
+        proven = tuple(session.state.stamps.get(STAGE, ()))
+        session = replace(session, state=session.state.updated(STAGE, {}, proven))
+    try:
+        results = proven_keystore(session, names, lazy_policy(session), effort, lambda _: None, pool)
+    except KeymintError as error:
+        return session.state, error.diagnostics
+    found = proof_findings(session, results, strict=strict)
+    return results.state, tuple(each for each in found if each.code != NO_PROVER)
+
+
+def _of_policy(
+    session: Session, state: State, names: Sequence[str], *, complete: bool
+) -> tuple[Sequence[Diagnostic], State]:
+    """Return notes on packages whose nodes cannot start, and, if these are all, findings on subjects without one.
+
+    If they are all, what keeps the policy from being read is a finding as well. The record to keep comes second.
+    """
+    try:
+        policy = lazy_policy(session)
+        notes, state = of_packages(session, state, policy, names)
+        return (*(uncreated(session, policy, names) if complete else ()), *notes), state
+    except KeymintError as error:
+        return error.diagnostics if complete else (), state

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint status``: stage and expiry of every package."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import datetime
+from typing import Any
+
+import click
+
+from comarmor.errors import Diagnostic
+from keymint.api import LoadedPolicy
+from keymint.command_line.options import strict_option
+from keymint.command_line.verb import verb
+from keymint.errors import KeymintError
+from keymint.examine import keys
+from keymint.examine.not_examined import not_examined
+from keymint.examine.rights import has_earlier, presented_rights
+from keymint.life.terms import days_left
+from keymint.output.expiry_metrics import gauges
+from keymint.output.openmetrics import openmetrics
+from keymint.output.report import Report, findings_if, members
+from keymint.run.run import Run
+from keymint.stages.create import packages_to_create
+from keymint.stages.package_status import StatusRow, package_rows, shared_rows
+from keymint.stages.proof.proof_diagnostics import effort_of
+from keymint.workspace.policy_loading import lazy_policy
+from keymint.workspace.session import Session
+
+
+@verb()
+@click.option(
+    "--format",
+    "kind",
+    type=click.Choice(("table", "openmetrics")),
+    default="table",
+    show_default=True,
+    help="openmetrics: dates in seconds since 1970, for a monitor such as Prometheus.",
+)
+@strict_option
+def status(run: Run, kind: str, strict: bool) -> Report:
+    """Show a table of all packages: the stage, whether it is stale, when it expires, and when to renew it.
+
+    RENEW AFTER is from when on 'keymint renew' takes it up; 'with CA' means that it ends with this authority, which
+    must be renewed before.
+    """
+    session = run.session(auditing=True)
+    diagnostics: list[Diagnostic] = []
+    missing: list[str] = []
+    try:
+        policy = lazy_policy(session)
+    except KeymintError as error:
+        policy, diagnostics = None, list(error.diagnostics)
+    rows = [_as_typed(run, row) for row in package_rows(session, policy)]
+    if policy:
+        known = {row.package for row in rows}
+        wanted = {*packages_to_create(session, policy)}
+        try:
+            wanted |= session.needed_infrastructure().keys()
+        except KeymintError as error:
+            diagnostics += error.diagnostics
+        missing = sorted(wanted - known)
+    shared = [_as_typed(run, row) for row in shared_rows(session)]
+    if kind == "openmetrics":
+        run.console.lines(openmetrics(gauges(session, rows)))
+    else:
+        _show(run, rows, missing, shared)
+    result = {
+        "packages": [_document(row) for row in rows],
+        "not_created": missing,
+        "shared": [members(row, "build_type", "documents", "stage", "stale", "problem") for row in shared],
+    }
+    unexamined = tuple(not_examined(session))
+    outliving = _outliving(run, session, policy) if policy else ()
+    diagnostics += (*keys.elsewhere(session), *keys.exposed(session), *outliving, *unexamined)
+    result["not_examined"] = len(unexamined)
+    exit_code = findings_if(strict and outliving)
+    return run.report(result, diagnostics, exit_code, workspace=session.workspace, notes=True)
+
+
+def _outliving(run: Run, session: Session, policy: LoadedPolicy) -> tuple[Diagnostic, ...]:
+    """Return the notes on documents that were signed before and permit more than the policy."""
+    try:
+        if not has_earlier(session):  # then none can permit more than the one in force
+            return ()
+        return presented_rights(session, session.state, policy, effort_of(run.setting.monotonic)).outliving
+    except KeymintError:  # a package has defects, which its row shows
+        return ()
+
+
+def _show(run: Run, rows: Sequence[StatusRow], missing: Sequence[str], shared: Sequence[StatusRow]) -> None:
+    """Show a table, and the problems."""
+    now, cells = run.setting.now, []
+    for row in (*rows, *(StatusRow(name, "-", "create") for name in missing), *shared):
+        title = row.package or ", ".join(row.documents) or row.build_type or "shared documents"
+        ends = (_when(row.certificate_expires, now), _when(row.permissions_expire, now), _renewal(row, now))
+        cells.append([title, row.stage, row.stale or "-", *ends])
+    run.console.table(["PACKAGE", "STAGE", "STALE", "CERTIFICATE", "PERMISSIONS", "RENEW AFTER"], cells)
+    problems = [(row.package or row.build_type or "shared documents", row.problem) for row in (*rows, *shared)]
+    run.console.lines(f"{whose}: {problem}" for whose, problem in problems if problem)
+    if not cells:
+        run.console.line("no packages; run 'keymint create --all'")
+
+
+def _as_typed(run: Run, row: StatusRow) -> StatusRow:
+    """Return a row with the paths of its problem as the user would type them."""
+    if not row.problem:
+        return row
+    return replace(row, problem=run.as_typed(Diagnostic.error("problem", row.problem)).message)
+
+
+def _when(end: datetime | None, now: datetime) -> str:
+    """Return a date with the number of days until it."""
+    return f"{end:%Y-%m-%d} ({days_left(end, now)})" if end else "-"
+
+
+def _renewal(row: StatusRow, now: datetime) -> str:
+    """Return from when on a package is renewed, or the authority that must be renewed before."""
+    moment = row.renew_after
+    if moment is None:
+        return f"with {row.ends_with}" if row.ends_with else "-"
+    return f"{moment:%Y-%m-%d} ({'due' if moment <= now else f'{(moment - now).days} d'})"
+
+
+def _document(row: StatusRow) -> dict[str, Any]:
+    ends = members(row, "certificate_expires", "permissions_expire", "renew_after", "ends_with", "problem")
+    return {"package": row.package, "subject": f"/{row.package}", **members(row, "stage", "stale"), **ends}

@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint discover``: record the graph of a running system, or read captures of one."""
+
+from __future__ import annotations
+
+import json
+import signal
+import threading
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import reduce
+from itertools import pairwise
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import click
+
+from comarmor.errors import Diagnostic, Origin
+from keymint.api import DiscoveredGraph, GraphSource, graph_json
+from keymint.api.generated_names import NAMES_DIFFER, differing
+from keymint.api.graph import Graph
+from keymint.command_line.graph_source_option import graph_source
+from keymint.command_line.named_files import deliver, exists, read_input
+from keymint.command_line.options import PATH, Number, PluginOption
+from keymint.command_line.verb import verb
+from keymint.errors import ExitCode, KeymintError, usage_error
+from keymint.names import typed_subject
+from keymint.output.report import Report
+from keymint.run.run import Run
+
+_EXIT_CODES = {signal.SIGINT: ExitCode.INTERRUPTED, signal.SIGTERM: ExitCode.TERMINATED}
+
+
+@verb(workspace=False, dry_run=True)
+@click.option("--domain", type=click.IntRange(0, 232), metavar="N", help="Domain id [$ROS_DOMAIN_ID, else 0].")
+@click.option(
+    "--seconds",
+    type=Number(min=0, min_open=True, max=86_400),
+    default=10.0,
+    show_default=True,
+    metavar="S",
+    help="How long to observe. Endpoints that disappear meanwhile count too.",
+)
+@click.option(
+    "--from",
+    "captures",
+    type=PATH,
+    multiple=True,
+    metavar="FILE",
+    help="Read a Keymint graph, or a capture that the source knows, instead (docs/graph.md). May be repeated.",
+)
+@click.option(
+    "--append",
+    type=PATH,
+    metavar="GRAPH",
+    help="Add to this graph, which is created if missing. Without -o the result is written there.",
+)
+@click.option("-o", "--output", type=PATH, metavar="FILE", help="Write the graph to this file [standard output].")
+@click.option("--no-fold", is_flag=True, help="Keep the services and topics of actions and parameters separate.")
+@click.option(
+    "--subject",
+    "subjects",
+    multiple=True,
+    metavar="ID=NAME",
+    help="Name the subject whose identifier begins with ID; -v shows identifiers. May be repeated.",
+)
+@click.option(
+    "--source",
+    "source_name",
+    cls=PluginOption,
+    group="keymint.graph_sources",
+    help="Plugin that observes and reads graphs [the only one that is installed].",
+)
+def discover(
+    run: Run,
+    domain: int | None,
+    seconds: float,
+    captures: tuple[Path, ...],
+    append: Path | None,
+    output: Path | None,
+    no_fold: bool,
+    subjects: tuple[str, ...],
+    source_name: str | None,
+) -> Report:
+    """Record the graph of a running system: the topics, services, actions and parameters that each subject uses.
+
+    Observes the nodes of a domain, or reads captures. Short-lived clients may be missed: observe longer, or again with
+    --append. Ctrl-C stops early and keeps the result (exit code 130). docs/graph.md describes the JSON.
+
+    \b
+    keymint discover --seconds 30 -o graph.json      while the application runs, without security
+    keymint learn graph.json -o policy.xml
+    keymint provision policy.xml -w ws
+    """
+    source = graph_source(run, source_name, "--source")
+    names = _names(subjects)
+    if captures and domain is not None:
+        raise usage_error("--domain cannot be combined with --from", "a capture contains its domain")
+    graphs = [_load(run, source, append, {})] if append and exists(run, append) else []
+    interrupted: ExitCode | None = None
+    if captures:
+        graphs += [_load(run, source, capture, names) for capture in captures]
+    else:
+        observed, interrupted = _observe(run, source, domain, seconds, names)
+        graphs.append(observed)
+    merged = reduce(graph_json.merge, (each.graph for each in graphs), Graph(subjects=(), edges=()))
+    graph = source.interpret(merged, fold=not no_fold)
+    content = graph_json.dump(graph)
+    target = output or append
+    if target:
+        run.console.line(_summary(graph))
+    delivered = deliver(run, target, content)
+    result: dict[str, Any] = {
+        "subjects": graph.subjects,
+        "objects": len(graph.objects),
+        "edges": len(graph.edges),
+        **delivered,
+        "graph": None if target else json.loads(content),
+    }
+    records = pairwise(source.interpret(each.graph, fold=not no_fold) for each in graphs)
+    differ = (note for one, other in records for note in differing(one, other))
+    diagnostics = tuple(dict.fromkeys((*(said for each in graphs for said in each.diagnostics), *differ)))
+    return run.report(result, diagnostics, interrupted or ExitCode.DONE, notes={NAMES_DIFFER})
+
+
+def _names(typed: Iterable[str]) -> dict[str, str]:
+    names: dict[str, str] = {}
+    for item in typed:
+        identifier, equals, name = item.partition("=")
+        if not equals:
+            raise usage_error(f"--subject {item!r} is not ID=NAME", "e.g. --subject 0110d9a4=/talker")
+        names[identifier] = typed_subject(name)
+    return names
+
+
+def _load(run: Run, source: GraphSource, path: Path, names: dict[str, str]) -> DiscoveredGraph:
+    content = read_input(run, path)
+    if graph_json.recognises(content):
+        return DiscoveredGraph(graph_json.load(content, str(path)))
+    if source.recognises(content):
+        return source.read(content, str(path), names)
+    raise KeymintError(
+        "is neither a graph nor a known capture format",
+        where=Origin(str(path)),
+        help=f"expected JSON as in docs/graph.md, or {source.CAPTURES}",
+        code="capture",
+    )
+
+
+def _observe(
+    run: Run, source: GraphSource, domain: int | None, seconds: float, names: dict[str, str]
+) -> tuple[DiscoveredGraph, ExitCode | None]:
+    """Return the graph of a running system, and the exit code of a signal that stopped the observation early."""
+    usable = source.usable()
+    if not usable.usable:
+        raise KeymintError(
+            f"no running system can be observed: {usable.reason}", help=usable.help, code="discovery-unusable"
+        )
+    chosen = _domain(run) if domain is None else domain
+    start = run.setting.monotonic()
+    with ended_by_signals() as ended:
+        observed = source.observe(chosen, lambda: not ended and run.setting.monotonic() < start + seconds, names)
+    if ended:
+        early = Diagnostic.warning(
+            "discovery-interrupted",
+            f"interrupted after {run.setting.monotonic() - start:.0f} of {seconds:g} s: the graph is incomplete",
+            help="--append GRAPH observes again and adds to the graph",
+        )
+        return replace(observed, diagnostics=(*observed.diagnostics, early)), ended[0]
+    return observed, None
+
+
+def _domain(run: Run) -> int:
+    text = run.setting.environment.get("ROS_DOMAIN_ID", "").strip() or "0"
+    if not text.isdecimal() or int(text) > graph_json.MAX_DOMAIN:
+        raise usage_error(
+            f"ROS_DOMAIN_ID is {text!r}, expected a domain id from 0 to {graph_json.MAX_DOMAIN}",
+            "set it, or use --domain",
+        )
+    return int(text)
+
+
+def _summary(graph: Graph) -> str:
+    counts = Counter(object_.kind for _, object_ in graph.objects)
+    kinds = ", ".join(f"{counts[kind]} {kind}" for kind in sorted(counts)) or "none"
+    return f"{len(graph.subjects)} subjects, {len(graph.edges)} edges, objects: {kinds}"
+
+
+@contextmanager
+def ended_by_signals() -> Iterator[Sequence[ExitCode]]:
+    """Yield what gets the exit code of the first SIGINT or SIGTERM within the block; a second has its usual effect."""
+    ended: list[ExitCode] = []
+    if threading.current_thread() is not threading.main_thread():  # only the main thread can set handlers
+        yield ended
+        return
+    before = {number: signal.getsignal(number) for number in _EXIT_CODES}
+
+    def restore() -> None:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+    def note(number: int, _frame: FrameType | None) -> None:
+        ended.append(_EXIT_CODES[signal.Signals(number)])
+        restore()
+
+    for number, handler in before.items():
+        if handler is not signal.SIG_IGN:  # nohup and background jobs of shells ignore it
+            signal.signal(number, note)
+    try:
+        yield ended
+    finally:
+        restore()

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint export``: a policy in the language of another tool, proven to mean the same."""
+
+from __future__ import annotations
+
+import codecs
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from comarmor.errors import Diagnostic, Origin
+from comarmor.text import did_you_mean, quoted
+from keymint.api import LoadedPolicy, PolicyExporter, PolicyFormat
+from keymint.command_line.named_files import deliver, read_input, refuse_replacing
+from keymint.command_line.named_policies import Policies
+from keymint.command_line.options import FILE, PATH, PolicyOptions, force_option, policy_options
+from keymint.command_line.verb import verb
+from keymint.commands.exchange.import_policy import proofs_of
+from keymint.commands.exchange.import_proof import diagnostics_of, unproven
+from keymint.errors import KeymintError, usage_error
+from keymint.ir import SubjectRules
+from keymint.names import no_subject, typed_subject
+from keymint.output.report import Report
+from keymint.run.run import Run
+
+_FORMATS = "keymint.policy_formats"
+
+
+@verb(dry_run=True)
+@click.argument("policy", required=False, type=PATH)
+@click.option("--format", "form", metavar="NAME", required=True, help="The format: of a policy type, or xacml.")
+@click.option("-o", "--output", type=FILE, metavar="FILE", help="Write the policy to this file [standard output].")
+@click.option(
+    "--subjects", "listed", type=FILE, metavar="FILE", help="Further subjects, one a line, for profiles with wildcards."
+)
+@click.option("--lossy", is_flag=True, help="Leave out ALLOW rules that the format cannot express; each is listed.")
+@force_option
+@policy_options
+def export(
+    run: Run,
+    policy: Path | None,
+    form: str,
+    output: Path | None,
+    listed: Path | None,
+    lossy: bool,
+    force: bool,
+    policy_options: PolicyOptions,
+) -> Report:
+    """Write POLICY in the language of another tool, for the subjects that it names and those of --subjects.
+
+    What that language cannot express is an error with its line. --lossy leaves out what only allows something; a DENY
+    is never left out, since more would be allowed without it.
+
+    If the tool makes documents of it for a transport, nothing is written unless these permit what the policy allows,
+    for every name, as the transport's standard reads them; what vendors read otherwise is noted. XACML is not of that
+    kind, and written without a proof.
+    """
+    writer = _writer(run, form)
+    policies = Policies(run, policy_options)
+    subjects = _subjects(run, policies.load(policy), listed)
+    document, diagnostics = _made(run, writer, subjects, policies.distro, lossy=lossy)
+    if output is not None and not force:
+        help_ = "name another file, or replace it with --force"
+        refuse_replacing(run, output, document, "the exported policy", help_, "export-exists")
+    result: dict[str, Any] = {
+        **deliver(run, output, document),
+        "policy": None if output else document.decode(),
+        "subjects": [each.subject for each in subjects],
+    }
+    return run.report(result, diagnostics, notes=True)
+
+
+def _made(
+    run: Run, writer: PolicyExporter | PolicyFormat, subjects: Sequence[SubjectRules], distro: str, *, lossy: bool
+) -> tuple[bytes, list[Diagnostic]]:
+    """Return the policy in the other language, and what is to be said about it; it is proven if that is possible.
+
+    Raises:
+        KeymintError: a rule cannot be expressed, or what the other tool makes of it permits something else.
+    """
+    if not isinstance(writer, PolicyExporter):
+        plain = writer.written(subjects, lossy=lossy)
+        return plain.document, list(plain.diagnostics)
+    made = writer.exported(subjects, lossy=lossy)
+    proofs = proofs_of(run, writer.BUILD_TYPE, made.subjects, distro)
+    if refuted := unproven(proofs, writer.TOOL):
+        raise KeymintError.of([*made.diagnostics, *refuted])
+    return made.document, [*made.diagnostics, *diagnostics_of(proofs, writer.TOOL)]
+
+
+def _writer(run: Run, form: str) -> PolicyExporter | PolicyFormat:
+    """Return what writes a format: a policy type that also reads it, or a plugin that only writes it.
+
+    Raises:
+        KeymintError: there is none.
+    """
+    formats = run.plugins.names(_FORMATS)
+    if form in formats:
+        return run.plugins.policy_format(form)
+    plugins: Iterable[object] = run.plugins.policy_types().values()
+    known = {each.FORMAT: each for each in plugins if isinstance(each, PolicyExporter)}
+    if form not in known:
+        every = sorted({*known, *formats})
+        hint = did_you_mean(form, every, f"known: {', '.join(every) or 'none'}")
+        raise usage_error(f"no plugin exports the format {form!r}", hint)
+    return known[form]
+
+
+def _subjects(run: Run, policy: LoadedPolicy, listed: Path | None) -> list[SubjectRules]:
+    """Return the rules of the subjects that the policy names, and of those in a file.
+
+    Raises:
+        KeymintError: there is no subject, or no profile applies to one.
+    """
+    names: dict[str, Origin | None] = dict.fromkeys(policy.subjects())
+    if listed is not None:
+        for name, place in _listed(read_input(run, listed), str(listed)):
+            names.setdefault(typed_subject(name), place)
+    if not names:
+        raise no_subject("list subjects in a file: --subjects FILE")
+    found = []
+    for name, where in names.items():
+        rules = policy.rules(name)
+        if rules is None:
+            raise KeymintError(f"no profile applies to {name}", where=where, code="subject-unknown")
+        found.append(rules)
+    return found
+
+
+def _listed(content: bytes, file: str) -> Iterator[tuple[str, Origin]]:
+    """Yield the subjects of a list, one a line, with their places; what follows ``#`` is a comment.
+
+    Raises:
+        KeymintError: a line is not UTF-8, or has characters that nobody sees.
+    """
+    for number, line in enumerate(content.removeprefix(codecs.BOM_UTF8).split(b"\n"), 1):
+        where = Origin(file, number)
+        try:
+            name = line.decode().partition("#")[0].strip()
+        except UnicodeDecodeError:
+            raise KeymintError(
+                "the list of subjects is not UTF-8", where=where, help="save it as UTF-8", code="subjects-invalid"
+            ) from None
+        if not name.isprintable():
+            raise KeymintError(
+                f"the subject has characters that cannot be printed: {quoted(name)}", where=where, help="remove them",
+                code="subjects-invalid",
+            )  # fmt: skip
+        if name:
+            yield name, where

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint import``: policies of other tools in the language of Keymint, proven to mean the same."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import click
+
+from comarmor.errors import Diagnostic, Origin
+from comarmor.text import counted, first_few
+from comarmor.xml.reader import looks_like_xml, parse
+from keymint.api import ForeignDocuments, ImportedSubject, ImportRequest, PolicyImporter
+from keymint.command_line.named_files import deliver, exists, read_input, refuse_replacing
+from keymint.command_line.named_policies import Policies
+from keymint.command_line.options import FILE, PATH, PolicyOptions, distro_option, force_option, library_option
+from keymint.command_line.verb import verb
+from keymint.commands.exchange.import_proof import SubjectProof, diagnostics_of, unproven
+from keymint.errors import KeymintError
+from keymint.examine.nodes import node_notes
+from keymint.output.report import Report
+from keymint.run.run import Run
+from keymint.stages.proof.proof_diagnostics import STATES, effort_of
+from keymint.workspace.policy_types import foreign_policy
+
+
+@verb(workspace=False, dry_run=True, name="import")
+@click.argument("policy", type=FILE)
+@click.option(
+    "-o", "--output", type=PATH, metavar="DIR", default="comarmor.d", show_default=True,
+    help="Write the new policy into this folder, as NAME.xml.",
+)  # fmt: skip
+@click.option(
+    "--accept", is_flag=True, help="Take the policy as it reads where the other tool enforces something else."
+)
+@click.option(
+    "--implicit/--no-implicit", default=True, show_default=True,
+    help="With the rules that the other tool adds by itself.",
+)  # fmt: skip
+@force_option
+@distro_option
+@library_option
+def import_policy(
+    run: Run,
+    policy: Path,
+    output: Path,
+    accept: bool,
+    implicit: bool,
+    force: bool,
+    distro: str | None,
+    profile_type: str,
+) -> Report:
+    """Translate POLICY of another tool into a ComArmor policy, and prove that both mean the same.
+
+    \b
+    keymint import policy.xml -o comarmor.d
+    keymint provision comarmor.d -w my_ws
+
+    There is one profile for each enclave of POLICY, with its comments. What cannot be expressed is an error with its
+    line, and so is what the other tool enforces differently from what POLICY says: change POLICY, or take it as it
+    reads with --accept, which warns of each change.
+
+    Nothing is written unless, for every name, what is compiled from the new policy permits what the other tool's
+    documents permit, as the transport's standard reads them; what vendors read otherwise is noted.
+    """
+    policies = Policies(run, PolicyOptions(distro, profile_type, ""))
+    library = policies.shipped()  # an unknown distribution is wrong usage, whatever the file is
+    importer = _importer(run, policy)
+    file = output / f"{policy.name.removesuffix('.xml').removesuffix('.policy')}.xml"
+    request = ImportRequest(run.setting.cwd / policy, str(file), library, accept, implicit)
+    imported = importer.translated(request)
+    proofs = proofs_of(run, importer.BUILD_TYPE, imported.subjects, policies.distro)
+    if refuted := unproven(proofs, importer.TOOL):
+        raise KeymintError.of([*imported.diagnostics, *refuted])
+    _refuse_other_library(run, output, request.library, imported.document)
+    if not force:
+        help_ = "name another folder with -o, or replace it with --force"
+        refuse_replacing(run, file, imported.document, "the imported policy", help_, "import-exists")
+    delivered = deliver(run, file, imported.document)
+    same = sum(proof.is_same for proof in proofs)
+    run.console.line(
+        f"{counted(len(proofs), 'subject')}: {same} proven to permit, for all names, what {importer.TOOL} lets it do"
+    )
+    subjects = [{"subject": proof.subject, "same": proof.is_same} for proof in proofs]
+    rules = ((each.rules, Origin(str(policy))) for each in imported.subjects)
+    nodes = node_notes(run.plugins, (importer.BUILD_TYPE,), policies.distro, rules)
+    diagnostics = [*imported.diagnostics, *diagnostics_of(proofs, importer.TOOL), *_beside(run, policy, file), *nodes]
+    return run.report({**delivered, "subjects": subjects}, diagnostics, notes=True)
+
+
+def _importer(run: Run, policy: Path) -> PolicyImporter:
+    """Return the policy type that recognises and imports a file.
+
+    Raises:
+        KeymintError: there is no such file, or no plugin imports it.
+    """
+    content = read_input(run, policy)
+    foreign = foreign_policy(run.plugins, [run.setting.cwd / policy])
+    importer: object = None if foreign is None else run.plugins.policy_type(foreign.policy_type)
+    if foreign is None and looks_like_xml(content):
+        parse(content, str(policy))  # raises an error if it is no document, which nothing recognises
+    if not isinstance(importer, PolicyImporter):
+        raise KeymintError(
+            "no plugin recognises this as a policy of another tool", where=Origin(str(policy)),
+            help="'keymint lint' reads ComArmor policies as they are", code="import-unknown",
+        )  # fmt: skip
+    return importer
+
+
+def proofs_of(
+    run: Run, build_type_name: str, subjects: Sequence[ImportedSubject], distro: str
+) -> tuple[SubjectProof, ...]:
+    """Return what is proven about subjects whose documents another tool writes.
+
+    Raises:
+        KeymintError: the build type compares no documents, or a rule cannot be mapped.
+    """
+    build_type: object = run.plugins.build_type(build_type_name)
+    if not isinstance(build_type, ForeignDocuments):
+        raise KeymintError(f"the build type {build_type_name} compares no documents", code="import-unproven")
+    effort = effort_of(run.setting.monotonic, STATES)
+    proofs = []
+    for each in subjects:
+        with effort.limit(each.rules.rules):
+            comparison = build_type.compare(each, distro, effort.states, effort.deadline())
+        proofs.append(SubjectProof(each.rules.subject, each.deviates, comparison))
+    return tuple(proofs)
+
+
+def _refuse_other_library(run: Run, output: Path, library: Path, document: bytes) -> None:
+    """Refuse a folder in which the new policy would include other files than those that the proof is about."""
+    if b"<xi:include" not in document:
+        return
+    for path in sorted(library.rglob("*.xml")):
+        beside = output / path.relative_to(library)
+        if exists(run, beside) and read_input(run, beside) != path.read_bytes():
+            raise KeymintError(
+                "the new policy would include this file, which differs from that of the policy library",
+                where=Origin(str(beside)), help="name another folder with -o", code="import-library",
+            )  # fmt: skip
+
+
+def _beside(run: Run, policy: Path, file: Path) -> Iterator[Diagnostic]:
+    """Yield a warning if the folder has other files that are a part of its policy."""
+    files = sorted(path.name for path in (run.setting.cwd / file.parent).glob("*.xml"))
+    others = [name for name in files if name != file.name and not name.endswith(".test.xml")]
+    if others:
+        message = (
+            f"the policy {file.parent} consists of {first_few(others, 3)} too: the proof is about {file.name} alone"
+        )
+        help_ = (
+            f"'keymint diff {policy} {file.parent}' shows what they add; remove them, or name another folder with -o"
+        )
+        yield Diagnostic.warning("import-beside", message, Origin(str(file)), help_)

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint learn``: generate the smallest policy that allows a graph."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import reduce
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import click
+
+from comarmor.errors import Diagnostic, Origin
+from comarmor.xml.reader import looks_like_xml
+from keymint.api import LearnedPolicy, LoadedPolicy, PolicyLearner, graph_json
+from keymint.api.generated_names import NAMES_DIFFER, differing
+from keymint.api.graph import Edge, Graph
+from keymint.command_line.named_files import read_input, show_written, write_outputs
+from keymint.command_line.named_policies import Policies
+from keymint.command_line.options import PATH, PolicyOptions, force_option, policy_options
+from keymint.command_line.verb import verb
+from keymint.commands.exchange.learn_keystore import from_keystore, refuse_replacing_policy
+from keymint.errors import KeymintError, usage_error
+from keymint.output.report import Report, findings_if
+from keymint.run.run import Run
+from keymint.workspace.policy_types import foreign_policy
+
+
+@verb(workspace=False, dry_run=True)
+@click.argument("graphs", type=PATH, nargs=-1, metavar="[GRAPH]...")
+@click.option(
+    "--from-keystore", "keystore", type=PATH, metavar="KEYSTORE",
+    help="Learn from the signed documents of a keystore in place of a graph.",
+)  # fmt: skip
+@click.option("--policy", type=PATH, metavar="EXISTING", help="Keep this policy; generate only what it lacks.")
+@click.option("-o", "--output", type=PATH, metavar="FILE", help="Write the policy to this file [standard output].")
+@force_option
+@policy_options
+def learn(
+    run: Run,
+    graphs: tuple[Path, ...],
+    keystore: Path | None,
+    policy: Path | None,
+    output: Path | None,
+    force: bool,
+    policy_options: PolicyOptions,
+) -> Report:
+    """Generate the smallest policy that allows the edges of GRAPH, like aa-genprof for robots.
+
+    \b
+    keymint learn graph.json -o policy.xml
+    keymint learn --from-keystore demo_keystore -o policy.xml
+
+    GRAPH is JSON written by 'keymint discover'. Review the result: it allows everything that the system did during the
+    observation, even by an attacker, and nothing that it did not do. Of several graphs, e.g. one of each start of the
+    system, the policy allows all edges; names that may change with each start are noted.
+
+    With --policy the result contains only what EXISTING lacks; put both into one directory. Permissions of EXISTING
+    that the graph does not use are listed.
+
+    With --from-keystore the policy means what the signed documents of KEYSTORE mean, proven for all names; what no
+    policy can say is an error with its line. See 'keymint adopt'.
+
+    Exit code 3: a DENY rule of EXISTING denies an edge of the graph.
+    """
+    if keystore is not None:
+        if graphs or policy is not None:
+            raise usage_error(
+                "--from-keystore takes neither a graph nor --policy", "learn from one of them at a time, and compare "
+                "the results: keymint diff ONE OTHER",
+            )  # fmt: skip
+        return from_keystore(run, keystore, output, policy_options, force=force)
+    if not graphs:
+        raise usage_error(
+            "the argument GRAPH is missing", "name a file of 'keymint discover', or a keystore: --from-keystore"
+        )
+    policies = Policies(run, policy_options)
+    learner = run.plugins.policy_type(policy_options.policy_type)
+    if not isinstance(learner, PolicyLearner):
+        raise KeymintError(f"the policy type {policy_options.policy_type!r} cannot learn", code="learn-unsupported")
+    if policy_options.distro:
+        policies.shipped()  # an unknown distribution is an error even without --policy
+    records = [_record(run, graph) for graph in graphs]
+    wanted = reduce(graph_json.merge, records)
+    existing = policies.at(run.setting.cwd / policy, str(policy), foreign=False) if policy else None
+    if output and existing:
+        _refuse_overwriting(run, output, existing)
+    folder = f"{output.stem}.d" if output else ""
+    learned = learner.learn(wanted, existing, folder)
+    learned = replace(learned, unused=tuple(run.as_typed(rule) for rule in learned.unused))
+    written: list[str] = []
+    if output and learned.document:
+        if not force:
+            refuse_replacing_policy(run, output, learned.document)
+        fragments = {f"{folder}/{name}": content for name, content in learned.fragments.items()}
+        written = write_outputs(run, output, learned.document, fragments)
+    _tell(run, learned, output, written, against=policy is not None)
+    domains = sorted({edge.domain for edge in wanted.edges})
+    result: dict[str, Any] = {
+        "domains": domains,
+        "file": str(output) if output and learned.document else None,
+        "written": written,
+        "policy": None if output else learned.document.decode(),
+        "missing": [_as_json(edge) for edge in learned.missing],
+        "unused": [_place(found) for found in learned.unused],
+    }
+    differ = (note for pair in pairwise(records) for note in differing(*pair))
+    diagnostics = (*learned.conflicts, *learned.unused, *_about_domains(domains, output), *learned.notes, *differ)
+    return run.report(result, diagnostics, findings_if(learned.conflicts), notes={"learn-generated", NAMES_DIFFER})
+
+
+def _record(run: Run, path: Path) -> Graph:
+    """Return the graph of a file.
+
+    Raises:
+        KeymintError: it cannot be read, or is none; with its line.
+    """
+    content = read_input(run, path)
+    if looks_like_xml(content) and (foreign := foreign_policy(run.plugins, [run.setting.cwd / path])):
+        raise foreign.refusal(str(path))
+    return graph_json.load(content, str(path))
+
+
+def _about_domains(domains: Sequence[int], output: Path | None) -> Iterator[Diagnostic]:
+    """Yield a warning if the graph has another domain than 0: a policy contains no domain."""
+    if domains in ([], [0]):
+        return
+    if len(domains) == 1:
+        message = f"the graph was recorded in domain {domains[0]}; policies contain no domain"
+        help_ = f"keymint provision {output or 'POLICY'} --domain {domains[0]}"
+    else:
+        message = f"the graph has domains {', '.join(map(str, domains))}; the policy allows every edge in each"
+        help_ = "to keep the domains separate, run discover and learn for each, with one workspace each"
+    yield Diagnostic.warning("learn-domain", message, Origin(str(output)) if output else None, help_)
+
+
+def _refuse_overwriting(run: Run, output: Path, existing: LoadedPolicy) -> None:
+    """Refuse to overwrite a file of the existing policy."""
+    target = (run.setting.cwd / output).resolve()
+    if target.exists() and target in {path.resolve() for path in existing.seen}:
+        raise KeymintError(
+            "is part of the existing policy",
+            where=Origin(str(output)),
+            help="name another file in the same directory",
+            code="learn-overwrites",
+        )
+
+
+def _tell(run: Run, learned: LearnedPolicy, output: Path | None, written: list[str], *, against: bool) -> None:
+    if not output:
+        run.console.document(learned.document)
+        return
+    if against:
+        run.console.lines(f"missing  {each.subject} {each.permission} {each.object.name}" for each in learned.missing)
+        run.console.lines(f"unused   {rule.where or rule.subject}: {rule.message}" for rule in learned.unused)
+    if learned.document:
+        show_written(run, output, written)
+    else:
+        run.console.line("the existing policy allows the graph: nothing to write")
+
+
+def _as_json(edge: Edge) -> dict[str, Any]:
+    return {
+        "subject": edge.subject,
+        "permission": edge.permission,
+        "object": edge.object.name,
+        "partitions": edge.object.partitions,
+        "domain": edge.domain,
+    }
+
+
+def _place(rule: Diagnostic) -> dict[str, str]:
+    return {"code": rule.code, "place": str(rule.where) if rule.where else "", "message": rule.message}

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint authority``: the verbs about certificate authorities."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import click
+
+from keymint.command_line.verb_group import VerbGroup
+
+VERBS: Mapping[str, str] = {
+    "show": "Show each authority: its certificate, where its key is, and whom it serves.",
+    "renew": "Issue an authority's certificate again for the same key, with later dates.",
+    "replace": "Replace an authority's key, phase by phase.",
+    "encrypt": "Encrypt an authority's stored private key, as the profile asks.",
+    "import": "Use an authority's certificate that somebody else issued.",
+    "export": "Write an authority's certificate, or its key, to a file.",
+}
+
+
+class _Verbs(VerbGroup):
+    """The verbs about authorities; one is named like a keyword of Python."""
+
+    GROUPS: Mapping[str, Mapping[str, str]] = MappingProxyType({"Verbs": VERBS})
+    MODULE = "keymint.commands.life.authority_{verb}"
+    NAME = "command"
+
+
+@click.group(cls=_Verbs)
+def authority() -> None:
+    """Show, renew, replace, encrypt, import or export the certificate authorities of a workspace.
+
+    An authority signs with its private key in private/, or where that key is; enclaves only have its certificate.
+    docs/keystore-life.md says what each change costs a running fleet.
+    """

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint authority export``: an authority's certificate, and on request its private key, to files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+
+from comarmor.errors import Diagnostic, Origin
+from keymint.authority import authority_files, token_authorities
+from keymint.authority.authority_issuance import authority_named
+from keymint.command_line.named_files import deliver, write_outputs
+from keymint.command_line.options import FILE, authority_argument
+from keymint.command_line.verb import verb
+from keymint.errors import KeymintError, usage_error
+from keymint.output.report import Report
+from keymint.run.run import Run
+from keymint.workspace.session import Session
+
+
+@verb(of="authority")
+@authority_argument
+@click.option("-o", "--output", type=FILE, metavar="FILE", help="Write the certificate here [standard output].")
+@click.option("--chain", is_flag=True, help="Add the certificates above it, up to the self-signed one.")
+@click.option(
+    "--with-key",
+    "key_file",
+    type=FILE,
+    metavar="FILE",
+    help="Also write its private key here (mode 0600). Whoever has it can make any robot do anything.",
+)
+def command(run: Run, name: str, output: Path | None, chain: bool, key_file: Path | None) -> Report:
+    """Write the certificate of an authority as PEM; never its private key, unless --with-key asks for it."""
+    session = run.session()
+    files = authority_files.read_files(session, authority_named(session, name))
+    if files.certificate is None or files.content is None:
+        raise KeymintError(
+            f"the authority {name!r} has no certificate",
+            where=files.certificate_file,
+            help="'keymint install' makes it",
+            code="authority-missing",
+        )
+    if key_file and output and (run.setting.cwd / key_file).resolve() == (run.setting.cwd / output).resolve():
+        raise usage_error("the certificate and the private key would be written into one file", "name two files")
+    content = b"".join(_chain(session, name)) if chain else files.content
+    findings: list[Diagnostic] = []
+    written: list[str] = []
+    if key_file:
+        written += _export_key(run, files, key_file)
+        message = f"is the private key of the authority {name!r}: whoever has it can make any robot do anything"
+        help_ = "move it to where it belongs, and delete it here"
+        findings.append(Diagnostic.warning("key-exported", message, Origin(str(key_file)), help_))
+    own = deliver(run, output, content)
+    result = {"certificate": content.decode("ascii"), **own, "written": [*written, *own["written"]]}
+    return run.report(result, findings, workspace=session.workspace)
+
+
+def _chain(session: Session, name: str) -> Iterator[bytes]:
+    """Yield the certificate of an authority, and of those above it."""
+    while name:
+        yield session.tree.read(session.workspace.authority_certificate(name)) or b""
+        name = authority_named(session, name).certificate.issuer
+
+
+def _export_key(run: Run, files: authority_files.AuthorityFiles, key_file: Path) -> list[str]:
+    """Write the private key of an authority as it is stored: encrypted if it has a password.
+
+    Raises:
+        KeymintError: it is not here, or lies in a token, or the file cannot be written.
+    """
+    if files.authority.certificate.key.uri:
+        raise token_authorities.only_in_token(files.authority, "it returns none")
+    if files.key is None:
+        raise authority_files.key_elsewhere(files.name, files.key_file, "export it where it is")
+    return write_outputs(run, key_file, files.key, secret=True)

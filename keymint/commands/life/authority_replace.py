@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint authority replace``: a new key for an authority, phase by phase."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from comarmor.errors import Diagnostic
+from keymint.api import Phase
+from keymint.authority import rollover
+from keymint.command_line.authority_change import given_authority
+from keymint.command_line.options import FILE, authority_argument
+from keymint.command_line.verb import verb
+from keymint.errors import usage_error
+from keymint.output.report import Report
+from keymint.run.run import Run
+from keymint.stages.rollover_phases import Request, planned
+from keymint.store.changes import Plan
+from keymint.workspace.session import Session
+
+
+@verb(dry_run=True, of="authority")
+@authority_argument
+@click.option(
+    "--phase",
+    type=click.Choice([phase.value for phase in Phase]),
+    help="Go on to this phase: all robots have the keystore of the one before it.",
+)
+@click.option("--cancel", is_flag=True, help="Give up: the present authority stays. Only before the next one issues.")
+@click.option(
+    "--vendor",
+    "vendors",
+    multiple=True,
+    metavar="NAME",
+    help="The fleet has only this implementation of its transport; may be repeated [all]. If all of them "
+    "accept two authorities at once, no robot must wait for another one.",
+)
+@click.option("--certificate", type=FILE, metavar="FILE", help="The next authority is this one, made elsewhere.")
+@click.option("--key", "key_file", type=FILE, metavar="FILE", help="Its private key.")
+def command(
+    run: Run,
+    name: str,
+    phase: str | None,
+    cancel: bool,
+    vendors: tuple[str, ...],
+    certificate: Path | None,
+    key_file: Path | None,
+) -> Report:
+    """Replace the key of an authority, phase by phase.
+
+    Where subjects may trust two authorities: all enclaves get both certificates (distribute), then certificates by the
+    next one (reissue), then it alone (end). Elsewhere a second keystore by the next authority is made in install.next/
+    (stage), all robots switch to it (ROS_SECURITY_KEYSTORE) at a common restart, and it becomes install/ (end). How far
+    it has come stands in profile/; the same command again completes its phase. --dry-run says what each phase does.
+    """
+    begins = bool(vendors or certificate)
+    if (cancel and (phase or begins)) or (key_file and not certificate):
+        raise usage_error(
+            "these options do not go together",
+            "give --phase, --cancel, or what begins it (--vendor, --certificate, --key)",
+        )
+    given = given_authority(run, certificate, key_file) if certificate else None
+    request = Request(Phase(phase) if phase else None, cancel, vendors, given)
+    phases: list[str] = []
+
+    def make_plan(session: Session) -> Plan:
+        before = rollover.phase_of(session, name)
+        plan = planned(run.crew, session, name, request)
+        reached = rollover.phase_of(session.after(plan).session(), name)
+        phases[:] = [(reached or Phase.END).value]
+        if run.dry_run and not cancel:
+            run.console.lines(_outline(session, name, before, reached))
+        return plan.noting(_told(session, name, before, reached, cancelled=cancel))
+
+    report = run.change(make_plan)
+    return replace(report, result={"authority": name, "phase": phases[0]})
+
+
+# -- messages --------------------------------------------------------------------------------------------------------
+
+
+def _outline(session: Session, name: str, before: Phase | None, reached: Phase | None) -> Iterator[str]:
+    """Yield the phases, with a mark at the one that a run would carry out."""
+    shown = session.workspace.shown(session.workspace.next_install)
+    if Phase.STAGE in {before, reached}:
+        steps = {
+            Phase.STAGE: f"a second keystore by the next authority in {shown}/; copy it to all robots, "
+            "beside the present",
+            Phase.END: "all robots restart together with it (ROS_SECURITY_KEYSTORE); "
+            "then --phase end makes it install/",
+        }
+    else:
+        steps = {
+            Phase.DISTRIBUTE: "all enclaves trust both authorities; copy them to all robots and restart these, "
+            "in any order",
+            Phase.REISSUE: "certificates by the next authority; copy them to all robots and restart these",
+            Phase.END: "enclaves trust the next authority alone; copy them to all robots and restart these",
+        }
+    yield f"replacing the key of {name}:"
+    for number, (each, text) in enumerate(steps.items(), 1):
+        yield f"  {'>' if each is (reached or Phase.END) else ' '} {number}. {each}: {text}"
+
+
+def _told(session: Session, name: str, before: Phase | None, reached: Phase | None, *, cancelled: bool) -> Diagnostic:
+    """Return what is to be done on the robots before the next phase."""
+    following = Phase.REISSUE if reached is Phase.DISTRIBUTE else Phase.END
+    go_on = f"then 'keymint authority replace {name} --phase {following}'"
+    install_space, second = (
+        session.workspace.shown(each) for each in (session.workspace.install, session.workspace.next_install)
+    )
+    if reached is Phase.STAGE:
+        text = f"{name!r}: a second keystore by the next authority is ready: copy {second}/ to all robots"
+        help_ = f"set ROS_SECURITY_KEYSTORE to it, and restart all of them together; {go_on}"
+    elif reached is not None:
+        both = "all enclaves trust the present and the next authority"
+        what = both if reached is Phase.DISTRIBUTE else "the next authority issues"
+        text, help_ = f"{name!r}: {what}: copy {install_space}/ to all robots", f"restart them, in any order; {go_on}"
+    elif cancelled:
+        text, help_ = f"{name!r}: its key stays", f"copy {install_space}/ to the robots that got another one"
+    elif before is None:
+        text, help_ = f"the key of the authority {name!r} is not being replaced", f"copy {install_space}/ to all robots"
+    elif before is Phase.STAGE:
+        text = f"{name!r} is replaced: {install_space}/ is the keystore that all robots have"
+        help_ = "the former one works with none of them any more"
+    else:
+        text = f"{name!r} is replaced: nobody trusts the former authority any more"
+        help_ = f"copy {install_space}/ to all robots and restart them, in any order"
+    return Diagnostic.warning("rollover-phase", text, None, help_)

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint harden``: mend what a keystore that was taken over lacks, one step at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+
+import click
+
+from comarmor.text import first_few
+from keymint.adoption.hardening import Weakness, open_steps, plan_authority, plan_names
+from keymint.authority.authority_renewal import plan_renewal
+from keymint.command_line.authority_change import issued_again
+from keymint.command_line.options import flag_day_option, packages_argument
+from keymint.command_line.verb import verb
+from keymint.errors import KeymintError
+from keymint.output.report import Report
+from keymint.run.run import Run
+from keymint.stages.reissue import reissued, reissued_by_profile
+from keymint.store.changes import Plan
+from keymint.workspace.installed_enclaves import with_sources
+from keymint.workspace.session import Session
+
+
+@verb(dry_run=True)
+@click.argument("step", type=click.Choice([str(each) for each in Weakness]), required=False)
+@packages_argument
+@click.option("--apply", "applied", is_flag=True, help="Do the step; without it, see its cost and change nothing.")
+@flag_day_option
+def harden(run: Run, step: str | None, names: tuple[str, ...], applied: bool, flag_day: bool) -> Report:
+    """Say which steps are open and what each costs; do one of them with --apply.
+
+    \b
+    authority      a second authority signs documents: the one that issues identities cannot any more
+    identifiers    the certificates of authorities get key identifiers and the right to sign revocation lists
+    names          a unique RDN in the subject names of the packages NAME [all]
+
+    Private keys in the workspace are 0600 already; on robots that is 'chmod 600'.
+    """
+    if applied:
+        run.recover(run.workspace())
+    session = run.session()
+    steps = open_steps(session)
+    chosen = [each for each in steps if step in {None, str(each.step)}]
+    run.console.lines(f"{each.step}: {first_few(each.concerns)}: {each.cost}" for each in chosen)
+    if not chosen:
+        run.console.line(f"{step}: nothing to do" if step else "nothing to do: no step is open")
+    result = {"steps": [asdict(each) for each in steps]}
+    if not applied or not chosen or run.resumes:
+        report = run.finish(session.workspace) if run.interrupted else run.report(workspace=session.workspace)
+        return replace(report, result=result)
+    if step is None:
+        raise click.UsageError("--apply needs a STEP: each has a cost of its own.")
+    if names and step != Weakness.NAMES:
+        raise click.UsageError(f"the step {step!r} concerns all packages; name none.")
+    wanted = run.names(session, names) if names else chosen[0].concerns
+
+    def make_plan(session: Session) -> Plan:
+        match step:
+            case Weakness.NAMES:
+                only = tuple(name for name in wanted if name in chosen[0].concerns)
+                return reissued(run.crew, session, plan_names(session, only), only)
+            case Weakness.AUTHORITY:
+                if not flag_day:
+                    raise KeymintError(
+                        f"this is {chosen[0].cost}",
+                        help="plan a common restart of all robots and say --flag-day",
+                        code="authority-flag-day",
+                    )
+                first = plan_authority(session, chosen[0].concerns[0])
+                return reissued_by_profile(run.crew, session, first, with_sources(session))
+            case _:
+                return _identifiers(run, session, chosen[0].concerns, accepted=flag_day)
+
+    return replace(run.change(make_plan), result=result)
+
+
+def _identifiers(run: Run, session: Session, names: Sequence[str], *, accepted: bool) -> Plan:
+    """Return the plan of the authorities' certificates, and of all that follows.
+
+    Raises:
+        KeymintError: a key is elsewhere, or the user does not accept that all robots restart together.
+    """
+    plan = Plan((), session.state)
+    for name in names:
+        renewal = plan_renewal(session, name)
+        plan = plan.then(issued_again(run, session, renewal, name, flag_day=accepted))
+        session = session.after(plan).session()
+    return plan

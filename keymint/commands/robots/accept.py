@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint accept``: a robot takes what an authority made for its enclaves."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+
+from comarmor.errors import Origin
+from comarmor.regex import lazy_regex
+from comarmor.values import dataclass
+from keymint.command_line.named_files import read_input
+from keymint.command_line.options import FILE
+from keymint.command_line.robot_options import folder_option, keystore_of, opened
+from keymint.command_line.verb import verb
+from keymint.errors import KeymintError, usage_error
+from keymint.output.report import Report, members
+from keymint.robots import bundle as bundles
+from keymint.robots.bundle import Bundle
+from keymint.robots.bundle_acceptance import Acceptance, Owner
+from keymint.robots.bundle_acceptance import accept as accepted
+from keymint.robots.bundle_container import MAX_BYTES
+from keymint.robots.robot_keystore import Keystore
+from keymint.run.run import Run
+from keymint.store.changes import Action, FolderChange, Step
+
+_FINGERPRINT = lazy_regex("[0-9a-f]{64}")
+
+
+@dataclass(frozen=True, slots=True)
+class _Taken:
+    """A bundle that is accepted, and what it changes."""
+
+    file: Path
+    bundle: Bundle
+    acceptance: Acceptance
+    step: Step
+
+
+@verb(workspace=False, dry_run=True)
+@click.argument("files", nargs=-1, required=True, type=FILE, metavar="BUNDLE...")
+@folder_option
+@click.option(
+    "--authority-fingerprint",
+    "fingerprints",
+    multiple=True,
+    metavar="SHA256",
+    help="Trust the authority with this key; needed the first time, and when an authority gets a new key. "
+    "'keymint authority show' prints it, where the authority is. May be repeated.",
+)
+@click.option("--new", is_flag=True, help="Take a bundle for an enclave that this robot neither has nor asked for.")
+def accept(run: Run, files: tuple[Path, ...], folder: Path | None, fingerprints: tuple[str, ...], new: bool) -> Report:
+    """Take bundles that an authority made for this robot ('keymint sign', 'keymint bundle'); each is for one enclave.
+
+    Needs no workspace. A bundle is taken if an authority signed it that this keystore trusts, if this robot has its
+    key, and if no number in it goes back; else nothing changes. The folder of an enclave changes in one step.
+    """
+    keystore = keystore_of(run, folder)
+    owner = Owner(frozenset(map(fingerprint, fingerprints)), new=new)
+    read = [(file, bundles.read(read_input(run, file, MAX_BYTES), Origin(str(file)))) for file in dict.fromkeys(files)]
+    _require_one_each(read)
+    there = keystore.read()
+    taken = [_taken(run, there, file, each, owner) for file, each in read]  # what is refused creates no keystore
+    if not run.dry_run:
+        with opened(run, keystore) as store:
+            there = keystore.read()
+            taken = [_taken(run, there, file, each, owner) for file, each in read]
+            answered = [there.forget(each.bundle.manifest.name) for each in taken if each.acceptance.answered]
+            store.begin(run.intent())
+            store.commit([store.stage(change for each in taken for change in each.step.changes)])
+            # A key must be in its enclave, durably, before it is removed here.
+            store.commit([store.stage(answered)])
+    restart = [each.bundle.manifest.enclave for each in taken if each.step.writes()]
+    if not run.dry_run:
+        run.console.lines(f"restart the processes of {each}: they read their files when they start" for each in restart)
+    notes = [note for each in taken for note in each.acceptance.notes]
+    result = {
+        "keystore": keystore.typed,
+        "enclaves": [_document(each) for each in taken],
+        "restart": restart,
+    }
+    return run.report(result, notes, steps=[each.step for each in taken])
+
+
+def fingerprint(text: str) -> str:
+    """Return a fingerprint that a person typed: 64 hexadecimal digits; colons, spaces and their case do not matter.
+
+    Raises:
+        KeymintError: it is none; a usage error.
+    """
+    plain = re.sub("[: ]", "", text).lower()
+    if not _FINGERPRINT.fullmatch(plain):
+        raise usage_error(f"{text!r} is not a fingerprint of 64 hexadecimal digits", "copy all of it")
+    return plain
+
+
+def _require_one_each(read: Sequence[tuple[Path, Bundle]]) -> None:
+    """Require that no two bundles are for one enclave."""
+    first: dict[str, Path] = {}
+    for file, each in read:
+        other = first.setdefault(each.manifest.enclave, file)
+        if other != file:
+            raise KeymintError(
+                f"is for {each.manifest.enclave}, as {other} is",
+                where=Origin(str(file)),
+                help="take the one with the higher issue number",
+                code="bundle-twice",
+            )
+
+
+def _taken(run: Run, there: Keystore, file: Path, bundle: Bundle, owner: Owner) -> _Taken:
+    """Decide about a bundle; errors as :func:`keymint.robots.bundle_acceptance.accept`."""
+    manifest = bundle.manifest
+    present = there.present(manifest.folder, manifest.name)
+    found = accepted(bundle, present, owner, run.setting.now, Origin(str(file)))
+    change: FolderChange = there.take(manifest.folder, manifest.name, found)
+    changes = (change,) if change.written or change.removed else ()
+    action = (Action.UPDATED if present.files else Action.CREATED) if changes else Action.UNCHANGED
+    detail = f"issue {manifest.issue}, until {manifest.not_after:%Y-%m-%d}"
+    return _Taken(file, bundle, found, Step(run.verb, manifest.name, action, changes, detail))
+
+
+def _document(taken: _Taken) -> dict[str, object]:
+    manifest = taken.bundle.manifest
+    return {
+        "enclave": manifest.enclave,
+        "bundle": str(taken.file),
+        "action": taken.step.action,
+        **members(manifest, "key", "authority", "generation", "issue", "revocations", "not_before", "not_after"),
+        "answers_request": taken.acceptance.answered,
+    }

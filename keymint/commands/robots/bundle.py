@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint bundle``: what a robot needs of its installed enclave, in one signed file."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from comarmor.patterns.glob import parse
+from comarmor.patterns.matching import matches
+from comarmor.patterns.tokens import SPECIAL
+from comarmor.text import did_you_mean
+from keymint.api import Phase
+from keymint.authority.authorities import MintedAuthority, plan_authorities
+from keymint.authority.rollover import phase_of
+from keymint.command_line.bundle_files import bundle_output_option, require_output, write_bundles
+from keymint.command_line.options import complete_package
+from keymint.command_line.verb import verb
+from keymint.errors import KeymintError
+from keymint.examine.lists import of_enclaves
+from keymint.life.workspace_register import withdrawn
+from keymint.names import package_name, subject_of
+from keymint.output.report import Report
+from keymint.robots.bundle_making import MadeBundle, plan_bundles
+from keymint.run.run import Run
+from keymint.stages.install import InstallStage, is_current
+from keymint.stages.package_stage import PackagePlan
+from keymint.stages.rollover_phases import require_staged
+from keymint.stages.second_keystore import session_ahead
+from keymint.store.changes import Action, Plan
+from keymint.workspace.installed_enclaves import installed
+from keymint.workspace.session import Session
+
+
+@verb(dry_run=True)
+@click.argument("names", nargs=-1, required=True, metavar="NAME|PATTERN...", shell_complete=complete_package)
+@bundle_output_option
+@click.option(
+    "--staged",
+    is_flag=True,
+    help="Of the second keystore, which 'keymint authority replace' staged; accept it into a copy of the keystore.",
+)
+def bundle(run: Run, names: tuple[str, ...], output: Path | None, staged: bool = False) -> Report:
+    """Write installed enclaves into bundles, one for each, which robots take with 'keymint accept'.
+
+    A bundle is signed by the authority of the enclave's certificate, and numbered, so that a robot never goes back. It
+    has the private key if this workspace made it; then keep it as secret as the key. NAME is an installed package, and
+    PATTERN matches the names of several: '/robot1/*'.
+    """
+    made: list[MadeBundle] = []
+
+    def make_plan(session: Session) -> Plan:
+        chosen = _chosen(session, names)
+        require_output(run, output, len(chosen))
+        ahead, authorities = _second_keystore(run, session) if staged else (None, _in_force(session, chosen))
+        plan, made[:] = plan_bundles(session, chosen, authorities, ahead)
+        return plan
+
+    report = run.change(make_plan)
+    return replace(report, steps=(), result={"bundles": write_bundles(run, output, made)})
+
+
+def _in_force(session: Session, names: Collection[str]) -> Mapping[str, MintedAuthority]:
+    """Return the authorities, by which some enclaves are installed as the sources say.
+
+    Raises:
+        KeymintError: an enclave is not.
+    """
+    plan, authorities = plan_authorities(session)
+    after = session.after(plan)
+    install = InstallStage(after, authorities, prune=False)
+    for name in names:
+        if reason := withdrawn(session).get(name):
+            raise KeymintError(
+                f"the certificate of {subject_of(name)} was revoked ({reason}), and its enclave removed",
+                help=f"'keymint renew --rekey {name}' makes a new key, or 'keymint sign' certifies one of its robot",
+                code="identity-revoked",
+            )
+        if plan.writes() or not (is_current(after, name) or _would_stay(install.package(name))):
+            raise KeymintError(
+                f"the enclave {subject_of(name)} is not installed as its sources and authorities are now",
+                where=session.workspace.origin(session.enclave_folder(name)),
+                help=f"run 'keymint build {name}' and 'keymint install {name}' first",
+                code="not-installed",
+            )
+    if found := [each for each in of_enclaves(after) if each.subject in set(map(subject_of, names))]:
+        raise KeymintError.of(found)
+    return authorities
+
+
+def _would_stay(planned: PackagePlan) -> bool:
+    """Tell whether installing an enclave again would change nothing, e.g. as a list changed that it does not have.
+
+    Raises:
+        KeymintError: it cannot be installed.
+    """
+    if planned.errors:
+        raise KeymintError.of(planned.errors)
+    return planned.step is not None and planned.step.action is Action.UNCHANGED and not planned.outdated
+
+
+def _second_keystore(run: Run, session: Session) -> tuple[Session, Mapping[str, MintedAuthority]]:
+    """Return the session and the authorities of the second keystore.
+
+    Raises:
+        KeymintError: there is none, or it is not complete.
+    """
+    replaced = [each.name for each in session.profile.authorities if phase_of(session, each.name) is Phase.STAGE]
+    if not replaced:
+        raise KeymintError(
+            "there is no second keystore: no authority is replaced that way",
+            where=session.profile_marker(),
+            help="leave --staged out",
+            code="rollover-none",
+        )
+    require_staged(run.crew, session, replaced[0])
+    return session_ahead(session, replaced[0])[:2]
+
+
+def _chosen(session: Session, given: tuple[str, ...]) -> dict[str, None]:
+    """Return the packages that the user named, and those with an enclave whose names match a pattern.
+
+    What is not installed has no bundle, e.g. after a revocation; a pattern passes over it.
+
+    Raises:
+        KeymintError: there is none.
+    """
+    known, chosen = session.packages(), dict[str, None]()
+    there = frozenset(installed(session))
+    for each in given:
+        if SPECIAL.search(each):
+            which = "no installed package"
+            found = [name for name in known if name in there and matches(parse(each), subject_of(name))]
+        else:
+            which, name = "no package", package_name(each)
+            found = [name] if name in known else []
+        if not found:
+            raise KeymintError(
+                f"{which} is called {each!r} in {session.workspace.shown(session.workspace.src)}",
+                help=did_you_mean(each, [subject_of(name) for name in known], "'keymint status' lists them"),
+                code="package-unknown",
+            )
+        chosen.update(dict.fromkeys(found))
+    return chosen

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint env``: the environment variables of a process that uses an enclave."""
+
+from __future__ import annotations
+
+import click
+
+from comarmor.text import did_you_mean
+from keymint.command_line.options import complete_package
+from keymint.command_line.verb import verb
+from keymint.errors import KeymintError
+from keymint.host.shells import SHELLS, exports
+from keymint.names import package_name, subject_of
+from keymint.output.report import Report
+from keymint.run.run import Run
+from keymint.stages.environment_scripts import enclave_environment
+from keymint.workspace.installed_enclaves import installed
+from keymint.workspace.session import Session
+
+
+@verb()
+@click.argument("enclave", shell_complete=complete_package)
+@click.option("--shell", type=click.Choice(tuple(SHELLS)), default="bash", show_default=True, help="Syntax to print.")
+def env(run: Run, enclave: str, shell: str) -> Report:
+    """Print the environment variables with which a process uses an installed ENCLAVE, and no other.
+
+    \b
+    bash, zsh:  eval "$(keymint env /robot1/talker)"
+    fish:       keymint env --shell fish /robot1/talker | source
+
+    All processes of a shell find the keystore, each by the name of its enclave, after 'source install/keystore.bash'
+    (.zsh, .fish).
+    """
+    session = run.inputs(run.workspace()).session()
+    name = _installed(session, enclave)
+    values = enclave_environment(session, name)
+    run.console.document(exports(values, shell).encode(errors="surrogateescape"))
+    result = {"enclave": subject_of(name), "variables": dict(values)}
+    return run.report(result, workspace=session.workspace)
+
+
+def _installed(session: Session, typed: str) -> str:
+    """Return the package of an installed enclave.
+
+    Raises:
+        KeymintError: there is none of that name.
+    """
+    name, known = package_name(typed), installed(session)
+    if name in known:
+        return name
+    where = session.workspace.origin(session.enclaves)
+    if name in session.packages():
+        raise KeymintError(
+            f"the enclave {subject_of(name)} is not installed", where=where, help=f"run 'keymint install {name}'",
+            code="not-installed",
+        )  # fmt: skip
+    raise KeymintError(
+        f"there is no enclave {subject_of(name)}",
+        where=where,
+        help=did_you_mean(subject_of(name), [subject_of(each) for each in known], "'keymint status' lists them"),
+        code="enclave-unknown",
+    )

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint request``: a robot makes its key, and asks for a certificate."""
+
+from __future__ import annotations
+
+import contextlib
+import secrets
+from collections.abc import Mapping
+from dataclasses import field, replace
+from pathlib import Path
+
+import click
+
+from comarmor.errors import Origin
+from comarmor.values import dataclass
+from keymint.api import KeySpec
+from keymint.command_line.named_files import show_written, write_outputs
+from keymint.command_line.options import FILE
+from keymint.command_line.robot_options import RobotKeystore, folder_option, keystore_of, opened
+from keymint.command_line.verb import verb
+from keymint.errors import KeymintError
+from keymint.names import package_name, subject_of
+from keymint.output.report import Report
+from keymint.pki import certificates, keys
+from keymint.pki.distinguished_names import common_name
+from keymint.pki.tokens.pin_sources import VARIABLE as PIN_VARIABLE
+from keymint.robots import certification_request as requests
+from keymint.robots.bundle import CERTIFICATE, KEY
+from keymint.robots.robot_keystore import Keystore
+from keymint.run.run import Run
+
+_KINDS: Mapping[str, KeySpec] = {
+    "P-256": KeySpec("ec", curve="SECP256R1"),
+    "RSA-2048": KeySpec("rsa", size=2048),
+    "RSA-3072": KeySpec("rsa", size=3072),
+}
+
+
+@verb(workspace=False)
+@click.argument("name")
+@click.option("-o", "--output", type=FILE, metavar="FILE", help="The request [NAME.request.pem].")
+@folder_option
+@click.option(
+    "--rekey", is_flag=True, help="Make a new key for an enclave that has one; the old one signs the request."
+)
+@click.option("--discard", is_flag=True, help="Discard a request that waits for its answer, with its key.")
+@click.option(
+    "--key-type", type=click.Choice(list(_KINDS)), default="P-256", show_default=True, help="Kind of a new key."
+)
+@click.option("--pkcs11", "uri", metavar="URI", default="", help="The key lies in a token: its URI (RFC 7512).")
+@click.option(
+    "--pin-env",
+    metavar="VARIABLE",
+    default="",
+    help=f"Environment variable of the token's PIN [{PIN_VARIABLE}].",
+)
+def request(
+    run: Run,
+    name: str,
+    output: Path | None,
+    folder: Path | None,
+    rekey: bool,
+    discard: bool,
+    key_type: str,
+    uri: str,
+    pin_env: str,
+) -> Report:
+    """Ask for a certificate, on the robot: make a key that never leaves it, and a request to carry to the authority.
+
+    Needs no workspace. NAME is the enclave, e.g. /robot1/talker. The fingerprint that is printed goes to the authority
+    by another way than the request, e.g. by telephone: whoever carries the request could exchange it.
+
+    An enclave that has a key keeps it, and the request is signed by it, as with --rekey by the old key. Then the
+    authority needs no fingerprint.
+
+    With --pkcs11 no key is made: a token of this robot has it, and signs the request. Name the same URI in the sources
+    of the enclave's package, so that its node finds the key.
+
+    A request that is not answered yet is written again.
+    """
+    name = package_name(name)
+    keystore = keystore_of(run, folder)
+    kind = replace(_KINDS[key_type], uri=uri, pin_env=pin_env)
+    with opened(run, keystore) as store, contextlib.closing(run.tokens):
+        there = keystore.read()
+        content = None if discard else there.request(name)
+        if content is None:
+            made = _made(run, there, keystore, name, rekey=rekey, kind=kind)
+            content = made.request
+            store.begin(run.intent())
+            store.commit([store.stage([there.wait(name, content, made.new_key)])])
+            there = keystore.read()
+        elif rekey and not uri and (waiting := there.pending(name)) is not None and not waiting.key:
+            raise KeymintError(
+                f"a request of {subject_of(name)} for the key that it has waits for its answer",
+                where=Origin(keystore.typed),
+                help="carry it to the authority, or say --discard as well",
+                code="request-waits",
+            )
+    asked = requests.read(content, Origin(keystore.typed))
+    target = output or Path(f"{name.replace('/', '.')}.request.pem")
+    written = write_outputs(run, target, content)
+    show_written(run, target, written)
+    vouched = asked.signer or asked.fingerprint == _certified(there, keystore, name)
+    run.console.line(f"fingerprint of the key: {asked.fingerprint}")
+    told = "" if vouched else f" --fingerprint {subject_of(name)}={asked.fingerprint}"
+    run.console.line(f"at the authority:       keymint sign {target.name}{told}")
+    run.console.line("with its answer:        keymint accept BUNDLE")
+    result = {
+        "enclave": subject_of(name), "fingerprint": asked.fingerprint, "signed_by_current_key": bool(vouched),
+        "file": str(target), "written": written, "keystore": keystore.typed,
+    }  # fmt: skip
+    return run.report(result)
+
+
+@dataclass(frozen=True, slots=True)
+class _Made:
+    """A request, and its private key (PEM) unless the enclave or a token has it."""
+
+    request: bytes
+    new_key: bytes = field(repr=False)
+
+
+def _certified(there: Keystore, keystore: RobotKeystore, name: str) -> str:
+    """Return the fingerprint of the key that an enclave's certificate is for; empty if it has none."""
+    content = there.installed(name).get(CERTIFICATE)
+    if content is None:
+        return ""
+    return certificates.fingerprint(certificates.load(content, Origin(f"{keystore.typed}/…/{name}")))
+
+
+def _made(run: Run, there: Keystore, keystore: RobotKeystore, name: str, *, rekey: bool, kind: KeySpec) -> _Made:
+    """Return a new request of an enclave.
+
+    Raises:
+        KeymintError: the key or the certificate that the enclave has cannot be used; it has another key than the one to
+            ask for, and nobody said that it gets a new one; or as a token refuses, see
+            :class:`keymint.pki.tokens.token_sessions.Tokens`.
+    """
+    files = there.installed(name)
+    nonce, claimed = secrets.token_hex(requests.NONCE_BYTES), common_name(subject_of(name))
+    place = f"{keystore.typed}/…/{name}"
+    present = keys.from_pem(files[KEY], None, Origin(f"{place}/{KEY}")) if KEY in files else None
+    token = _in_token(run, kind) if kind.uri else None
+    certified = _certified(there, keystore, name)
+    if certified and not rekey and (present is None if token is None else keys.fingerprint(token) != certified):
+        raise KeymintError(
+            f"the key of {subject_of(name)} is in no file of the keystore"
+            if token is None
+            else f"the token has another key than {subject_of(name)} has",
+            where=Origin(keystore.typed),
+            help="name it with --pkcs11 if it lies in a token, or get a new one with --rekey",
+            code="key-elsewhere",
+        )
+    if present is not None and token is None and not rekey:
+        return _Made(requests.make(claimed, present, nonce), b"")
+    current = None
+    if present is not None and CERTIFICATE in files:
+        current = certificates.Issuer(certificates.load(files[CERTIFICATE], Origin(f"{place}/{CERTIFICATE}")), present)
+    if token is not None:
+        own = current is not None and keys.matches(token, current.certificate)
+        return _Made(requests.make(claimed, token, nonce, None if own else current), b"")
+    key = keys.generate(kind)
+    return _Made(requests.make(claimed, key, nonce, current), keys.to_pem(key))
+
+
+def _in_token(run: Run, spec: KeySpec) -> keys.PrivateKey:
+    """Return the key that a token has; errors as :meth:`keymint.pki.tokens.token_sessions.Tokens.public_key`."""
+    where = Origin("--pkcs11")
+    return run.tokens.private_key(spec, run.tokens.public_key(spec, where), where)

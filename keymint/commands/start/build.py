@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint build``: unsigned documents, and keys."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import click
+
+from comarmor.errors import Diagnostic
+from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
+from keymint.analysis.subject_patterns import structure
+from keymint.api import BuildOptions, LoadedPolicy
+from keymint.command_line.named_files import read_input
+from keymint.command_line.options import (
+    DocumentOptions,
+    document_options,
+    packages_argument,
+    renew_option,
+)
+from keymint.command_line.verb import verb
+from keymint.errors import KeymintError
+from keymint.names import subject_of
+from keymint.output.report import Report
+from keymint.run.run import Run
+from keymint.stages.build import BuildStage
+from keymint.stages.policy_drift import policy_changed
+from keymint.store.changes import Action, Plan, Step
+from keymint.workspace.policy_loading import load_policy
+from keymint.workspace.session import Session
+
+
+@verb(jobs=True, dry_run=True, executor=True)
+@packages_argument
+@click.option("-f", "--force", is_flag=True, help="Rebuild everything; discard manual edits.")
+@renew_option
+@document_options
+def build(
+    run: Run,
+    names: tuple[str, ...],
+    force: bool,
+    renew: bool,
+    document_options: DocumentOptions,
+) -> Report:
+    """Build unsigned documents in build/, and create a key for each subject that has none.
+
+    All packages are validated before anything is written. Documents stay unsigned until 'keymint install', so you may
+    edit them in between. Permissions are rewritten into a smaller form that is proven equivalent; both sizes are
+    shown. NAME is a package [all].
+    """
+    options = build_options(run, document_options)
+
+    def make_plan(session: Session) -> Plan:
+        chosen = run.names(session, names)
+        run.compile_elsewhere(session, chosen, options)
+        build = partial(BuildStage, options=options, force=force, renew=renew and not run.resumes)
+        run.workers.start(session, chosen, (build,))
+        plan = run.planned(build(session), chosen)
+        warnings = policy_changed(session) if chosen else (no_packages(session),)
+        slips = policy_slips(session, plan.steps)
+        unknown = unknown_hints(options, document_options.hints, run.names(session, ()))
+        return plan.noting(*warnings, *slips, *unknown)
+
+    return run.change(make_plan)
+
+
+def no_packages(session: Session) -> Diagnostic:
+    """Return the warning that the source space has no packages."""
+    return Diagnostic.warning(
+        "packages-none",
+        f"no packages in {session.workspace.shown(session.workspace.src)}",
+        None,
+        "run 'keymint create --all'",
+    )
+
+
+def unknown_hints(options: BuildOptions, file: Path | None, names: Sequence[str]) -> tuple[Diagnostic, ...]:
+    """Return a warning for each subject of the hints in a file without a package."""
+    if not options.hints:
+        return ()
+    from keymint.stages.request_counts import unknown_subjects  # noqa: PLC0415 - few builds have hints
+
+    return tuple(unknown_subjects(options.hints, [subject_of(name) for name in names], str(file)))
+
+
+def build_options(run: Run, given: DocumentOptions) -> BuildOptions:
+    """Return the options of a build.
+
+    Raises:
+        KeymintError: the file of hints cannot be read, or is malformed.
+        click.UsageError: hints are given without optimisation.
+    """
+    if given.hints is not None and not given.optimise:
+        raise click.UsageError("--hints changes the order of rules, which --no-optimise keeps.")
+    plain = BuildOptions(given.allow_vendor_specific, given.optimise)
+    if given.hints is None:
+        return plain
+    from keymint.stages.request_counts import load_hints  # noqa: PLC0415 - few builds have hints
+
+    return replace(plain, hints=load_hints(read_input(run, given.hints), str(given.hints)))
+
+
+def policy_slips(session: Session, steps: Iterable[Step], policy: LoadedPolicy | None = None) -> tuple[Diagnostic, ...]:
+    """Return likely slips in the policy of a workspace, if any step does something.
+
+    Args:
+        session: the workspace and its profile.
+        steps: what is planned.
+        policy: the policy; loaded if it is not given.
+    """
+    if all(step.action is Action.UNCHANGED for step in steps):
+        return ()
+    try:
+        written = structure(policy or load_policy(session))
+    except KeymintError:
+        return ()  # 'create' reads the policy, and says what is wrong with it; a build takes what was created
+    return tuple(attachment_mistakes(written)) if written else ()

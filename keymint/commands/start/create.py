@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint create``: source packages from the policy."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import click
+
+from keymint.command_line.accepted_packages import AcceptanceOptions, accept, acceptance_options, release
+from keymint.command_line.options import valid_for_option
+from keymint.command_line.verb import verb
+from keymint.errors import usage_error
+from keymint.names import no_subject, package_name
+from keymint.output.report import Report
+from keymint.run.run import Run
+from keymint.stages.create import CreateStage, packages_to_create
+from keymint.store.changes import Plan
+from keymint.workspace.policy_loading import lazy_policy
+from keymint.workspace.session import Inputs
+
+
+@verb(jobs=True, dry_run=True)
+@click.argument("names", nargs=-1, metavar="[NAME]...")
+@click.option("--all", "all_subjects", is_flag=True, help="Create every subject that the policy names exactly.")
+@click.option("-f", "--force", is_flag=True, help="Replace the rules of a package even if they were edited manually.")
+@valid_for_option
+@acceptance_options
+def create(
+    run: Run,
+    names: tuple[str, ...],
+    all_subjects: bool,
+    force: bool,
+    valid_for: str | None,
+    acceptance: AcceptanceOptions,
+) -> Report:
+    """Create source packages in src/, one per subject, or update their rules from the policy.
+
+    If a transport of the workspace needs further identities, their packages are created as well.
+
+    NAME is a subject, e.g. /robot1/talker. Any subject that a profile applies to is allowed, even if the policy
+    names it only by a wildcard. Manual edits of other documents are preserved.
+
+    With --accept-package and without NAME and --all it only records what was accepted.
+    """
+    if not names and not all_subjects and not acceptance.accept_package:
+        raise usage_error("no subject is named", "name some, or use --all")
+    workspace = run.workspace()
+    named = [package_name(name) for name in names]
+
+    def make_plan(inputs: Inputs) -> Plan:
+        accepted = accept(inputs.session(), acceptance)
+        if not names and not all_subjects:
+            return accepted
+        session = inputs.after(accepted).session()
+        policy = lazy_policy(session)
+        accepted, session = release(inputs, accepted, session, policy)
+        subjects = dict.fromkeys([*named, *(packages_to_create(session, policy) if all_subjects else ())])
+        if not subjects:
+            raise no_subject("name the subjects: keymint create /robot1/talker")
+        create = partial(CreateStage, policy=policy, force=force, valid_for=valid_for or "")
+        wanted = create(session).subjects(tuple(subjects))
+        run.workers.start(session, wanted, (create,))
+        return accepted.then(run.planned(create(session), wanted))
+
+    return run.carry_out(workspace, make_plan)

@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint init``: create a workspace."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from comarmor.errors import Origin
+from comarmor.values import dataclass
+from keymint.api import Bootstrap, ProfileSettings, WorkspaceProfile
+from keymint.authority.authorities import plan_authorities
+from keymint.command_line.build_type_names import build_types_of, transports_of
+from keymint.command_line.options import (
+    DEFAULT_DISTRO,
+    DEFAULT_PROFILE_TYPE,
+    PATH,
+    PluginOption,
+    distro_option,
+    option_group,
+    valid_for_option,
+)
+from keymint.command_line.verb import verb
+from keymint.errors import KeymintError
+from keymint.output.report import Report
+from keymint.run.run import Run
+from keymint.stages.workspace_start import plan_init, policy_path, refuse_unsupported
+from keymint.store.changes import Action, Plan, Step
+from keymint.workspace.policy_types import foreign_policy
+from keymint.workspace.session import Inputs
+from keymint.workspace.workspace import PROFILE_MARKER, Workspace
+
+
+@dataclass(frozen=True, slots=True)
+class ProfileOptions:
+    """What shapes the profile of a new workspace; None for an option that was not given."""
+
+    profile_type: str | None
+    distro: str | None
+    domain: int | None
+    layout: str | None
+    subject_format: str | None
+    transports: tuple[str, ...] = ()
+    valid_for: str | None = None
+
+
+profile_options = option_group(
+    "profile",
+    ProfileOptions,
+    click.option(
+        "--profile-type",
+        cls=PluginOption,
+        group="keymint.profile_types",
+        help=f"Plugin that makes the profile; 'keymint plugins' lists them [{DEFAULT_PROFILE_TYPE}].",
+    ),
+    distro_option,
+    click.option(
+        "--transport",
+        "transports",
+        multiple=True,
+        metavar="NAME",
+        help="Transport to provision for; may be repeated [that of the profile type].",
+    ),
+    click.option("--domain", type=click.IntRange(0, 230), metavar="N", help="Domain id [0]."),
+    click.option(
+        "--layout",
+        metavar="NAME",
+        help="Layout of install/, of those that the transport has [the one that the distribution reads].",
+    ),
+    click.option(
+        "--subject-format",
+        metavar="NAME",
+        help="Form of subject names in certificates, of those that the profile type has [unique].",
+    ),
+    valid_for_option,
+)
+
+
+@verb(jobs=True, dry_run=True)
+@click.argument("folder", metavar="[WORKSPACE]", required=False, type=PATH)
+@click.option(
+    "--policy",
+    type=PATH,
+    metavar="PATH",
+    help="ComArmor file or directory that becomes the policy of the workspace [the talker/listener example].",
+)
+@profile_options
+def init(
+    run: Run,
+    folder: Path | None,
+    policy: Path | None,
+    profile: ProfileOptions,
+) -> Report:
+    """Create a workspace: a profile with conservative defaults, and two certificate authorities.
+
+    \b
+    Then write your policy in profile/comarmor.d/, where talker_listener.xml is an example, and run
+        keymint create --all && keymint build && keymint install
+    """
+    workspace = run.workspace_at(folder)
+    if workspace.exists():
+        refuse_contradiction(run, workspace, profile, policy)
+        return _again(run, workspace)
+    request = bootstrap_request(run, workspace, policy, profile)
+    foreign = foreign_policy(run.plugins, [run.setting.cwd / policy]) if policy is not None else None
+    if foreign is not None and foreign.imported:
+        raise foreign.refusal(run.typed(str(foreign.path)))
+
+    def make_plan(inputs: Inputs) -> Plan:
+        plan = plan_init(inputs, profile.profile_type or DEFAULT_PROFILE_TYPE, request)
+        session = inputs.after(plan).session()
+        refuse_unsupported(session)
+        return plan.then(plan_authorities(session)[0])
+
+    return run.carry_out(workspace, make_plan)
+
+
+def _again(run: Run, workspace: Workspace) -> Report:
+    """Create the missing authorities of an existing workspace."""
+
+    def make_plan(inputs: Inputs) -> Plan:
+        plan = plan_authorities(inputs.session())[0]
+        done = Step("init", "", Action.UNCHANGED, (), "workspace profile")
+        return Plan((done, *plan.steps), plan.state, plan.diagnostics)
+
+    return run.carry_out(workspace, make_plan)
+
+
+def bootstrap_request(run: Run, workspace: Workspace, policy: Path | None, profile: ProfileOptions) -> Bootstrap:
+    """Return the request for a new profile.
+
+    Raises:
+        KeymintError: the policy does not exist, or no build type for a transport is installed.
+    """
+    if policy is not None and not (run.setting.cwd / policy).exists():
+        raise KeymintError(
+            "no such file or folder",
+            where=Origin(str(policy)),
+            help="name a ComArmor policy",
+            code="policy-missing",
+        )
+    environment = run.setting.environment
+    return Bootstrap(
+        name=workspace.root.name or "workspace",
+        policy=policy_path(run.setting.cwd / policy, workspace.profile) if policy else "",
+        distro=profile.distro or environment.get("ROS_DISTRO") or DEFAULT_DISTRO,
+        domain=profile.domain or 0,
+        layout=profile.layout or "",
+        subject_format=profile.subject_format or "unique",
+        now=run.setting.now,
+        build_types=build_types_of(run.plugins, profile.transports),
+        valid_for=profile.valid_for or "",
+        policy_type=_policy_type(run, run.setting.cwd / policy) if policy else "",
+    )
+
+
+def _policy_type(run: Run, policy: Path) -> str:
+    """Return the plugin for a policy that it recognises, and that need not be imported; empty for the usual one."""
+    foreign = None if policy.is_dir() or policy.suffix == ".xml" else foreign_policy(run.plugins, [policy])
+    return foreign.policy_type if foreign and not foreign.imported else ""
+
+
+def refuse_contradiction(run: Run, workspace: Workspace, given: ProfileOptions, policy: Path | None = None) -> None:
+    """Refuse an option that differs from the profile of an existing workspace.
+
+    Args:
+        run: the run.
+        workspace: the existing workspace.
+        given: the options of this run.
+        policy: the value of ``--policy``, which only ``init`` has.
+
+    Raises:
+        KeymintError: the profile has another value, or does not have this setting.
+    """
+    options = {**asdict(given), "transports": None, "policy": policy}
+    values = {name.replace("_", "-"): str(value) for name, value in options.items() if value is not None}
+    if not values and not given.transports:
+        return
+    profile = run.inputs(workspace).session().profile
+    _refuse_other_transports(run, workspace, profile, given.transports)
+    profile_type = run.plugins.profile_type(profile.profile_type)
+    if given.distro is not None:
+        profile_type.library(given.distro)  # an unknown distribution is a usage error, as for a new workspace
+    present = {"profile-type": profile.profile_type}
+    elsewhere: Mapping[str, tuple[str, ...]] = {}
+    if isinstance(profile_type, ProfileSettings):
+        present |= profile_type.settings(profile)
+        elsewhere = profile_type.PLACES
+    for option, value in values.items():
+        if present.get(option) != value:
+            places = [place for place in elsewhere.get(option, ()) if place in profile.files] or [PROFILE_MARKER]
+            has = f"has {option} {present[option]!r}" if option in present else f"exists and keeps its {option}"
+            raise KeymintError(
+                f"the workspace {has}, so --{option} {value} cannot take effect",
+                where=workspace.origin(workspace.profile / places[0]),
+                help=f"change it in {' and '.join(workspace.shown(workspace.profile / place) for place in places)}, "
+                "or name another workspace",
+                code="workspace-exists",
+            )
+
+
+def _refuse_other_transports(run: Run, workspace: Workspace, profile: WorkspaceProfile, given: Sequence[str]) -> None:
+    wanted = build_types_of(run.plugins, given)
+    if not given or {*wanted} == {*profile.build_types}:
+        return
+    elements = " and ".join(f"<build_type>{name}</build_type>" for name in wanted)
+    has = " and ".join(repr(each) for each in transports_of(run.plugins, profile.build_types))
+    marker = workspace.shown(workspace.profile / PROFILE_MARKER)
+    raise KeymintError(
+        f"the workspace has transport {has}, so {' '.join(f'--transport {each}' for each in given)} cannot take effect",
+        where=Origin(marker),
+        help=f"write {elements} in <export> of {marker} and of each existing package, then run 'keymint create --all', "
+        "which names what else is missing; or name another workspace",
+        code="workspace-exists",
+    )

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint diff``: compare two policies by meaning."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from itertools import chain
+from pathlib import Path
+
+import click
+
+from comarmor.errors import Diagnostic, library_name
+from keymint.analysis.policy_diff import diff_policies as compare
+from keymint.analysis.policy_diff import has_gains
+from keymint.analysis.query_budget import STATES, QueryBudget
+from keymint.api import LoadedPolicy
+from keymint.command_line.named_policies import Policies
+from keymint.command_line.options import PolicyOptions, policy_options
+from keymint.command_line.verb import verb
+from keymint.host.git import at_revision, is_revision
+from keymint.output.console import Console
+from keymint.output.differences import as_text, summary
+from keymint.output.json import differences_json
+from keymint.output.markdown import markdown
+from keymint.output.report import Report, findings_if
+from keymint.run.run import Run
+
+_UNKNOWN = Diagnostic.warning(
+    "diff-unknown",
+    "the policies were not compared in full",
+    help="raise --budget, compare parts of the policies by themselves, or ask 'keymint query can' for one subject",
+)
+FORMATS = ("text", "markdown", "json")
+
+
+@verb(workspace=False)
+@click.argument("old", metavar="A")
+@click.argument("new", metavar="B")
+@click.option("-f", "--format", "kind", type=click.Choice(FORMATS), default="text", show_default=True)
+@click.option(
+    "--budget", default=STATES, show_default=True, metavar="STATES", type=click.IntRange(1), help="States to search."
+)
+@policy_options
+def diff(run: Run, old: str, new: str, kind: str, budget: int, policy_options: PolicyOptions) -> Report:
+    """Compare the policies A and B: list what each subject gains and loses, for all names.
+
+    A and B are ComArmor files or directories, workspaces, or any of these at a Git revision: REV:PATH. 'equivalent'
+    is proven for all subjects, including those that neither policy names. Subjects that profiles match by a pattern
+    are listed as classes, with an example; each line is true for all members of its class.
+
+    Exit code 3: a subject gains a permission, or may gain one where the answer is unknown. Use it to guard a merge.
+
+    \b
+    keymint diff old.xml new.xml
+    keymint diff HEAD~1:policy policy --format markdown
+    """
+    if kind == "json":
+        run.console = Console(run.setting.streams, as_json=True)
+    policies = Policies(run, policy_options)
+    with ExitStack() as stack:
+        before, after = (_loaded(run, policies, text, stack) for text in (old, new))
+        differences = compare(before, after, QueryBudget(budget))
+        library = _libraries(policies, [text for text in (old, new) if not is_revision(text, run.setting.cwd)])
+    if kind == "markdown":
+        lines = markdown(differences, run.place, library, (old, new))
+    else:
+        lines = chain(as_text(differences, run.place), [summary(differences)])
+    run.console.lines(lines)
+    result = {"equivalent": not differences, "subjects": differences_json(differences, run.typed)}
+    unknown = any(change.unknown for subject in differences for change in subject.changes)
+    return run.report(result, [_UNKNOWN] if unknown else [], findings_if(has_gains(differences)))
+
+
+def _libraries(policies: Policies, paths: Sequence[str]) -> Callable[[str], str | None]:
+    """Return a function from a file to its name in the library of any of some policies, or None."""
+    libraries = [library_name, *(policies.library(Path(path)) for path in paths)]
+    return lambda file: next((name for library in libraries if (name := library(file))), None)
+
+
+def _loaded(run: Run, policies: Policies, text: str, stack: ExitStack) -> LoadedPolicy:
+    """Return the policy that an argument names; the files of a revision are shown as ``REV:PATH``."""
+    if not is_revision(text, run.setting.cwd):
+        return policies.load(Path(text))
+    revision = stack.enter_context(at_revision(text, run.setting.cwd, run.setting.environment))
+    run.folder_names[f"{revision.root}/"] = f"{revision.name}:"
+    return policies.load(revision.path, as_accepted=True)

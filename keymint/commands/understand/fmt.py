@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint fmt``: bring policy files into their canonical form."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from comarmor.errors import Defects, Diagnostic, Origin
+from comarmor.text import counted
+from comarmor.values import dataclass
+from comarmor.xml.reader import looks_like_xml
+from keymint.api import PolicyTypeWithForm
+from keymint.command_line.named_files import is_folder, read_input, replace_inputs
+from keymint.command_line.options import PATH
+from keymint.command_line.verb import verb
+from keymint.errors import KeymintError, usage_error
+from keymint.output.report import Report, findings_if
+from keymint.output.unified_diff import file_diff, first_difference
+from keymint.run.run import Run
+from keymint.view.tree import MAX_FILE
+from keymint.workspace.policy_types import foreign_policy
+from keymint.workspace.workspace import Workspace
+
+_STANDARD = Path("-")
+
+
+@dataclass(frozen=True, slots=True)
+class _Formatted:
+    """A file, as it is and in canonical form.
+
+    Attributes:
+        path: the file; ``-`` for standard input.
+        name: its path as the user would type it.
+        before: its content.
+        after: its content in canonical form.
+    """
+
+    path: Path
+    name: str
+    before: bytes
+    after: bytes
+
+    @property
+    def changes(self) -> bool:
+        """Whether it is not in canonical form."""
+        return self.before != self.after
+
+
+@verb(dry_run=True)
+@click.argument("paths", nargs=-1, type=PATH, metavar="[PATH]...")
+@click.option("--check", is_flag=True, help="Write nothing; exit code 3 if a file is not in canonical form.")
+@click.option("--diff", "as_diff", is_flag=True, help="Write nothing; show what would change.")
+def fmt(run: Run, paths: tuple[Path, ...], check: bool, as_diff: bool) -> Report:
+    """Bring policies, files that they include, and policy tests into their canonical form.
+
+    PATH is a file, a directory with all that is below it, a workspace, or - for standard input, which is written to
+    standard output [the policies of the current workspace]. In directories, files that are no policies stay as they
+    are, and links and hidden files are left out.
+
+    A policy means the same afterwards, and keeps all its comments; docs/language.md has the rules. If a file has an
+    error, none is changed.
+
+    \b
+    keymint fmt comarmor.d
+    keymint fmt --check --diff comarmor.d     in CI: exit code 3 if a file would change
+    """
+    if _STANDARD in paths and len(paths) > 1:
+        raise usage_error("- for standard input stands alone", "format files in another call")
+    files, skipped = _formatted(run, paths)
+    changed = [each for each in files if each.changes]
+    writes = not (check or as_diff or run.dry_run or _STANDARD in paths)
+    if writes:
+        replace_inputs(run, {each.path: (each.before, each.after) for each in changed})
+    diff = b"".join(file_diff(each.name, each.before, each.after) for each in changed) if as_diff else None
+    if diff:
+        run.console.document(diff)
+    if _STANDARD in paths and not check and diff is None:
+        run.console.document(files[0].after)
+    elif diff is None:
+        _show(run, files, changed, written=writes)
+    result: dict[str, Any] = {
+        "files": [{"file": each.name, "changed": each.changes} for each in files],
+        "written": [each.name for each in changed] if writes else [],
+        "diff": None if diff is None else diff.decode(errors="backslashreplace"),
+        "text": files[0].after.decode() if _STANDARD in paths else None,
+    }
+    findings = [_finding(each) for each in changed] if check else []
+    report = run.report(result, [*findings, *skipped], findings_if(findings), workspace=run.known_workspace)
+    return replace(report, dry_run=not writes)
+
+
+def _show(run: Run, files: Sequence[_Formatted], changed: Sequence[_Formatted], *, written: bool) -> None:
+    if written or run.dry_run:
+        run.console.lines(f"{each.name} {'written' if written else 'would be written'}" for each in changed)
+    other = f", {len(changed)} not" + " before" * written if changed else ""
+    run.console.line(f"{counted(len(files), 'file')}: {len(files) - len(changed)} in canonical form{other}")
+
+
+def _finding(file: _Formatted) -> Diagnostic:
+    return Diagnostic.warning(
+        "format",
+        "the file is not in canonical form",
+        Origin(file.name, first_difference(file.before, file.after)),
+        "keymint fmt -" if file.path == _STANDARD else f"keymint fmt {file.name}",
+    )
+
+
+def _formatted(run: Run, paths: Iterable[Path]) -> tuple[list[_Formatted], list[Diagnostic]]:
+    """Return the files of some paths, and a note for each file that is left as it is.
+
+    Raises:
+        KeymintError: the errors of all files.
+    """
+    types = [each for each in run.plugins.policy_types().values() if isinstance(each, PolicyTypeWithForm)]
+    files: list[_Formatted] = []
+    skipped: list[Diagnostic] = []
+    defects = Defects()
+    for path, is_named in _files(run, types, paths).items():
+        name = run.typed(str(path))
+        with defects:
+            content = run.setting.read(MAX_FILE + 1) if path == _STANDARD else read_input(run, path)
+            can_format = types if looks_like_xml(content) or not is_named else ()
+            forms = (each.formatted(content, name) for each in can_format)
+            after = next((form for form in forms if form is not None), None)
+            if after is not None:
+                files.append(_Formatted(path, name, content, after))
+            elif is_named:
+                raise _refused(run, path, name, content)
+            else:
+                note = "is no policy, nor a part or a test of one: left as it is"
+                skipped.append(Diagnostic.note("format-skipped", note, Origin(name)))
+    defects.require_none()
+    if not files:
+        if foreign := foreign_policy(run.plugins, [run.setting.cwd / path for path in paths]):
+            raise foreign.refusal(run.typed(str(foreign.path)))
+        shown = str(next(iter(paths), "."))
+        help_ = "name a ComArmor file, or a directory with *.xml files"
+        raise KeymintError("no policy was found", where=Origin(shown), help=help_, code="policy-empty")
+    return files, skipped
+
+
+def _refused(run: Run, path: Path, name: str, content: bytes) -> KeymintError:
+    """Return the error for a file that no plugin can format, or that is not XML, as a table of rules."""
+    foreign = foreign_policy(run.plugins, [run.setting.cwd / path])
+    if not looks_like_xml(content):
+        message = f"is {foreign.noun if foreign else 'not XML'}, and 'keymint fmt' is for policies in XML"
+        help_ = "leave it out: 'keymint lint' checks it" if foreign else "name a ComArmor file, or leave it out"
+    elif foreign:
+        return foreign.refusal(name)
+    else:
+        message = "is no policy, nor a part or a test of one"
+        help_ = "name a ComArmor file, whose root element is <profiles>, <profile>, a rule or <tests>"
+    return KeymintError(message, where=Origin(name), help=help_, code="format-unknown")
+
+
+def _files(run: Run, types: Sequence[PolicyTypeWithForm], paths: Iterable[Path]) -> Mapping[Path, bool]:
+    """Return the files of some paths, each with whether it was named itself; each file once."""
+    named: dict[Path, tuple[Path, bool]] = {}
+    for path in tuple(paths) or (None,):
+        for found, is_named in _found(run, types, path):
+            resolved = found if found == _STANDARD else (run.setting.cwd / found).resolve()
+            known, was_named = named.get(resolved, (found, False))
+            named[resolved] = known, was_named or is_named
+    return dict(named.values())
+
+
+def _found(run: Run, types: Sequence[PolicyTypeWithForm], path: Path | None) -> Iterator[tuple[Path, bool]]:
+    """Yield the files that a path stands for, each with whether it was named itself."""
+    for place in (path,) if path is not None and not is_folder(run, path) else _places(run, path):
+        if not is_folder(run, place):
+            yield place, True
+            continue
+        for each in types:
+            for file in each.written_files(place):
+                yield file, False
+
+
+def _places(run: Run, path: Path | None) -> Sequence[Path]:
+    """Return a folder, or the files and folders of a workspace's policies."""
+    workspace = run.workspace() if path is None else Workspace.at(run.setting.cwd / path, {}, run.setting.cwd)
+    if path is not None and not workspace.exists():
+        return (run.setting.cwd / path,)
+    return tuple(source.path for source in run.inputs(workspace).session().profile.policies)

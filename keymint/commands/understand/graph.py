@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint graph``: draw a policy, or the graph of a system."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from comarmor.errors import Diagnostic, Origin
+from comarmor.values import dataclass
+from keymint.api import LoadedPolicy, graph_json
+from keymint.api.graph import EdgeOutcome, Graph
+from keymint.command_line.graph_source_option import graph_source
+from keymint.command_line.named_files import deliver, read_input
+from keymint.command_line.named_policies import Policies, library_rules, workspace_library_rules
+from keymint.command_line.options import PATH, Number, PluginOption, PolicyOptions, option_group, policy_options
+from keymint.command_line.verb import verb
+from keymint.command_line.verify_report import sources
+from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, choose_subjects, select_edges
+from keymint.drawing.palette import Theme
+from keymint.drawing.picture_options import DrawingOptions, Split
+from keymint.drawing.policy_graph import label_graph, policy_graph
+from keymint.errors import KeymintError, usage_error
+from keymint.output.report import Report
+from keymint.run.run import Run
+from keymint.workspace.policy_loading import load_policy
+
+FORMATS = ("svg", "png", "dot", "html")
+
+
+@dataclass(frozen=True, slots=True)
+class _DrawnPolicy:
+    """A policy to draw, or to label a graph by.
+
+    Attributes:
+        loaded: the policy.
+        name: what a title calls it.
+        common: returns whether the rule at a place is one that every node includes.
+    """
+
+    loaded: LoadedPolicy
+    name: str
+    common: Callable[[Origin], bool]
+
+
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """Which part of a graph to draw; the fields are those of the command line."""
+
+    everything: bool
+    subjects: tuple[str, ...]
+    namespaces: tuple[str, ...]
+    only: str | None
+
+
+@verb(dry_run=True)
+@click.argument("source", metavar="[POLICY|GRAPH]", required=False, type=PATH)
+@click.option("-o", "--output", type=PATH, metavar="FILE", help="Write to this file; its suffix selects the format.")
+@click.option("-f", "--format", "kind", type=click.Choice(FORMATS), help="Format [from the suffix of FILE, else svg].")
+@click.option("--policy", type=PATH, metavar="PATH", help="Label the edges of GRAPH by this policy.")
+@option_group(
+    "shown",
+    _Shown,
+    click.option("--all", "everything", is_flag=True, help="Draw every possible edge, also those that no rule allows."),
+    click.option(
+        "--subject", "subjects", multiple=True, metavar="NAME", help="Draw only this subject; may be repeated."
+    ),
+    click.option(
+        "--namespace", "namespaces", multiple=True, metavar="NAME", help="Draw only subjects at or below this name."
+    ),
+    click.option("--only", type=click.Choice(["allowed", "denied"]), help="Draw only edges with this label."),
+)
+@option_group(
+    "drawing",
+    DrawingOptions,
+    click.option(
+        "--by",
+        "split",
+        type=click.Choice([str(split) for split in Split]),
+        default="none",
+        callback=lambda _context, _parameter, value: Split(value),
+        help="Draw one panel for each.",
+    ),
+    click.option("--fold/--no-fold", default=None, help="Merge objects with the same edges [from 40 objects on]."),
+    click.option("--group/--no-group", default=None, help="Merge the subjects of a namespace [beyond 30 subjects]."),
+    click.option(
+        "--common", is_flag=True, help="Draw also what every node may do: parameters, logging, time, discovery."
+    ),
+    click.option(
+        "--limit", type=click.IntRange(1), default=600, show_default=True, help="Draw at most this many lines."
+    ),
+    click.option(
+        "--theme",
+        type=click.Choice([str(theme) for theme in Theme]),
+        default="auto",
+        show_default=True,
+        callback=lambda _context, _parameter, value: Theme(value),
+        help="Colours; auto follows the reader's settings.",
+    ),
+)
+@click.option("--scale", type=Number(0.1, 10), default=2.0, show_default=True, help="Resolution of a PNG.")
+@click.option("--title", metavar="TEXT", help="Title of the picture.")
+@policy_options
+@click.option(
+    "--source-type",
+    cls=PluginOption,
+    group="keymint.graph_sources",
+    help="Plugin that reads a capture [the only one that is installed].",
+)
+def graph(
+    run: Run,
+    source: Path | None,
+    output: Path | None,
+    kind: str | None,
+    policy: Path | None,
+    shown: _Shown,
+    drawing: DrawingOptions,
+    scale: float,
+    title: str | None,
+    policy_options: PolicyOptions,
+    source_type: str | None,
+) -> Report:
+    """Draw a policy, or the graph of a system, as a picture or a web page.
+
+    Edges connect subjects with the topics, services, actions and parameters that they may use. Arrows show the
+    direction of data. POLICY is a ComArmor file or directory [the policy of the workspace]; GRAPH is a file written
+    by 'keymint discover', or a capture.
+
+    \b
+    keymint graph policy.xml -o policy.svg                     what the policy allows and denies
+    keymint graph policy.xml -o policy.html                    the same as a page with search
+    keymint graph graph.json --policy policy.xml --all -o g.png   every possible edge, with its label
+    """
+    chosen_format = _format(output, kind)
+    policies = Policies(run, policy_options)
+
+    def policy_at(path: Path) -> _DrawnPolicy:
+        loaded = policies.at(run.setting.cwd / path, str(path))
+        return _DrawnPolicy(loaded, path.resolve().stem, library_rules(run.setting.cwd, policies.shipped()))
+
+    system, diagnostics = _graph(run, source, source_type) if source else (None, ())
+    if system is None:
+        if policy is not None:
+            raise usage_error(
+                f"{source or 'the policy of the workspace'} is a policy; --policy labels only graphs",
+                "leave out --policy",
+            )
+        drawn = policy_at(source) if source else _policy_of_workspace(run)
+        below = choose_subjects(drawn.loaded.subjects(), (), shown.namespaces) if shown.namespaces else ()
+        labelled = policy_graph(
+            title or drawn.name,
+            drawn.loaded,
+            tuple(sorted({*shown.subjects, *below})),
+            everything=shown.everything,
+            typed=run.typed,
+            common=drawn.common,
+        )
+    else:
+        labelling = policy_at(policy) if policy is not None else None
+        subjects = choose_subjects(system.subjects, shown.subjects, shown.namespaces)
+        name = Path(source or "").stem + (f", labelled by {labelling.name}" if labelling else "")
+        labelled = _labelled(run, title or name, system, subjects, labelling, everything=shown.everything)
+    if shown.only:
+        labelled = select_edges(labelled, only={EdgeOutcome.ALLOW if shown.only == "allowed" else EdgeOutcome.DENY})
+    content = _drawn(run, labelled, chosen_format, drawing, scale)
+    result: dict[str, Any] = {
+        **deliver(run, output, content),
+        "format": chosen_format,
+        "subjects": labelled.subjects,
+        "objects": len({each.edge.domain_object for each in labelled.edges}),
+        "edges": {outcome: labelled.counts[outcome] for outcome in EdgeOutcome if labelled.counts[outcome]},
+        "content": None if output else content.decode(),
+    }
+    return run.report(result, diagnostics)
+
+
+def _format(output: Path | None, kind: str | None) -> str:
+    suffix = output.suffix.removeprefix(".").lower() if output else ""
+    chosen = kind or {"gv": "dot", "htm": "html"}.get(suffix, suffix) or "svg"
+    if chosen not in FORMATS:
+        raise usage_error(f"{output} has an unknown suffix", f"end it in .{', .'.join(FORMATS)}, or use --format")
+    if chosen == "png" and output is None:
+        raise usage_error("a PNG cannot be printed", "name a file: -o FILE.png")
+    return chosen
+
+
+def _graph(run: Run, source: Path, source_type: str | None) -> tuple[Graph | None, tuple[Diagnostic, ...]]:
+    """Return the graph in a file, or None if the file must be a policy."""
+    if (run.setting.cwd / source).is_dir():
+        return None, ()
+    content = read_input(run, source)
+    if graph_json.recognises(content):
+        return graph_json.load(content, str(source)), ()
+    reader = graph_source(run, source_type, "--source-type")
+    if not reader.recognises(content):
+        return None, ()
+    try:
+        capture = reader.read(content, str(source), {})
+    except KeymintError:
+        return None, ()  # both are XML: a file that is not a capture is read as a policy, which reports its defects
+    return reader.interpret(capture.graph, fold=True), capture.diagnostics
+
+
+def _policy_of_workspace(run: Run) -> _DrawnPolicy:
+    session = run.inputs(run.workspace()).session()
+    return _DrawnPolicy(load_policy(session), session.profile.name, workspace_library_rules(session))
+
+
+def _labelled(
+    run: Run, title: str, graph: Graph, subjects: tuple[str, ...], policy: _DrawnPolicy | None, *, everything: bool
+) -> LabelledGraph:
+    if policy is not None:
+        return label_graph(
+            title, policy.loaded, graph, subjects, everything=everything, typed=run.typed, common=policy.common
+        )
+    if everything:
+        raise usage_error("--all needs labels", "name the policy: --policy PATH")
+    return select_edges(LabelledGraph.of(title, map(LabelledEdge, graph.edges), graph.subjects), subjects=subjects)
+
+
+def _drawn(run: Run, labelled: LabelledGraph, kind: str, options: DrawingOptions, scale: float) -> bytes:
+    # Templates are slow to import, and no other verb needs them.
+    from keymint.drawing import dot, html_report, raster, svg  # noqa: PLC0415
+
+    if kind == "dot":
+        return dot.dot(labelled, options)
+    if kind == "html":
+        return html_report.html_report(labelled, sources(run, labelled), options)
+    if kind == "png":
+        return raster.png(svg.svg(labelled, options), scale)
+    return svg.svg(labelled, options)

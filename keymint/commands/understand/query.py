@@ -1,0 +1,313 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint query``: answer questions about a policy, for all names and subjects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import click
+
+from comarmor.errors import Diagnostic
+from comarmor.patterns.decision_lists import Equal
+from comarmor.patterns.glob import literal, parse
+from comarmor.ros_names import RAW_PREFIXES
+from comarmor.text import counted
+from keymint.analysis.channels import Channel, ChannelSearch
+from keymint.analysis.effective_permissions import EffectivePermission, effective_permissions
+from keymint.analysis.query import FORMS, HEADS, PolicyQuery, parse_query
+from keymint.analysis.rule_lists import RAW, allow_only, display_name, find_permitted, query_pattern
+from keymint.analysis.subject_patterns import rules_of, unknown_subject
+from keymint.analysis.who_can import PermissionHolder, who_can
+from keymint.api import LoadedPolicy
+from keymint.command_line.named_policies import Policies
+from keymint.command_line.options import PolicyOptions, kind_option, policy_options
+from keymint.command_line.verb import verb
+from keymint.errors import usage_error
+from keymint.output.json import line_json
+from keymint.output.report import Report, findings_if, members
+from keymint.run.run import Run
+
+_MOST = 20
+_Answer = tuple[str, dict[str, Any]]
+"""``yes``, ``no`` or ``unknown``, and further results."""
+
+
+@verb()
+@click.argument("words", nargs=-1, metavar="[POLICY] QUESTION...")
+@click.option("--except", "but", multiple=True, metavar="OBJECT", help="flows, isolated: ignore these objects.")
+@click.option("--infrastructure", is_flag=True, help="flows, isolated: also count what the library allows every node.")
+@kind_option
+@click.option("--partition", default="", metavar="NAME", help="Partition of a raw topic [the default one].")
+@policy_options
+def query(
+    run: Run,
+    words: tuple[str, ...],
+    but: tuple[str, ...],
+    infrastructure: bool,
+    kind: str | None,
+    partition: str,
+    policy_options: PolicyOptions,
+) -> Report:
+    """Ask a policy a question. SUBJECT and OBJECT may be patterns; the prefix 'ros_' of permissions is optional.
+
+    \b
+    keymint query who can publish /safety/estop
+    keymint query what can /amr1/nav do
+    keymint query can '/amr*/nav' ever subscribe '/amr2/*'
+    keymint query flows /amr1/camera /cloud/uplink
+    keymint query isolated '/amr1/*' '/amr2/*' --except '/fleet/*'
+
+    POLICY is a ComArmor file or directory, or a workspace [the current workspace]. The answer 'no' is proven for all
+    names and subjects, including subjects that the policy does not name. 'flows' searches paths through the subjects
+    that the policy names; 'isolated' searches direct channels. Both list channels that the shipped common/node.xml
+    allows every node, such as ros_discovery_info, separately; they count only with --infrastructure.
+
+    Exit code 3: subjects are not isolated, or the answer is unknown.
+    """
+    path, question = _read(words, run.setting.cwd, kind or "")
+    if (but or infrastructure) and question.head not in ("flows", "isolated"):
+        raise usage_error(
+            f"'{question.head}' takes no {'--except' if but else '--infrastructure'}",
+            "use it with 'flows' or 'isolated'",
+        )
+    for expression in but:
+        parse_query(["who", "can", "publish", expression])  # checks the expression
+    policies = Policies(run, policy_options)
+    policy = policies.load(path)
+    separates = question.head in ("flows", "isolated") and not infrastructure
+    channels = ChannelSearch(policy, but, policies.common(path) if separates else lambda _: False)
+    answer: Callable[[], _Answer] = {
+        "who": lambda: _who(run, policy, question, partition),
+        "can": lambda: _can(run, policy, question, partition),
+        "what": lambda: _what(run, policy, question),
+        "flows": lambda: _flows(run, channels, question),
+        "isolated": lambda: _isolated(run, channels, question),
+    }[question.head]
+    verdict, more = answer()
+    warnings = list(_doubts(policy, question, partition, verdict, typed=kind is not None))
+    if verdict == "unknown":
+        warnings.append(Diagnostic.warning("query-unknown", "the answer is unknown"))
+    failed = verdict == "unknown" or (question.head == "isolated" and verdict == "no")
+    result = {"question": question.head, "answer": verdict, **more}
+    return run.report(result, warnings, findings_if(failed))
+
+
+def _doubts(
+    policy: LoadedPolicy, question: PolicyQuery, partition: str, verdict: str, *, typed: bool
+) -> Iterator[Diagnostic]:
+    """Yield warnings about likely mistakes in a question."""
+    for subject in question.subjects if question.head != "what" else ():
+        if problem := unknown_subject(policy, parse(subject)):
+            yield Diagnostic.warning("query-subject", problem)
+    name, kind = question.object, question.kind
+    if not name:
+        return
+    if isinstance(find_permitted(kind, allow_only(query_pattern(kind, name, partition))), Equal):
+        help_ = "segments are letters, digits and '_', do not begin with a digit, and none is empty"
+        yield Diagnostic.warning("query-object", f"no {kind} can have a name like {name!r}", help=help_)
+    elif kind == RAW and not typed and verdict == "no" and not name.startswith(RAW_PREFIXES):
+        help_ = f"did you mean {'/' + name!r}? If not, add --kind {RAW}"
+        yield Diagnostic.warning("query-object", f"{name!r} is read as a raw topic", help=help_)
+
+
+def _read(words: Sequence[str], folder: Path, kind: str) -> tuple[Path | None, PolicyQuery]:
+    """Return the path of the policy, if one is named, and the question, which may be one or several arguments."""
+    path: Path | None = None
+    rest = list(words)
+    if rest and rest[0].split(" ")[0] not in HEADS and (len(rest) > 1 or (folder / rest[0]).exists()):
+        path = Path(rest.pop(0))
+    if not rest:
+        raise usage_error("the question is missing", f"ask one of: {'; '.join(FORMS)}")
+    return path, parse_query([each for one in rest for each in one.split()], kind)
+
+
+def _holders(policy: LoadedPolicy, question: PolicyQuery, partition: str) -> list[PermissionHolder]:
+    """Return who has the permission that a question is about, of the subjects that it names, else of all."""
+    subjects = parse(next(iter(question.subjects), "*"))
+    name = query_pattern(question.kind, question.object, partition)
+    return list(who_can(policy, subjects, question.kind, question.permission, name))
+
+
+def _who(run: Run, policy: LoadedPolicy, question: PolicyQuery, partition: str) -> _Answer:
+    holders = _holders(policy, question, partition)
+    run.console.lines(_holder(run, holder, question) for holder in holders)
+    if not holders:
+        run.console.line(f"nobody: no subject can {question.permission} {question.object}, whatever its name")
+    return _verdict(holders), {"holders": [_as_data(holder, question) for holder in holders]}
+
+
+def _can(run: Run, policy: LoadedPolicy, question: PolicyQuery, partition: str) -> _Answer:
+    holders = _holders(policy, question, partition)
+    certain = next((holder for holder in holders if not holder.unknown), None)
+    shown = certain or (holders[0] if holders else None)
+    if certain:
+        run.console.line(f"yes: {_holder(run, certain, question)}")
+    elif shown:
+        run.console.line(f"not known: {_holder(run, shown, question)}")
+    else:
+        run.console.line(f"no: {question.subjects[0]} can never {question.permission} {question.object}")
+    return _verdict(holders), {"witness": _as_data(shown, question) if shown else None}
+
+
+def _verdict(holders: Sequence[PermissionHolder]) -> str:
+    if any(not holder.unknown for holder in holders):
+        return "yes"
+    return "unknown" if holders else "no"
+
+
+def _holder(run: Run, holder: PermissionHolder, question: PolicyQuery) -> str:
+    """Return the holder of a permission, with the name and the rule."""
+    like = f" (like {holder.like})" if holder.like and holder.like != holder.subject else ""
+    if holder.unknown:
+        return f"perhaps {holder.subject or f'subjects like {holder.like}'}: {holder.unknown}"
+    name = display_name(question.kind, holder.word)
+    return f"{holder.subject}{like} {question.permission} {name} ({run.place(holder.where)})"
+
+
+def _as_data(holder: PermissionHolder, question: PolicyQuery) -> dict[str, Any]:
+    return {
+        **members(holder, "subject", "like"),
+        "permission": question.permission,
+        "object": display_name(question.kind, holder.word) or None,
+        "rule": line_json(holder.where),
+        "unknown": holder.unknown or None,
+    }
+
+
+def _what(run: Run, policy: LoadedPolicy, question: PolicyQuery) -> _Answer:
+    (expression,) = question.subjects
+    subjects = ChannelSearch(policy).named(expression)
+    found = [(subject, each) for subject in subjects for each in effective_permissions(rules_of(policy, subject))]
+    if found:
+        several = len(subjects) > 1
+        rows = [
+            [*[subject] * several, ability.permission, _objects(ability), run.place(ability.where)]
+            for subject, ability in found
+        ]
+        run.console.table([*["SUBJECT"] * several, "PERMISSION", "OBJECTS", "RULE"], rows)
+    elif not subjects:
+        run.console.line(f"no profile of the policy applies to any subject that {expression} matches")
+    else:
+        applies = any(policy.rules(subject) is not None for subject in subjects)
+        why = "no rule allows it anything" if applies else "no profile of the policy applies to it"
+        run.console.line(f"{expression} can do nothing: {why}")
+    abilities = [
+        {
+            "subject": subject,
+            **members(ability, "permission", "expression", "partitions"),
+            "except": ability.but,
+            "audit": ability.audit,
+            "rule": line_json(ability.where),
+        }
+        for subject, ability in found
+    ]
+    return "yes" if found else "no", {"subjects": subjects, "abilities": abilities}
+
+
+def _objects(ability: EffectivePermission) -> str:
+    audit = "  AUDIT" if ability.audit else ""
+    partitions = "".join(f" in partition {one!r}" for one in ability.partitions)
+    but = f" but {', '.join(ability.but)}" if ability.but else ""
+    return f"{ability.expression}{partitions}{but}{audit}"
+
+
+def _flows(run: Run, channels: ChannelSearch, question: PolicyQuery) -> _Answer:
+    one, other = question.subjects
+    sources, targets = channels.named(one), channels.named(other)
+    for expression, found in ((one, sources), (other, targets)):
+        if not found:
+            run.console.line(f"no profile of the policy applies to any subject that {expression} matches")
+    path = channels.path(sources, targets) if sources and targets else None
+    if path is None:
+        apart = _infrastructure(channels, _pairs(sources, targets))
+        run.console.line(f"no: nothing flows from {one} to {other}{_but_for(channels, apart)}")
+        return "no", {"path": None, "infrastructure": [_channel(each) for each in apart]}
+    run.console.line(f"yes: in {counted(len(path), 'step')}")
+    run.console.lines(f"  {_step(step)}" for step in path)
+    verdict = "yes" if all(step.word for step in path) else "unknown"
+    return verdict, {"path": [_channel(step) for step in path], "infrastructure": []}
+
+
+def _isolated(run: Run, channels: ChannelSearch, question: PolicyQuery) -> _Answer:
+    one, other = question.subjects
+    writers, readers = channels.named(one), channels.named(other)
+    pairs = [*_pairs(writers, readers), *_pairs(readers, writers)]
+    certain = [channel for pair in pairs for channel in channels.between(*pair) if channel.word]
+    together: dict[tuple[str, str], list[Channel]] = {}
+    for channel in certain:
+        together.setdefault((channel.kind, channel.word), []).append(channel)
+    unnamed = [*_unnamed(channels, one, other), *_unnamed(channels, other, one)]
+    perhaps = [channel for channel in unnamed if (channel.kind, channel.word) not in together]
+    common = _infrastructure(channels, pairs)
+    for shared in list(together.values())[:_MOST]:
+        more = len(shared) - 1
+        also = f" (and {counted(more, 'other pair')})" if more else ""
+        run.console.line(f"{_step(shared[0])}{also}")
+    if len(together) > _MOST:
+        run.console.line(f"… and {len(together) - _MOST} other channels")
+    run.console.lines(f"perhaps: {_step(channel)}" for channel in perhaps[:_MOST])
+    verdict = "no" if certain else "unknown" if perhaps else "yes"
+    apart = f"{one} and {other}"
+    run.console.line(
+        {
+            "yes": f"isolated: nothing flows between {apart}{_but_for(channels, common)}",
+            "no": f"not isolated: {counted(len(together), 'channel')} between {apart}",
+            "unknown": f"unknown: no channel between named subjects, but others of {apart} may have one",
+        }[verdict]
+    )
+    if verdict != "yes" and common:
+        run.console.line(f"also, by infrastructure: {_names(common)}")
+    return verdict, {
+        "channels": [_channel(each) for each in certain],
+        "perhaps": [_channel(each) for each in perhaps],
+        "infrastructure": [_channel(each) for each in common],
+    }
+
+
+def _pairs(writers: Sequence[str], readers: Sequence[str]) -> list[tuple[str, str]]:
+    return [(writer, reader) for writer, reader in product(writers, readers) if writer != reader]
+
+
+def _infrastructure(channels: ChannelSearch, pairs: Sequence[tuple[str, str]]) -> Sequence[Channel]:
+    """Return the channels that rules for every node allow, one for each name and direction."""
+    found: dict[tuple[str, tuple[str, str], str], Channel] = {}
+    for channel in (each for pair in pairs for each in channels.infrastructure(*pair)):
+        found.setdefault((channel.kind, channel.permissions, channel.word), channel)
+    return tuple(found.values())
+
+
+def _but_for(channels: ChannelSearch, infrastructure: Sequence[Channel]) -> str:
+    """Return what an answer ignores."""
+    left = [*channels.but]
+    if infrastructure:
+        left.append(f"what the library allows every node ({_names(infrastructure)})")
+    return f", except {', '.join(left)}" if left else ""
+
+
+def _names(infrastructure: Sequence[Channel]) -> str:
+    return ", ".join(dict.fromkeys(display_name(each.kind, each.word) for each in infrastructure))
+
+
+def _unnamed(channels: ChannelSearch, first: str, second: str) -> list[Channel]:
+    """Return the possible channels between subjects that the policy does not name, each once."""
+    writers, readers = parse(first), parse(second)
+    if literal(writers) is not None and literal(readers) is not None:
+        return []
+    channels_by_key = {(each.kind, each.permissions, each.word): each for each in channels.possible(writers, readers)}
+    return list(channels_by_key.values())
+
+
+def _step(channel: Channel) -> str:
+    writing, reading = channel.permissions
+    name = display_name(channel.kind, channel.word) or "an unknown name"
+    return f"{channel.writer} → {channel.reader} by {channel.kind} {name} ({writing}, {reading})"
+
+
+def _channel(channel: Channel) -> dict[str, Any]:
+    return {
+        **members(channel, "writer", "reader", "kind", "permissions"),
+        "object": display_name(channel.kind, channel.word) or None,
+    }

@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint why``: explain one decision, from policy to transport."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import click
+
+from comarmor.errors import Diagnostic, Origin
+from keymint.api import DomainRange, Tier, Verdict
+from keymint.api.graph import LABELLED
+from keymint.command_line.options import kind_option, transport_option
+from keymint.command_line.verb import verb
+from keymint.names import name_of
+from keymint.output.json import decision_json, edge_json, place_json, verdict_json
+from keymint.output.mismatches import (
+    document_reason,
+    enumerated,
+    finding,
+    request_text,
+    rule_text,
+    verb_of,
+)
+from keymint.output.report import Report, findings_if, members
+from keymint.run.run import Run
+from keymint.stages.proof.trust_anchors import differences
+from keymint.verify.usable_transports import choose, models
+from keymint.verify.why import Explanation, MatchedRule, Need, explain, request, source_package
+from keymint.workspace.policy_loading import load_policy
+
+_PERMISSIONS = [permission for permissions in LABELLED.values() for permission in permissions]
+Place = Callable[[Origin | None], str]
+"""Returns a place as the user would type it."""
+
+
+@verb()
+@click.argument("subject")
+@click.argument("permission", shell_complete=lambda _c, _p, text: [p for p in _PERMISSIONS if p.startswith(text)])
+@click.argument("object_name", metavar="OBJECT")
+@kind_option
+@click.option("--partition", "partitions", multiple=True, metavar="NAME", help="Partition; may be repeated.")
+@click.option("--domain", type=click.IntRange(0, 232), metavar="N", help="Domain id [the first one of the grant].")
+@transport_option
+def why(
+    run: Run,
+    subject: str,
+    permission: str,
+    object_name: str,
+    kind: str | None,
+    partitions: tuple[str, ...],
+    domain: int | None,
+    chosen: tuple[str, ...],
+) -> Report:
+    """Explain why SUBJECT has, or lacks, PERMISSION on OBJECT: policy, package, transport names, document, transports.
+
+    \b
+    keymint why /talker publish /chatter
+    keymint why /robot1/nav call /map/get
+    keymint why /bridge publish telemetry --kind topic --partition ops
+
+    Exit code 3: a transport disagrees with the policy, or the enclave does not trust the workspace's authorities.
+    """
+    session = run.session()
+    package = source_package(session, subject)
+    granted = package.grant.domains if package else ()
+    if domain is None:
+        domain = granted[0].first if granted else 0
+    edge = request(subject, permission, object_name, kind or "", partitions, domain)
+    build_types, distro = package.build_types if package else session.profile.build_types, session.profile.distro
+    transports = choose(run.plugins, chosen, Tier.DECISION, build_types, distro)
+    explain_by = partial(models, run.plugins, distro=distro)
+    explanation = explain(session, load_policy(session), package, edge, transports, explain_by)
+
+    run.console.lines(_lines(explanation, run.place))
+    asked = (name_of(explanation.edge.subject),) if explanation.installed and explanation.packaged else ()
+    diagnostics = [*differences(session, asked), *_mismatches(explanation, granted)]
+    result = _document(explanation, run.typed)
+    return run.report(result, diagnostics, findings_if(diagnostics), workspace=session.workspace)
+
+
+def _mismatches(explanation: Explanation, granted: Sequence[DomainRange]) -> list[Diagnostic]:
+    """Return the mismatches between policy and transports, one for all transports with the same reason."""
+    together: dict[tuple[str, int], list[str]] = {}
+    for name, label in explanation.wrong.items():
+        together.setdefault((document_reason(label), label.document.line), []).append(name)
+    found = [finding(names, [explanation.wrong[names[0]]]) for names in together.values()]
+    edge = explanation.edge
+    if not granted or any(each.first <= edge.domain <= each.last for each in granted):
+        return found
+    # No build fixes a request in a domain that is not granted.
+    domains = enumerated(
+        [f"{each.first}" if each.first == each.last else f"{each.first}-{each.last}" for each in granted]
+    )
+    help_ = f"{edge.subject} is granted domain {domains}, not {edge.domain}: leave out --domain"
+    return [replace(each, help=help_) for each in found]
+
+
+def _lines(explanation: Explanation, place: Place) -> Iterator[str]:
+    """Yield the explanation in words, layer by layer."""
+
+    def rule(each: MatchedRule) -> str:
+        decides = "decides: " if each.where == explanation.policy.where else ""
+        return f"{decides}{rule_text(each.rule)} ({place(each.where)})"
+
+    applied = [
+        f"{each.name!r} applies ({place(each.where)}){' AUDIT' if each.audit else ''}" for each in explanation.profiles
+    ]
+    none = f"none applies to {explanation.edge.subject}, so it has no permission"
+    layers: dict[str, list[str]] = {"profiles": applied or [none]}
+    if explanation.similar:
+        layers["profiles"].append(f"did you mean {explanation.similar!r}?")
+    layers["policy"] = [rule(each) for each in explanation.rules] or [str(explanation.policy.reason)]
+    if len({each.allowed for each in explanation.decisions.values()}) > 1:
+        layers["policy"] += (
+            f"for {name}, it {verb_of(each.allowed)} it: {each.reason}" for name, each in explanation.decisions.items()
+        )
+    if explanation.near:
+        layers["policy"].append(f"nearest: {rule(explanation.near)}, but {explanation.near.note}")
+    layers["package"] = [rule(each) for each in explanation.package] or ["no rule applies"]
+    if not explanation.packaged:
+        layers["package"] = ["missing ('keymint create' creates it)"]
+    layers["needs"] = [_need(each) for each in explanation.needs]
+    layers["enclave"] = list(_labels(explanation, place))
+    in_domain = f" in domain {explanation.edge.domain}" if explanation.edge.domain else ""
+    yield f"{request_text(explanation.edge)}{in_domain}: the policy {verb_of(explanation.policy.allowed)} it"
+    for title, lines in layers.items():
+        for index, line in enumerate(lines):
+            yield f"{title if index == 0 else '':<10}{line}"
+
+
+def _need(need: Need) -> str:
+    endpoint = need.endpoint
+    partitions = "".join(f" in partition {name!r}" for name in endpoint.partitions)
+    return f"{endpoint.action} on the {need.noun} {endpoint.name!r}{partitions}"
+
+
+def _labels(explanation: Explanation, place: Place) -> Iterator[str]:
+    """Yield the decisions of transports, one line for all with the same reason."""
+    if not explanation.installed:
+        yield "not installed ('keymint status' shows whether it waits for 'keymint install', or was revoked)"
+    together: dict[tuple[str, str], list[str]] = {}
+    for name, label in explanation.labels.items():
+        deviation = f"; deviates from the standard: {label.verdict.deviation}" if label.verdict.deviation else ""
+        reason = f"{place(label.document)}: {label.reason or 'no reason is given'}{deviation}"
+        together.setdefault((_decision(label.verdict), reason), []).append(name)
+    for (decision, reason), names in together.items():
+        yield f"{decision} by {enumerated(names)} ({reason})"
+    for build_type, unasked in explanation.unasked.items():
+        wanted = explanation.edge.object
+        yield f"not asked: {enumerated(unasked)} ({build_type} has no name for the {wanted.kind} {wanted.name!r})"
+
+
+def _decision(verdict: Verdict) -> str:
+    if verdict.partial:
+        return "allowed in part"
+    return "allowed" if verdict.allowed else "denied"
+
+
+def _document(explanation: Explanation, typed: Callable[[str], str]) -> dict[str, Any]:
+    """Return the explanation for JSON."""
+
+    def rule(each: MatchedRule) -> dict[str, Any]:
+        return {
+            **members(each.rule, "effect", "kind", "permissions", "expressions", "partitions", "audit"),
+            "rule": place_json(each.where, typed),
+            "note": each.note or None,
+        }
+
+    return {
+        "edge": edge_json(explanation.edge),
+        "profiles": [
+            {"name": each.name, "audit": each.audit, "rule": place_json(each.where, typed)}
+            for each in explanation.profiles
+        ],
+        "policy": decision_json(explanation.policy, typed),
+        "rules": [rule(each) for each in explanation.rules],
+        "nearest": rule(explanation.near) if explanation.near else None,
+        "similar_subject": explanation.similar or None,
+        "package": [rule(each) for each in explanation.package] if explanation.packaged else None,
+        "endpoints": [members(each.endpoint, "action", "name", "partitions") for each in explanation.needs],
+        "installed": explanation.installed,
+        "transports": [
+            {"name": name, **verdict_json(label.verdict, label.reason, label.document, label.model, typed)}
+            for name, label in explanation.labels.items()
+        ],
+    }

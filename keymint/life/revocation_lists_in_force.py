@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The revocation lists of a workspace: one for each authority that ever revoked a certificate.
+
+The register says what is revoked. A list that a killed run did not write is written by the next run that can sign.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from datetime import datetime
+
+from cryptography import x509
+
+from comarmor.errors import Origin
+from keymint.authority import authority_files, rollover_lists
+from keymint.authority.authorities import MintedAuthority
+from keymint.errors import KeymintError
+from keymint.life.issued_certificates import Register
+from keymint.life.workspace_register import issuer_of, register_change, register_of
+from keymint.pki import revocation_lists
+from keymint.pki.revocation_lists import Revocation, RevocationList
+from keymint.store.changes import Action, File, FolderChange, Plan, Step
+from keymint.workspace.session import Session, once
+
+STAGE = "crl"
+
+
+@once
+def lists(session: Session) -> Mapping[str, bytes]:
+    """Return the revocation lists in the public space, PEM, by authority.
+
+    While the key of an authority is replaced, there may be one more: ``NAME.next`` or ``NAME.former``.
+    """
+    names = [authority.name for authority in session.profile.authorities]
+    bundled = filter(authority_files.bundled, session.profile.authorities)
+    names += map(authority_files.other, bundled)
+    contents = {name: session.tree.read(session.workspace.revocation_list(name)) for name in names}
+    return {name: content for name, content in contents.items() if content is not None}
+
+
+@once
+def list_of(session: Session, name: str) -> RevocationList | None:
+    """Return the revocation list of an authority, or None if it has none.
+
+    Raises:
+        KeymintError: it cannot be read.
+    """
+    content, path = lists(session).get(name), session.workspace.revocation_list(name)
+    return None if content is None else revocation_lists.load(content, session.workspace.origin(path))
+
+
+def loaded_lists(session: Session) -> Mapping[str, RevocationList]:
+    """Return the revocation lists of :func:`lists`, read; errors as :func:`list_of`."""
+    return {name: found for name in lists(session) if (found := list_of(session, name))}
+
+
+def enclave_lists(session: Session) -> Mapping[str, bytes]:
+    """Return the revocation lists that enclaves have as files of their own, PEM, by authority.
+
+    Where they trust two authorities, the file of these has the lists; see
+    :func:`keymint.authority.authority_files.trusted_chains`.
+    """
+    own = {each.name for each in session.profile.authorities if not authority_files.bundled(each)}
+    return {name: content for name, content in lists(session).items() if name in own}
+
+
+def plan_lists(
+    session: Session,
+    authorities: Mapping[str, MintedAuthority],
+    *,
+    register: Register | None = None,
+    refresh: Collection[str] = (),
+    end: datetime | None = None,
+) -> Plan:
+    """Plan the revocation lists that the register demands; one that is right stays as it is.
+
+    Args:
+        session: the workspace and its profile.
+        authorities: the authorities by name, as they will be.
+        register: the register as it will be; the one on the disk by default.
+        refresh: authorities whose list is issued again in any case.
+        end: nextUpdate of the lists that are issued, UTC; the end of the authority's certificate by default.
+
+    Raises:
+        KeymintError: a list has revocations that the register does not know, is by another authority, or must be
+            issued by an authority that cannot sign lists or whose key is not here.
+    """
+    register = register_of(session) if register is None else register
+    steps: list[Step] = [*rollover_lists.outdated(session, STAGE)]
+    others = rollover_lists.others(session)
+    all_authorities = {**authorities, **{name: minted for name, (_, minted) in others.items()}}
+    present_lists = {name: _present(session, name, minted, refresh) for name, minted in all_authorities.items()}
+    issuers = {name: issuer_of(minted.certificate) for name, minted in all_authorities.items()}
+    having = {*refresh, *(name for name, each in issuers.items() if present_lists[name] or register.revoked(each))}
+    # Where enclaves trust two authorities and one of them has a list, vendors demand one of each.
+    pairs = ({in_force, name} for name, (in_force, _) in others.items())
+    paired = {name for pair in pairs if pair & having for name in pair}
+    for name, minted in all_authorities.items():
+        path, issuer, present = session.workspace.revocation_list(name), issuers[name], present_lists[name]
+        revoked = {each.serial: each for each in register.revoked(issuer)}
+        if present is not None and session.tree.has_file(session.workspace.register):
+            _require_known(session, name, present, revoked)
+        if present is None and not revoked and name not in refresh and name not in paired:
+            if session.tree.has_file(path):  # by an earlier authority of this name, which nobody trusts any more
+                steps.append(Step(STAGE, name, Action.REMOVED, (FolderChange(path.parent, removed=(path.name,)),)))
+            continue
+        serials = {each.serial for each in present.revocations} if present else frozenset[int]()
+        # A list that begins later than now was issued by a clock that was ahead; but none begins before its authority.
+        begins = max(session.now, minted.certificate.not_valid_before_utc)
+        in_force = present is not None and present.this_update <= begins and session.now < present.next_update
+        if in_force and serials >= revoked.keys() and name not in refresh:
+            continue
+        number = 1 + max(register.numbers.get(issuer, 0), present.number if present else 0)
+        where = session.workspace.origin(session.workspace.authority_certificate(name))
+        revocation_lists.require_signs_lists(minted.certificate, where)
+        revocations = [Revocation(each.serial, each.revoked or session.now, each.reason) for each in revoked.values()]
+        pem = revocation_lists.issue(minted.issuer, revocations, number, session.now, end)
+        register = register.with_number(issuer, number)
+        action = Action.UPDATED if present else Action.CREATED
+        detail = f"number {number}, {len(revocations)} revoked"
+        steps.append(Step(STAGE, name, action, (FolderChange(path.parent, {path.name: File(pem)}),), detail))
+    return Plan(tuple(steps), session.state, first=register_change(session, register))
+
+
+def _present(session: Session, name: str, minted: MintedAuthority, refresh: Collection[str]) -> RevocationList | None:
+    """Return the list of an authority, or None if it has none or one of an earlier authority of this name.
+
+    Raises:
+        KeymintError: the list is damaged, and not issued again from the register.
+    """
+    path = session.workspace.revocation_list(name)
+    content, shown = session.tree.read(path), session.workspace.origin(path)
+    if content is None:
+        return None
+    try:
+        present = revocation_lists.load(content, shown)
+    except KeymintError:
+        if name in refresh and session.tree.has_file(session.workspace.register):
+            return None
+        raise
+    return None if revocation_lists.problem(content, minted.certificate) else present
+
+
+def _require_known(session: Session, name: str, present: RevocationList, revoked: Collection[int]) -> None:
+    """Require that the register knows all revocations of a list: revocations are never taken back.
+
+    Raises:
+        KeymintError: it does not, so it is an old one.
+    """
+    unknown = [each for each in present.revocations if each.serial not in revoked]
+    if unknown:
+        shown = session.workspace.shown(session.workspace.revocation_list(name))
+        raise KeymintError(
+            f"does not know {len(unknown)} of the revocations in {shown}, e.g. of the serial number "
+            f"{unknown[0].serial:x}: it is older than the list",
+            where=session.workspace.origin(session.workspace.register),
+            help="restore the latest register from a backup; or remove it, and 'keymint crl --rebuild' makes it again",
+            code="register-outdated",
+        )
+
+
+def require_removable(
+    session: Session, authority: str, issuer: x509.Certificate, content: bytes, where: Origin
+) -> None:
+    """Require that a file which leaves an enclave is no revocation list, or only has what the list in force has.
+
+    Args:
+        session: the workspace and its profile.
+        authority: the authority that issued the certificate of the enclave.
+        issuer: its certificate.
+        content: the file.
+        where: the file, for messages.
+
+    Raises:
+        KeymintError: it revokes certificates that would be accepted again.
+    """
+    if not revocation_lists.problem(content, issuer):
+        require_nothing_lost(content, lists(session).get(authority), where)
+
+
+def require_nothing_lost(before: bytes | None, after: bytes | None, where: Origin) -> None:
+    """Require that a list which replaces another one in an enclave has all its revocations.
+
+    Args:
+        before: the list that is there, or None.
+        after: the list that replaces it; None if there is no list any more.
+        where: its file, for messages.
+
+    Raises:
+        KeymintError: it lacks one, e.g. because somebody made the other list by hand.
+    """
+    try:
+        found = revocation_lists.load(before or b"", where)
+    except KeymintError:
+        return  # no node starts with what cannot be read
+    new = None if after is None else revocation_lists.load(after, where)
+    serials = {each.serial for each in new.revocations} if new else frozenset[int]()
+    lost = [each for each in found.revocations if each.serial not in serials]
+    if lost and (new is None or found.issuer == new.issuer):
+        raise KeymintError(
+            f"revokes certificates that the new list does not, e.g. the one with the serial number {lost[0].serial:x}",
+            where=where,
+            help="restore the register of issued certificates; or move the list away if they may be accepted again",
+            code="revocation-list-foreign",
+        )

@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The register of a workspace: read, written with what a run issues, and restored from what is installed."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
+
+from cryptography import x509
+
+from comarmor.errors import Origin
+from keymint.api import BuildType, Package, Presentation
+from keymint.authority import authority_files
+from keymint.errors import KeymintError
+from keymint.life import register_database
+from keymint.life.issued_certificates import IssuedCertificate, Register, SignedRights
+from keymint.names import subject_of
+from keymint.pki import certificates, revocation_lists, smime
+from keymint.pki.distinguished_names import to_text
+from keymint.store.changes import FolderChange, secret_file
+from keymint.workspace.installed_enclaves import enclave_files, installed, installed_certificate
+from keymint.workspace.package_build_types import build_types_of, revocation_files
+from keymint.workspace.session import Session, once
+
+
+@once
+def register_of(session: Session) -> Register:
+    """Return the register of a workspace as it is on the disk; empty if there is none.
+
+    Raises:
+        KeymintError: it is damaged.
+    """
+    path = session.workspace.register
+    content = session.tree.read(path)
+    return Register() if content is None else _load(content, session.workspace.shown(path))
+
+
+# Each stage of a run reads it.
+@lru_cache(maxsize=2)
+def _load(content: bytes, shown: str) -> Register:
+    return register_database.load(content, Origin(shown))
+
+
+@once
+def withdrawn(session: Session) -> Mapping[str, str]:
+    """Return the packages whose certificate was revoked and whose enclave is gone, each with the reason.
+
+    Raises:
+        KeymintError: the register is damaged; or it may not be read, and the sources of a package have defects.
+    """
+    register, there = register_of(session), frozenset(installed(session))
+    gone = [name for name in session.packages() if name not in there]
+    if session.tree.is_left_out(session.workspace.register):  # each revocation raises the generation in the sources
+        return {name: "for a reason that is not examined" for name in gone if session.issuance(name).generation}
+    found = {name: register.withdrawn(name) for name in gone}
+    return {name: reason for name, reason in found.items() if reason}
+
+
+def with_enclaves(session: Session, names: Sequence[str], given: Collection[str]) -> tuple[str, ...]:
+    """Return packages without those whose certificate was revoked and whose enclave is gone, unless a user named them.
+
+    Args:
+        session: the workspace and its profile.
+        names: the packages.
+        given: the packages that a user named; empty for all.
+    """
+    return tuple(names) if given else tuple(name for name in names if name not in withdrawn(session))
+
+
+def complete_register(session: Session, names: Collection[str] = (), *, lossy: bool = False) -> Register:
+    """Return the register, restored from the installed certificates and revocation lists if there is none.
+
+    Args:
+        session: the workspace and its profile.
+        names: packages whose installed certificate is added if the register lacks it, because it is an old one.
+        lossy: restore it although revocations cannot be accounted for.
+
+    Raises:
+        KeymintError: it is damaged; or there is none, and a revocation cannot be accounted for.
+    """
+    if session.tree.read(session.workspace.register) is None:
+        return _restored(session, lossy=lossy)
+    register = register_of(session)
+    if not (register.rights or register.is_whole):
+        register = register.with_rights(_rights_found(session))
+    found = _found(session, names) if names else ()
+    missing = [each for each in found if (each.issuer, each.serial) not in register.certificates]
+    return register.with_issued(missing) if missing else register
+
+
+def rights_of(
+    package: Package, build_types: Iterable[BuildType], files: Mapping[str, bytes], subject: str
+) -> Iterator[SignedRights]:
+    """Yield the signed documents of an enclave that its holder presents.
+
+    Args:
+        package: the package.
+        build_types: its build types.
+        files: the files of the enclave by name.
+        subject: distinguished name of its certificate, in certificate order.
+    """
+    for each in build_types:
+        if isinstance(each, Presentation) and each.PRESENTED in files:
+            with contextlib.suppress(KeymintError):  # nobody accepts what has no signature
+                content = smime.signed_content(files[each.PRESENTED])
+                validity = None if package.kept else package.grant.validity
+                if end := validity.not_after if validity else each.presented_until(content):
+                    yield SignedRights.of(package.name, package.issuance.generation, subject, end, content)
+
+
+def _rights_found(session: Session) -> Iterator[SignedRights]:
+    """Yield the signed documents of the installed enclaves."""
+    for name in set(installed(session)).intersection(session.packages()):
+        certificate = installed_certificate(session, name)
+        with contextlib.suppress(KeymintError):  # reported with the package
+            package, files = session.package(name), enclave_files(session, name)[0]
+            if certificate is not None:
+                subject = to_text(certificate.subject)
+                yield from rights_of(package, build_types_of(session, package).values(), files, subject)
+
+
+def register_change(session: Session, register: Register) -> tuple[FolderChange, ...]:
+    """Return what writes a register, if it differs from the one on the disk."""
+    if register == register_of(session):
+        return ()
+    return (secret_file(session.workspace.register, register_database.dump(register)),)
+
+
+@lru_cache(maxsize=64)
+def issuer_of(authority: x509.Certificate) -> str:
+    """Return what identifies an issuer in the register: the fingerprint of its public key."""
+    return certificates.fingerprint(authority)
+
+
+def entry_of(
+    certificate: x509.Certificate,
+    issuer: x509.Certificate,
+    authority: str,
+    name: str,
+    generation: int,
+    rights: str = "",
+) -> IssuedCertificate:
+    """Return the entry of a certificate for the register.
+
+    Args:
+        certificate: the certificate.
+        issuer: the certificate of its issuer.
+        authority: name of its issuer.
+        name: the package.
+        generation: its generation.
+        rights: digest of the package's documents; empty if it is not known.
+    """
+    return IssuedCertificate(
+        issuer=issuer_of(issuer),
+        serial=certificate.serial_number,
+        authority=authority,
+        name=name,
+        generation=generation,
+        not_before=certificate.not_valid_before_utc,
+        not_after=certificate.not_valid_after_utc,
+        key=certificates.fingerprint(certificate),
+        rights=rights,
+    )
+
+
+def _restored(session: Session, *, lossy: bool) -> Register:
+    """Return a register of what is installed.
+
+    Raises:
+        KeymintError: a package was revoked, but no list has a serial number of it, or the certificate with this number
+            is not known; then it is not known which key must not be certified again.
+    """
+    register = Register(is_whole=not installed(session)).with_issued(_found(session, installed(session)))
+    register = register.with_rights(_rights_found(session))
+    generations = {name: session.issuance(name).generation for name in session.packages()}
+    lost = [name for name, generation in generations.items() if generation]
+    for file, name, authority in authority_files.issuers(session):
+        path = session.workspace.revocation_list(file)
+        content = session.tree.read(path) or (_installed_list(session, authority) if lossy else None)
+        if content is None:
+            continue
+        found = revocation_lists.load(content, session.workspace.origin(path))
+        issuer = issuer_of(authority)
+        register = register.with_number(issuer, found.number or 1)
+        for each in found.revocations:
+            known = register.certificates.get((issuer, each.serial))
+            if known is None:
+                known = IssuedCertificate(issuer, each.serial, name, "", 0, each.at, each.at, "")
+                register = register.with_issued([known])
+            register = register.with_revoked([known], each.reason, each.at)
+    unknown = [each for each in register.certificates.values() if not each.name]
+    if (lost or unknown) and not lossy:
+        who = f"/{lost[0]} was revoked" if lost else f"{len(unknown)} certificates were revoked"
+        raise KeymintError(
+            f"the register of issued certificates is missing, and {who}: its keys and certificates cannot be told",
+            where=session.workspace.origin(session.workspace.register),
+            help="restore it from a backup; or 'keymint crl --rebuild' makes it again: what the revocation lists here "
+            "have stays revoked, but a key that was revoked as compromised may be certified again",
+            code="register-lost",
+        )
+    return register
+
+
+def _installed_list(session: Session, authority: x509.Certificate) -> bytes | None:
+    """Return the revocation list of an authority that enclaves have, which is the last one that they got, or None."""
+    profile, found = session.profile, dict[int, bytes]()
+    files = dict(revocation_files(session.build_types.values(), profile.distro, profile.layout, b"list"))
+    for name in installed(session):
+        for file in files:
+            content = session.tree.try_read(f"{session.enclave_folder(name)}/{file}") or b""
+            if not revocation_lists.problem(content, authority):
+                found[revocation_lists.load(content, Origin(file)).number] = content
+    return found[max(found)] if found else None
+
+
+def _found(session: Session, names: Collection[str]) -> Iterator[IssuedCertificate]:
+    """Yield an entry for the installed certificate of each package that one of the workspace's authorities issued."""
+    issuers = [(authority, issuer) for _, authority, issuer in authority_files.issuers(session)]
+    known = frozenset(session.packages())
+    for name in names:
+        certificate = installed_certificate(session, name)
+        for authority, issuer in issuers:
+            if certificate is not None and certificates.is_issued_by(certificate, issuer):
+                generation = session.issuance(name).generation if name in known else 0
+                yield entry_of(certificate, issuer, authority, name, generation)
+                break
+
+
+def require_free_serials(register: Register, issued: Iterable[IssuedCertificate]) -> None:
+    """Require that no serial number is given to two certificates of an issuer (RFC 5280, 4.1.2.2).
+
+    Raises:
+        KeymintError: two certificates have one.
+    """
+    taken: dict[tuple[str, int], IssuedCertificate] = {}
+    for each in issued:
+        other = taken.setdefault((each.issuer, each.serial), each)
+        other = other if other is not each else register.certificates.get((each.issuer, each.serial), each)
+        if (other.name, other.key, other.not_before, other.not_after) != (
+            each.name, each.key, each.not_before, each.not_after,
+        ):  # fmt: skip
+            raise KeymintError(
+                f"the serial number {each.serial} of {subject_of(each.name)} was given to a certificate of "
+                f"{subject_of(other.name)} before",
+                help="leave <serial_number> empty for a random one",
+                code="serial-taken",
+            )

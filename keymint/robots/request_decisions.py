@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Decide about requests of robots: for which package is the key, and may it be certified?
+
+Possession of a key proves nothing about a robot: whoever carries a request may put one of his own in its place. So a
+key is taken if its fingerprint was read at the robot, or if the key that the package has vouches for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from comarmor.errors import Defects, Origin
+from comarmor.text import did_you_mean
+from comarmor.values import dataclass
+from keymint.api import Package
+from keymint.errors import KeymintError
+from keymint.life.package_issuance import place_of, plan_issuance
+from keymint.life.workspace_register import register_of
+from keymint.names import subject_of
+from keymint.pki import keys, public_keys
+from keymint.pki.distinguished_names import common_name
+from keymint.robots.certification_request import Request
+from keymint.stages.identity_keys import Keyring, known_fingerprint
+from keymint.store.changes import Plan
+from keymint.workspace.session import Session
+
+STAGE = "sign"
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """A request and the file that it was read from."""
+
+    request: Request
+    where: Origin
+
+
+def plan_requests(
+    session: Session, given: Sequence[Given], fingerprints: Mapping[str, str]
+) -> tuple[Plan, Mapping[str, Request]]:
+    """Plan to certify the keys of some requests.
+
+    Args:
+        session: the workspace and its profile.
+        given: the requests.
+        fingerprints: fingerprints of keys, as they were read at the robots, by package.
+
+    Returns:
+        The plan for the sources, and the requests by package.
+
+    Raises:
+        KeymintError: the defects of all requests. ``request-unknown``: no package has the name that it claims.
+            ``request-unconfirmed``: nobody confirms that the key is the robot's. ``request-exchanged``: the fingerprint
+            is that of another key. ``key-kind``, ``key-barred``, ``key-shared``, ``key-of-authority``: the key cannot
+            be certified.
+    """
+    known = session.packages()
+    for name in fingerprints:
+        if name not in known:
+            raise KeymintError(
+                f"no package {name!r} in {session.workspace.shown(session.workspace.src)}, although its fingerprint is "
+                "given",
+                help=did_you_mean(name, known, f"'keymint create {name}' makes it"),
+                code="package-unknown",
+            )
+    requests: dict[str, Request] = {}
+    owners: dict[str, str] = {}
+    defects, keyring = Defects(), Keyring(session)
+    for each in given:
+        with defects:
+            name = _package(session, each, fingerprints)
+            if name in requests:
+                raise _refused(
+                    f"is for {subject_of(name)}, as another request is", each, "sign the later one", "request-twice"
+                )
+            _require_certifiable(session, session.package(name), each, keyring)
+            if (other := owners.setdefault(each.request.fingerprint, name)) != name:
+                raise _refused(
+                    f"has the key that {subject_of(other)} asks a certificate for", each, _AGAIN, "key-shared"
+                )
+            requests[name] = each.request
+    defects.require_none()
+    new = {
+        name: replace(session.issuance(name), public_key=request.public_key)
+        for name, request in requests.items()
+        if not _is_kept_here(session, name, request)
+    }
+    return plan_issuance(session, STAGE, new, "its key is on the robot"), requests
+
+
+_AGAIN = "make a new key on the robot: 'keymint request --rekey', with --discard if a request waits for its answer"
+
+
+def _package(session: Session, given: Given, fingerprints: Mapping[str, str]) -> str:
+    """Return the package that a request is for, which somebody or its own key must confirm."""
+    request = given.request
+    named = [name for name in session.packages() if common_name(subject_of(name)) == request.common_name]
+    if not named:
+        raise _refused(
+            f"is for {request.common_name}, and no package has that name",
+            given,
+            did_you_mean(
+                request.common_name, [subject_of(name) for name in session.packages()], "'keymint create' makes it"
+            ),
+            "request-unknown",
+        )
+    if confirmed := [name for name in named if fingerprints.get(name) == request.fingerprint]:
+        return confirmed[0]
+    if asked := [name for name in named if name in fingerprints]:
+        raise _refused(
+            f"has the key {request.fingerprint}, not the one whose fingerprint is given for /{asked[0]}: somebody may "
+            "have exchanged it on its way",
+            given,
+            "read the fingerprint at the robot again, where 'keymint request' prints it",
+            "request-exchanged",
+        )
+    own = [name for name in named if _vouches(session, name, request)]
+    if not own:
+        why = ", and the key that signs it is not the one that the package has" if request.signer else ""
+        raise _refused(
+            f"nobody confirms that its key is that of {subject_of(named[0])}{why}",
+            given,
+            f"read the fingerprint at the robot and give it: --fingerprint {subject_of(named[0])}=…",
+            "request-unconfirmed",
+        )
+    return own[0]
+
+
+def _vouches(session: Session, name: str, request: Request) -> bool:
+    """Tell whether the key that a package has signed a request, for itself or for another key."""
+    current, vouching = current_fingerprint(session, name), {request.fingerprint, request.signer}
+    return bool(current) and current in vouching and not register_of(session).barred(current)
+
+
+def current_fingerprint(session: Session, name: str) -> str:
+    """Return the fingerprint of the key that a package has, wherever it is; empty if it has none yet."""
+    if public := session.issuance(name).public_key:
+        return keys.fingerprint(public_keys.from_pem(public, place_of(session, name)))
+    return known_fingerprint(session, name)
+
+
+def _is_kept_here(session: Session, name: str, request: Request) -> bool:
+    """Tell whether the workspace has the private key itself, as that of a robot that was provisioned from here."""
+    return not session.issuance(name).public_key and known_fingerprint(session, name) == request.fingerprint
+
+
+def _require_certifiable(session: Session, package: Package, given: Given, keyring: Keyring) -> None:
+    request, spec = given.request, package.identity.key
+    key = public_keys.from_pem(request.public_key, given.where)
+    if not keys.fits(key, spec):
+        raise _refused(
+            f"is not for {keys.described(spec)}, which {package.identity.origin} asks for",
+            given,
+            "make a key of that kind on the robot (keymint request --key-type), or change the sources",
+            "key-kind",
+        )
+    if reason := register_of(session).barred(request.fingerprint):
+        raise _refused(f"is for a key that was revoked ({reason})", given, _AGAIN, "key-barred")
+    keyring.require_free(package.name, key)
+    _require_unknown(session, package.name, given)
+
+
+def _require_unknown(session: Session, name: str, given: Given) -> None:
+    """Require that no other package has the key, or ever had it."""
+    for other in session.packages():
+        public = session.issuance(other).public_key if other != name else b""
+        if public == given.request.public_key:
+            raise _refused(
+                f"has the key of {subject_of(other)}, so that each could act as the other", given, _AGAIN, "key-shared"
+            )
+    for issued in register_of(session).certificates.values():
+        if issued.key == given.request.fingerprint and issued.name not in {"", name}:
+            raise _refused(f"has a key that was certified for /{issued.name} before", given, _AGAIN, "key-shared")
+
+
+def _refused(message: str, given: Given, help_: str, code: str) -> KeymintError:
+    return KeymintError(message, where=given.where, help=help_, code=code)

@@ -1,0 +1,440 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One run of a verb: the workspace that it works on, and how plans are made and executed."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import functools
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import field, replace
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from comarmor.errors import Diagnostic, Origin, Severity, cited
+from comarmor.text import did_you_mean
+from comarmor.values import dataclass
+from keymint import SPACES
+from keymint.api import BuildOptions, Environment
+from keymint.api.plugin_loader import Plugins
+from keymint.errors import ExitCode, KeymintError, usage_error
+from keymint.executors import PROCESSES
+from keymint.names import package_name
+from keymint.output.console import Console, Streams
+from keymint.output.report import Report, folded
+from keymint.pki.tokens.pin_sources import Pins
+from keymint.pki.tokens.token_sessions import Tokens
+from keymint.run.answer_recording import remember
+from keymint.run.execution import RECORD, execute, open_store, require_register
+from keymint.run.workers import Workers
+from keymint.stages.package_stage import Crew, PlanStage
+from keymint.store.changes import File, Plan, Step
+from keymint.store.journal import Intent, Journal, intent_of
+from keymint.store.workspace_lock import LOCK, clock, folder_lock, read_lock
+from keymint.view.folder_status import Sight
+from keymint.view.recorded_answers import Call
+from keymint.view.stamps import MAX_RECORD, State
+from keymint.view.stamps import load as load_state
+from keymint.view.tree import HeldError, Tree, read_file
+from keymint.workspace import file_index, gitignore
+from keymint.workspace.session import Inputs, Session
+from keymint.workspace.workspace import Workspace, find, packages, shown
+
+if TYPE_CHECKING:
+    from keymint.executors import Pool
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """The environment of a run: clock, folders, streams.
+
+    Attributes:
+        now: the clock, UTC.
+        monotonic: returns seconds, for progress.
+        environment: environment variables.
+        cwd: current directory.
+        cache: cache directory of this user.
+        cores: number of processors.
+        streams: where output goes.
+        call: the command.
+        ask: shows a text and returns what the user types, unseen; None if there is no terminal.
+        read: returns at most so many bytes of standard input.
+    """
+
+    now: datetime
+    monotonic: Callable[[], float]
+    environment: Mapping[str, str] = field(repr=False)
+    cwd: Path
+    cache: Path
+    cores: int
+    streams: Streams
+    call: Call
+    ask: Callable[[str], str] | None = None
+    read: Callable[[int], bytes] = lambda _most: b""
+
+
+def _writes_below(roots: Collection[str], plan: Plan) -> bool:
+    return any(f"{change.folder}/".startswith(f"{root}/") for root in roots for change in plan.changes())
+
+
+def exit_code_of(plan: Plan) -> ExitCode:
+    """Return the exit code of an executed plan; an error concerns an enclave that was not changed."""
+    failed = any(diagnostic.severity is Severity.ERROR for diagnostic in plan.diagnostics)
+    return ExitCode.FAILURE if failed else ExitCode.DONE
+
+
+def _refuse_to_wait() -> None:
+    raise KeymintError("another command holds the lock of the workspace", code="not-recorded")
+
+
+class Run:
+    """One run of a verb.
+
+    Args:
+        setting: the environment.
+        verb: name of the verb.
+        options: values of the common options.
+    """
+
+    def __init__(self, setting: Setting, verb: str, options: Mapping[str, Any]) -> None:
+        self.setting = setting
+        self.verb = verb
+        self.dry_run: bool = options.get("dry_run", False)
+        self.jobs: int = options.get("jobs") or setting.cores
+        self.console = Console(
+            setting.streams,
+            verbosity=-1 if options["quiet"] else options["verbose"],
+            as_json=options["as_json"],
+        )
+        self.plugins = Plugins(environment=Environment(setting.now, setting.cache, setting.environment))
+        self._trusted: bool = options.get("trust_executor", False)
+        self._executor: str = options.get("executor", PROCESSES)
+        self.has_cluster = self._executor != PROCESSES
+        self.workers = Workers(self.jobs, open_store)
+        self.tokens = Tokens(setting.environment, Pins(setting.environment, setting.ask).pin)
+        self._named: Path | None = options.get("workspace")
+        self._spaces: dict[str, Path] = {
+            space: folder for space in SPACES if (folder := options.get(f"{space}_space")) is not None
+        }
+        self.known_workspace: Workspace | None = None
+        self.interrupted: Journal | None = None
+        """The run before, if it did not come to its end."""
+        self.folder_names = {f"{setting.cwd}/": ""}
+        """Replacements for the start of paths: of the current directory, and of temporary ones."""
+
+    def typed(self, file: str) -> str:
+        """Return a path as the user would type it."""
+        for folder, name in self.folder_names.items():
+            if file.startswith(folder):
+                return name + file.removeprefix(folder)
+        return shown(Path(file), self.setting.cwd) if file.startswith("/") else file
+
+    def place(self, where: Origin | None) -> str:
+        """Return a place as the user would type it, ``file:line``, or an empty text."""
+        return cited(self.typed(where.file), where.line) if where else ""
+
+    def as_typed(self, diagnostic: Diagnostic) -> Diagnostic:
+        """Return a diagnostic with all paths as the user would type them."""
+        message, help_ = diagnostic.message, diagnostic.help
+        for folder, name in self.folder_names.items():
+            message, help_ = message.replace(folder, name), help_.replace(folder, name)
+        where = diagnostic.where and diagnostic.where.with_files(self.typed)
+        return replace(diagnostic, message=message, where=where, help=help_)
+
+    # -- the workspace -------------------------------------------------------------------------------------------
+
+    def workspace(self) -> Workspace:
+        """Return the named workspace, or the one that contains the current directory.
+
+        Raises:
+            KeymintError: there is none.
+        """
+        if self.known_workspace is None:
+            if self._named is None:
+                self.known_workspace = find(self.setting.cwd, self._spaces, self.setting.cwd)
+            else:
+                self.known_workspace = self.workspace_at(self._named)
+                if not self.known_workspace.exists():
+                    # The user may have named a folder inside of a workspace.
+                    self.known_workspace = find(self.setting.cwd / self._named, self._spaces, self.setting.cwd)
+        return self.known_workspace
+
+    def workspace_at(self, folder: Path | None) -> Workspace:
+        """Return the workspace at a directory (default: the named or the current one), which may not exist yet."""
+        self.known_workspace = Workspace.at(
+            self.setting.cwd / (folder or self._named or "."), self._spaces, self.setting.cwd
+        )
+        return self.known_workspace
+
+    def inputs(self, workspace: Workspace, sight: Sight | None = None) -> Inputs:
+        """Read the inputs of a plan.
+
+        Args:
+            workspace: the workspace.
+            sight: its folders as they are; without it all files are read.
+        """
+        state = load_state(read_file(workspace.state / RECORD, MAX_RECORD))
+        tree = Tree(known=file_index.load(workspace, sight) if sight else {}, linked=workspace.install)
+        return Inputs(workspace, tree, state, self.plugins, self.setting.environment, self.setting.now, self.tokens)
+
+    def snapshot(self, workspace: Workspace, *, auditing: bool = False) -> Inputs:
+        """Read a consistent snapshot of a workspace into memory, for verbs that do not write.
+
+        The workspace lock is held only while reading. Arguments as for :meth:`session`.
+        """
+        for _ in range(2):  # another run may create the lock meanwhile
+            waiting = self.console.waiting
+            with (
+                read_lock(workspace.state, waiting) as locked,
+                folder_lock(workspace.private, fcntl.LOCK_SH, waiting),
+            ):
+                inputs = self.inputs(workspace)
+                for space in workspace.spaces():
+                    # Other files beside the XML may be large, and are never read.
+                    written = space in (workspace.profile, workspace.src)
+                    readable = not auditing or space != workspace.private
+                    inputs.tree.hold(space, suffix=".xml" if written else "", readable=readable)
+                inputs.tree.hold(workspace.state, suffix="no content")
+            if locked or not (workspace.state / LOCK).exists():
+                break
+        return inputs
+
+    def session(self, *, auditing: bool = False) -> Session:
+        """Return a consistent snapshot of the workspace with its profile, for verbs that do not write.
+
+        Args:
+            auditing: what the user may not read of the private space counts as absent; the verb reports
+                :func:`keymint.examine.not_examined.not_examined`.
+        """
+        return self.snapshot(self.workspace(), auditing=auditing).session()
+
+    def names(self, inputs: Inputs, given: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the packages that a user named, or all packages.
+
+        Raises:
+            KeymintError: a name is illegal, or is not a package of the workspace.
+        """
+        known = packages(inputs.tree, inputs.workspace.src)
+        if not given:
+            return known
+        names = tuple(dict.fromkeys(package_name(name) for name in given))
+        for name in names:
+            if name not in known:
+                raise KeymintError(
+                    f"no package {name!r} in {inputs.workspace.shown(inputs.workspace.src)}",
+                    help=did_you_mean(name, known, f"'keymint create {name}' makes it"),
+                    code="package-unknown",
+                )
+        return names
+
+    # -- computing elsewhere -------------------------------------------------------------------------------------
+
+    def compile_elsewhere(
+        self, session: Session, names: Sequence[str], options: BuildOptions, *, prove: bool = True
+    ) -> None:
+        """Let the cluster compile what the build of some packages needs, if the user named one.
+
+        Args:
+            session: the workspace and its profile.
+            names: the packages.
+            options: options of the build.
+            prove: nothing will be signed that is not proven.
+
+        Raises:
+            KeymintError: the cluster cannot be used, or is not trusted although its documents would not be proven.
+        """
+        if not self.has_cluster:
+            return
+        if not prove and not self._trusted:
+            raise usage_error(
+                "--no-prove would sign what a cluster compiled and nobody proved",
+                "prove it, or say --trust-executor",
+            )
+        from keymint.run.cluster_compiling import compile_elsewhere  # noqa: PLC0415 - few runs need it
+
+        with self.pool() as pool:
+            compile_elsewhere(pool, session, names, options)
+
+    @contextmanager
+    def pool(self) -> Iterator[Pool]:
+        """Yield where to carry out work that can be divided.
+
+        Raises:
+            KeymintError: the user named a cluster that cannot be used.
+        """
+        if not self.has_cluster:
+            from keymint.executors.processes import Processes  # noqa: PLC0415 - few runs need it
+
+            yield Processes(self.plugins, self.jobs)
+            return
+        from keymint.executors.cluster import cluster  # noqa: PLC0415 - few runs need it
+
+        setting = self.setting
+        with cluster(self._executor, self.plugins, setting.now, setting.environment, trusted=self._trusted) as pool:
+            yield pool
+
+    # -- what was interrupted ------------------------------------------------------------------------------------
+
+    def intent(self) -> Intent:
+        """Return what this run was asked for: the same for the same command with the same files."""
+        call = self.setting.call
+        return intent_of(call.arguments, Path(call.cwd))
+
+    @property
+    def resumes(self) -> bool:
+        """Whether all is visible that an interrupted run of this command was asked for: it is not done once more."""
+        before = self.interrupted
+        return before is not None and before.finished and before.intent.inputs == self.intent().inputs
+
+    def recover(self, workspace: Workspace) -> None:
+        """Finish what an interrupted run made visible in part, for verbs that decide something before they plan.
+
+        Args:
+            workspace: the workspace, which need not exist.
+        """
+        store = open_store(workspace)
+        if not self.dry_run and store.is_marked():
+            with store.locked(self.console.waiting):
+                self.interrupted = store.recover()
+
+    def finish(self, workspace: Workspace) -> Report:
+        """Report that an interrupted run of this command is finished, and nothing is left to do."""
+        return self.carry_out(workspace, lambda inputs: Plan((), inputs.state))
+
+    def told(self, report: Report) -> Report:
+        """Return a report that says what became of an interrupted run."""
+        found = self.interrupted.outcome(self.intent()) if self.interrupted else None
+        return replace(report, diagnostics=(*report.diagnostics, found)) if found else report
+
+    # -- doing it ------------------------------------------------------------------------------------------------
+
+    def change(
+        self, make_plan: Callable[[Session], Plan], exit_code: Callable[[Plan], ExitCode] = exit_code_of
+    ) -> Report:
+        """Carry out a plan for the workspace and its profile; see :meth:`carry_out`."""
+        return self.carry_out(self.workspace(), lambda inputs: make_plan(inputs.session()), exit_code)
+
+    def carry_out(
+        self,
+        workspace: Workspace,
+        make_plan: Callable[[Inputs], Plan],
+        exit_code: Callable[[Plan], ExitCode] = exit_code_of,
+    ) -> Report:
+        """Plan, execute the plan under the workspace lock, and return the report.
+
+        A new workspace is planned before anything is written, including the lock.
+
+        Args:
+            workspace: the workspace.
+            make_plan: makes the plan.
+            exit_code: returns the exit code of an executed plan.
+        """
+        with contextlib.closing(self.workers), contextlib.closing(self.tokens):
+            return self._carry_out(workspace, functools.partial(self._plan, make_plan), exit_code)
+
+    def _plan(self, make_plan: Callable[[Inputs], Plan], inputs: Inputs) -> Plan:
+        self.workers.close()  # those of an earlier plan
+        try:
+            return make_plan(inputs)
+        except HeldError:
+            self.workers.give_up()
+            return make_plan(inputs)
+
+    def _carry_out(
+        self, workspace: Workspace, make_plan: Callable[[Inputs], Plan], exit_code: Callable[[Plan], ExitCode]
+    ) -> Report:
+        if self.dry_run:
+            plan = make_plan(self.snapshot(workspace))
+            return self.report({}, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps)
+        planned: tuple[Inputs, Plan, Sight] | None = None
+        if not workspace.state.is_dir():
+            sight = Sight.of(map(str, workspace.spaces()))
+            inputs = self.inputs(workspace)
+            try:
+                planned = inputs, make_plan(inputs), sight
+            except KeymintError:
+                if not workspace.state.is_dir():
+                    raise
+                # Another run creates this workspace, and was seen half-way: plan again once it is done.
+        store = open_store(workspace)
+        with store.locked(self.console.waiting):
+            self.interrupted = store.recover()
+            # If this workspace is new, the private space is that of another one.
+            shared = not store.missing
+            if planned is None or shared or workspace.exists() or workspace.state.joinpath(RECORD).exists():
+                planned = self._planned_again(workspace, make_plan)
+            if _writes_below(store.missing, planned[1]) and store.lock_missing(self.console.waiting):
+                planned = self._planned_again(workspace, make_plan)
+            inputs, plan, sight = planned
+            require_register(plan, workspace, inputs.tree)
+            guards = gitignore.missing_files(workspace, plan)
+            with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
+                visible = execute(plan, workspace, store, inputs.state, self.workers, advance, self.intent())
+            changes = (*guards, *plan.changes())
+            sight = file_index.save(store, workspace, inputs.tree, sight, changes, visible)
+            report = self.report({}, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps)
+            remember(self.setting.call, inputs, plan, self.presented(report), sight, store, self.console)
+            store.end()
+        return report
+
+    def _planned_again(self, workspace: Workspace, make_plan: Callable[[Inputs], Plan]) -> tuple[Inputs, Plan, Sight]:
+        """Plan under the workspace lock; return what the plan was made from, the plan, and the folders as they are."""
+        sight = Sight.of(map(str, workspace.spaces()), clock(workspace.state))
+        inputs = self.inputs(workspace, sight)
+        return inputs, make_plan(inputs), sight
+
+    def report(
+        self,
+        result: Mapping[str, Any] | None = None,
+        diagnostics: Sequence[Diagnostic] = (),
+        exit_code: ExitCode = ExitCode.DONE,
+        *,
+        workspace: Workspace | None = None,
+        steps: Sequence[Step] = (),
+        notes: bool | Collection[str] = False,
+    ) -> Report:
+        """Return the report of the verb; arguments as the fields of a report."""
+        return Report(self.verb, workspace, steps, diagnostics, result or {}, exit_code, self.dry_run, notes)
+
+    def presented(self, report: Report) -> Report:
+        """Return a report with all paths as the user would type them, and equal diagnostics merged."""
+        return replace(report, diagnostics=folded([self.as_typed(diagnostic) for diagnostic in report.diagnostics]))
+
+    @property
+    def crew(self) -> Crew:
+        """Who plans packages for the conductor of the stages."""
+        return Crew(self.workers.planned, self.setting.monotonic)
+
+    def planned(self, stage: PlanStage, names: Sequence[str]) -> Plan:
+        """Return the plan of a stage for some packages; processes that were started make their parts of it.
+
+        Raises:
+            KeymintError: the errors of all packages.
+        """
+        return stage.plan(self.workers.planned(stage, names))
+
+    def keep(self, inputs: Inputs, state: State) -> tuple[Diagnostic, ...]:
+        """Save the results of a verb that does not write, unless the workspace changed meanwhile.
+
+        Args:
+            inputs: the snapshot of the verb.
+            state: the record with its results.
+
+        Returns:
+            A note if the record cannot be written, e.g. on a read-only file system, or as another command is running:
+            a reader waits for no other one.
+        """
+        workspace = inputs.workspace
+        if self.dry_run or state is inputs.state or state.dump() == inputs.state.dump():
+            return ()
+        store = open_store(workspace)
+        try:
+            with store.locked(_refuse_to_wait):
+                if not store.is_marked() and self.inputs(workspace).state == inputs.state:
+                    store.write(workspace.state, {RECORD: File(state.dump())})
+        except KeymintError as error:
+            message = f"the results are not cached: {error.diagnostics[0].message}"
+            return (Diagnostic.note("not-recorded", message, error.diagnostics[0].where),)
+        return ()

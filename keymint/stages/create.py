@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stage ``create``: from the policy to source packages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from comarmor.errors import Diagnostic
+from comarmor.text import did_you_mean
+from keymint.api import (
+    DigestedPolicy,
+    FormerRules,
+    InfrastructurePackage,
+    Issuance,
+    IssuanceFiles,
+    LoadedPolicy,
+    OwnValidity,
+    PackageType,
+    Role,
+)
+from keymint.errors import KeymintError
+from keymint.ir import SubjectRules
+from keymint.names import ROOT, refuse_case_collisions, refuse_reserved, subject_of
+from keymint.stages.package_stage import PackagePlan, recorded, steps_of
+from keymint.store.changes import Action, File, Plan, Step, changed
+from keymint.view.stamps import Stamp, digest
+from keymint.workspace.policy_loading import package_of, record_policy
+from keymint.workspace.session import Session
+from keymint.workspace.workspace import placed
+
+STAGE = "create"
+
+
+def packages_to_create(session: Session, policy: LoadedPolicy) -> tuple[str, ...]:
+    """Return the packages of every subject that the policy names exactly, and all existing packages of subjects.
+
+    Existing packages follow the policy even if it no longer names them: withdrawn permissions must not remain in their
+    sources.
+    """
+    exact = [package_of(policy, subject) for subject in policy.subjects()]
+    existing = session.packages()
+    return tuple(sorted({*exact, *existing}.difference(session.infrastructure())))
+
+
+def stale(session: Session, policy: LoadedPolicy, names: Sequence[str]) -> Mapping[str, tuple[Diagnostic, ...]]:
+    """Return the packages of subjects that differ from the policy, each with the errors that prevent its update.
+
+    Args:
+        session: the workspace and its profile.
+        policy: its policy.
+        names: names of existing packages.
+
+    Raises:
+        KeymintError: names collide.
+    """
+    stage = CreateStage(session, policy)
+    refuse_case_collisions([*stage.existing, *names])
+    differing: dict[str, tuple[Diagnostic, ...]] = {}
+    for name in (each for each in names if session.role(each) is Role.SUBJECT):
+        try:
+            each = stage.package(name)
+        except KeymintError as error:  # a file that is no file, or too large
+            differing[name] = error.diagnostics
+            continue
+        if each.step is None or each.step.action is not Action.UNCHANGED:
+            differing[name] = each.errors
+    return differing
+
+
+def refuse_named(policy: LoadedPolicy, infrastructure: Mapping[str, tuple[InfrastructurePackage, str]]) -> None:
+    """Refuse a policy that names a package of infrastructure exactly.
+
+    Raises:
+        KeymintError: it names one, at the profile that does.
+    """
+    subjects = set(policy.subjects())
+    for name, (package, _) in infrastructure.items():
+        if subject_of(name) in subjects:
+            profiles = policy.profiles(subject_of(name))
+            raise KeymintError(
+                f"the policy names {subject_of(name)}, which is {package.title} and no subject of the policy",
+                where=profiles[-1].where if profiles else None,
+                help="rename the subject, or give the package of the transport another name in the profile",
+                code="infrastructure-named",
+            )
+
+
+class CreateStage:
+    """The stage ``create``; what packages share is computed once.
+
+    Args:
+        session: the workspace and its profile.
+        policy: its policy.
+        force: replace documents of rules that were edited by hand.
+        valid_for: length of validity that the packages get in their own documents, an ISO 8601 duration; empty to
+            leave these alone.
+    """
+
+    NAME = STAGE
+
+    def __init__(self, session: Session, policy: LoadedPolicy, *, force: bool = False, valid_for: str = "") -> None:
+        self._session = session
+        self._valid_for = valid_for
+        self._policy = policy
+        self._force = force
+        self.existing = frozenset(session.packages())
+        seen = (part for path, value in sorted(policy.seen.items()) for part in (str(path), value))
+        self._inputs = digest(digest(*seen), session.profile_digest)
+        self._package_type = session.package_type
+        self._digested = policy if isinstance(policy, DigestedPolicy) else None
+
+    def subjects(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Return the names that are packages of subjects, not of infrastructure.
+
+        Raises:
+            KeymintError: names collide, are reserved, or the policy names a package of infrastructure.
+        """
+        session, infrastructure = self._session, self._session.needed_infrastructure()
+        refuse_named(self._policy, infrastructure)
+        others = {name for name in self.existing.intersection(names) if session.role(name) is not Role.SUBJECT}
+        subjects = [name for name in names if name not in infrastructure and name not in others]
+        refuse_case_collisions([*self.existing, *subjects, *infrastructure])
+        reserved = [each for layout in session.layouts for each in layout.reserved]
+        for name in (*subjects, *infrastructure):
+            refuse_reserved(name, reserved)
+        if ROOT in subjects and not all(layout.enclaves for layout in session.layouts):
+            raise KeymintError(
+                f"the layout {session.profile.layout!r} has no place for the root enclave '/': enclaves lie at the top "
+                "of the install space",
+                where=session.profile_marker(),
+                help="name the nodes as subjects, or use another layout",
+                code="root-enclave",
+            )
+        return tuple(subjects)
+
+    def plan(self, planned: Sequence[PackagePlan]) -> Plan:
+        """Put the plans for some packages together, and add the packages of infrastructure."""
+        session = self._session
+        needed = session.needed_infrastructure().items()
+        planned = [*planned, *(self._infrastructure(name, build_type) for name, (_, build_type) in needed)]
+        steps = steps_of(planned)
+        diagnostics = tuple(diagnostic for each in planned for diagnostic in each.diagnostics)
+        return Plan(steps, recorded(record_policy(session, self._policy), STAGE, planned), diagnostics)
+
+    def package(self, name: str) -> PackagePlan:
+        """Return the plan for a package."""
+        session, force = self._session, self._force
+        folder = session.workspace.src / name
+        stamp = session.state.stamp(STAGE, name)
+        digests = session.file_digests(name)
+        outputs = _outputs(digests)
+        is_kept = stamp is not None and stamp.outputs == outputs and not force and not self._valid_for
+        if stamp and is_kept and stamp.inputs == self._inputs:
+            return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED))
+        context = self._rules_digest(subject_of(name))
+        if stamp and is_kept and context and stamp.context == context:  # other subjects have other rules now
+            return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED), replace(stamp, inputs=self._inputs))
+        files = session.package_files(name) if digests else {}
+        known = name in self.existing
+        rules = self._policy.rules(subject_of(name))
+        unnamed: tuple[Diagnostic, ...] = ()
+        if rules is None:
+            unnamed = (_nothing_applies(name, self._policy, known=known),)
+            rules = SubjectRules(subject_of(name), ())
+        errors = () if known else unnamed
+        try:
+            new = self._package_type.create(session.profile, rules, files, force=force)
+            new = {**new, **self._with_validity(rules, {**files, **new}), **self._with_generation(name)}
+        except KeymintError as error:
+            in_the_way = (placed(diagnostic, session.workspace.src) for diagnostic in error.diagnostics)
+            return PackagePlan(name, None, None, unnamed if known else (), (*errors, *in_the_way))
+        written = marker_last(self._package_type, new)
+        changes = changed(session.tree, folder, written)
+        action = (Action.UPDATED if known else Action.CREATED) if changes else Action.UNCHANGED
+        step = Step(STAGE, name, action, changes)
+        outputs |= _outputs({file: new_file.digest for file, new_file in written.items()})
+        found = (*(unnamed if known else ()), *self._former(rules, files if changes else {}))
+        return PackagePlan(name, step, Stamp(self._inputs, outputs, context=context), found, errors)
+
+    def _former(self, rules: SubjectRules, files: Mapping[str, bytes]) -> tuple[Diagnostic, ...]:
+        """Return the warnings about documents of former versions that are replaced."""
+        package_type = self._package_type
+        if not files or not isinstance(package_type, FormerRules):
+            return ()
+        return tuple(placed(each, self._session.workspace.src) for each in package_type.former_rules(rules, files))
+
+    def _with_validity(self, rules: SubjectRules, files: Mapping[str, bytes]) -> Mapping[str, bytes]:
+        """Return the files of a package that change so that it has the requested validity."""
+        session, package_type = self._session, self._package_type
+        if not self._valid_for:
+            return {}
+        if not isinstance(package_type, OwnValidity):
+            raise KeymintError(
+                f"packages of the type {session.profile.package_type!r} have no validity of their own",
+                where=session.profile_marker(),
+                help="leave out --valid-for, and write it into their sources",
+                code="validity-unsupported",
+            )
+        return package_type.with_validity(session.profile, rules, files, self._valid_for, session.now)
+
+    def _with_generation(self, name: str) -> Mapping[str, bytes]:
+        """Return the file that makes a new package go on where certificates of its name ended."""
+        session, package_type = self._session, self._package_type
+        if name in self.existing or not session.tree.has_file(session.workspace.register):
+            return {}
+        from keymint.life.workspace_register import register_of  # noqa: PLC0415 - imports cryptography, which takes 0.1 s
+
+        generation = register_of(session).generation(name)
+        if not generation or not isinstance(package_type, IssuanceFiles):
+            return {}
+        decided = package_type.with_issuance(Issuance(generation))
+        return {file: content for file, content in decided.items() if file not in session.file_digests(name)}
+
+    def _rules_digest(self, subject: str) -> str:
+        """Return the digest of everything that the sources of a subject are made of; empty if it is not known."""
+        rules = self._digested.rules_digest(subject) if self._digested else None
+        return digest(rules, self._session.profile_digest) if rules else ""
+
+    def _infrastructure(self, name: str, build_type: str) -> PackagePlan:
+        """Return the plan for a package that a transport needs, which does not follow the policy."""
+        session = self._session
+        folder = session.workspace.src / name
+        if name in self.existing:
+            if session.role(name) is Role.INFRASTRUCTURE:
+                return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED))
+            message = "the package is that of a subject, but a transport needs one of this name"
+            help_ = f"remove src/{name}, or give the package of the transport another name in the profile"
+            where = session.package_marker(name)
+            return PackagePlan(name, errors=(Diagnostic.error("infrastructure-taken", message, where, help_),))
+        files = session.package_files(name)
+        new = self._package_type.create_infrastructure(session.profile, name, build_type, files)
+        written = marker_last(self._package_type, new)
+        outputs = {**session.file_digests(name), **{file: new.digest for file, new in written.items()}}
+        step = Step(STAGE, name, Action.CREATED, changed(session.tree, folder, written))
+        return PackagePlan(name, step, Stamp(self._inputs, _outputs(outputs)))
+
+
+def marker_last(package_type: PackageType, new: Mapping[str, bytes]) -> dict[str, File]:
+    """Return the files of a new package; the marker goes last: until then a later run sees no package."""
+    ordered = sorted(new.items(), key=lambda item: item[0] == package_type.MARKER)
+    return {file: File(content) for file, content in ordered}
+
+
+def _outputs(digests: Mapping[str, str]) -> dict[str, str]:
+    return {name: value for name, value in digests.items() if "/" not in name}
+
+
+def _nothing_applies(name: str, policy: LoadedPolicy, *, known: bool) -> Diagnostic:
+    subject = subject_of(name)
+    message = f"no profile of the policy applies to {subject}"
+    if known:
+        message, help_ = (
+            f"{message} any more: it is left without permissions",
+            f"remove src/{name}, or name it in the policy",
+        )
+        return Diagnostic.warning("subject-unnamed", message, None, help_, subject)
+    hint = did_you_mean(subject, policy.subjects(), "attach a profile to it")
+    return Diagnostic.error("subject-unknown", message, None, hint, subject)

@@ -1,0 +1,301 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stage ``install``: sign the built documents and lay out the enclaves for deployment."""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+from cryptography import x509
+
+from comarmor.errors import Diagnostic, Severity
+from keymint.api import Package
+from keymint.authority.authorities import MintedAuthority
+from keymint.authority.authority_files import chains_digest
+from keymint.errors import KeymintError
+from keymint.life import earlier_rights, revocation_lists_in_force, terms
+from keymint.life.issued_certificates import SignedRights
+from keymint.life.terms import shown
+from keymint.life.workspace_register import (
+    complete_register,
+    register_change,
+    register_of,
+    require_free_serials,
+    rights_of,
+)
+from keymint.names import subject_of
+from keymint.pki import certificates
+from keymint.pki.distinguished_names import to_text
+from keymint.stages import build, identity_keys
+from keymint.stages.built_documents import OUTDATED, edits
+from keymint.stages.environment_scripts import plan_scripts
+from keymint.stages.identity_keys import Keyring
+from keymint.stages.package_stage import PackagePlan, recorded, steps_of
+from keymint.stages.shared_install import plan_shared_install
+from keymint.stages.signing import sign
+from keymint.store.changes import Action, File, FolderChange, Plan, Step
+from keymint.view.stamps import Stamp, digest, digest_files
+from keymint.workspace import key_record
+from keymint.workspace.enclave_changes import (
+    EnclaveChanges,
+    build_types_in_use,
+    obsolete_steps,
+    pruned,
+    shared_copies,
+    shared_steps,
+    withdraw,
+)
+from keymint.workspace.installed_enclaves import (
+    CERTIFICATE,
+    INSTALLED,
+    differing,
+    enclave_files,
+    has_outputs,
+    installed,
+    orphans,
+    require_sources,
+    unaccounted,
+)
+from keymint.workspace.package_build_types import build_types_of, inputs_digest, is_build_current
+from keymint.workspace.session import Inputs, Session
+
+STAGE = INSTALLED
+
+
+class InstallStage:
+    """The stage ``install``.
+
+    Args:
+        session: the workspace and its profile, with these authorities.
+        authorities: the authorities that issue and sign, by name.
+        prune: remove installed enclaves that have no source package.
+    """
+
+    NAME = STAGE
+
+    def __init__(self, session: Session, authorities: Mapping[str, MintedAuthority], *, prune: bool) -> None:
+        self._session = session
+        self._authorities = authorities
+        self._prune = prune
+        self._keyring = Keyring(session)
+
+    def package(self, name: str) -> PackagePlan:
+        """Return the plan for the enclave of a package."""
+        try:
+            return _plan_enclave(self._session, name, self._authorities, self._keyring)
+        except KeymintError as error:
+            return PackagePlan(name, errors=tuple(error.diagnostics))
+
+    def plan(self, planned: Sequence[PackagePlan]) -> Plan:
+        """Put the plans for some enclaves together, and add what they share and what is pruned."""
+        session, prune = self._session, self._prune
+        fingerprints = {each.name: each.fingerprint for each in planned if each.fingerprint}
+        errors = [error for each in planned for error in each.errors]
+        errors += identity_keys.shared_keys(session, fingerprints)
+        if errors:
+            raise KeymintError.of(errors)
+        # Shared documents come first: rights end before an enclave is removed, and begin before one is there. So do
+        # copies, so that the folder around the enclaves exists before any enclave.
+        changed = {each.name: (each.build_types, each.artifacts) for each in planned if each.build_types}
+        removed = orphans(session) if prune else ()
+        shared = plan_shared_install(session, [each.name for each in planned], self._authorities, removed)
+        withdrawn = {each.name: each.withdrawn for each in planned if each.withdrawn}
+        changes = EnclaveChanges(changed, frozenset((*removed, *withdrawn)))
+        scripts, foreign = plan_scripts(session, build_types_in_use(session, changes))
+        copies = shared_copies(session, changes)
+        steps = [*shared.steps, *shared_steps(session, copies), *scripts, *steps_of(planned)]
+        diagnostics = [*(diagnostic for each in planned for diagnostic in each.diagnostics), *foreign]
+        diagnostics += _outdated(session, [each.name for each in planned if each.outdated])
+        diagnostics += shared.diagnostics
+        diagnostics += terms.of_sources({each.name: each.lifetimes for each in planned}, session)
+        diagnostics += [each for each in unaccounted(session) if not prune or each.code != "enclave-orphaned"]
+        state = recorded(shared.state, STAGE, planned, (*removed, *withdrawn))
+        steps += [withdraw(session, name, reason, changes) for name, reason in withdrawn.items()]
+        if prune:
+            require_sources(session)
+            diagnostics += _still_good(session, removed)
+            steps += [pruned(session, name, changes) for name in removed]
+            state = key_record.forget(state, key_record.IDENTITIES, removed)
+        steps += obsolete_steps(session, copies, steps)
+        return Plan(tuple(steps), state, tuple(diagnostics), _register(session, planned))
+
+
+def _still_good(session: Session, removed: Sequence[str]) -> Iterator[Diagnostic]:
+    """Yield a warning if certificates of enclaves that are removed stay good."""
+    ends = {name: each.not_after for name in removed for each in register_of(session).in_force(name, session.now)}
+    if ends:
+        name, end = max(ends.items(), key=lambda item: item[1])
+        others = f" [{len(ends)} enclaves]" if len(ends) > 1 else ""
+        yield Diagnostic.warning(
+            "certificate-in-force",
+            f"the certificate of the removed enclave {subject_of(name)} stays good until {shown(end)}{others}",
+            None,
+            f"'keymint revoke {name} --reason retired' ends it",
+            subject_of(name) if len(ends) == 1 else "",
+        )
+
+
+def _register(session: Session, planned: Sequence[PackagePlan]) -> tuple[FolderChange, ...]:
+    """Return what adds the certificates of some plans to the register.
+
+    Raises:
+        KeymintError: the register cannot be restored, or two certificates have one serial number.
+    """
+    issued = [each.issued for each in planned if each.issued]
+    if not issued:
+        return ()
+    register = complete_register(session)
+    require_free_serials(register, issued)
+    signed = (each for plan in planned for each in plan.signed)
+    return register_change(session, register.with_issued(issued).with_rights(signed))
+
+
+def _plan_enclave(
+    session: Session, name: str, authorities: Mapping[str, MintedAuthority], keyring: Keyring
+) -> PackagePlan:
+    workspace = session.workspace
+    inputs = inputs_of(session, name)
+    if inputs is None and build.is_built(session, name) and identity_keys.is_awaited(session.package(name)):
+        return _awaiting(session, session.package(name))
+    if inputs is None:
+        raise KeymintError(
+            f"the package {name} is not built",
+            help=f"run 'keymint build {name}'",
+            code="not-built",
+            where=workspace.origin(workspace.build / name),
+        )
+    status = session.tree.status(session.enclave_folder(name))
+    if status is not None and stat.S_ISLNK(status.st_mode):
+        raise KeymintError(
+            "is a symbolic link, which is refused: an enclave must be a folder",
+            where=workspace.origin(session.enclave_folder(name)),
+            help="remove the link",
+            code="symlink-refused",
+        )
+    stamp = session.state.stamp(STAGE, name)
+    if stamp and stamp.inputs == inputs and has_outputs(session, session.enclave_folder(name), stamp):
+        own = terms.recalled(session, name, stamp)
+        return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED), lifetimes=own)
+    package, folder = session.package(name), session.enclave(name)
+    own = terms.lifetimes(package)
+    if identity_keys.is_awaited(package):
+        return _awaiting(session, package)
+    documents = build.built_documents(session, name)
+    existing, unreadable = enclave_files(session, name)
+    key_pem, public = identity_keys.private_key(session, package), identity_keys.public_key(session, package)
+    fingerprint = keyring.require_own(package, public)
+    if reason := register_of(session).barred(fingerprint):
+        return PackagePlan(name, withdrawn=reason)
+    artifacts, issued, warnings = sign(session, package, documents, authorities, (key_pem, public), existing)
+    new = {file: artifact.content for file, artifact in artifacts.items()}
+    outliving = earlier_rights.replaced(session, package, existing, new)
+    in_force = revocation_lists_in_force.enclave_lists(session).get(package.identity.issuer)
+    for file, artifact in artifacts.items():
+        if in_force and artifact.content == in_force:
+            where = workspace.origin(folder / file)
+            revocation_lists_in_force.require_nothing_lost(existing.get(file), in_force, where)
+    paths = {workspace.shown(folder / file) for file in artifacts} if unreadable else set()
+    in_place = [each for each in unreadable if each.where and each.where.file in paths]
+    # Something that is not a regular file is in the place of an enclave's file.
+    if blocking := [each for each in in_place if each.code in {"file-kind", "symlink-refused"}]:
+        kept = Step(STAGE, name, Action.KEPT, detail="not updated")
+        return PackagePlan(name, kept, diagnostics=tuple(blocking), lifetimes=own)
+    files = {
+        file: File(artifact.content, secret=artifact.secret, replaces_link=True) for file, artifact in artifacts.items()
+    }
+    different = differing(session, folder, existing, files)
+    # The certificate comes last: a node that starts in between fails, and admits nobody.
+    ordered = dict(sorted(different.items(), key=lambda item: item[0] == CERTIFICATE))
+    issuer = authorities[package.identity.issuer].certificate
+    obsolete = _obsolete(session, package, {each: existing[each] for each in existing.keys() - files.keys()}, issuer)
+    changes = (FolderChange(folder, ordered, obsolete, private=True),) if ordered or obsolete else ()
+    action = (Action.UPDATED if existing else Action.CREATED) if changes else Action.UNCHANGED
+    # Unreadable files that do not belong to the enclave are only reported; the others are replaced.
+    foreign = [each for each in unreadable if each not in in_place]
+    # Without a record of the build nothing is known about edits or staleness.
+    is_recorded = session.state.stamp(build.STAGE, name) is not None
+    build_types = build_types_of(session, package)
+    copied = {file for each in build_types.values() for file in each.COPIED}
+    edited = edits(session, name, workspace.build / name, documents, name) if is_recorded else ()
+    made = Stamp(
+        inputs,
+        {file: item.digest for file, item in files.items()},
+        tuple(file for file, item in files.items() if item.secret),
+        lifetimes=terms.dump(own, workspace),
+    )
+    return PackagePlan(
+        name,
+        Step(STAGE, name, action, changes),
+        made,
+        (*warnings, *(replace(each, severity=Severity.WARNING) for each in foreign), *edited, *outliving),
+        fingerprint=fingerprint,
+        lifetimes=own,
+        build_types=tuple(build_types),
+        artifacts={file: artifacts[file] for file in copied if file in artifacts},
+        outdated=is_recorded and not is_build_current(session, name),
+        issued=issued,
+        signed=_signed(session, package, new),
+    )
+
+
+def _signed(session: Session, package: Package, files: Mapping[str, bytes]) -> tuple[SignedRights, ...]:
+    """Return the documents of an enclave that its holder presents, for the register."""
+    subject = to_text(certificates.load(files[CERTIFICATE]).subject)
+    return tuple(rights_of(package, build_types_of(session, package).values(), files, subject))
+
+
+def _obsolete(
+    session: Session, package: Package, left: Mapping[str, bytes], issuer: x509.Certificate
+) -> tuple[str, ...]:
+    """Return those files of an enclave that were installed and are not any more: they would still have effect.
+
+    Raises:
+        KeymintError: one is a revocation list, and what it revokes would be accepted again.
+    """
+    stamp = session.state.stamp(STAGE, package.name)
+    obsolete = tuple(file for file in sorted(stamp.outputs) if file in left) if stamp else ()
+    for file in obsolete:
+        where = session.workspace.origin(session.enclave(package.name) / file)
+        revocation_lists_in_force.require_removable(session, package.identity.issuer, issuer, left[file], where)
+    return obsolete
+
+
+def _awaiting(session: Session, package: Package) -> PackagePlan:
+    """Return the plan for a package whose robot has not yet told its public key: its enclave stays, unless revoked."""
+    if package.name in installed(session) and (reason := register_of(session).withdrawn(package.name)):
+        return PackagePlan(package.name, withdrawn=reason)
+    kept = Step(STAGE, package.name, Action.KEPT, detail="waits for a request of its robot")
+    diagnostics = (identity_keys.awaited(package),)
+    return PackagePlan(package.name, kept, diagnostics=diagnostics, lifetimes=terms.lifetimes(package))
+
+
+def _outdated(inputs: Inputs, names: Sequence[str]) -> Iterator[Diagnostic]:
+    """Yield one warning for all packages whose build is stale; they often have one cause."""
+    one = len(names) == 1
+    for name in names[:1]:
+        yield Diagnostic.warning(
+            OUTDATED,
+            "is stale; signing the existing build" + ("" if one else f" [{len(names)} packages]"),
+            inputs.workspace.origin(inputs.workspace.build / name),
+            f"'keymint build {name}' rebuilds it" if one else "'keymint build' rebuilds all stale packages",
+            subject_of(name) if one else "",
+        )
+
+
+def is_current(session: Session, name: str) -> bool:
+    """Tell whether installing a package again would change no byte and no mode of its enclave."""
+    stamp, folder = session.state.stamp(STAGE, name), session.enclave_folder(name)
+    return stamp is not None and stamp.inputs == inputs_of(session, name) and has_outputs(session, folder, stamp)
+
+
+def inputs_of(session: Session, name: str) -> str | None:
+    """Return the digest of all that the enclave of a package is made from, or None if that is not built."""
+    documents = build.document_digests(session, name)
+    key = identity_keys.key_digest(session, name)
+    if documents is None or key is None:
+        return None
+    built = (part for item in sorted(documents.items()) for part in item)
+    revoked = revocation_lists_in_force.lists(session)
+    more = (digest_files(revoked),) if revoked else ()
+    return digest(inputs_digest(session, name), key, chains_digest(session), session.profile.layout, *built, *more)

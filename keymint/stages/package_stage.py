@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A stage plans each package by itself, and then puts the plans together.
+
+Only the second part looks at several packages. So other processes may do the first part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import field
+from typing import Any, Protocol, TypeVar
+
+from comarmor.errors import Diagnostic
+from comarmor.values import dataclass
+from keymint.api import Artifact
+from keymint.errors import KeymintError
+from keymint.life.issued_certificates import IssuedCertificate, SignedRights
+from keymint.life.terms import Term
+from keymint.store.changes import Plan, Step
+from keymint.view.stamps import Stamp, State
+from keymint.workspace import key_record
+from keymint.workspace.session import Session
+
+_T_co = TypeVar("_T_co", covariant=True)
+
+
+@dataclass(frozen=True, slots=True)
+class PackagePlan:
+    """What a stage plans for one package, or the errors that prevent it.
+
+    Attributes:
+        name: the package.
+        step: what is written.
+        stamp: the record of it; None if nothing changes.
+        diagnostics: warnings about the package.
+        errors: what prevents the step.
+        fingerprint: fingerprint of the subject's key, if it is to be recorded.
+        lifetimes: validity of the package's grant and certificate.
+        build_types: the package's build types, if its enclave changes.
+        artifacts: the files of its enclave that may be copied for all enclaves, if it changes.
+        outdated: the package's sources changed after its documents were built.
+        issued: the certificate of its enclave and the rights that were signed for it, if its enclave changes.
+        signed: the documents that its holder presents, if its enclave changes.
+        withdrawn: why no certificate is issued to it, although it is built; see
+            :meth:`keymint.life.issued_certificates.Register.barred`.
+    """
+
+    name: str
+    step: Step | None = None
+    stamp: Stamp | None = None
+    diagnostics: tuple[Diagnostic, ...] = ()
+    errors: tuple[Diagnostic, ...] = ()
+    fingerprint: str = ""
+    lifetimes: tuple[Term, ...] = ()
+    build_types: tuple[str, ...] = ()
+    artifacts: Mapping[str, Artifact] = field(default_factory=dict)
+    outdated: bool = False
+    issued: IssuedCertificate | None = None
+    signed: tuple[SignedRights, ...] = ()
+    withdrawn: str = ""
+
+
+class PackageStage(Protocol[_T_co]):
+    """A stage, as far as it looks at one package at a time."""
+
+    NAME: str
+
+    def package(self, name: str) -> _T_co:
+        """Return the result for a package; it depends on no other package."""
+
+
+class PlanStage(PackageStage[PackagePlan], Protocol):
+    """A stage whose result is a plan."""
+
+    def plan(self, planned: Sequence[PackagePlan]) -> Plan:
+        """Put the plans for some packages together.
+
+        Raises:
+            KeymintError: the errors of all packages.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class Crew:
+    """Who plans packages, and the clock that limits proofs.
+
+    Attributes:
+        planned: returns what a stage plans for some packages; several processes may share the work.
+        monotonic: returns seconds.
+    """
+
+    planned: Callable[[PackageStage[Any], Sequence[str]], list[Any]]
+    monotonic: Callable[[], float]
+
+
+def steps_of(planned: Sequence[PackagePlan]) -> tuple[Step, ...]:
+    """Return the steps of some plans.
+
+    Raises:
+        KeymintError: the errors of all packages.
+    """
+    if errors := [error for each in planned for error in each.errors]:
+        raise KeymintError.of(errors)
+    return tuple(each.step for each in planned if each.step)
+
+
+def recorded(state: State, stage: str, planned: Sequence[PackagePlan], removed: Iterable[str] = ()) -> State:
+    """Return the state with the stamps and the keys of some plans, and without the stamps of removed packages."""
+    state = state.updated(stage, {each.name: each.stamp for each in planned if each.stamp}, removed)
+    fingerprints = {each.name: each.fingerprint for each in planned if each.fingerprint}
+    return key_record.record(state, key_record.IDENTITIES, fingerprints)
+
+
+def after(session: Session, stage: str, planned: Sequence[PackagePlan]) -> Session:
+    """Return a session as it is once the plans of a stage are carried out; errors as :func:`steps_of`."""
+    return session.after(Plan(steps_of(planned), recorded(session.state, stage, planned)))

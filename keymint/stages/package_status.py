@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stage and validity of every package: ``keymint status``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+
+from comarmor.values import dataclass
+from keymint.api import LoadedPolicy, Role
+from keymint.errors import KeymintError
+from keymint.life.renewal_schedule import CERTIFICATE, EnclaveTerms, enclave_terms
+from keymint.life.terms import recalled
+from keymint.life.workspace_register import withdrawn
+from keymint.stages import build, create, install
+from keymint.stages.shared_documents import built_shared, is_current, users
+from keymint.stages.shared_install import installed_shared, is_installed
+from keymint.workspace.installed_enclaves import hidden, installed, installed_certificate, orphans
+from keymint.workspace.package_build_types import is_build_current
+from keymint.workspace.session import Session
+
+
+@dataclass(frozen=True, slots=True)
+class StatusRow:
+    """The status of one package, or of the documents over all packages of a build type.
+
+    Attributes:
+        package: its name; empty for such documents.
+        stage: the last stage that it went through: ``source``, ``built`` or ``installed``; ``revoked`` if its
+            certificate was revoked and its enclave removed; ``orphaned`` for an
+            enclave without a source package, ``ignored`` for one whose package a KEYMINT_IGNORE hides.
+        stale: the first verb that would do something for it, or empty.
+        certificate_expires: end of validity of the installed certificate, UTC.
+        permissions_expire: end of validity of the grant, UTC.
+        problem: one line when the package cannot be loaded, or the documents cannot be built.
+        terms: what of the installed enclave ends; None if it is not installed, or that is not known.
+        build_type: the build type of documents over all packages.
+        documents: their paths relative to the install space, as they were built last.
+    """
+
+    package: str
+    stage: str
+    stale: str
+    certificate_expires: datetime | None = None
+    permissions_expire: datetime | None = None
+    problem: str = ""
+    terms: EnclaveTerms | None = None
+    build_type: str = ""
+    documents: tuple[str, ...] = ()
+
+    @property
+    def renew_after(self) -> datetime | None:
+        """From when on 'keymint renew' takes it up, UTC; None if it does not, before an authority is renewed."""
+        return self.terms.renew_after() if self.terms else None
+
+    @property
+    def ends_with(self) -> str:
+        """The authority that all its documents end with, so that it is the authority that is due; or empty."""
+        return self.terms.ends_with() if self.terms else ""
+
+
+def package_rows(session: Session, policy: LoadedPolicy | None) -> tuple[StatusRow, ...]:
+    """Return a row for every source package and every installed enclave, sorted by name.
+
+    Args:
+        session: the workspace and its profile.
+        policy: its policy, or None if it cannot be loaded; then packages are not compared with it.
+    """
+    names = session.packages()
+    enclaves = set(installed(session))
+    stale = _differing(session, policy, names)
+    rows = [_row(session, stale, name, installed=name in enclaves) for name in names]
+    rows += [
+        StatusRow(name, "orphaned", "install --prune", _certificate_end(session, name)) for name in orphans(session)
+    ]
+    rows += [StatusRow(name, "ignored", "", _certificate_end(session, name)) for name in hidden(session)]
+    return tuple(sorted(rows, key=lambda row: row.package))
+
+
+def shared_rows(session: Session) -> tuple[StatusRow, ...]:
+    """Return a row for each build type that has documents over all packages."""
+    try:
+        of_types = users(session)
+    except KeymintError as error:
+        return (StatusRow("", "source", "", problem=str(error.diagnostics[0])),)
+    return tuple(_shared_row(session, build_type) for build_type in of_types)
+
+
+def _shared_row(session: Session, build_type: str) -> StatusRow:
+    try:
+        built = built_shared(session, build_type)
+        there = built is not None and installed_shared(session, built)
+        current = built is not None and is_installed(session, build_type, built)
+    except KeymintError as error:  # a file that is no file, or too large
+        return StatusRow("", "source", "", problem=str(error.diagnostics[0]), build_type=build_type)
+    stage = "source" if built is None else "installed" if there else "built"
+    is_stale = built is None or not is_current(session, build_type)
+    stale = "build" if is_stale else "" if current else "install"
+    return StatusRow("", stage, stale, build_type=build_type, documents=tuple(built or ()))
+
+
+def _certificate_end(session: Session, name: str) -> datetime | None:
+    certificate = installed_certificate(session, name)
+    return certificate.not_valid_after_utc if certificate else None
+
+
+def _terms(session: Session, name: str, *, as_recorded: bool) -> EnclaveTerms | None:
+    try:
+        return enclave_terms(session, name, as_recorded=as_recorded)
+    except KeymintError:
+        return None  # the package has defects, which are its problem
+
+
+def _row(session: Session, differing: Mapping[str, str], name: str, *, installed: bool) -> StatusRow:
+    try:
+        built = build.is_built(session, name)
+        session.file_digests(name)
+    except KeymintError as error:  # a file that is no file, or too large
+        problem, end = str(error.diagnostics[0]), _certificate_end(session, name)
+        return StatusRow(name, "installed" if installed else "source", "", end, None, problem)
+    stage = "installed" if installed else "built" if built else "source"
+    if name in withdrawn(session):
+        stage = "revoked"
+    stale, problem = ("create", differing[name]) if name in differing else ("", "")
+    permissions_end, current = None, False
+    try:
+        current = built and is_build_current(session, name)
+        own = recalled(session, name, session.state.stamp(build.STAGE, name) if current else None)
+        if session.role(name) is Role.SUBJECT:
+            permissions_end = next((each.last for each in own if each.what == "grant"), None)
+    except KeymintError as error:
+        stale, problem = "create", str(error.diagnostics[0])
+    stale = stale or ("" if current else "build")
+    if not stale and stage == "revoked":
+        return StatusRow(name, stage, "", None, permissions_end, problem)
+    current = not stale and installed and install.is_current(session, name)
+    if not current:
+        is_unknown = session.tree.is_left_out(session.workspace.identity_key(name))
+        stale = stale or ("" if installed and is_unknown else "install")
+    terms = _terms(session, name, as_recorded=current) if installed else None
+    end = next((each.last for each in terms.terms if each.what == CERTIFICATE), None) if terms else None
+    end = end or _certificate_end(session, name)
+    return StatusRow(name, stage, stale, end, permissions_end, problem, terms)
+
+
+def _differing(session: Session, policy: LoadedPolicy | None, names: Sequence[str]) -> Mapping[str, str]:
+    """Return the packages that differ from the policy, each with a problem or an empty text."""
+    if policy is None:
+        return {}
+    try:
+        found = create.stale(session, policy, names)
+    except KeymintError as error:
+        return dict.fromkeys(names, str(error.diagnostics[0]))
+    return {name: str(errors[0]) if errors else "" for name, errors in found.items()}

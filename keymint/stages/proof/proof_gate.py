@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Require a proof of every enclave before anything is installed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
+from functools import partial
+
+from comarmor.errors import Diagnostic, Severity
+from keymint.api import LoadedPolicy, Proof
+from keymint.errors import ExitCode, KeymintError
+from keymint.names import name_of
+from keymint.stages.built_documents import HAND_EDITED
+from keymint.stages.install_request import InstallRequest
+from keymint.stages.package_stage import Crew
+from keymint.stages.proof.proof_diagnostics import dated_of, diagnostics_of, effort_of, merged_packages
+from keymint.stages.proof.proof_results import EnclaveProof
+from keymint.stages.proof.prove import NO_PROVER, ProofStage
+from keymint.stages.proof.shared_proof import affected
+from keymint.store.changes import Action, Plan
+from keymint.workspace.session import Session
+
+
+def proof_stage(crew: Crew, policy: LoadedPolicy, request: InstallRequest) -> Callable[[Session], ProofStage]:
+    """Return what makes the stage that proves documents which are about to be signed.
+
+    Args:
+        crew: who plans packages.
+        policy: the policy to prove.
+        request: what the user asks for.
+    """
+    effort = effort_of(crew.monotonic, standard_only=request.allow_vendor_specific)
+    return partial(ProofStage, policy=policy, effort=effort, unsigned=True)
+
+
+def proven(
+    crew: Crew,
+    session: Session,
+    installed: Plan,
+    names: Sequence[str],
+    proof: Callable[[Session], ProofStage],
+    plan: Plan,
+    request: InstallRequest,
+) -> Plan:
+    """Prove the enclaves of a plan, and return the plan with the cached proofs.
+
+    Args:
+        crew: who plans packages.
+        session: the workspace before the installation, and its profile.
+        installed: the plan of the installation.
+        names: the packages to install.
+        proof: makes the stage that proves.
+        plan: what will be done.
+        request: what the user asks for.
+
+    Raises:
+        KeymintError: a claim about an enclave is refuted or unknown; exit code 3.
+    """
+    before, session, kept = session, session.after(installed), installed.of_action(Action.KEPT, Action.REMOVED)
+    # New shared documents decide about enclaves that stay as they are, too.
+    names = [name for name in sorted({*names, *affected(before, session)}) if name not in kept]
+    stage = proof(session)
+    results = stage.results(crew.planned(stage, names))
+    diagnostics = diagnostics_of(results, strict=request.strict)
+    of_vendors = {enclave.subject for enclave in results.enclaves if _holds(enclave, results.standards)}
+    refused = [
+        replace(diagnostic, help=_with_remedy(diagnostic.help, of_vendors=diagnostic.subject in of_vendors))
+        for diagnostic in diagnostics
+        if diagnostic.code != NO_PROVER
+        and not (diagnostic.subject in of_vendors and _goes_on(session, diagnostic.subject))
+    ]
+
+    def shown(name: str) -> str:
+        return session.workspace.shown(session.workspace.build / name)
+
+    if refused:
+        edits = _refused_edits(session, plan, {each.subject for each in refused})
+        by_edit = {each.where for each in edits}
+        # Other warnings of the plan often name the cause, e.g. a changed policy.
+        warnings = [each for each in plan.diagnostics if each.code != HAND_EDITED or each.where not in by_edit]
+        raise KeymintError.of([*warnings, *edits, *merged_packages(refused, shown)], ExitCode.FINDINGS)
+    # Validity does not stop an installation: a certificate may become valid tomorrow.
+    known = {each.code for each in plan.diagnostics}  # what the dates of the sources say already
+    validity = [each for each in dated_of(results) if each.code not in known]
+    warnings = [replace(each, severity=Severity.WARNING) for each in (*diagnostics, *merged_packages(validity, shown))]
+    return replace(plan, state=results.state).noting(*warnings)
+
+
+def _refused_edits(session: Session, plan: Plan, subjects: Collection[str]) -> list[Diagnostic]:
+    """Return an error for each manually edited document of subjects whose proof fails."""
+    edited = [(each.where, each.subject) for each in plan.diagnostics if each.code == HAND_EDITED and each.where]
+    # A document that all subjects share has no subject.
+    found = [(where, "", "keymint build -f") for where, subject in edited if not subject]
+    for subject in sorted(filter(None, subjects)):
+        name = name_of(subject)
+        found += [(where, subject, f"keymint build -f {name}") for where, edited_for in edited if edited_for == subject]
+        grant = session.package(name).grant
+        if grant.edited:
+            found.append((grant.origin, subject, f"keymint create -f {name}"))
+    edits = {
+        where: Diagnostic.error(
+            HAND_EDITED,
+            f"a manual edit changes what {subject or 'the subjects'} may do",
+            where,
+            f"change the policy instead; '{command}' discards the edit",
+            subject,
+        )
+        for where, subject, command in found
+    }
+    return list(edits.values())
+
+
+def _goes_on(session: Session, subject: str) -> bool:
+    """Tell whether a subject goes on with all documents that another tool signed: nothing new is signed for it."""
+    name = name_of(subject)
+    kept = session.package(name).kept
+    return bool(kept) and all(
+        session.tree.read(session.workspace.build / name / document) == content for document, content in kept.items()
+    )
+
+
+def _holds(enclave: EnclaveProof, standards: Collection[str]) -> bool:
+    """Return whether an enclave is proven by the standards, so that only vendors differ."""
+    own = [claim for claim in enclave.claims if claim.model in standards]
+    return bool(own) and all(claim.proof is Proof.PROVEN for claim in own)
+
+
+def _with_remedy(help_: str, *, of_vendors: bool) -> str:
+    accept = "accept differences between vendors with --allow-vendor-specific, " if of_vendors else ""
+    remedy = f"nothing was installed; rebuild it from the policy, {accept}or sign it anyway with --no-prove"
+    return f"{help_}; {remedy}" if help_ else remedy

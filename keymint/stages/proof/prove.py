@@ -1,0 +1,315 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stage ``prove``: prove claims about installed enclaves. It writes nothing but the record of proofs.
+
+The proof of an enclave whose claims were all proven is cached until its files, its policy or the tool change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+
+from comarmor.errors import Defects, Diagnostic
+from keymint import __version__
+from keymint.api import (
+    Claim,
+    DigestedPolicy,
+    LoadedPolicy,
+    Package,
+    Proof,
+    ProofTask,
+    Prover,
+    RemoteProver,
+    Role,
+    SharedProofTask,
+    SharedProver,
+    ValidityTerm,
+    VendorModels,
+)
+from keymint.authority.authority_files import chains_digest
+from keymint.errors import KeymintError
+from keymint.executors import Pool
+from keymint.ir import SubjectRules
+from keymint.life import terms
+from keymint.names import name_of, subject_of
+from keymint.stages.proof import proof_record, shared_proof
+from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, ProofResults, costliest
+from keymint.stages.proof.trust_anchors import anchors_of, contradictions_for, shared_anchors, unread_of
+from keymint.stages.shared_documents import load_packages, record_key, shared_folder, users
+from keymint.view.stamps import Stamp, digest
+from keymint.workspace.installed_enclaves import enclave_digests, enclave_files, not_installed
+from keymint.workspace.package_build_types import build_types_of, inputs_digest, prover_of
+from keymint.workspace.session import Session
+
+STAGE = "prove"
+LEAST = 50
+"""Enclaves for which a process of its own is worth its start."""
+NO_PROVER = "proof-unsupported"
+"""Code of the finding on an enclave whose build type proves nothing."""
+
+
+def policy_digest(policy: LoadedPolicy) -> str:
+    """Return the digest of the files that a policy was read from."""
+    return digest(*(f"{path} {value.hex()}" for path, value in sorted(policy.seen.items())))
+
+
+class ProofStage:
+    """The stage ``prove``: proves enclaves one by one, and then the claims across them.
+
+    Args:
+        session: the workspace and its profile.
+        policy: the policy that the enclaves are compared with.
+        effort: what to claim, and limits of the search.
+        unsigned: the documents are about to be signed: messages cite the unsigned ones in the build space.
+    """
+
+    NAME = STAGE
+
+    def __init__(self, session: Session, policy: LoadedPolicy, effort: ProofEffort, *, unsigned: bool = False) -> None:
+        self._session = session
+        self._policy = policy
+        self._effort = effort
+        self._unsigned = unsigned
+        self._policy_digest = policy_digest(policy)
+        self._chains_digest = chains_digest(session)
+        self._digested = policy if isinstance(policy, DigestedPolicy) else None
+        workspace = session.workspace
+        self._shared_folder = workspace.shown(shared_folder(session) if unsigned else workspace.install)
+        self._asked: list[tuple[RemoteProver, object]] | None = None
+        """What other machines are to prove; None while it is proven here."""
+
+    def results(self, proven: Sequence[EnclaveProof]) -> ProofResults:
+        """Put the proofs of some packages together, and add the claims across subjects."""
+        across = tuple(self._across({each.name for each in proven}))
+        stamps = {each.name: each.stamp for each in (*proven, *across) if each.stamp}
+        refuted = {each.name for each in (*proven, *across) if each.refuted}
+        state = self._session.state
+        if stamps or any(state.stamp(STAGE, name) for name in refuted):
+            state = state.updated(STAGE, stamps, refuted)
+        assumptions: dict[str, Sequence[str]] = {}
+        standards: set[str] = set()
+        evidence: dict[str, str] = {}
+        for name in dict.fromkeys(name for each in proven for name in each.build_types):
+            if prover := prover_of(self._session, name):
+                assumptions |= prover.assumptions()
+                standards.update([*prover.assumptions()][:1])
+                evidence |= prover.models() if isinstance(prover, VendorModels) else {}
+        known = frozenset(standards), evidence
+        return ProofResults(tuple(proven), across, state, assumptions, *known, self._session.now)
+
+    def ask(self, pool: Pool, names: Sequence[str]) -> None:
+        """Let other machines prove claims that are not cached; those that they do not prove are decided here."""
+        if self._effort.standard_only:
+            return
+        self._asked = []
+        for name in names:
+            self.package(name)
+        asked, self._asked = self._asked, None
+        for prover in dict.fromkeys(prover for prover, _ in asked):
+            parts = pool.parts([question for by, question in asked if by is prover], 1)
+            for part, answers in zip(parts, pool.map(prover.proving(), parts), strict=True):
+                for question, claims in zip(part, answers, strict=False):
+                    prover.know(question, claims)
+
+    def all(self, names: Sequence[str], on_enclave: Callable[[str], None], pool: Pool) -> ProofResults:
+        """Prove or refute the claims about the enclaves of some packages, and those across subjects.
+
+        Args:
+            names: names of packages.
+            on_enclave: called with each name after its proof.
+            pool: where else to prove.
+
+        Raises:
+            KeymintError: a package has defects, or the pool is lost.
+        """
+        proven: list[EnclaveProof] = []
+        parts: Iterable[Sequence[str]] = ([name] for name in names)
+        results: Iterable[list[EnclaveProof]] = ([self.package(name)] for name in names)
+        if not pool.shares_memory:
+            self.ask(pool, names)
+        elif len(divided := pool.parts(names, LEAST)) > 1:
+            parts = divided
+            results = pool.map(lambda _plugins, part: [self.package(name) for name in part], parts)
+        for part, proofs in zip(parts, results, strict=True):
+            proven += proofs
+            for name in part:
+                on_enclave(name)
+        return self.results(proven)
+
+    def package(self, name: str) -> EnclaveProof:
+        """Prove the claims about one enclave, unless the proof is cached."""
+        session = self._session
+        digests = enclave_digests(session, name)
+        files: Mapping[str, bytes] | None = None
+        if digests is None:
+            files, unread = enclave_files(session, name)
+            if defects := unread_of(session, session.package(name), unread):
+                return EnclaveProof(name, subject_of(name), diagnostics=defects, refuted=True)
+            digests = {file: digest(content) for file, content in files.items()}
+        if contradictions := contradictions_for(session, name):
+            return EnclaveProof(name, subject_of(name), diagnostics=contradictions)
+        stamp, folder = session.state.stamp(STAGE, name), self._shown(name)
+        current = stamp is not None and stamp.inputs == self._inputs_digest(name, digests, stamp.build_types)
+        cached = proof_record.load(stamp, folder) if stamp and current else None
+        if stamp and cached and self._same_rules(stamp, [subject_of(name)]):
+            claims, validity = cached
+            # The cache does not depend on the clock: whether documents are in force is checked at each run.
+            proof = EnclaveProof(name, subject_of(name), claims, cached=True, terms=validity)
+            return replace(proof, build_types=stamp.build_types, stamp=self._of_policy(stamp, [subject_of(name)]))
+        package = session.package(name)
+        files = enclave_files(session, name)[0] if files is None else files
+        build_types = tuple(build_types_of(session, package)) if files else ()
+        inputs = self._inputs_digest(name, digests, build_types)
+        rules = self._rules(package.subject)
+        proof = self._proof(package, rules, files, folder)
+        return self._kept(proof, (rules,), Stamp(inputs, {}, build_types=build_types), folder)
+
+    def _across(self, names: Collection[str]) -> Iterator[EnclaveProof]:
+        """Prove the claims across subjects of the build types that some packages have, unless these are cached."""
+        for name, of_type in users(self._session).items():
+            build_type: object = self._session.plugins.build_type(name)
+            if isinstance(build_type, SharedProver) and not set(names).isdisjoint(of_type):
+                yield self._prove_across(name, of_type, build_type)
+
+    def _prove_across(self, name: str, names: Sequence[str], prover: SharedProver) -> EnclaveProof:
+        session, key, folder = self._session, record_key(name), self._shared_folder
+        enclaves = shared_proof.enclaves_of(session, name)
+        inputs = shared_proof.inputs_digest(session, name, enclaves)
+        stamp, subjects = session.state.stamp(STAGE, key), [subject_of(each) for each in names]
+        cached = proof_record.load(stamp, folder) if stamp and stamp.inputs == inputs else None
+        if stamp and cached and self._same_rules(stamp, subjects):
+            proof = EnclaveProof(key, "", cached[0], cached=True, build_types=(name,))
+            return replace(proof, stamp=self._of_policy(stamp, subjects))
+        rules = {subject: self._rules(subject) for subject in subjects}
+        try:
+            packages = load_packages(session, name)
+            task = SharedProofTask(
+                packages,
+                rules,
+                enclaves,
+                session.workspace.shown(session.workspace.build if self._unsigned else session.enclaves),
+                shared_proof.installed_documents(session, name),
+                folder,
+                shared_anchors(session, packages, session.plugins.build_type(name)),
+                self._effort.states,
+                self._effort.deadline(),
+                self._unsigned,
+            )
+            with self._effort.limit(rule for each in rules.values() for rule in each.rules):
+                claims = _with_rules(prover.prove_shared(task), rules.values())
+            proof = EnclaveProof(key, "", claims)
+        except KeymintError as error:
+            proof = EnclaveProof(key, "", diagnostics=tuple(error.diagnostics))
+        return self._kept(proof, rules.values(), Stamp(inputs, {}, build_types=(name,)), folder)
+
+    def _kept(self, proof: EnclaveProof, rules: Collection[SubjectRules], stamp: Stamp, folder: str) -> EnclaveProof:
+        """Return a proof with its record if all its claims are proven."""
+        proof = replace(proof, build_types=stamp.build_types)
+        if self._effort.standard_only:
+            return proof
+        if proof.diagnostics or any(claim.proof is not Proof.PROVEN for claim in proof.claims):
+            return replace(proof, refuted=True)
+        stamp = replace(stamp, outputs=proof_record.dump(proof.claims, proof.terms, rules, folder))
+        return replace(proof, stamp=self._of_policy(stamp, [each.subject for each in rules]))
+
+    def _same_rules(self, stamp: Stamp, subjects: Iterable[str]) -> bool:
+        """Tell whether the policy has the same rules for some subjects as when the stamp was made."""
+        return (
+            stamp.context == self._policy_digest
+            or proof_record.has_written(stamp, self._written(subjects))
+            or proof_record.has_rules(stamp, [self._rules(subject) for subject in subjects])
+        )
+
+    def _written(self, subjects: Iterable[str]) -> str:
+        """Return a digest that is the same if the rules of some subjects are, and their files; or an empty text."""
+        if self._digested is None:
+            return ""
+        digests = [self._digested.rules_digest(subject) for subject in subjects]
+        return "" if None in digests else digest(*map(str, digests))
+
+    def _of_policy(self, stamp: Stamp, subjects: Iterable[str]) -> Stamp | None:
+        """Return a stamp as the present policy has it, or None if it is that already."""
+        if stamp.context == self._policy_digest:
+            return None
+        outputs = proof_record.written(stamp.outputs, self._written(subjects))
+        return replace(stamp, context=self._policy_digest, outputs=outputs)
+
+    def _shown(self, name: str) -> str:
+        """Return the path of an enclave's files in messages, as the user would type it."""
+        workspace = self._session.workspace
+        return workspace.shown(workspace.build / name if self._unsigned else self._session.enclave(name))
+
+    def _proof(self, package: Package, rules: SubjectRules, files: Mapping[str, bytes], folder: str) -> EnclaveProof:
+        subject = package.subject
+        if not files:
+            return EnclaveProof(package.name, subject, diagnostics=(not_installed(package.name, folder),))
+        claims: list[Claim] = []
+        validity: list[ValidityTerm] = []
+        defects = Defects()
+        build_types = build_types_of(self._session, package)
+        for name in build_types:
+            prover = prover_of(self._session, name)
+            if prover is None:
+                message, marker = f"the build type {name} proves nothing", self._session.package_marker(package.name)
+                defects.found.append(Diagnostic.error(NO_PROVER, message, marker))
+                continue
+            with defects:
+                task = ProofTask(
+                    package,
+                    rules,
+                    files,
+                    folder,
+                    anchors_of(self._session, package, build_types[name]),
+                    self._effort.states,
+                    self._effort.deadline(),
+                    self._effort.standard_only,
+                    self._unsigned,
+                    shared_proof.installed_documents(self._session, name),
+                    self._shared_folder,
+                )
+                own = _with_rules(self._claims(prover, task), (rules,))
+                periods = prover.terms(files, folder, task.anchors, task.shared, task.shared_folder)
+                claims += own
+                models = {claim.model for claim in own} or prover.assumptions().keys()
+                validity += terms.terms_of(periods, models)
+        of_subject = tuple(replace(each, subject=subject) for each in dict.fromkeys(defects.found))
+        periods = tuple(dict.fromkeys(validity))
+        return EnclaveProof(package.name, subject, tuple(claims), diagnostics=of_subject, terms=periods)
+
+    def _claims(self, prover: Prover, task: ProofTask) -> Sequence[Claim]:
+        """Return the claims about an enclave; the policy grants nothing to infrastructure, which must be ours though.
+
+        Raises:
+            KeymintError: the enclave cannot be read, or the anchors do not vouch for it.
+        """
+        if task.package.role is Role.SUBJECT:
+            if self._asked is None:
+                with self._effort.limit(task.rules.rules):
+                    return prover.prove(task)
+            if isinstance(prover, RemoteProver):
+                self._asked.append((prover, prover.question(task)))
+            return ()
+        if found := prover.differences(task.files, task.folder, task.anchors, task.shared, task.shared_folder):
+            raise KeymintError.of(found)
+        return ()
+
+    def _inputs_digest(self, name: str, digests: Mapping[str, str], build_types: Iterable[str]) -> str:
+        """Return the digest of everything that a proof depends on, except the policy."""
+        shared = (shared_proof.documents_digest(self._session, each) for each in build_types)
+        files = (part for item in sorted(digests.items()) for part in item)
+        of_vendors = filter(None, [self._session.vendors_of])
+        built = inputs_digest(self._session, name)
+        return digest(built, self._chains_digest, __version__, *of_vendors, *shared, "", *files)
+
+    def _rules(self, subject: str) -> SubjectRules:
+        """Return the policy's rules for a subject; none for infrastructure, even if a profile is for every subject."""
+        of_subject = self._session.role(name_of(subject)) is Role.SUBJECT
+        return (self._policy.rules(subject) if of_subject else None) or SubjectRules(subject, ())
+
+
+def _with_rules(claims: Iterable[Claim], rules: Iterable[SubjectRules]) -> tuple[Claim, ...]:
+    """Return claims; those that took too many steps also name the rules that are likely to blame."""
+    if not any(each.spent for each in claims):
+        return tuple(claims)
+    places = costliest(rule for each in rules for rule in each.rules)
+    return tuple(replace(each, reason=each.reason + places) if each.spent else each for each in claims)

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Trust anchors: the workspace's authorities that an enclave must rest on, and where it does not.
+
+Proofs rest on the certificates in ``public/``. The workspace has other evidence of what these should be: the private
+key beside each, the record of keys in use, and the profile. If that contradicts the certificate, or the file contains
+more than one certificate, nothing that rests on it is claimed. Enclaves are no evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+
+from comarmor.errors import Defects, Diagnostic
+from keymint.api import BuildType, Package, TrustAnchor, TrustAnchors
+from keymint.authority import authority_files
+from keymint.authority.authority_files import AuthorityFiles, trusted_chains
+from keymint.errors import KeymintError
+from keymint.pki import certificates
+from keymint.pki.keys import PublicKey
+from keymint.stages.proof.shared_proof import installed_documents
+from keymint.stages.shared_install import shared_roles
+from keymint.workspace.installed_enclaves import INSTALLED, enclave_files
+from keymint.workspace.package_build_types import build_types_of, is_build_current, issuers_of, prover_of, suffixes_read
+from keymint.workspace.session import Inputs, Session, once
+
+
+def anchors_of(session: Session, package: Package, build_type: BuildType) -> TrustAnchors:
+    """Return the trust anchors that the enclave of a package must rest on.
+
+    Args:
+        session: the workspace and its profile.
+        package: the package.
+        build_type: one of its build types.
+    """
+    authorities = {role.role: _anchor(session, (role.name,)) for role in build_type.authorities(package)}
+    identity, layout, public_key = package.identity, session.profile.layout, package.issuance.public_key
+    distro = session.vendors_of or package.distro
+    return TrustAnchors(authorities, identity.subject_name, layout, public_key, identity.key.uri, distro)
+
+
+def shared_anchors(session: Session, packages: Iterable[Package], build_type: BuildType) -> Mapping[str, TrustAnchor]:
+    """Return the trust anchors by role that the shared documents of a build type must rest on.
+
+    Args:
+        session: the workspace and its profile.
+        packages: the packages of the build type.
+        build_type: the build type.
+
+    Raises:
+        KeymintError: two packages have different authorities in a role that signs.
+    """
+    return {
+        role: _anchor(session, tuple(each.name for each in of_role))
+        for role, of_role in shared_roles(packages, build_type).items()
+    }
+
+
+@once
+def _anchor(session: Session, names: tuple[str, ...]) -> TrustAnchor:
+    """Return the trust anchor of some authorities."""
+    workspace, chains = session.workspace, trusted_chains(session)
+    files = ", ".join(workspace.shown(workspace.authority_certificate(name)) for name in names)
+    return TrustAnchor(", ".join(names), files, b"".join(dict.fromkeys(chains.get(name, b"") for name in names)))
+
+
+def unread_of(session: Session, package: Package, unread: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
+    """Return the findings on unreadable files that belong to an enclave, by the record or by their names."""
+    suffixes, stamp = suffixes_read(session, package), session.state.stamp(INSTALLED, package.name)
+    named = ((each.where.file.rpartition("/")[2] if each.where else "", each) for each in unread)
+    own = {*stamp.outputs, ""} if stamp else {""}
+    return tuple(each for file, each in named if file in own or file.endswith(suffixes))
+
+
+def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...]:
+    """Return the findings on enclaves that do not rest on the workspace's authorities.
+
+    Enclaves that are not installed, or whose build type cannot tell, have none.
+
+    Raises:
+        KeymintError: a package has defects.
+    """
+    findings: list[Diagnostic] = []
+    for name in names:
+        files, unread = enclave_files(session, name)
+        if not (files or unread):
+            continue
+        package = session.package(name, built=is_build_current(session, name))
+        findings += unread_of(session, package, unread)
+        if not files:
+            continue
+        findings += contradictions_for(session, name)
+        folder = session.workspace.shown(session.enclave_folder(name))
+        for build_type, plugin in build_types_of(session, package).items():
+            if prover := prover_of(session, build_type):
+                anchors = anchors_of(session, package, plugin)
+                shared = installed_documents(session, build_type)
+                shown = session.workspace.shown(session.workspace.install)
+                found = prover.differences(files, folder, anchors, shared, shown)
+                findings += (replace(each, subject=package.subject) for each in found)
+    return tuple(dict.fromkeys(findings))
+
+
+# -- what speaks against an anchor -------------------------------------------------------------------------------------
+
+
+@once
+def contradictions(session: Session) -> Mapping[str, tuple[Diagnostic, ...]]:
+    """Return the contradictions of all authorities of a workspace that have any.
+
+    Those of an issuer count for the authorities below it. A missing certificate is no contradiction.
+    """
+    by_authority: dict[str, tuple[Diagnostic, ...]] = {}
+    for authority in authority_files.in_order(session.profile.authorities):
+        files = authority_files.read_files(session, authority, deployed=False)
+        own = () if files.content is None else against(files, _key(session, files))
+        if all_ := (*own, *by_authority.get(authority.certificate.issuer, ())):
+            by_authority[authority.name] = all_
+    return by_authority
+
+
+def contradictions_for(session: Session, name: str) -> tuple[Diagnostic, ...]:
+    """Return the contradictions of the authorities that the enclave of a package rests on, each once.
+
+    Raises:
+        KeymintError: the package has defects.
+    """
+    known = contradictions(session)
+    issuers = issuers_of(session, session.package(name, built=is_build_current(session, name))) if known else ()
+    return tuple(dict.fromkeys(each for issuer in issuers for each in known.get(issuer, ())))
+
+
+def against(files: AuthorityFiles, key: PublicKey | None) -> tuple[Diagnostic, ...]:
+    """Return what contradicts the certificate of an authority: its form, its key, its name, and what is recorded.
+
+    Args:
+        files: the files of the authority, of which the certificate is there.
+        key: the public key of its private key; None if that is not known.
+    """
+    content, where, adopted = files.content or b"", files.certificate_file, files.authority.certificate.adopted
+    defects = Defects()
+    with defects:
+        # Transports differ in what they read of a file with several blocks: some trust each certificate in it.
+        certificates.load(content, where)
+        public = certificates.public_key(certificates.load_first(content, where), where)
+        if adopted and content != adopted:
+            raise KeymintError(
+                f"is not the certificate that was imported for the authority {files.name!r}",
+                where=where,
+                help="'keymint install' restores it; 'keymint authority import' takes another one",
+                code="authority-drift",
+            )
+        authority_files.require_in_use(files, key or public)
+    return tuple(defects.found)
+
+
+def _key(inputs: Inputs, files: AuthorityFiles) -> PublicKey | None:
+    """Return the public key of the stored private key of an authority; one that cannot be read is no evidence."""
+    if not files.authority.certificate.key.uri:
+        with suppress(KeymintError):
+            stored = authority_files.stored_key(inputs, files.authority, files.name)
+            return stored[1].public_key() if stored else None
+    return None

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Planned changes: the files to write and to remove, by folder, step and plan."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping
+from dataclasses import field, replace
+from enum import StrEnum
+from pathlib import Path
+
+from comarmor.errors import Diagnostic
+from comarmor.values import dataclass
+from keymint.view.stamps import State
+from keymint.view.tree import Content, File, HeldFile, Tree
+
+__all__ = ["Action", "DocumentSize", "File", "FolderChange", "Plan", "Step", "changed", "file_mode"]
+
+
+class Action(StrEnum):
+    """The effect of a step on its package."""
+
+    CREATED = "created"
+    UPDATED = "updated"
+    UNCHANGED = "unchanged"
+    KEPT = "kept"
+    REMOVED = "removed"
+
+
+def file_mode(*, secret: bool) -> int:
+    """Return the mode of a secret or public file."""
+    return 0o600 if secret else 0o644
+
+
+@dataclass(frozen=True, slots=True)
+class FolderChange:
+    """Files to write into one folder, and names to remove from it.
+
+    Attributes:
+        folder: absolute path.
+        files: files by name; written in this order, so that a reader meets the least harm in between.
+        removed: names of files to remove.
+        private: the folder and the ones created on the way to it are 0700 even when no file is secret.
+        held: files by name whose content another process holds and will write.
+    """
+
+    folder: Path
+    files: Mapping[str, File] = field(default_factory=dict)
+    removed: tuple[str, ...] = ()
+    private: bool = False
+    held: Mapping[str, HeldFile] = field(default_factory=dict)
+
+    @property
+    def written(self) -> Mapping[str, File | HeldFile]:
+        """The files that are written, by whichever process, by name."""
+        return {**self.files, **self.held}
+
+    def held_elsewhere(self) -> FolderChange:
+        """Return this change without the content of its files, for a process that does not write them."""
+        held = {name: HeldFile(file.digest, file.secret) for name, file in self.files.items()}
+        return FolderChange(self.folder, {}, self.removed, self.private, held)
+
+
+def changed(tree: Tree, folder: Path, files: Mapping[str, File]) -> tuple[FolderChange, ...]:
+    """Return the change that gives a folder these files, without files that already have this content."""
+    different = {name: file for name, file in files.items() if tree.read(f"{folder}/{name}") != file.content}
+    return (FolderChange(folder, different),) if different else ()
+
+
+def secret_file(path: Path | str, content: bytes) -> FolderChange:
+    """Return the change that writes one secret file."""
+    path = Path(path)
+    return FolderChange(path.parent, {path.name: File(content, secret=True)}, private=True)
+
+
+def by_folder(root: Path, files: Mapping[str, File]) -> dict[Path, dict[str, File]]:
+    """Return files, given by path relative to a folder, by the folder that each lies in."""
+    folders: dict[Path, dict[str, File]] = {}
+    for path, file in files.items():
+        target = root / path
+        folders.setdefault(target.parent, {})[target.name] = file
+    return folders
+
+
+def changed_below(tree: Tree, root: Path, files: Mapping[str, bytes]) -> tuple[FolderChange, ...]:
+    """Return what :func:`changed` returns for files that are given by path relative to a folder."""
+    folders = by_folder(root, {path: File(content) for path, content in files.items()})
+    return tuple(change for folder, own in folders.items() for change in changed(tree, folder, own))
+
+
+@dataclass(frozen=True, slots=True)
+class DocumentSize:
+    """Bytes of a document that was rewritten into a smaller one, and of the plain document."""
+
+    file: str
+    bytes: int
+    plain_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What one stage does for one package, or for the workspace as a whole (empty name).
+
+    Attributes:
+        stage: the stage.
+        package: the package.
+        action: what becomes of it.
+        changes: what is written and removed.
+        detail: a few more words for the user.
+        sizes: of the documents that were built, those that may be rewritten.
+    """
+
+    stage: str
+    package: str
+    action: Action
+    changes: tuple[FolderChange, ...] = ()
+    detail: str = ""
+    sizes: tuple[DocumentSize, ...] = ()
+
+    def writes(self) -> bool:
+        """Tell whether anything is written."""
+        return any(change.written or change.removed for change in self.changes)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """All steps of a run, its diagnostics, and the record to keep when it is done.
+
+    Attributes:
+        first: what is durable before anything else is visible: the register of the certificates that the run issues.
+    """
+
+    steps: tuple[Step, ...]
+    state: State
+    diagnostics: tuple[Diagnostic, ...] = ()
+    first: tuple[FolderChange, ...] = ()
+
+    def then(self, other: Plan) -> Plan:
+        """Return this plan followed by one that was made on top of it."""
+        return Plan(
+            self.steps + other.steps, other.state, self.diagnostics + other.diagnostics, self.first + other.first
+        )
+
+    def noting(self, *diagnostics: Diagnostic) -> Plan:
+        """Return this plan with further diagnostics."""
+        return replace(self, diagnostics=(*self.diagnostics, *diagnostics))
+
+    def of_action(self, *actions: Action) -> frozenset[str]:
+        """Return the packages with a step that has one of some actions."""
+        return frozenset(step.package for step in self.steps if step.action in actions)
+
+    def changes(self) -> Iterator[FolderChange]:
+        """Yield all changes, in order."""
+        return itertools.chain(self.first, (change for step in self.steps for change in step.changes))
+
+    def overlay(self, below: str = "") -> list[tuple[str, Content]]:
+        """Return the planned content by path, for the stages that plan on top of this one.
+
+        Args:
+            below: if given, a folder with a slash at its end; only the content of it and of its subfolders is returned.
+        """
+        changed: list[tuple[str, Content]] = []
+        for change in self.changes():
+            if below and not f"{change.folder}/".startswith(below):
+                continue
+            changed += [(f"{change.folder}/{name}", file) for name, file in change.written.items()]
+            changed += [(f"{change.folder}/{name}", None) for name in change.removed]
+        return changed
+
+    def writes(self) -> bool:
+        """Tell whether anything is written."""
+        return bool(self.first) or any(step.writes() for step in self.steps)

@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Primitives of the store: create one file or folder, and report errors of the system.
+
+Everything here works on names in a folder that is already open, so no symbolic link is followed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import errno
+import functools
+import itertools
+import os
+import stat
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NoReturn
+
+from comarmor.errors import Origin
+from comarmor.text import quoted
+from keymint.errors import KeymintError
+from keymint.store.changes import File, file_mode
+
+PREFIX, SUFFIX = ".keymint-", ".tmp"
+"""Prefix and suffix of the names of temporary files and folders."""
+FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+NEW_FILE = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+MAX_COMPONENT = 255
+"""Bytes that common file systems allow in one component of a path."""
+_serial = itertools.count()
+
+
+@functools.cache
+def c_function(name: str) -> Callable[..., int] | None:
+    """Return a function of the C library that Python lacks, or None if the library lacks it, too."""
+    try:
+        found: Callable[..., int] = getattr(ctypes.CDLL(None, use_errno=True), name)
+    except (OSError, AttributeError):
+        return None
+    return found
+
+
+def temporary(suffix: str = SUFFIX) -> str:
+    """Return a unique name that a sweep recognises as temporary."""
+    return f"{PREFIX}{os.getpid()}-{next(_serial)}{suffix}"
+
+
+def is_temporary(name: str) -> bool:
+    """Tell whether a file or folder of this name may be removed if no run is in progress."""
+    return name.startswith(PREFIX) and name.endswith(SUFFIX)
+
+
+@contextlib.contextmanager
+def opened_folder(name: str | Path, parent: int | None = None) -> Iterator[int]:
+    """Open a folder, relative to an open parent folder if given, without following a link."""
+    descriptor = os.open(name, FOLDER, dir_fd=parent)
+    try:
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
+def create(folder: int, shown: str | Path, name: str, file: File, owner: tuple[int, int] | None = None) -> None:
+    """Create a file.
+
+    Args:
+        folder: the open folder.
+        shown: its path, for messages.
+        name: name of the new file.
+        file: its content.
+        owner: user and group to give it to, if the system permits that.
+    """
+    try:
+        if file.link:
+            os.symlink(file.link, name, dir_fd=folder)
+            return
+        opened = os.open(name, NEW_FILE, 0o600, dir_fd=folder)
+        try:
+            write_all(opened, file.content)
+            give(opened, owner)
+            os.fchmod(opened, file_mode(secret=file.secret) if file.mode is None else file.mode)
+        finally:
+            os.close(opened)
+    except OSError as error:
+        refuse(f"{shown}/{name}", error)
+
+
+def write_all(opened: int, content: bytes) -> None:
+    """Write to an open file; the system may take several writes for it."""
+    written = os.write(opened, content)
+    while written < len(content):
+        written += os.write(opened, memoryview(content)[written:])
+
+
+def give(opened: int, owner: tuple[int, int] | None) -> None:
+    """Give an open file or folder to a user and group; does nothing unless run as root."""
+    if owner is not None:
+        status = os.fstat(opened)
+        if owner != (status.st_uid, status.st_gid):
+            with contextlib.suppress(PermissionError):
+                os.fchown(opened, *owner)
+
+
+def make_folder(name: str | Path, mode: int, parent: int | None = None) -> None:
+    """Create a folder with exactly this mode, independent of the umask."""
+    os.mkdir(name, mode, dir_fd=parent)
+    if stat.S_IMODE(os.stat(name, dir_fd=parent, follow_symlinks=False).st_mode) != mode:
+        os.chmod(name, mode, dir_fd=parent)
+
+
+def check_component(name: str, folder: str | Path) -> None:
+    """Raise an error for text that cannot be the name of a file."""
+    if name in {"", ".", ".."} or "/" in name or "\0" in name:
+        raise KeymintError(f"{name!r} is not a file name", where=Origin(str(folder)), code="confined")
+    if len(os.fsencode(name)) > MAX_COMPONENT:
+        raise KeymintError(
+            f"the name {quoted(name, 40)} is longer than {MAX_COMPONENT} bytes",
+            where=Origin(str(folder)),
+            code="confined",
+        )
+
+
+def require_regular(folder: int, shown: str | Path, name: str, *, or_link: bool = False) -> os.stat_result | None:
+    """Return the status of the regular file that is about to be replaced, or None if there is none.
+
+    Args:
+        folder: the open folder.
+        shown: its path, for messages.
+        name: name of the file.
+        or_link: a symbolic link may be replaced as well; then None is returned.
+
+    Raises:
+        KeymintError: the name belongs to a symbolic link, a folder or another kind of file.
+    """
+    try:
+        status = os.lstat(name, dir_fd=folder)
+    except FileNotFoundError:
+        return None
+    if or_link and stat.S_ISLNK(status.st_mode):
+        return None
+    if not stat.S_ISREG(status.st_mode):
+        kind = "a symbolic link" if stat.S_ISLNK(status.st_mode) else "not a regular file"
+        raise KeymintError(
+            f"is {kind}, so it is not replaced",
+            where=Origin(f"{shown}/{name}"),
+            help="remove it if it is not yours",
+            code="symlink-refused",
+        )
+    return status
+
+
+class reported:  # noqa: N801 - used as a function
+    """A context that turns an error of the system into a one-line error for the user.
+
+    Args:
+        path: what is read or written in it.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self._path = path
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
+        if isinstance(error, OSError) and not isinstance(error, KeymintError):
+            refuse(self._path, error)
+
+
+def refuse(path: str | Path, error: OSError) -> NoReturn:
+    """Raise the error for a path that cannot be written."""
+    path = Path(path)
+    if error.errno == errno.ELOOP or (
+        error.errno == errno.ENOTDIR and any(above.is_symlink() for above in (path, *path.parents))
+    ):
+        raise KeymintError(
+            "a symbolic link is in the way, which is refused",
+            where=Origin(str(path)),
+            help="remove it, or set the space with its option",
+            code="symlink-refused",
+        ) from error
+    helps = {
+        errno.ENOSPC: "free some space and run again; the previous files are intact",
+        errno.EDQUOT: "free some space and run again; the previous files are intact",
+        errno.EACCES: "check the owner and mode of the folder",
+        errno.EPERM: "check the owner and mode of the folder",
+        errno.EROFS: "the file system is mounted read-only",
+    }
+    raise KeymintError(
+        f"cannot be written: {os.strerror(error.errno or 0)}",
+        where=Origin(str(path)),
+        help=helps.get(error.errno or 0, ""),
+        code="write-failed",
+    ) from error

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The journal of a run that writes: what was asked for, and the names that change once everything is staged.
+
+It is the mark of a running command. Before the first effect it has the intent; once all is staged and durable, also the
+names that are about to change. So the next run finishes what became visible in part, and drops what did not.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from comarmor.errors import Diagnostic
+from comarmor.values import dataclass
+from keymint.errors import KeymintError
+from keymint.names import listed
+from keymint.store.file_writing import check_component, is_temporary
+from keymint.store.group_commit import commit
+from keymint.store.open_folders import OpenFolders, Roots
+from keymint.store.staged import Exchange, Staged
+from keymint.view.stamps import digest, sealed, unsealed
+
+MARK = "running"
+"""Name of its file in the folder of records, which stays if the command is killed."""
+
+VERSION = 1
+_SHOWN = frozenset({"-v", "--verbose", "-q", "--quiet", "--json"})
+"""Options that change what a command shows, and nothing else."""
+_OUTPUTS = ("-o", "--output", "--with-key")
+"""Options whose values are files that a command writes."""
+_NAMING_FILES = frozenset(
+    {"accept", "adopt", "authority", "discover", "fmt", "import", "init", "learn", "provision", "sign"}
+)
+"""Verbs whose arguments are files; those of all others are names, e.g. ``/`` or ``/opt``, which are no paths."""
+_MOST_FILES = 100_000
+"""Files of a folder whose size and time are compared."""
+
+
+@dataclass(frozen=True, slots=True)
+class Intent:
+    """What a run was asked for.
+
+    Attributes:
+        command: the command as it was typed.
+        inputs: digest of its arguments, and of the files that they name; the same for the same command only.
+        packages: the packages that it changes.
+    """
+
+    command: str = ""
+    inputs: str = ""
+    packages: tuple[str, ...] = ()
+
+
+def intent_of(arguments: Sequence[str], folder: Path) -> Intent:
+    """Return the intent of a command.
+
+    Args:
+        arguments: those of the command line.
+        folder: the current directory.
+
+    """
+    words = ["keymint", *(word for word in arguments if word not in _SHOWN)]
+    parts = words[:2]
+    if not _NAMING_FILES.intersection(parts):
+        return Intent(shlex.join(words), digest(*words))
+    for before, word in itertools.pairwise(words[1:]):
+        path = folder / word.rpartition("=")[2]
+        is_input = not before.startswith(_OUTPUTS) and not word.startswith(_OUTPUTS) and path.exists()
+        parts += [str(path.resolve()), _digest(str(path)) or ""] if is_input else [word]
+        if is_input and not before.startswith("-") and path.is_dir():
+            parts += sorted(map(_fingerprint, itertools.islice(path.rglob("*"), _MOST_FILES)))
+    return Intent(shlex.join(words), digest(*parts))
+
+
+@dataclass(frozen=True, slots=True)
+class Journal:
+    """A run that did not come to its end.
+
+    Attributes:
+        intent: what it was asked for.
+        exchanges: the names that it was about to change; empty if nothing was visible yet, or all of it is.
+        finished: all that it was asked for is visible.
+    """
+
+    intent: Intent = Intent()
+    exchanges: tuple[Exchange, ...] = ()
+    finished: bool = False
+
+    def outcome(self, intent: Intent) -> Diagnostic | None:
+        """Return what became of the run, for the next one; None if that does all of it by itself.
+
+        Args:
+            intent: that of the next run.
+        """
+        command, packages = self.intent.command, self.intent.packages
+        if self.finished:
+            message = f"'{command}' was interrupted; all that it was asked for is done now"
+            message += f": {listed(packages)}" if packages else ""
+            help_ = "deploy what it changed in the install space"
+        elif command and self.intent.inputs != intent.inputs:
+            message = f"'{command}' was interrupted before anything changed, and is dropped"
+            help_ = "give it again if it is still wanted"
+        else:
+            return None
+        return Diagnostic.warning("run-interrupted", message, None, help_)
+
+    def dump(self, records: Path) -> bytes:
+        """Return the journal as bytes; its paths are relative to the folder of records, so a workspace may be moved."""
+        rows = [
+            (each.order, os.path.relpath(each.folder, records), each.name, each.staged, each.file, each.replaces,
+             each.changed)
+            for each in self.exchanges
+        ]  # fmt: skip
+        intent = (self.intent.command, self.intent.inputs, self.intent.packages)
+        return sealed({"version": VERSION, "intent": intent, "exchanges": rows, "finished": self.finished})
+
+
+def _fingerprint(path: Path) -> str:
+    status = path.lstat()
+    return f"{path} {status.st_size} {status.st_mtime_ns}"
+
+
+def load(content: bytes, records: Path) -> Journal:
+    """Return a journal; one that is damaged or of another version has nothing that could be finished.
+
+    Args:
+        content: result of :meth:`Journal.dump`.
+        records: the folder of records.
+    """
+    document = unsealed(content, VERSION)
+    if document is None:
+        return Journal()
+    try:
+        command, inputs, packages = document["intent"]
+        exchanges = tuple(_exchange(records, *row) for row in document["exchanges"])
+        return Journal(Intent(str(command), str(inputs), tuple(map(str, packages))), exchanges, document["finished"])
+    except (ValueError, KeyError, TypeError, KeymintError):
+        return Journal()
+
+
+def _exchange(
+    records: Path, order: int, folder: str, name: str, staged: str | None, file: Any, replaces: Any, changed: Any
+) -> Exchange:
+    if staged is not None and not is_temporary(staged):
+        raise ValueError
+    for part in (name, *("/".join(changed).split("/") if changed else ()), *([staged] if staged else ())):
+        check_component(part, folder)
+    place = os.path.normpath(records / folder)
+    return Exchange(int(order), place, str(name), staged, bool(file), bool(replaces), dict(changed))
+
+
+def recovered(journal: Journal, roots: Roots) -> Journal:
+    """Finish a run that became visible in part; of one that did not, nothing is changed.
+
+    Args:
+        journal: what it was about to change.
+        roots: the roots of the store.
+
+    Returns:
+        The journal without names that are about to change.
+
+    Raises:
+        KeymintError: the system refuses; it can be tried again.
+    """
+    exchanges = journal.exchanges
+    finished = journal.finished or not (all(map(_is_pending, exchanges)) or any(map(_is_lost, exchanges)))
+    if finished:
+        for exchange in exchanges:
+            if _is_pending(exchange):  # asked late, since one may contain another one
+                commit(roots, [Staged((exchange,))], lambda _: None)
+        synced: set[str] = set()
+        with OpenFolders(roots, create=False) as folders:
+            for folder in {each.folder for each in exchanges if os.path.isdir(each.folder)}:
+                folders.sync(folder, synced)
+    return replace(journal, exchanges=(), finished=finished)
+
+
+def _is_pending(exchange: Exchange) -> bool:
+    """Tell whether a name is not changed yet, and can be."""
+    place = f"{exchange.folder}/{exchange.name}"
+    if exchange.staged is None:
+        paths = [f"{place}/{path}" for path in exchange.changed] if exchange.replaces else [place]
+        return any(map(os.path.lexists, paths))
+    # After two names are exchanged, the former folder has the name of what was staged.
+    return os.path.lexists(f"{exchange.folder}/{exchange.staged}") and (
+        not exchange.replaces or not _has(place, exchange.changed)
+    )
+
+
+def _is_lost(exchange: Exchange) -> bool:
+    """Tell whether a new name is not there, and what was staged for it is gone: another workspace removed it."""
+    names = (exchange.staged, exchange.name) if exchange.staged and not exchange.replaces else ()
+    return bool(names) and not any(os.path.lexists(f"{exchange.folder}/{name}") for name in names)
+
+
+def _has(folder: str, changed: Mapping[str, str | None]) -> bool:
+    """Tell whether a folder has the files that were staged, each given with its digest, or None if it was removed."""
+    return all(_digest(f"{folder}/{path}") == wanted for path, wanted in changed.items())
+
+
+def _digest(path: str) -> str | None:
+    try:
+        return digest(Path(path).read_bytes())
+    except OSError:
+        return None

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The folders below the roots of a store, opened component by component without following a link."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import stat
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from comarmor.errors import Origin
+from keymint.errors import KeymintError
+from keymint.store.file_writing import FOLDER, check_component, make_folder, opened_folder, reported
+
+
+class Roots:
+    """The folders that a store may write to.
+
+    Args:
+        roots: absolute folders, each with whether it is private: then every folder below it is 0700.
+        records: the folder of records; below one of the roots.
+    """
+
+    def __init__(self, roots: Mapping[Path, bool], records: Path) -> None:
+        # Longest first: a path belongs to the innermost root.
+        self.private = {str(root): roots[root] for root in sorted(roots, key=lambda each: -len(each.parts))}
+        self.kept = frozenset((*self.private, str(records)))
+        """The folders that are kept even if they are empty, and never replaced: they may be mount points."""
+        self._prefixes = {f"{root}/": root for root in self.private}
+
+    def of(self, path: str) -> str:
+        """Return the root that a path belongs to.
+
+        Raises:
+            KeymintError: there is none.
+        """
+        text = f"{path}/"
+        for prefix, root in self._prefixes.items():
+            if text.startswith(prefix) and "/../" not in text:
+                return root
+        raise KeymintError("is outside the workspace", where=Origin(path), code="confined")
+
+
+class OpenFolders:
+    """Opens folders below roots; the last one and those on the way to it stay open.
+
+    Args:
+        roots: where it may open folders.
+        create: create missing folders.
+    """
+
+    def __init__(self, roots: Roots, *, create: bool = True) -> None:
+        self._roots = roots
+        self._create = create
+        self._way: list[tuple[str, int]] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._leave(0)
+
+    def _leave(self, depth: int) -> None:
+        while len(self._way) > depth:
+            os.close(self._way.pop()[1])
+
+    def open(self, path: str, *, private: bool = False) -> int:
+        """Return the descriptor of a folder, which is valid until the next call.
+
+        Args:
+            path: the folder.
+            private: the folder must be 0700.
+
+        Raises:
+            KeymintError: the path is not below a root, a link is in the way, or the system refuses.
+        """
+        root = self._roots.of(path)
+        if self._way and self._way[0][0] != root:
+            self._leave(0)
+        depth = len(self._way)
+        while depth and not f"{path}/".startswith(f"{self._way[depth - 1][0]}/"):
+            depth -= 1
+        self._leave(depth)
+        if not self._way:
+            self._way.append((root, self._open_root(root)))
+        reached, opened = self._way[-1]
+        closed = self._roots.private[root]
+        for part in path[len(reached) + 1 :].split("/") if len(path) > len(reached) else ():
+            check_component(part, path)
+            reached = f"{reached}/{part}"
+            with reported(path):
+                opened = self._enter(opened, part, 0o700 if closed or (private and reached == path) else 0o755)
+            self._way.append((reached, opened))
+        if private and path != root:
+            with reported(path):
+                close_to_others(opened)
+        return opened
+
+    def _open_root(self, root: str) -> int:
+        with reported(root):
+            if self._create and not os.path.lexists(root):
+                Path(root).parent.mkdir(parents=True, exist_ok=True)
+                with contextlib.suppress(FileExistsError):
+                    make_folder(root, 0o700 if self._roots.private[root] else 0o755)
+                above = os.path.dirname(root)
+                if os.access(above, os.R_OK):
+                    with opened_folder(above) as opened:
+                        os.fsync(opened)
+            return os.open(root, FOLDER)
+
+    def _enter(self, folder: int, name: str, mode: int) -> int:
+        try:
+            return os.open(name, FOLDER, dir_fd=folder)
+        except FileNotFoundError:
+            if not self._create:
+                raise
+            with contextlib.suppress(FileExistsError):
+                make_folder(name, mode, folder)
+            return os.open(name, FOLDER, dir_fd=folder)
+
+    def sync(self, path: str, done: set[str]) -> None:
+        """Synchronise a folder and those on the way to it, which may be new.
+
+        Args:
+            path: the folder.
+            done: the folders that are synchronised already; extended.
+
+        Raises:
+            KeymintError: the system could not write everything.
+        """
+        self.open(path)
+        for reached, opened in self._way:
+            if reached not in done:
+                with reported(reached):
+                    os.fsync(opened)
+                done.add(reached)
+
+
+def close_to_others(opened: int) -> None:
+    """Give an open folder the mode 0700 if others may enter it."""
+    if stat.S_IMODE(os.fstat(opened).st_mode) & 0o077:
+        os.fchmod(opened, 0o700)

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The only writer: confined, locked, atomic, and strict about modes.
+
+* Every path is walked from one of the store's roots without following a link, so nothing is written elsewhere.
+* Changes are staged under temporary names, and committed together: nothing is visible before all of it is written and
+  synchronised. See :mod:`keymint.store.staged` and :mod:`keymint.store.group_commit`.
+* A new folder appears complete. A folder in which several files change is swapped in one step; see
+  :mod:`keymint.store.folder_staging` and :mod:`keymint.store.folder_swap`.
+* A secret is 0600 from its first byte and its folder 0700, whatever the umask.
+* What a killed run made visible in part, the next run finishes; the rest of it is removed. See
+  :mod:`keymint.store.journal`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from keymint.store import journal
+from keymint.store.changes import File, FolderChange
+from keymint.store.file_writing import is_temporary, opened_folder, reported
+from keymint.store.folder_swap import finish, is_waiting
+from keymint.store.group_commit import commit
+from keymint.store.journal import Intent, Journal
+from keymint.store.open_folders import OpenFolders, Roots
+from keymint.store.staged import Exchange, Staged, Staging, remove_staged
+from keymint.store.workspace_lock import LOCK, folder_lock, wait_for_lock
+from keymint.view.stamps import MAX_RECORD
+from keymint.view.tree import read_file
+
+
+class Store:
+    """Writes below its roots.
+
+    Args:
+        roots: absolute folders that may be written to, each with whether it is private: then every folder below
+            it is 0700. Each is created when needed.
+        records: folder of the lock, the mark of a running command, and the record; below one of the roots.
+    """
+
+    def __init__(self, roots: Mapping[Path, bool], records: Path) -> None:
+        self._roots = Roots(roots, records)
+        self._records = records
+        self._mark = records / journal.MARK
+        self._locks = contextlib.ExitStack()
+        self._journal: Journal | None = None
+        self.missing: tuple[str, ...] = ()
+        """The private folders that were missing when the lock was taken."""
+
+    # -- sessions ------------------------------------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def locked(self, on_wait: Callable[[], None]) -> Iterator[None]:
+        """Hold the workspace lock exclusively, and the locks of the private folders, which others may share.
+
+        Args:
+            on_wait: called before waiting for another process that holds a lock.
+        """
+        with OpenFolders(self._roots) as folders:
+            records = folders.open(str(self._records))
+            with reported(self._records / LOCK):
+                lock = os.open(LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644, dir_fd=records)
+        try:
+            with reported(self._records / LOCK):
+                wait_for_lock(lock, fcntl.LOCK_EX, on_wait)
+            with contextlib.ExitStack() as self._locks:
+                private = [root for root, private in self._roots.private.items() if private]
+                self.missing = tuple(root for root in private if not os.path.isdir(root))
+                for root in private:
+                    if root not in self.missing:
+                        self._lock(root, on_wait)
+                yield
+        finally:
+            os.close(lock)
+
+    def _lock(self, root: str, on_wait: Callable[[], None]) -> None:
+        with reported(root):
+            self._locks.enter_context(folder_lock(Path(root), fcntl.LOCK_EX, on_wait))
+
+    def lock_missing(self, on_wait: Callable[[], None]) -> bool:
+        """Create the private folders that were missing when :meth:`locked` was entered, and lock them.
+
+        Args:
+            on_wait: called before waiting for another process that holds a lock.
+
+        Returns:
+            Whether another run wrote to one of them meanwhile, so that what was planned is out of date.
+
+        Raises:
+            KeymintError: a link is in the way, or the system refuses.
+        """
+        written = False
+        with OpenFolders(self._roots) as folders:
+            for root in self.missing:
+                folders.open(root)
+                self._lock(root, on_wait)
+                with reported(root):
+                    written = written or bool(os.listdir(root))
+        self.missing = ()
+        return written
+
+    def begin(self, intent: Intent) -> None:
+        """Record what a run was asked for, before its first effect; from now on, what it commits is all or nothing."""
+        self._journal = Journal(intent)
+        self._record(self._journal)
+
+    def end(self) -> None:
+        """Forget the intent of a run that is finished; nothing is written after it."""
+        self._journal = None
+        with reported(self._mark), contextlib.suppress(FileNotFoundError):
+            os.unlink(self._mark)
+
+    def _record(self, journal: Journal) -> None:
+        self.write(self._records, {self._mark.name: File(journal.dump(self._records), mode=0o600)})
+
+    def is_marked(self) -> bool:
+        """Tell whether an earlier run did not finish."""
+        return self._mark.exists()
+
+    def recover(self) -> Journal | None:
+        """Finish what an earlier run made visible in part, and remove what else it left behind.
+
+        Returns:
+            The journal of that run until another one begins or ends; None if the last run ended.
+
+        Raises:
+            KeymintError: the system refuses; it can be tried again.
+        """
+        marked = self.is_marked()
+        # A run that is killed while it sets its mark leaves temporary files in the folder of records only.
+        roots = [*self._roots.private] if marked else [str(self._records)]
+        for path in _found(roots, is_waiting):
+            with reported(path), opened_folder(os.path.dirname(path)) as parent:
+                finish(parent, os.path.basename(path))
+        found = None
+        if marked:
+            found = journal.load(read_file(self._mark, MAX_RECORD) or b"", self._records)
+            if found.exchanges:
+                found = journal.recovered(found, self._roots)
+                self._record(found)  # before anything is removed, by which it is told what became visible
+        for path in _found(roots, is_temporary):
+            with reported(path):
+                if os.path.isdir(path) and not os.path.islink(path):
+                    shutil.rmtree(path)
+                else:
+                    os.unlink(path)
+        return found
+
+    # -- writing -------------------------------------------------------------------------------------------------
+
+    def stage(self, changes: Iterable[FolderChange]) -> Staged:
+        """Write changes beside their places, so that nothing of them is visible yet.
+
+        Several processes may stage at the same time, if none of their changes is in a folder of another's.
+
+        Args:
+            changes: changes in this order; a folder may occur more than once. All changes in one folder take effect in
+                one step, together with those in its subfolders. A root of the store is never replaced, because it may
+                be a mount point; its files change one by one.
+
+        Returns:
+            What :meth:`commit` or :meth:`discard` needs, also in another process.
+
+        Raises:
+            KeymintError: a path is not below a root, a symbolic link is in the way, or the system refuses. Nothing is
+                staged then.
+        """
+        return Staging(self._roots).stage(changes)
+
+    def commit(self, staged: Sequence[Staged]) -> None:
+        """Make staged changes visible and durable, in order; see :mod:`keymint.store.group_commit`.
+
+        After :meth:`begin`, the next run finishes them if this one is killed or refused on the way.
+
+        Raises:
+            KeymintError: the system refuses.
+        """
+        begun = self._journal
+
+        def ready(exchanges: tuple[Exchange, ...]) -> None:
+            if begun is not None:
+                self._record(replace(begun, exchanges=exchanges))
+
+        commit(self._roots, staged, ready if begun else None)
+
+    def discard(self, staged: Staged) -> None:
+        """Remove what was staged."""
+        with OpenFolders(self._roots, create=False) as folders:
+            remove_staged(staged.exchanges, folders)
+
+    def change(self, changes: Iterable[FolderChange]) -> None:
+        """Write and remove files; see :meth:`stage` and :meth:`commit`."""
+        commit(self._roots, [self.stage(changes)])
+
+    def write(self, folder: Path, files: Mapping[str, File], *, private: bool = False) -> None:
+        """Write files into a folder, all in one step; see :meth:`change`."""
+        self.change([FolderChange(folder, files, (), private)])
+
+
+def _found(roots: Iterable[str], wanted: Callable[[str], bool]) -> Iterator[str]:
+    """Yield the paths below folders whose names are wanted; what is in one of these folders is not looked at."""
+    for root in roots:
+        for folder, folders, files in os.walk(root):
+            yield from (f"{folder}/{name}" for name in (*folders, *files) if wanted(name))
+            folders[:] = (name for name in folders if not is_temporary(name) and not is_waiting(name))

@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Answer a command that was carried out before, if nothing changed that its answer depends on.
+
+A run records what the same command would print next time, and everything that this depends on. The command is then
+answered without reading a document, so neither an XML parser nor cryptography is loaded. Whatever is in doubt is a
+reason to carry the command out.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from datetime import datetime
+from typing import NamedTuple
+
+from comarmor.regex import lazy_regex
+from keymint import __version__
+from keymint.view.folder_status import FolderStatus, Sight, path_status, walk
+from keymint.view.stamps import sealed, unsealed
+
+VERSION = 1
+VERBS = ("create", "build", "install", "provision")
+"""The verbs whose answers are recorded."""
+_RECORDS, _RECORD, _MARK = ".keymint", "state.json", "running"
+_PROFILE = "profile/keymint_profile.xml"
+_UNRECORDED = ("--hints", "--profile-space", "--new-authority", "--renew", "--force", "-f", "--executor")
+"""Options of commands that do something each time, or read more than what is recorded."""
+_VARIABLES = {"ROS_DISTRO", "AMENT_PREFIX_PATH"}
+"""Environment variables whose values may be recorded; any other one may be a password."""
+_TICK, _COARSE_TICK = 20_000_000, 2_000_000_000
+"""Nanoseconds in which a file may change twice and have the same time; the second if times are whole seconds."""
+_DATE = lazy_regex(rb"-(?<=(\d{4}-))(\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?(?:Z|[+-]\d\d:\d\d))")  # few bytes are "-"
+_ALWAYS = 1e12
+
+
+class Call(NamedTuple):
+    """A command, and where it is given.
+
+    Attributes:
+        arguments: arguments of the command line.
+        cwd: current directory.
+        colours: whether results and diagnostics have colours.
+        now: the time of the run, in seconds.
+        started: the clock of the system, in nanoseconds.
+        environment: environment variables.
+    """
+
+    arguments: Sequence[str]
+    cwd: str
+    colours: tuple[bool, bool]
+    now: float
+    started: int
+    environment: Consulted
+
+
+class Answer(NamedTuple):
+    """What a command prints, and its exit code."""
+
+    out: str
+    err: str
+    exit_code: int
+
+
+class Consulted(Mapping[str, str]):
+    """Environment variables that remember which ones were asked for.
+
+    Args:
+        variables: the variables.
+    """
+
+    def __init__(self, variables: Mapping[str, str]) -> None:
+        self._variables = variables
+        self.names: set[str] = set()
+
+    def __getitem__(self, name: str) -> str:
+        self.names.add(name)
+        return self._variables[name]
+
+    def __iter__(self) -> Iterator[str]:
+        self.names.update(self._variables)
+        return iter(self._variables)
+
+    def __len__(self) -> int:
+        return len(self._variables)
+
+
+def recall(call: Call) -> Answer | None:
+    """Return the answer to a command that was carried out before, or None if it must be carried out."""
+    root = _root(call)
+    if root is None:
+        return None
+    try:
+        with open(f"{root}/{_RECORDS}/{name_of(call)}", "rb") as opened:  # noqa: PTH123 - the path is a text
+            recorded = unsealed(opened.read(), VERSION)
+    except OSError:
+        return None
+    if (
+        recorded is None
+        or recorded["call"] != _identity(call, root, recorded["variables"])
+        or not recorded["from"] <= call.now < recorded["until"]
+        or os.path.lexists(f"{root}/{_RECORDS}/{_MARK}")
+        or any(_real(call, path) != real for path, real in recorded["real"].items())
+        or any(path_status(path)[0] != status for path, status in recorded["status"].items())
+        or recorded["folders"] != _digest(walk(recorded["spaces"]))
+    ):
+        return None
+    return Answer(recorded["out"], recorded["err"], recorded["exit_code"])
+
+
+def is_recordable(call: Call, root: str) -> bool:
+    """Tell whether a command is one that may be recorded for :func:`recall`.
+
+    Args:
+        call: the command.
+        root: the root of the workspace.
+    """
+    return (
+        bool(call.arguments)
+        and call.arguments[0] in VERBS
+        and _root(call) == root
+        and not any(argument.startswith(_UNRECORDED) for argument in call.arguments)
+        and call.environment.names <= _VARIABLES
+    )
+
+
+def record(
+    call: Call, root: str, sight: Sight, seen: Mapping[str, str], dates: Iterable[datetime], answer: Answer
+) -> bytes | None:
+    """Return the record of a command for :func:`recall`, or None if something is in doubt.
+
+    Args:
+        call: the command, which is recordable.
+        root: the root of the workspace.
+        sight: the spaces as the command left them.
+        seen: the paths that the policy was read from, each with its fingerprint: the SHA-256 if it is a file.
+        dates: dates that the command may have compared with the clock, beside those in the record.
+        answer: what the same command will print.
+    """
+    state = f"{root}/{_RECORDS}/{_RECORD}"
+    spaces = tuple(f"{os.path.realpath(space)}/" for space in sight.roots)
+    elsewhere = (path for path in seen if not os.path.realpath(path).startswith(spaces))
+    others = {path: path_status(path) for path in (*elsewhere, *_profiles_below(call, root))}
+    own = path_status(state)
+    if (
+        not all(status.is_trusted(sight.clock) for status in sight.folders.values())
+        or own[1] >= sight.clock
+        or not all(_is_older(newest, call.started) for _, newest in others.values())
+        or not all(_has_content(path, fingerprint) for path, fingerprint in seen.items())
+    ):
+        return None
+    operands = [argument for argument in call.arguments if not argument.startswith("-")]
+    with open(state, "rb") as opened:  # noqa: PTH123 - the path is a text
+        recorded = (datetime.fromisoformat(b"".join(parts).decode()) for parts in set(_DATE.findall(opened.read())))
+        ends = [moment for date in (*dates, *recorded) if (moment := date.timestamp()) >= call.now]
+    return sealed(
+        {
+            "version": VERSION,
+            "call": _identity(call, root, call.environment.names),
+            "variables": sorted(call.environment.names),
+            "from": call.now,
+            "until": min(ends, default=_ALWAYS),
+            "real": {path: _real(call, path) for path in (*operands, *sight.roots)},
+            "status": {state: own[0]} | {path: status for path, (status, _) in others.items()},
+            "spaces": sight.roots,
+            "folders": _digest(sight.folders),
+            **answer._asdict(),
+        }
+    )
+
+
+def name_of(call: Call) -> str:
+    """Return the name of the file that has the record of the last command of this verb."""
+    return f"last-{call.arguments[0]}.json"
+
+
+def _root(call: Call) -> str | None:
+    """Return the root of the workspace that a command names, or that contains the current directory."""
+    named = [index for index, argument in enumerate(call.arguments) if argument in {"-w", "--workspace"}]
+    if named:
+        return _real(call, *call.arguments[named[-1] + 1 :][:1])
+    return next((folder for folder in _upward(call.cwd) if os.path.lexists(f"{folder}/{_RECORDS}")), None)
+
+
+def _real(call: Call, *path: str) -> str:
+    return os.path.realpath(os.path.join(call.cwd, *path))  # noqa: PTH118 - the path is a text
+
+
+def _upward(folder: str) -> Iterator[str]:
+    """Yield a folder and those above it."""
+    while folder.startswith("/"):
+        yield folder
+        folder = folder.rpartition("/")[0]
+
+
+def _profiles_below(call: Call, root: str) -> Iterator[str]:
+    """Yield the profiles that would make a folder between the root and the current directory a workspace."""
+    for folder in _upward(call.cwd if f"{call.cwd}/".startswith(f"{root}/") else ""):
+        if folder == root:
+            return
+        yield f"{folder}/{_PROFILE}"
+
+
+def _identity(call: Call, root: str, variables: Iterable[str]) -> str:
+    """Return a digest of who gives which command where, and of the installed software."""
+    values = [(name, call.environment.get(name)) for name in sorted(variables)]
+    user = os.geteuid(), os.getegid(), sorted(os.getgroups())
+    command = list(call.arguments), call.cwd, call.colours, root, values, user
+    return hashlib.sha256(repr((command, __version__, sys.version, list(_installed()))).encode()).hexdigest()
+
+
+def _installed() -> Iterator[str]:
+    """Yield the status of everything that may register a plugin."""
+    for folder in sys.path:
+        yield f"{folder} {_status(folder or '.')}"
+        try:
+            names = os.listdir(folder or ".")  # noqa: PTH208 - the path is a text
+        except OSError:
+            continue
+        for name in names:
+            if name.endswith((".dist-info", ".egg-info")):
+                yield from (f"{name} {_status(f'{folder}/{name}/{file}')}" for file in ("METADATA", "entry_points.txt"))
+
+
+def _status(path: str) -> str:
+    try:
+        of = os.stat(path)  # noqa: PTH116 - the path is a text
+    except OSError:
+        return ""
+    return f"{of.st_ino} {of.st_size} {of.st_mtime_ns} {of.st_ctime_ns}"
+
+
+def _digest(folders: Mapping[str, FolderStatus]) -> str:
+    text = "\n".join(f"{folder} {status.digest}" for folder, status in sorted(folders.items()))
+    return hashlib.sha256(text.encode(errors="surrogateescape")).hexdigest()
+
+
+def _is_older(newest: int, started: int) -> bool:
+    return newest < started - (_TICK if newest % 1_000_000_000 else _COARSE_TICK)
+
+
+def _has_content(path: str, fingerprint: str) -> bool:
+    """Tell whether a file still has the content that was read; whether a folder changed is told by its time."""
+    try:
+        with open(path, "rb") as opened:  # noqa: PTH123 - the path is a text
+            return hashlib.sha256(opened.read()).hexdigest() == fingerprint
+    except IsADirectoryError:
+        return True
+    except OSError:
+        return not fingerprint

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stamps: which inputs led to which outputs, so that a stage knows what it has done.
+
+The record saves work and recognises manual edits. If it is lost, every stage recomputes its result and compares it with
+the existing files.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import field
+from typing import Any
+
+from comarmor.values import dataclass
+
+MAX_RECORD = 1 << 30
+"""Largest record in bytes; an enclave needs about 2,400."""
+VERSION = 3
+_DIGEST = 64
+"""Characters of a digest; longer texts are written once."""
+_SEAL, _END = b',"sha256":"', b'"}\n'
+"""Text around the digest at the end of a record, which detects damage."""
+
+
+def digest(*parts: bytes | str) -> str:
+    """Return the SHA-256, in hex, of several parts, each prefixed with its length to keep them distinct."""
+    hashed = hashlib.sha256()
+    for part in parts:
+        data = part.encode("utf-8", "surrogatepass") if isinstance(part, str) else part  # any name on disk
+        hashed.update(len(data).to_bytes(8, "big"))
+        hashed.update(data)
+    return hashed.hexdigest()
+
+
+def digest_files(files: Mapping[str, bytes]) -> str:
+    """Return one digest over files by name."""
+    return digest(*(part for name in sorted(files) for part in (name, files[name])))
+
+
+@dataclass(frozen=True, slots=True)
+class Stamp:
+    """A stage's result for one package.
+
+    Attributes:
+        inputs: digest over everything the stage read.
+        outputs: digest of each file it wrote, by path relative to the package's folder in the stage's space.
+        secret: which of them are secret.
+        context: digest of other inputs that a stage compares separately: the options of a build, the policy of a proof.
+        lifetimes: when the result is in force, if the stage knows; see :mod:`keymint.life.terms`.
+        build_types: names of the build types that made the result, if the stage knows.
+    """
+
+    inputs: str
+    outputs: Mapping[str, str]
+    secret: tuple[str, ...] = ()
+    context: str = ""
+    lifetimes: str = ""
+    build_types: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """All stamps of a workspace, by ``stage`` and package name.
+
+    Attributes:
+        stamps: the record of the last run that finished.
+    """
+
+    stamps: Mapping[str, Mapping[str, Stamp]] = field(default_factory=dict)
+
+    def wrote(self, stage: str, package: str, file: str, content: bytes) -> bool:
+        """Tell whether a file has the content that Keymint wrote."""
+        stamp = self.stamp(stage, package)
+        return stamp is not None and stamp.outputs.get(file) == digest(content)
+
+    def stamp(self, stage: str, package: str) -> Stamp | None:
+        """Return the stamp of a package, or None."""
+        return self.stamps.get(stage, {}).get(package)
+
+    def updated(self, stage: str, stamps: Mapping[str, Stamp], removed: Iterable[str] = ()) -> State:
+        """Return the state with stamps of one stage added or replaced, and some removed."""
+        gone = set(removed)
+        merged = {name: stamp for name, stamp in self.stamps.get(stage, {}).items() if name not in gone}
+        return State({**self.stamps, stage: {**merged, **stamps}})
+
+    def dump(self) -> bytes:
+        """Return the record as bytes; equal states give equal bytes.
+
+        Long texts, and what the stamps of a stage have in common, are written once and referred to by number.
+        """
+        texts: dict[str, int] = {}
+        shapes: dict[tuple[tuple[str, ...], ...], int] = {}
+
+        def brief(text: str) -> str | int:
+            return text if len(text) <= _DIGEST else texts.setdefault(text, len(texts))
+
+        def row(stamp: Stamp) -> list[Any]:
+            files = tuple(sorted(stamp.outputs))
+            shape = files, tuple(sorted(stamp.secret)), stamp.build_types
+            values = [brief(stamp.outputs[file]) for file in files]
+            number = shapes.setdefault(shape, len(shapes))
+            return [stamp.inputs, number, values, brief(stamp.context), brief(stamp.lifetimes)]
+
+        stamps = {
+            stage: {name: row(stamp) for name, stamp in sorted(of_stage.items())}
+            for stage, of_stage in sorted(self.stamps.items())
+        }
+        return sealed({"version": VERSION, "stamps": stamps, "texts": [*texts], "shapes": [*shapes]})
+
+
+def sealed(document: Mapping[str, Any]) -> bytes:
+    """Return a document as JSON that ends with its digest; equal documents give equal bytes."""
+    body = json.dumps(document, separators=(",", ":"), sort_keys=True).removesuffix("}").encode()
+    return b"".join((body, _SEAL, digest(body).encode(), _END))
+
+
+def unsealed(content: bytes | None, version: int) -> Mapping[str, Any] | None:
+    """Return the document of :func:`sealed`, or None if it is missing, damaged or of another version."""
+    body, _, seal = (content or b"").rpartition(_SEAL)
+    if seal != digest(body).encode() + _END:
+        return None
+    try:
+        document = json.loads(content or b"")
+        return document if document["version"] == version else None
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None
+
+
+def load(content: bytes | None) -> State:
+    """Load a record; a record that is missing, damaged or of another version counts as empty.
+
+    Args:
+        content: result of :meth:`State.dump`.
+    """
+    return State(_stamps(content))
+
+
+def _stamps(content: bytes | None) -> dict[str, dict[str, Stamp]]:
+    document = unsealed(content, VERSION)
+    if document is None:
+        return {}
+    try:
+        texts = tuple(map(str, document["texts"]))
+        shapes = [tuple(tuple(map(str, names)) for names in shape) for shape in document["shapes"]]
+
+        def stamp(
+            inputs: str, number: int, values: Sequence[str | int], context: str | int, lifetimes: str | int
+        ) -> Stamp:
+            files, secret, build_types = shapes[number]
+            outputs = dict(zip(files, map(whole, values), strict=True))
+            return Stamp(str(inputs), outputs, secret, whole(context), whole(lifetimes), build_types)
+
+        def whole(brief: str | int) -> str:
+            return texts[brief] if isinstance(brief, int) else str(brief)
+
+        return {
+            str(stage): {str(name): stamp(*row) for name, row in of_stage.items()}
+            for stage, of_stage in document["stamps"].items()
+        }
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError):
+        return {}

@@ -1,0 +1,376 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A read-only view of the workspace's files: the disk, overlaid with planned changes.
+
+Stages plan against this view, so that one run can plan all of them before its first byte is written.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import field
+from pathlib import Path
+from typing import NamedTuple, TypeVar
+
+from comarmor.values import dataclass
+from keymint.errors import KeymintError
+from keymint.view.file_reading import MAX_FILE, REGISTER, FileStatus, linked_file, lstat, read_file, unreadable
+from keymint.view.stamps import digest
+
+__all__ = ["MAX_FILE", "REGISTER", "Content", "File", "HeldError", "HeldFile", "Tree", "read_file", "unreadable"]
+
+_Read = TypeVar("_Read")
+
+
+class _Disk:
+    """The files on the disk by absolute path, as text; every file and folder is read at most once.
+
+    Args:
+        known: digests of files that need not be read for them, by folder and name.
+        linked: a folder in which symbolic links are followed that stay in it; empty for none.
+    """
+
+    def __init__(self, known: Mapping[str, Mapping[str, str]], linked: str = "") -> None:
+        self.digests: dict[str, dict[str, str]] = {}
+        """Digests that were asked for, by folder and name."""
+        self.known = known
+        self.linked = linked
+        self._contents: dict[str, bytes | KeymintError | None] = {}
+        self._equal: dict[bytes | None, bytes | None] = {}
+        """Contents that are held, each once: enclaves have many files in common."""
+        self._entries: dict[str, dict[str, bool] | KeymintError] = {}
+        self._statuses: dict[str, FileStatus | None] = {}
+        self._links: set[str] = set()
+        """Symbolic links among the paths whose status is known."""
+        self.left_out: set[str] = set()
+        self._held: tuple[str, ...] = ()
+        """Folders that were read completely, with a slash."""
+
+    def _once(
+        self, known: dict[str, _Read | KeymintError], path: str, read: Callable[[str], _Read], absent: _Read
+    ) -> _Read:
+        """Return what is known about a path, or raise its error; the disk is accessed at the first call."""
+        if path not in known:
+            try:
+                known[path] = absent if self._is_absent(path) else read(path)
+            except KeymintError as error:
+                known[path] = error
+        found = known[path]
+        if isinstance(found, KeymintError):
+            raise KeymintError.of(found.diagnostics, found.exit_code)
+        return found
+
+    def read(self, path: str) -> bytes | None:
+        return self._once(self._contents, path, self._file, None)
+
+    def _file(self, path: str) -> bytes | None:
+        try:
+            return read_file(path)
+        except KeymintError:
+            if real := linked_file(path, self.linked):
+                return read_file(real)
+            raise
+
+    def digest(self, path: str) -> str | None:
+        folder, _, name = path.rpartition("/")
+        digests = self.digests.setdefault(folder, {})
+        if name not in digests:
+            value = self.known.get(folder, {}).get(name)
+            if value is None:
+                content = self.read(path)
+                if content is None:
+                    return None
+                value = digest(content)
+            digests[name] = value
+        return digests[name]
+
+    def entries(self, folder: str) -> Mapping[str, bool]:
+        return self._once(self._entries, folder, self._scan, {})
+
+    def status(self, path: str) -> FileStatus | None:
+        if path not in self._statuses:
+            self._statuses[path] = None if self._is_absent(path) else self._status(path)
+        return self._statuses[path]
+
+    def _status(self, path: str) -> FileStatus | None:
+        found = lstat(path)
+        if found is None or not stat.S_ISLNK(found.st_mode):
+            return found
+        self._links.add(path)
+        return lstat(linked_file(path, self.linked) or path)
+
+    def follows(self, path: str) -> str:
+        if path in self._statuses and path not in self._links:
+            return ""
+        return linked_file(path, self.linked)
+
+    def hold(self, folder: str, suffix: str, *, readable: bool) -> None:
+        """Read everything below a folder, so that the disk is not accessed again; see :meth:`Tree.hold`."""
+        self._statuses[folder] = lstat(folder)
+        waiting = [folder]
+        while waiting:
+            inner = waiting.pop()
+            try:
+                entries = self._entries[inner] = self._scan(inner)
+            except KeymintError as error:
+                self._entries[inner] = {} if self._leaves_out(inner, error, readable=readable) else error
+                continue
+            for name, is_folder in entries.items():
+                path = f"{inner}/{name}"
+                self._statuses[path] = self._status(path)
+                if is_folder:
+                    waiting += [path] if name != ".git" else []
+                elif name.endswith(suffix):
+                    try:
+                        content = self._file(path)
+                        self._contents[path] = self._equal.setdefault(content, content)
+                    except KeymintError as error:
+                        self._contents[path] = None if self._leaves_out(path, error, readable=readable) else error
+        self._held = (*self._held, f"{folder}/")
+
+    def _leaves_out(self, path: str, error: KeymintError, *, readable: bool) -> bool:
+        is_left_out = not readable and isinstance(error.__cause__, PermissionError)
+        self.left_out |= {path} if is_left_out else set()
+        return is_left_out
+
+    def _is_absent(self, path: str) -> bool:
+        """Tell whether a path is known not to exist, because its folder was read completely."""
+        if not path.startswith(self._held):
+            return False
+        parent, _, name = path.rpartition("/")
+        around = self._entries.get(parent)
+        if around is None:
+            return ".git" not in path.split("/")
+        return not isinstance(around, KeymintError) and name not in around
+
+    @staticmethod
+    def _scan(folder: str) -> dict[str, bool]:
+        try:
+            with os.scandir(folder) as entries:
+                return dict(sorted((entry.name, entry.is_dir(follow_symlinks=False)) for entry in entries))
+        except (FileNotFoundError, NotADirectoryError):
+            return {}
+        except OSError as error:
+            raise unreadable(folder, error) from error
+
+
+@dataclass(frozen=True, slots=True)
+class File:
+    """A file to write.
+
+    Attributes:
+        content: its bytes; of a link those of the file that it leads to.
+        secret: its mode is 0600, else 0644.
+        mode: another mode, e.g. that of the file that it replaces.
+        link: the text of a symbolic link, which is written in place of the content; empty for a regular file.
+        replaces_link: a symbolic link in its place is replaced; else that is refused.
+    """
+
+    content: bytes = field(repr=False)
+    secret: bool = False
+    mode: int | None = None
+    link: str = ""
+    replaces_link: bool = False
+    _digest: str = field(default="", init=False, repr=False, compare=False)
+
+    @property
+    def digest(self) -> str:
+        """The digest of the content; see :func:`keymint.view.stamps.digest`."""
+        if not self._digest:
+            object.__setattr__(self, "_digest", sys.intern(digest(self.content)))
+        return self._digest
+
+
+class HeldFile(NamedTuple):
+    """A planned file whose content another process holds: its digest, and whether it is secret."""
+
+    digest: str
+    secret: bool
+
+
+class HeldError(Exception):
+    """A plan needs content that another process holds: it must be made by one process."""
+
+
+Content = bytes | File | HeldFile | None
+"""Planned content of a file; None for a file that will be removed."""
+
+
+class Tree:
+    """Files by absolute path, as they are at the first access.
+
+    Args:
+        known: digests of files that need not be read for them, by folder and name.
+        linked: a folder in which symbolic links are followed that stay in it, as ROS 2 does in a keystore.
+    """
+
+    def __init__(self, known: Mapping[str, Mapping[str, str]] | None = None, linked: Path | None = None) -> None:
+        self._disk = _Disk(known or {}, str(linked or ""))
+        self._files: dict[str, dict[str, Content]] = {}
+        """Planned content by folder and name."""
+        self._folders: dict[str, set[str]] = {}
+        """Names of planned folders, by the folder around them."""
+
+    def overlaid(self, changes: Iterable[tuple[Path | str, Content]]) -> Tree:
+        """Return this view with more planned content, which hides the disk; None for a file that will be removed."""
+        tree = Tree()
+        tree._disk, tree._files, tree._folders = self._disk, dict(self._files), dict(self._folders)
+        tree._add(changes)
+        return tree
+
+    def _add(self, changes: Iterable[tuple[Path | str, Content]]) -> None:
+        """Add planned changes; what is shared with other views is copied before it changes."""
+        own: set[str] = set()
+        own_folders: set[str] = set()
+        for path, content in changes:
+            folder, _, name = str(path).rpartition("/")
+            if folder not in own:
+                own.add(folder)
+                self._files[folder] = dict(self._files.get(folder, ()))
+            self._files[folder][name] = content
+            while folder and content is not None:
+                around, _, name = folder.rpartition("/")
+                if name in self._folders.get(around, ()):
+                    break
+                if around not in own_folders:
+                    own_folders.add(around)
+                    self._folders[around] = set(self._folders.get(around, ()))
+                self._folders[around].add(name)
+                folder = around
+
+    def _planned(self, path: str) -> tuple[bool, Content]:
+        """Return whether a file is planned, and its content: None if it will be removed."""
+        folder, _, name = path.rpartition("/")
+        files = self._files.get(folder)
+        return (False, None) if files is None or name not in files else (True, files[name])
+
+    def read(self, path: Path | str) -> bytes | None:
+        """Return a file's bytes, or None if there is none; errors as :func:`read_file`."""
+        path = str(path)
+        planned, content = self._planned(path)
+        if isinstance(content, HeldFile):
+            raise HeldError(path)
+        if isinstance(content, File):
+            return content.content
+        return content if planned else self._disk.read(path)
+
+    def digest(self, path: Path | str) -> str | None:
+        """Return the digest of a file (see :func:`keymint.view.stamps.digest`), or None if there is none.
+
+        A file is not read if its status tells that it did not change since its digest was recorded.
+
+        Raises:
+            KeymintError: as :func:`read_file`.
+        """
+        path = str(path)
+        planned, content = self._planned(path)
+        if isinstance(content, HeldFile | File):
+            return content.digest
+        if planned:
+            return None if content is None else digest(content)
+        return self._disk.digest(path)
+
+    @property
+    def digests(self) -> tuple[Mapping[str, Mapping[str, str]], ...]:
+        """The digests of files that need not be read for them, and of those that were asked for, by folder and name."""
+        return self._disk.known, self._disk.digests
+
+    def try_read(self, path: Path | str) -> bytes | None:
+        """Return a file's bytes, or None if there is none or it cannot be read."""
+        try:
+            return self.read(path)
+        except KeymintError:
+            return None
+
+    def status(self, path: Path | str) -> FileStatus | None:
+        """Return the status of a path on the disk, or None if it does not exist.
+
+        Links are not followed, except in the folder where :meth:`read` follows them.
+        """
+        return self._disk.status(str(path))
+
+    def follows(self, path: Path | str) -> str:
+        """Return the file that a symbolic link leads to, if :meth:`read` follows it; else an empty text."""
+        return self._disk.follows(str(path))
+
+    def hold(self, folder: Path, *, suffix: str = "", readable: bool = True) -> None:
+        """Read everything below a folder into memory, so that the disk is not accessed again.
+
+        Errors are raised at the access to the file that cannot be read.
+
+        Args:
+            folder: absolute path; need not exist.
+            suffix: only files with this suffix are read; of the others only their existence is known.
+            readable: the user must be permitted to read all of it; else the rest counts as absent, and is listed.
+        """
+        self._disk.hold(str(folder), suffix, readable=readable)
+
+    @property
+    def left_out(self) -> Sequence[str]:
+        """What :meth:`hold` was not permitted to read, sorted; nothing is known of what is in such a folder."""
+        return sorted(self._disk.left_out)
+
+    def is_left_out(self, path: Path | str) -> bool:
+        """Tell whether a file is one of :attr:`left_out`, or in such a folder."""
+        left_out = self._disk.left_out
+        return bool(left_out) and not left_out.isdisjoint(map(str, (path, *Path(path).parents)))
+
+    def has_file(self, path: Path | str) -> bool:
+        """Tell whether there is a regular file (no link, no folder), on the disk or planned."""
+        planned, content = self._planned(str(path))
+        if planned:
+            return content is not None
+        status = self.status(path)
+        return status is not None and stat.S_ISREG(status.st_mode)
+
+    def names(self, folder: Path | str) -> Sequence[tuple[str, bool]]:
+        """Return the entries of a folder, sorted, each with whether it is a folder (links are not).
+
+        Raises:
+            KeymintError: the folder cannot be read.
+        """
+        folder = str(folder)
+        entries = self._disk.entries(folder)
+        files, folders = self._files.get(folder, {}), self._folders.get(folder, ())
+        if not files and not folders:
+            return list(entries.items())
+        there = {**entries, **{name: False for name, content in files.items() if content is not None}}
+        there |= dict.fromkeys(folders, True)
+        return sorted(item for item in there.items() if files.get(item[0], b"") is not None)
+
+    def walk(self, folder: Path | str, skipped: str = ".git") -> Iterator[tuple[str, bool]]:
+        """Yield everything below a folder, each with whether it is a folder; links are not followed.
+
+        Folders that cannot be read are yielded, but not what is in them.
+
+        Args:
+            folder: absolute path.
+            skipped: name of folders that are left out.
+        """
+        try:
+            entries = self.names(folder)
+        except KeymintError:
+            return
+        for name, is_folder in entries:
+            path = f"{folder}/{name}"
+            if not is_folder:
+                yield path, False
+            elif name != skipped:
+                yield path, True
+                yield from self.walk(path, skipped)
+
+    def files(self, folder: Path | str, *, suffix: str = "", depth: int = 1) -> dict[str, bytes]:
+        """Return the files whose names end with ``suffix`` by relative path, from ``depth`` levels of folders."""
+        contents: dict[str, bytes] = {}
+        for name, is_folder in self.names(folder):
+            if is_folder:
+                if depth > 1 and not name.startswith("."):
+                    below = self.files(f"{folder}/{name}", suffix=suffix, depth=depth - 1)
+                    contents |= {f"{name}/{inner}": content for inner, content in below.items()}
+            elif name.endswith(suffix):
+                content = self.read(f"{folder}/{name}")
+                if content is not None:
+                    contents[name] = content
+        return contents

@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Load the workspace's policy, and record what it was read from."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from comarmor.errors import Diagnostic, Severity
+from comarmor.xml.package_folders import CopiedPackages, PackageFolders
+from keymint.api import AppliedProfile, DigestedPolicy, LoadedPolicy, PolicyDecision, PolicyStructure, StructuredPolicy
+from keymint.api.graph import Edge
+from keymint.errors import KeymintError
+from keymint.ir import SubjectRules
+from keymint.names import package_name
+from keymint.store.changes import Plan
+from keymint.view.stamps import Stamp, State, digest
+from keymint.workspace import shipped_profiles
+from keymint.workspace.policy_types import foreign_policy
+from keymint.workspace.session import Session
+
+_STAGE, _FILES, _SUBJECTS = "policy", "seen", "subjects"
+"""Keys of the record of the policy: the paths that it was read from, and the subjects that it names."""
+
+
+def load_policy(session: Session, *, trust_links: bool = False) -> LoadedPolicy:
+    """Load the policy that the profile names; errors as :meth:`keymint.api.PolicyType.load`.
+
+    A library that is only planned yet is read from where it will be copied from, and named by its future path.
+
+    Args:
+        session: the workspace and its profile.
+        trust_links: follow symbolic links out of the folders of ROS packages, also where the owner did not decide it.
+
+    Raises:
+        UnacceptedPackagesError: it includes files of ROS packages that its owner did not accept as they are now.
+    """
+    policy = _load(session, shipped_profiles.installed(session, trust_links=trust_links))
+    shipped_profiles.refuse_unaccepted(
+        session, policy, functools.partial(accepted_policy, session, absent_is_empty=True)
+    )
+    return policy
+
+
+def accepted_policy(session: Session, *, absent_is_empty: bool = False) -> LoadedPolicy:
+    """Load the policy with the files of ROS packages as its owner accepted them, wherever they are installed.
+
+    Args:
+        session: the workspace and its profile.
+        absent_is_empty: a file that was not accepted counts as empty.
+
+    Raises:
+        KeymintError: as of :func:`load_policy`; without ``absent_is_empty`` also if a copy is missing.
+    """
+    copies = session.profile.package_copies
+    return _load(session, CopiedPackages(copies, absent_is_empty) if copies else shipped_profiles.installed(session))
+
+
+def policy_in_force(session: Session) -> tuple[LoadedPolicy, tuple[Diagnostic, ...]]:
+    """Return the policy for documents that are issued again, and warnings; see :func:`lazy_policy`.
+
+    A package that was updated, or that this shell does not find, must keep nobody from renewing and revoking. So where
+    the policy cannot be read with what packages ship, it is read with what its owner accepted of that.
+
+    Raises:
+        KeymintError: it cannot be read so either; the error is that of :func:`lazy_policy`.
+    """
+    try:
+        return lazy_policy(session), ()
+    except KeymintError as error:
+        if not session.profile.packages:
+            raise
+        try:
+            policy = accepted_policy(session)
+            shipped_profiles.refuse_unaccepted(session, policy, lambda: policy)
+        except KeymintError:
+            raise error from None
+        return policy, tuple(
+            replace(each, severity=Severity.WARNING, message=f"{each.message}; here it counts as it was accepted")
+            for each in error.diagnostics
+        )
+
+
+def plan_acceptance(session: Session, named: Mapping[str, str], *, trust_links: bool) -> Plan:
+    """Plan to accept what ROS packages ship; see :func:`keymint.workspace.shipped_profiles.plan_acceptance`."""
+    return shipped_profiles.plan_acceptance(session, named, functools.partial(_load, session), trust_links=trust_links)
+
+
+def _load(session: Session, folders: PackageFolders) -> LoadedPolicy:
+    profile = session.profile
+    library, shown = profile.library, None
+    if library is not None and not library.is_dir():
+        library, shown = session.profile_type.library(profile.distro), library
+    try:
+        return shipped_profiles.load_with(session.policy_type, profile.policies, library, shown, folders)
+    except KeymintError as error:
+        paths = [source.path for source in profile.policies]
+        foreign = foreign_policy(session.plugins, paths, profile.policy_type)
+        if foreign is None:
+            raise
+        raise foreign.refusal(session.workspace.shown(foreign.path), str(session.profile_marker())) from error
+
+
+def lazy_policy(session: Session) -> LoadedPolicy:
+    """Return the policy; if its files did not change, it is loaded only when rules or decisions are asked for.
+
+    Loading a large policy costs more than everything else in a run without changes. The record has the paths that the
+    policy was read from and the subjects that it names.
+    """
+    recorded = session.state.stamp(_STAGE, _FILES)
+    if recorded is None or not is_unchanged(session):
+        return load_policy(session)
+    seen = {Path(path): bytes.fromhex(value) for path, value in recorded.outputs.items()}
+    return _LazyPolicy(seen, tuple(sorted(recorded_subjects(session))), functools.partial(load_policy, session))
+
+
+def is_recorded(session: Session) -> bool:
+    """Tell whether the record has the policy."""
+    return session.state.stamp(_STAGE, _FILES) is not None
+
+
+def is_unchanged(session: Session) -> bool:
+    """Tell whether the policy would be read from the recorded files with the recorded content."""
+    recorded = session.state.stamp(_STAGE, _FILES)
+    policy_type = session.policy_type
+    return (
+        recorded is not None
+        and session.state.stamp(_STAGE, _SUBJECTS) is not None
+        and recorded.inputs == locations_digest(session)
+        and all(policy_type.fingerprint(Path(path)).hex() == value for path, value in recorded.outputs.items())
+    )
+
+
+def recorded_files(session: Session) -> Mapping[str, str] | None:
+    """Return the paths that the policy was read from, each with its fingerprint.
+
+    The result is None if the record has none, or has those of another place: the workspace is a copy.
+    """
+    recorded = session.state.stamp(_STAGE, _FILES)
+    return recorded.outputs if recorded is not None and recorded.inputs == locations_digest(session) else None
+
+
+def recorded_subjects(session: Session) -> frozenset[str]:
+    """Return the subjects that the policy named when it was recorded."""
+    recorded = session.state.stamp(_STAGE, _SUBJECTS)
+    return frozenset(recorded.outputs if recorded is not None else ())
+
+
+def record_policy(session: Session, policy: LoadedPolicy) -> State:
+    """Return the state with the files that the policy was read from and the subjects that it names."""
+    return _recorded(session, {str(path): value.hex() for path, value in policy.seen.items()}, policy.subjects())
+
+
+def record_unread(session: Session, subjects: Iterable[str]) -> State:
+    """Return the state with the subjects of a policy that is not in its place yet: its files count as changed."""
+    # No file has this fingerprint.
+    return _recorded(session, {str(source.path): "00" for source in session.profile.policies}, subjects)
+
+
+def _recorded(session: Session, seen: Mapping[str, str], subjects: Iterable[str]) -> State:
+    locations = locations_digest(session)
+    stamps = {_FILES: Stamp(locations, seen), _SUBJECTS: Stamp(locations, dict.fromkeys(subjects, ""))}
+    return session.state.updated(_STAGE, stamps)
+
+
+def package_of(policy: LoadedPolicy, subject: str) -> str:
+    """Return the package of a subject; the error for an illegal name has its location in the policy."""
+    try:
+        return package_name(subject)
+    except KeymintError as error:
+        where = next((applied.where for applied in policy.profiles(subject)), None)
+        raise error.at(where) from None
+
+
+def locations_digest(session: Session) -> str:
+    """Return the digest of the paths that the policy is read from; a copy of the workspace has another one."""
+    profile = session.profile
+    paths = [source.path for source in profile.policies]
+    if profile.packages:
+        installed = shipped_profiles.installed(session)
+        paths += (path for name in profile.packages for path in installed.looked_at(name))
+    return digest(session.profile_digest, str(profile.library), *map(str, paths))
+
+
+class _LazyPolicy:
+    """A policy whose subjects come from the record; the policy itself is loaded at the first question about rules."""
+
+    def __init__(self, seen: Mapping[Path, bytes], subjects: tuple[str, ...], load: Callable[[], LoadedPolicy]) -> None:
+        self.seen = seen
+        self._subjects = subjects
+        self._load = functools.cache(load)
+
+    def subjects(self) -> tuple[str, ...]:
+        """Return the subjects that the policy names exactly."""
+        return self._subjects
+
+    def rules(self, subject: str) -> SubjectRules | None:
+        """Return the rules of a subject."""
+        return self._load().rules(subject)
+
+    def rules_digest(self, subject: str) -> str | None:
+        """Return the digest of the rules of a subject, if the type of the policy knows it."""
+        policy = self._load()
+        return policy.rules_digest(subject) if isinstance(policy, DigestedPolicy) else None
+
+    def profiles(self, subject: str) -> Sequence[AppliedProfile]:
+        """Return the profiles that apply to a subject."""
+        return self._load().profiles(subject)
+
+    def structure(self) -> PolicyStructure | None:
+        """Return the structure of the policy, if its type provides one."""
+        policy = self._load()
+        return policy.structure() if isinstance(policy, StructuredPolicy) else None
+
+    def decide(self, edge: Edge) -> PolicyDecision:
+        """Return the policy's decision about an edge."""
+        return self._load().decide(edge)

@@ -1,0 +1,405 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The inputs of every stage: the workspace, its record, the plugins, the clock, and the loaded profile."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from dataclasses import field, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Self, TypeVar, TypeVarTuple
+
+from comarmor.errors import Origin
+from comarmor.text import did_you_mean
+from comarmor.values import dataclass
+from keymint import __version__
+from keymint.api import (
+    BuildType,
+    BuiltPackageType,
+    Infrastructure,
+    InfrastructurePackage,
+    InstalledDistro,
+    Issuance,
+    IssuanceFiles,
+    Layout,
+    Package,
+    PackageType,
+    PolicyType,
+    ProfileType,
+    Role,
+    WorkspaceProfile,
+)
+from keymint.api.plugin_loader import Plugins
+from keymint.errors import KeymintError
+from keymint.names import ROOT
+from keymint.pki.tokens.token_sessions import Tokens
+from keymint.store.changes import Plan
+from keymint.view.stamps import State, digest, digest_files
+from keymint.view.tree import Tree
+from keymint.workspace.workspace import (
+    DEFAULTS,
+    PACKAGE_MARKER,
+    PROFILE_MARKER,
+    Workspace,
+    package_files,
+    package_paths,
+    packages,
+    profile_files,
+)
+
+_T = TypeVar("_T")
+_Arguments = TypeVarTuple("_Arguments")
+_FILES = "files"
+"""First part of the key of what a session knows about the files of a package."""
+
+
+def once(make: Callable[[Session, *_Arguments], _T]) -> Callable[[Session, *_Arguments], _T]:
+    """Let a function of a session, and perhaps of hashable values, make each result once for a session; a decorator."""
+    return _made_once(make, of_sources=False)
+
+
+def once_of_sources(make: Callable[[Session, *_Arguments], _T]) -> Callable[[Session, *_Arguments], _T]:
+    """Do the same as :func:`once` for results that depend on the profile and the source space only."""
+    return _made_once(make, of_sources=True)
+
+
+def _made_once(make: Callable[[Session, *_Arguments], _T], *, of_sources: bool) -> Callable[[Session, *_Arguments], _T]:
+    @functools.wraps(make)
+    def known(session: Session, /, *arguments: *_Arguments) -> _T:
+        return session.made((make, *arguments), lambda: make(session, *arguments), of_sources=of_sources)
+
+    return known
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """Everything that a stage may read, before the profile is loaded.
+
+    Attributes:
+        workspace: paths of the spaces.
+        tree: the files, planned changes included.
+        state: the record of earlier runs.
+        plugins: the installed plugins.
+        environment: environment variables; only those that a profile names for passwords are read.
+        now: the clock, UTC.
+        tokens: the tokens that have keys of authorities; opened where something must be signed.
+    """
+
+    workspace: Workspace
+    tree: Tree
+    state: State
+    plugins: Plugins
+    environment: Mapping[str, str] = field(repr=False)
+    now: datetime
+    tokens: Tokens = field(repr=False, compare=False)
+
+    def after(self, plan: Plan) -> Self:
+        """Return the inputs as they are once a plan is carried out."""
+        return replace(self, tree=self.tree.overlaid(plan.overlay()), state=plan.state)
+
+    def profile_marker(self) -> Origin:
+        """Return the location of the profile's main document, for messages."""
+        return self.workspace.origin(self.workspace.profile / PROFILE_MARKER)
+
+    def package_marker(self, name: str) -> Origin:
+        """Return the location of a package's manifest, for messages."""
+        return self.workspace.origin(self.workspace.src / name / PACKAGE_MARKER)
+
+    def session(self) -> Session:
+        """Load the workspace's profile.
+
+        Raises:
+            KeymintError: there is no profile, no plugin recognises it, or it has defects (with ``file:line`` of each).
+        """
+        root = self.workspace.profile
+        files = profile_files(self.tree, root)
+        if PROFILE_MARKER not in files:
+            raise KeymintError(
+                "there is no profile",
+                where=self.profile_marker(),
+                help="run 'keymint init'",
+                code="workspace-missing",
+            )
+        for plugin in self.plugins.profile_types().values():
+            if plugin.recognises(files):
+                profile = plugin.load(root, files)
+                distro = "" if profile.distro_named else self._installed_distro(profile)
+                return Session(
+                    self.workspace,
+                    self.tree,
+                    self.state,
+                    self.plugins,
+                    self.environment,
+                    self.now,
+                    self.tokens,
+                    profile=plugin.with_distro(profile, distro) if distro else profile,
+                    profile_digest=digest(
+                        digest_files(files), self.plugins.versions, __version__, *filter(None, [distro])
+                    ),
+                )
+        raise KeymintError(
+            "no installed profile type recognises this profile",
+            where=self.profile_marker(),
+            help="'keymint plugins' lists the installed plugins",
+            code="profile-unknown",
+        )
+
+    def _installed_distro(self, profile: WorkspaceProfile) -> str:
+        """Return the distribution that installed documents tell, or an empty text."""
+        own = (self.plugins.build_type(name, self.profile_marker()) for name in profile.build_types)
+        paths = [path for path, _ in self.tree.walk(self.workspace.install)]
+        found = (each.distro_of(paths, self.tree.try_read) for each in own if isinstance(each, InstalledDistro))
+        return next(filter(None, found), "")
+
+
+@dataclass(frozen=True, slots=True)
+class Session(Inputs):
+    """The inputs together with the loaded profile and the source packages.
+
+    Attributes:
+        profile: the profile.
+        profile_digest: digest of everything that the profile was loaded from.
+        vendors_of: the ROS 2 distribution for whose vendors claims are made, if that is not the profile's.
+    """
+
+    profile: WorkspaceProfile
+    profile_digest: str
+    vendors_of: str = ""
+    _packages: dict[tuple[str, str, bool], Package] = field(default_factory=dict, repr=False, compare=False)
+    _made_of_sources: dict[tuple[Any, ...], Any] = field(default_factory=dict, repr=False, compare=False)
+    _made: dict[tuple[Any, ...], Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def for_vendors_of(self, distro: str | None) -> Self:
+        """Return the session with claims for the vendors of a distribution; None: the profile's.
+
+        Raises:
+            KeymintError: the distribution is unknown; the exit code is that of a usage error.
+        """
+        if distro is None or distro == self.profile.distro:
+            return self
+        self.profile_type.library(distro)
+        return replace(self, vendors_of=distro)
+
+    def made(self, key: tuple[Any, ...], make: Callable[[], _T], *, of_sources: bool = False) -> _T:
+        """Return a value that depends on this session only, made at the first call.
+
+        Args:
+            key: the same for the same value, and for no other one.
+            make: makes the value.
+            of_sources: it depends on the profile and the source space only, so it is kept until a plan changes these.
+        """
+        made = self._made_of_sources if of_sources else self._made
+        if key not in made:
+            made[key] = make()
+        value: _T = made[key]
+        return value
+
+    @property
+    def layouts(self) -> tuple[Layout, ...]:
+        """The layout of the install space, as each build type of new packages defines it; at least one.
+
+        Raises:
+            KeymintError: no build type knows the layout, or one cannot be loaded.
+        """
+        name, build_types = self.profile.layout, self.build_types.values()
+        if layouts := tuple(each.LAYOUTS[name] for each in build_types if name in each.LAYOUTS):
+            return layouts
+        known = sorted({layout for each in build_types for layout in each.LAYOUTS})
+        raise KeymintError(
+            f"no build type of the workspace has a layout {name!r}",
+            where=self.profile_marker(),
+            help=did_you_mean(name, known, f"known are {', '.join(known)}"),
+            code="layout-unknown",
+        )
+
+    @property
+    @once
+    def enclaves(self) -> Path:
+        """The folder that contains the enclaves; errors as :attr:`layouts`."""
+        return self.workspace.install / self.layouts[0].enclaves
+
+    def enclave(self, name: str) -> Path:
+        """Return the folder of an enclave; that of the root enclave contains all others. Errors as :attr:`layouts`."""
+        return Path(self.enclave_folder(name))
+
+    def enclave_folder(self, name: str) -> str:
+        """Return :meth:`enclave` as a text."""
+        return str(self.enclaves) if name == ROOT else f"{self.enclaves}/{name}"
+
+    @property
+    def profile_type(self) -> ProfileType:
+        """The type of the profile."""
+        return self.plugins.profile_type(self.profile.profile_type)
+
+    @property
+    def policy_type(self) -> PolicyType:
+        """The type of the policy; errors as :meth:`keymint.api.plugin_loader.Plugins.policy_type`."""
+        return self.plugins.policy_type(self.profile.policy_type, self.profile_marker())
+
+    @property
+    def build_types(self) -> Mapping[str, BuildType]:
+        """The build types of new packages by name; errors as :meth:`keymint.api.plugin_loader.Plugins.build_type`."""
+        return {each: self.plugins.build_type(each, self.profile_marker()) for each in self.profile.build_types}
+
+    @property
+    @once
+    def package_type(self) -> PackageType:
+        """The type of the packages; errors as :meth:`keymint.api.plugin_loader.Plugins.package_type`."""
+        return self.plugins.package_type(self.profile.package_type, self.profile_marker())
+
+    @once_of_sources
+    def packages(self) -> tuple[str, ...]:
+        """Return the names of the source packages, sorted; errors as :func:`keymint.workspace.workspace.packages`."""
+        return packages(self.tree, self.workspace.src)
+
+    def after(self, plan: Plan) -> Self:
+        """Return the session as it is once a plan is carried out."""
+        src, made = f"{self.workspace.src}/", self._made_of_sources
+        changed = {f"{change.folder}/" for change in plan.changes()}
+        changed = {folder for folder in changed if folder.startswith(src)}
+        if changed:
+            files = [key for key in made if key[0] == _FILES]
+            made = {key: made[key] for key in files if changed.isdisjoint(self._folders(key[1]))}
+        tree = self.tree.overlaid(plan.overlay())
+        return replace(self, tree=tree, state=plan.state, _made_of_sources=made)
+
+    def _folders(self, name: str) -> tuple[str, str]:
+        """Return the folders of a package, each with a slash."""
+        folder = f"{self.workspace.src}/{name}/"
+        return folder, f"{folder}{DEFAULTS}/"
+
+    def package_files(self, name: str) -> dict[str, bytes]:
+        """Return the XML files of a package; empty if there is no such package."""
+        return package_files(self.tree, self.workspace, name)
+
+    def file_digests(self, name: str) -> Mapping[str, str]:
+        """Return the digest of each file of :meth:`package_files`."""
+        return self._sources(name)[0]
+
+    def _sources(self, name: str) -> tuple[Mapping[str, str], str]:
+        """Return the digests of the files of a package, and one over all of them."""
+        return self.made((_FILES, name), lambda: self._read_sources(name), of_sources=True)
+
+    def _read_sources(self, name: str) -> tuple[Mapping[str, str], str]:
+        paths = package_paths(self.tree, self.workspace, name)
+        found = {file: value for file, path in paths.items() if (value := self.tree.digest(path)) is not None}
+        return found, digest(*(part for item in sorted(found.items()) for part in item))
+
+    def package(self, name: str, *, built: bool = False) -> Package:
+        """Load a package, once per run and content; errors as :meth:`keymint.api.PackageType.load`.
+
+        A package of a subject also has the packages of infrastructure that its build types have, whose errors are
+        raised as well.
+
+        Args:
+            name: the package.
+            built: it was built from these files; see :class:`keymint.api.BuiltPackageType`.
+        """
+        return self.made(("package", name, built), lambda: self._whole(name, built=built))
+
+    def _whole(self, name: str, *, built: bool) -> Package:
+        package = self._load(name, built=built)
+        if package.role is Role.INFRASTRUCTURE:
+            return package
+        needing = self._needing_infrastructure(package.build_types)
+        if not needing:
+            return package
+        infrastructure = (self._load(each) for each in self.infrastructure())
+        return replace(package, infrastructure=tuple(each for each in infrastructure if needing & {*each.build_types}))
+
+    @once
+    def _needing_infrastructure(self, build_types: tuple[str, ...]) -> frozenset[str]:
+        return frozenset(each for each in build_types if isinstance(self.plugins.build_type(each), Infrastructure))
+
+    @once_of_sources
+    def infrastructure(self) -> tuple[str, ...]:
+        """Return the names of the existing packages of infrastructure, sorted; none if no build type needs any."""
+        if not any(isinstance(each, Infrastructure) for each in self.build_types.values()):
+            return ()
+        return tuple(name for name in self.packages() if self.role(name) is Role.INFRASTRUCTURE)
+
+    @once_of_sources
+    def sources_digest(self, name: str) -> str:
+        """Return the digest of all that a package is loaded from except the profile, its infrastructure included."""
+        infrastructure = self.infrastructure()
+        placed = (str(self.workspace.install),) if infrastructure else ()
+        return digest(*placed, self._sources(name)[1], *map(self._named_digest, infrastructure))
+
+    def _named_digest(self, name: str) -> str:
+        """Return a digest of what the documents of other packages may have from a package of infrastructure.
+
+        They name it, so they change with its generation, but not when it is renewed.
+        """
+        found, whole = self._sources(name)
+        try:
+            generation = self.issuance(name).generation
+        except KeymintError:  # reported when the package is loaded
+            return whole
+        file = self.issuance_files.ISSUANCE if self.issuance_files else ""
+        own = (item for item in sorted(found.items()) if item[0] != file)
+        return digest(*(part for item in own for part in item), *((str(generation),) if generation else ()))
+
+    @property
+    @once
+    def issuance_files(self) -> IssuanceFiles | None:
+        """The type of the packages, if it keeps what an authority decided about them."""
+        return self.package_type if isinstance(self.package_type, IssuanceFiles) else None
+
+    @once_of_sources
+    def issuance(self, name: str) -> Issuance:
+        """Return what the authority decided about a package; the defaults if it has nothing about it.
+
+        Raises:
+            KeymintError: the file has defects, with ``file:line`` of each.
+        """
+        files = self.issuance_files
+        if files is None or files.ISSUANCE not in self.file_digests(name):
+            return Issuance()
+        folder = self.workspace.src / name
+        content = self.tree.read(folder / files.ISSUANCE) or b""
+        return files.issuance(self.workspace.shown(folder), {files.ISSUANCE: content})
+
+    def role(self, name: str) -> Role:
+        """Return why a package exists; the role of a subject if there is none or its manifest has defects."""
+        marker = f"{self.workspace.src}/{name}/{self.package_type.MARKER}"
+        found = self.tree.digest(marker)
+        if found is None:
+            return Role.SUBJECT
+        return self.made(("role", found), lambda: self.package_type.role(self.tree.read(marker) or b""))
+
+    def needed_infrastructure(self) -> Mapping[str, tuple[InfrastructurePackage, str]]:
+        """Return the packages of infrastructure that the profile's build types need, each with its build type, by name.
+
+        Raises:
+            KeymintError: two build types need a package of one name, or the profile has a defect.
+        """
+        needed: dict[str, tuple[InfrastructurePackage, str]] = {}
+        for build_type, plugin in self.build_types.items():
+            for each in plugin.packages(self.profile) if isinstance(plugin, Infrastructure) else ():
+                if each.name in needed:
+                    raise KeymintError(
+                        f"{needed[each.name][0].title} and {each.title} are both named {each.name!r}",
+                        where=self.profile_marker(),
+                        help="give one of them another name",
+                        code="infrastructure-doubled",
+                    )
+                needed[each.name] = (each, build_type)
+        return needed
+
+    @property
+    @once
+    def _loader(self) -> Callable[..., Package]:
+        """What loads a package that was built."""
+        own = self.package_type
+        return own.load_built if isinstance(own, BuiltPackageType) else own.load
+
+    def _load(self, name: str, *, built: bool = False) -> Package:
+        key = (name, self._sources(name)[1], built)
+        if key not in self._packages:
+            load = self._loader if built else self.package_type.load
+            files = self.package_files(name)
+            folder = self.workspace.shown(self.workspace.src / name)
+            install_space = str(self.workspace.install)
+            self._packages[key] = load(self.profile, name, folder, files, self.plugins.build_type, install_space)
+        return self._packages[key]

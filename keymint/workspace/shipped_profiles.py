@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The profiles that ROS packages ship: a workspace uses them only as its owner accepted them (docs/packages.md)."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from comarmor.errors import Diagnostic
+from comarmor.text import counted, did_you_mean, first_few, quoted
+from comarmor.xml.package_folders import InstalledPackages, PackageFolders, ShippedFile
+from keymint.api import (
+    AcceptedPackage,
+    AcceptedPackageFiles,
+    LoadedPolicy,
+    PackageIncludes,
+    PolicySource,
+    PolicyType,
+    PolicyWithPackages,
+)
+from keymint.errors import ExitCode, KeymintError
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed
+from keymint.workspace.session import Session
+
+STAGE = "create"
+
+
+class UnacceptedPackagesError(KeymintError):
+    """The policy includes files of packages that its owner did not accept as they are now.
+
+    Attributes:
+        files: these files, each with the SHA-256 of what was accepted of it, in hex; empty if nothing was.
+        before: loads the policy with what was accepted of them, which is nothing of a file that is new.
+        after: the policy with what the packages ship.
+    """
+
+    files: Mapping[ShippedFile, str]
+    before: Callable[[], LoadedPolicy]
+    after: LoadedPolicy
+
+
+def load_with(
+    policy_type: PolicyType,
+    sources: Sequence[PolicySource],
+    library: Path | None,
+    library_shown: Path | None,
+    packages: PackageFolders,
+) -> LoadedPolicy:
+    """Load policies that may include files of packages, if their type can; errors as :meth:`PolicyType.load`."""
+    if isinstance(policy_type, PackageIncludes):
+        return policy_type.load_with_packages(sources, library, library_shown, packages)
+    return policy_type.load(sources, library, library_shown)
+
+
+def installed(session: Session, trusted: Iterable[str] = (), *, trust_links: bool = False) -> InstalledPackages:
+    """Return the installed packages.
+
+    Args:
+        session: the workspace and its profile, which has the packages whose symbolic links are followed.
+        trusted: further ones.
+        trust_links: follow those of all packages.
+    """
+    accepted = (name for name, each in session.profile.packages.items() if each.follows_links)
+    return InstalledPackages(session.environment, None if trust_links else frozenset((*accepted, *trusted)))
+
+
+def shipped_files(policy: LoadedPolicy) -> Sequence[ShippedFile]:
+    """Return the files of packages that a policy was read from."""
+    return policy.shipped if isinstance(policy, PolicyWithPackages) else ()
+
+
+def refuse_unaccepted(session: Session, policy: LoadedPolicy, before: Callable[[], LoadedPolicy]) -> None:
+    """Refuse a policy with files of packages that the owner of the workspace did not accept as they are.
+
+    Args:
+        session: the workspace and its profile.
+        policy: the policy, as it was read.
+        before: loads it with the accepted copies.
+
+    Raises:
+        UnacceptedPackagesError: there are such files.
+        KeymintError: a copy of what was accepted was edited.
+    """
+    shipped = shipped_files(policy)
+    if not shipped:
+        return
+    _refuse_edited_copies(session, shipped)
+    accepted = {each: _accepted(session, each.package, each.path) for each in shipped}
+    found = {each: value for each, value in accepted.items() if each.sha256 != value}
+    if not found:
+        return
+    error = UnacceptedPackagesError("")
+    error.diagnostics = tuple(_diagnostics(shipped, found))
+    error.args = (str(error.diagnostics[0]),)
+    error.files, error.before, error.after = found, before, policy
+    raise error
+
+
+def package_digest(files: Mapping[str, str]) -> str:
+    """Return the digest of a package's files: that of what ``sha256sum`` prints for them, sorted by path.
+
+    Args:
+        files: SHA-256 of each file, in hex, by its path.
+    """
+    return hashlib.sha256("".join(f"{value}  {path}\n" for path, value in sorted(files.items())).encode()).hexdigest()
+
+
+def plan_acceptance(
+    session: Session,
+    named: Mapping[str, str],
+    load: Callable[[InstalledPackages], LoadedPolicy],
+    *,
+    trust_links: bool,
+) -> Plan:
+    """Plan to accept the profiles of packages as they are now: their digests, and copies to compare with later.
+
+    Args:
+        session: the workspace and its profile.
+        named: the packages, each with the :func:`package_digest` that it must have, or an empty text.
+        load: loads the policy with the installed packages.
+        trust_links: follow the symbolic links of these packages, from now on.
+
+    Raises:
+        KeymintError: the policy includes nothing of a package, or has defects, or a package has another digest, or the
+            profile cannot keep it.
+    """
+    profile = session.profile
+    plugin = session.profile_type
+    if not isinstance(plugin, AcceptedPackageFiles) or profile.package_copies is None:
+        raise KeymintError(
+            f"the profile type {profile.profile_type!r} cannot keep what was accepted of packages",
+            where=session.profile_marker(),
+            help="copy the files into the policy, and include the copies",
+            code="profile-without-packages",
+        )
+    by_package: dict[str, list[ShippedFile]] = {}
+    for each in shipped_files(load(installed(session, named if trust_links else ()))):
+        by_package.setdefault(each.package, []).append(each)
+    accepted = dict(profile.packages)
+    steps: list[Step] = []
+    for name, wanted in named.items():
+        if name not in by_package:
+            raise KeymintError(
+                f"the policy includes no file of a package {quoted(name)}",
+                help=did_you_mean(name, by_package, f"write package://{name}/FILE.xml into a profile first"),
+                code="package-unknown",
+                exit_code=ExitCode.USAGE,
+            )
+        before = _of(accepted, name)
+        files = {each.path: each.sha256 for each in by_package[name]}
+        if wanted and wanted != package_digest(files):
+            raise KeymintError(
+                f"the package {quoted(name)} ships something else than what is to be accepted: its digest is "
+                f"{package_digest(files)}",
+                where=by_package[name][0].where,
+                help="leave out --accept-package to see what it would change now",
+                code="package-changed",
+            )
+        accepted[name] = AcceptedPackage(files, before.follows_links or trust_links)
+        changes = tuple(_copied(session, profile.package_copies / name, by_package[name], before))
+        action = Action.UPDATED if changes or accepted[name] != before else Action.UNCHANGED
+        detail = f"accepted {counted(len(files), 'file')} of the package {name}"
+        steps.append(Step(STAGE, "", action, changes, detail))
+    return _with_lock(session, plugin, steps, accepted)
+
+
+def _with_lock(
+    session: Session, plugin: AcceptedPackageFiles, steps: list[Step], accepted: Mapping[str, AcceptedPackage]
+) -> Plan:
+    """Return a plan of some steps, of which the last one that changes copies also writes what was accepted."""
+    root = session.workspace.profile
+    lock = {file: File(content) for file, content in plugin.with_packages(accepted).items()}
+    written = changed(session.tree, root, lock) if accepted else (FolderChange(root, removed=tuple(lock)),)
+    last = max((at for at, step in enumerate(steps) if step.action is Action.UPDATED), default=None)
+    if last is not None:
+        steps[last] = replace(steps[last], changes=(*steps[last].changes, *written))
+    return Plan(tuple(steps), session.state)
+
+
+def plan_release(session: Session, policy: LoadedPolicy) -> Plan:
+    """Plan to drop what was accepted of files that the policy does not include any more.
+
+    An acceptance that outlives its include would let a later include grant rights that nobody decides about.
+
+    Args:
+        session: the workspace and its profile.
+        policy: its policy. One that is not loaded has not changed, and drops nothing.
+    """
+    profile = session.profile
+    plugin = session.profile_type
+    if (
+        not profile.packages
+        or not isinstance(policy, PolicyWithPackages)
+        or not isinstance(plugin, AcceptedPackageFiles)
+    ):
+        return Plan((), session.state)
+    included = {(each.package, each.path) for each in policy.shipped}
+    kept: dict[str, AcceptedPackage] = {}
+    steps: list[Step] = []
+    for name, each in profile.packages.items():
+        files = {path: value for path, value in each.files.items() if (name, path) in included}
+        if files:
+            kept[name] = AcceptedPackage(files, each.follows_links)
+        if dropped := [path for path in each.files if path not in files]:
+            detail = f"dropped {counted(len(dropped), 'file')} of the package {name}, no longer included"
+            steps.append(Step(STAGE, "", Action.UPDATED, tuple(_removed(session, name, dropped)), detail))
+    return _with_lock(session, plugin, steps, kept)
+
+
+def _removed(session: Session, name: str, paths: Iterable[str]) -> Iterator[FolderChange]:
+    """Yield the removal of copies of a package, if they are there."""
+    copies = session.profile.package_copies
+    for path in (copies / name / each for each in paths if copies is not None):
+        if session.tree.read(path) is not None:
+            yield FolderChange(path.parent, removed=(path.name,))
+
+
+def _copied(
+    session: Session, folder: Path, files: Sequence[ShippedFile], before: AcceptedPackage
+) -> Iterator[FolderChange]:
+    """Yield the changes that make the copies of a package those of some files."""
+    kept = {each.path for each in files}
+    for each in files:
+        path = folder / each.path
+        yield from changed(session.tree, path.parent, {path.name: File(each.content)})
+    yield from _removed(session, folder.name, (each for each in before.files if each not in kept))
+
+
+def _refuse_edited_copies(session: Session, shipped: Sequence[ShippedFile]) -> None:
+    """Refuse copies that are not what was accepted: the comparison with them would not tell what changes."""
+    copies = session.profile.package_copies
+    if copies is None:
+        return
+    packages = dict.fromkeys(each.package for each in shipped)
+    named = [(name, path) for name in packages for path in _of(session.profile.packages, name).files]
+    for name, path in dict.fromkeys((*named, *((each.package, each.path) for each in shipped))):
+        content = session.tree.read(copies / name / path)
+        if content is not None and hashlib.sha256(content).hexdigest() != _accepted(session, name, path):
+            raise KeymintError(
+                f"is not the copy of what was accepted of the package {quoted(name)}; an edit here grants nothing",
+                where=session.workspace.origin(copies / name / path),
+                help="restore it, or remove it; to change rights, write them into the policy",
+                code="package-copy-edited",
+            )
+
+
+def _diagnostics(shipped: Sequence[ShippedFile], found: Mapping[ShippedFile, str]) -> Iterator[Diagnostic]:
+    """Yield an error for each package; it has the digest, so that exactly what was seen can be accepted."""
+    for name in dict.fromkeys(each.package for each in found):
+        own = [each for each in found if each.package == name]
+        paths = first_few([each.path for each in own])
+        known = any(found[each] for each in own)
+        message = (
+            f"the package {quoted(name)} ships something else than what was accepted: {paths}"
+            if known
+            else f"what the package {quoted(name)} ships was not accepted yet: {paths}"
+        )
+        value = package_digest({each.path: each.sha256 for each in shipped if each.package == name})
+        help_ = (
+            f"if what it changes is right, repeat the command with --accept-package {name}={value}; "
+            "'keymint create --all' and 'keymint provision' list who gains and who loses what by it"
+        )
+        code = "package-changed" if known else "package-unaccepted"
+        yield Diagnostic.error(code, message, own[0].where, help_)
+
+
+def _of(packages: Mapping[str, AcceptedPackage], name: str) -> AcceptedPackage:
+    return packages.get(name) or AcceptedPackage({})
+
+
+def _accepted(session: Session, package: str, path: str) -> str:
+    """Return the SHA-256 of a file that was accepted, or an empty text."""
+    return _of(session.profile.packages, package).files.get(path, "")

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Load stored private keys: read their passwords, and check that their kind is the specified one."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import TypeVar
+
+from comarmor.errors import Diagnostic, Origin, Severity
+from keymint.api import CertificateSpec
+from keymint.errors import KeymintError
+from keymint.pki import keys
+from keymint.workspace.session import Inputs
+
+_Key = TypeVar("_Key", bound=keys.PrivateKey | keys.PublicKey)
+MAX_PASSWORD = 1023
+"""Bytes of a password that OpenSSL can read (PEM_BUFSIZE, less the final null)."""
+
+
+def password(inputs: Inputs, spec: CertificateSpec) -> bytes | None:
+    """Return the password of the key of a certificate, or None for a key that is stored unencrypted.
+
+    Raises:
+        KeymintError: the variable is not set, or empty, or its value is too long.
+    """
+    variable = spec.key.password_env
+    if not variable:
+        return None
+    value = inputs.environment.get(variable, "")
+    if not value:
+        raise KeymintError(
+            f"the environment variable {variable}, which holds the key's password, is not set",
+            where=spec.origin,
+            help=f"export {variable}=…",
+            code="password-missing",
+        )
+    secret = os.fsencode(value)  # the bytes of the environment, which need not be UTF-8
+    if len(secret) > MAX_PASSWORD:
+        raise KeymintError(
+            f"the environment variable {variable} holds a password of {len(secret):,} bytes, expected at most "
+            f"{MAX_PASSWORD:,}",
+            where=spec.origin,
+            help="choose a shorter one, which OpenSSL can read",
+            code="password-long",
+        )
+    return secret
+
+
+def load_key(
+    inputs: Inputs,
+    read: Callable[[bytes, bytes | None, Origin], _Key],
+    pem: bytes,
+    spec: CertificateSpec,
+    shown: Origin,
+    remedy: str,
+) -> _Key:
+    """Load a stored private key, or its public key.
+
+    Args:
+        inputs: the workspace.
+        read: :func:`keymint.pki.keys.from_pem`, or :func:`keymint.pki.keys.public_of` for the public key.
+        pem: the file's bytes.
+        spec: the certificate whose key the sources specify.
+        shown: the file, for messages.
+        remedy: how to fix a key that cannot be used, for messages.
+
+    Raises:
+        KeymintError: the file is damaged, the password is wrong or missing, or the key is not of the specified kind;
+            keys are replaced only on request.
+    """
+    try:
+        key = read(pem, password(inputs, spec) if keys.is_encrypted(pem) else None, shown)
+    except KeymintError as error:
+        raise KeymintError.of(replace(each, help=_help(each, spec, remedy)) for each in error.diagnostics) from None
+    if not keys.fits(key, spec.key):
+        message = f"is not {keys.described(spec.key)}, which {spec.origin} asks for"
+        raise KeymintError(message, where=shown, help=remedy, code="key-kind")
+    return key
+
+
+def key_defects(error: KeymintError, subject: str = "") -> Iterator[Diagnostic]:
+    """Yield the defects of a stored key as findings; a missing password is only a note."""
+    for defect in error.diagnostics:
+        severity = Severity.NOTE if defect.code == "password-missing" else defect.severity
+        yield replace(defect, severity=severity, subject=subject)
+
+
+def _help(diagnostic: Diagnostic, spec: CertificateSpec, remedy: str) -> str:
+    """Return how to fix a key that cannot be read."""
+    if diagnostic.code == "key-invalid":
+        return remedy
+    variable = spec.key.password_env
+    if diagnostic.code == "key-password" and not variable:
+        return f"name the environment variable of its password in password_env at {spec.origin}"
+    if diagnostic.code == "key-password":
+        return f"set {variable} to the password that the file was encrypted with, or {remedy}"
+    return diagnostic.help

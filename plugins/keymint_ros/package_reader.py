@@ -1,0 +1,373 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Loads source packages, completed by the defaults of their profile."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from functools import lru_cache, partial
+from typing import TYPE_CHECKING, TypeVar
+
+from comarmor.errors import Defects, Origin
+from comarmor.text import did_you_mean
+from comarmor.values import dataclass
+from comarmor.xml.reader import line
+from keymint.api import (
+    Authority,
+    BuildType,
+    CertificateSpec,
+    CommonNameIdentity,
+    Grant,
+    Issuance,
+    Package,
+    PackageSettings,
+    PackageSources,
+    Role,
+    SourcePart,
+    WorkspaceProfile,
+)
+from keymint.api.source_documents import (
+    DEFAULT_DOMAINS,
+    Reader,
+    domains,
+    file_in,
+    normal_path,
+    signer,
+    text,
+)
+from keymint.errors import KeymintError, known_authority
+from keymint.ir import DeferredRules, Rule, SubjectRules
+from keymint.names import subject_of
+from keymint_ros import (
+    adopted,
+    certificate,
+    issuance_document,
+    manifest,
+    permissions,
+    permissions_writer,
+    placeholders,
+    validity,
+)
+from keymint_ros.manifest import MARKER, SIGNER, PackageManifest, PackagePart
+from keymint_ros.profile_reader import base_of
+
+if TYPE_CHECKING:
+    from lxml import etree
+
+    from keymint.api import DomainRange, Validity
+
+_Issued = TypeVar("_Issued", CertificateSpec, Grant)
+
+
+@dataclass(frozen=True, slots=True)
+class _GrantDefaults:
+    line: int
+    issuer: str
+    domains: tuple[DomainRange, ...]
+    subject_name: str | None
+    validity: Validity | None
+
+
+def _identity(root: etree._Element) -> tuple[str, certificate.CertificateElement]:
+    (element,) = root.iterfind("identities/identity")
+    return element.get("name", "").strip(), certificate.read(element, placeholders.SUBJECT)
+
+
+def _grant_defaults(root: etree._Element) -> _GrantDefaults:
+    return _GrantDefaults(
+        line=line(root),
+        issuer=text(root.find("issuer_name")) or "",
+        domains=domains(root.find("domains")),
+        subject_name=placeholders.read(root.find("subject_name"), placeholders.SUBJECT),
+        validity=validity.read(root.find("validity")),
+    )
+
+
+_read_identity = Reader("keymint_ros", "identities", _identity)
+_read_identity_defaults = Reader(
+    "keymint_ros", "defaults_identities", lambda root: certificate.read(root, placeholders.SUBJECT)
+)
+_read_grant_defaults = Reader("keymint_ros", "defaults_permissions", _grant_defaults)
+
+
+@lru_cache(maxsize=64)
+def _default_identity(content: bytes, file: str) -> tuple[certificate.CertificateElement, CertificateSpec | None]:
+    """Return the defaults of identities, and the certificate that they describe alone, with placeholders in its name.
+
+    There is none if they do not describe one.
+    """
+    defaults = replace(_read_identity_defaults(content, file), file=file)
+    alone = defaults.subject_name is not None and defaults.validity is not None
+    return defaults, certificate.complete(defaults, defaults, {}) if alone else None
+
+
+@lru_cache(maxsize=64)
+def _default_grant(content: bytes, file: str) -> _GrantDefaults:
+    """Return the defaults of grants, whose validity has its place in this file."""
+    defaults = _read_grant_defaults(content, file)
+    return replace(defaults, validity=validity.placed(defaults.validity, file))
+
+
+@dataclass(frozen=True, slots=True)
+class _PackageLoader:
+    """Loads one package; each method loads one part.
+
+    Attributes:
+        name: the package's name.
+        folder: the package's folder as the user would type it.
+        base: path of the profile space as the user would type it, ending in a slash; or empty.
+        files: the package's files.
+        values: values of the placeholders.
+        authorities: names of the profile's authorities.
+        built: the package was built from these files.
+    """
+
+    profile: WorkspaceProfile
+    name: str
+    folder: str
+    base: str
+    files: Mapping[str, bytes]
+    manifest: PackageManifest
+    values: Mapping[str, str]
+    authorities: tuple[str, ...]
+    built: bool
+
+    def own(self, part: PackagePart, create: str = "") -> tuple[str, bytes | None]:
+        """Return the path of a part's document, for messages, and its content, or None if there is no document.
+
+        Args:
+            part: the part.
+            create: help for the error if the document is missing; empty if it is optional.
+        """
+        where = self.place(part)
+        path = normal_path(part.path, where)
+        content = self.files.get(path)
+        if content is None and (part.named or create):
+            raise KeymintError(
+                f"the package has no {part.path}",
+                where=where if part.named else Origin(self.folder),
+                help=create or did_you_mean(path, self.files, f"create it, or leave its path out of {MARKER}"),
+                code="file-missing",
+            )
+        return self.file(path), content
+
+    def defaults(self, part: PackagePart) -> tuple[str, bytes]:
+        """Return the path, for messages, and the content of a part's defaults in the package or the profile."""
+        file, content = self.optional_defaults(part)
+        if content is None:
+            content = file_in(self.profile.files, part.defaults, self.place(part), "package or its profile")
+        return file, content
+
+    def optional_defaults(self, part: PackagePart) -> tuple[str, bytes | None]:
+        """Return the same; without content if there are no such defaults."""
+        path = normal_path(part.defaults, self.place(part))
+        if path in self.files:
+            return self.file(path), self.files[path]
+        return self.base + path, self.profile.files.get(path)
+
+    def file(self, path: str) -> str:
+        """Return the path of a file of the package as the user would type it."""
+        return f"{self.folder}/{path}"
+
+    def place(self, part: PackagePart) -> Origin:
+        """Return the place of a part in the manifest."""
+        return Origin(self.file(MARKER), part.line)
+
+    def identity(self) -> CertificateSpec:
+        """Return the certificate of the subject."""
+        part = self.manifest.part("identities")
+        file, content = self.own(part)
+        defaults_file, defaults_content = self.defaults(part)
+        defaults, alone = _default_identity(defaults_content, defaults_file)
+        own = certificate.CertificateElement(defaults.line, defaults_file)
+        if content is not None:
+            name, element = _read_identity(content, file)
+            own = replace(element, file=file)
+            if not manifest.is_name_of(name, self.name):
+                raise KeymintError(
+                    f"the identity is named {name!r}, but the package {self.name!r}",
+                    where=own.origin,
+                    help="give it the name of the package, or none",
+                    code="name-mismatch",
+                )
+        if own.is_empty and alone is not None:
+            spec = replace(alone, subject_name=placeholders.expand(alone.subject_name, self.values))
+        else:
+            spec = certificate.complete(own, defaults, self.values)
+        named_at = certificate.issuer(own, defaults)[1]
+        if part.issuer and own.issuer is None:
+            spec, named_at = replace(spec, issuer=part.issuer), self.place(part)
+        known_authority(spec.issuer, self.authorities, named_at, "issues the certificate")
+        return spec
+
+    def grant(self) -> Grant:
+        """Return the grant of the subject; infrastructure needs no document for it, since its grant has no rules."""
+        subject, part = subject_of(self.name), self.manifest.part("permissions")
+        if self.manifest.role is Role.INFRASTRUCTURE and part.path not in self.files:
+            return self._grant_of(SubjectRules(subject, ()))
+        file, found = self.own(part, create=f"'keymint create {self.name}' creates it from the policy")
+        content = found or b""
+        rules = (
+            DeferredRules(subject, partial(self._rules, content, file))
+            if self.built and permissions_writer.has_rules_only(content, subject)
+            else permissions_writer.rendered(content, self.base)
+        )
+        if rules is not None:
+            return self._grant_of(rules, Origin(file, permissions_writer.GRANT_LINE))
+        grant = permissions.read(content, file, subject)
+        base = self._grant_of(permissions.to_ir(grant, subject, file, self.base), Origin(file, grant.line))
+        return replace(
+            base,
+            name=grant.name,
+            subject_name=placeholders.expand(grant.subject_name, self.values)
+            if grant.subject_name
+            else base.subject_name,
+            validity=validity.placed(grant.validity, file) or base.validity,
+            domains=grant.domains or base.domains,
+            domains_origin=None if grant.domains else base.domains_origin,
+            edited=grant.edited,
+        )
+
+    def _rules(self, content: bytes, file: str) -> tuple[Rule, ...]:
+        subject = subject_of(self.name)
+        return permissions.to_ir(permissions.read(content, file, subject), subject, file, self.base).rules
+
+    def _grant_of(self, rules: SubjectRules, written: Origin | None = None) -> Grant:
+        """Return the grant that the defaults give for some rules.
+
+        Args:
+            rules: the rules.
+            written: the place of the grant in its document, if there is one.
+        """
+        part = self.manifest.part("permissions")
+        file, content = self.defaults(part)
+        defaults = _default_grant(content, file)
+        origin = Origin(file, defaults.line)
+        issuer = defaults.issuer or (SIGNER if SIGNER in self.authorities else "")
+        return Grant(
+            issuer=signer(part.issuer, self.place(part), issuer, origin, self.authorities),
+            name=rules.subject,
+            subject_name=placeholders.expand(defaults.subject_name or "", self.values),
+            validity=defaults.validity,
+            domains=defaults.domains or DEFAULT_DOMAINS,
+            rules=rules,
+            origin=written or origin,
+            domains_origin=origin if written else None,
+            defaults_origin=origin,
+        )
+
+    def part(self, name: str) -> SourcePart:
+        """Return a part that a build type reads."""
+        part = self.manifest.part(name)
+        file, content = self.own(part)
+        defaults_file, defaults = self.optional_defaults(part)
+        return SourcePart(name, file, content, defaults_file, defaults, part.issuer, self.place(part))
+
+
+def load(
+    profile: WorkspaceProfile,
+    name: str,
+    folder: str,
+    files: Mapping[str, bytes],
+    build_types: Callable[[str, Origin], BuildType],
+    install_space: str,
+    *,
+    built: bool = False,
+) -> Package:
+    """Load a package: see :meth:`keymint.api.PackageType.load` and, if it was built, `load_built`."""
+    file = f"{folder}/{MARKER}"
+    package_manifest = manifest.read(file_in(files, MARKER, Origin(folder), "package"), file)
+    if not manifest.is_name_of(package_manifest.name, name):
+        last = name.rpartition("/")[2]
+        raise KeymintError(
+            f"the package is named {package_manifest.name!r}, but its folder {name!r}",
+            where=Origin(file, package_manifest.name_line),
+            help=f"write <name>{last}</name> or leave it out, or move the folder",
+            code="name-mismatch",
+        )
+    subject = subject_of(name)
+    plugins = {each: build_types(each, Origin(file)) for each in package_manifest.build_types}
+    defects = Defects()
+    issued = defects.attempt(partial(issuance_document.issuance, folder, files)) or Issuance()
+    in_common_name = any(isinstance(each, CommonNameIdentity) for each in plugins.values())
+    values = placeholders.of_subject(subject, issued.generation, in_common_name=in_common_name)
+    authorities = tuple(authority.name for authority in profile.authorities)
+    loader = _PackageLoader(
+        profile, name, folder, base_of(profile), files, package_manifest, values, authorities, built
+    )
+    identity = _renewed(defects.attempt(loader.identity), issued)
+    grant = _renewed(defects.attempt(loader.grant), issued)
+    parts = _parts(loader, plugins.values(), defects)
+    sources = PackageSources(
+        name=name,
+        subject=subject,
+        role=package_manifest.role,
+        distro=profile.distro,
+        parts=parts,
+        authorities=loader.authorities,
+        accepts=profile.accepts,
+        install_space=install_space,
+        identity=identity,
+        grant=grant,
+    )
+    settings: dict[str, PackageSettings] = {}
+    for each, plugin in plugins.items():
+        if parts.keys() >= set(plugin.PARTS) and (read := defects.attempt(partial(plugin.settings, sources))):
+            settings[each] = read
+    if identity is None or grant is None or defects.found:
+        raise KeymintError.of(defects.found)
+    return Package(
+        name=name,
+        subject=subject,
+        distro=profile.distro,
+        identity=_with_extensions(identity, settings.values()),
+        grant=grant,
+        build_types=package_manifest.build_types,
+        settings={each: read.value for each, read in settings.items()},
+        issuers=tuple(_issuers(profile, identity.issuer)),
+        role=package_manifest.role,
+        issuance=issued,
+        kept=adopted.kept(files),
+    )
+
+
+load_built = partial(load, built=True)
+
+
+def _renewed(issued: _Issued | None, issuance_: Issuance) -> _Issued | None:
+    """Return a certificate or a grant with the validity that it has since it was renewed."""
+    if issued is None or issued.validity is None or issuance_.renewed is None:
+        return issued
+    return replace(issued, validity=validity.renewed(issued.validity, issuance_.renewed))
+
+
+def _parts(loader: _PackageLoader, plugins: Iterable[BuildType], defects: Defects) -> Mapping[str, SourcePart]:
+    """Return the parts that build types read, without those that have defects, which are collected."""
+    names = dict.fromkeys(name for plugin in plugins for name in plugin.PARTS)
+    parts = {name: defects.attempt(partial(loader.part, name)) for name in names}
+    return {name: part for name, part in parts.items() if part}
+
+
+def _with_extensions(identity: CertificateSpec, settings: Iterable[PackageSettings]) -> CertificateSpec:
+    """Return the identity with the extensions that build types add; an extension of the sources goes first."""
+    extensions = {each.name: each for each in identity.extensions}
+    for of_build_type in settings:
+        for each in of_build_type.extensions:
+            extensions.setdefault(each.name, each)
+    added = len(extensions) > len(identity.extensions)
+    return replace(identity, extensions=tuple(extensions.values())) if added else identity
+
+
+def _issuers(profile: WorkspaceProfile, name: str) -> Iterator[Authority]:
+    """Yield an authority and its issuers up to the root; the profile has no cycle."""
+    known = {authority.name: authority for authority in profile.authorities}
+    while name in known:
+        yield known[name]
+        name = known[name].certificate.issuer
+
+
+def rule_places(name: str, folder: str, files: Mapping[str, bytes]) -> tuple[Origin, ...]:
+    """Return the place in the package of each of its rules: see :meth:`keymint.api.RuleLocator.rule_places`."""
+    path = manifest.path_of("permissions", folder, files)
+    grant = permissions.read(files.get(path, b""), f"{folder}/{path}", subject_of(name))
+    return tuple(Origin(f"{folder}/{path}", place.line) for place in grant.places)

@@ -1,0 +1,309 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Loads the profile of a workspace, changes its policy path, and returns its settings as options of ``init``."""
+
+from __future__ import annotations
+
+import os
+import posixpath
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from comarmor.errors import Origin
+from comarmor.values import dataclass
+from comarmor.xml.reader import line
+from keymint.api import Authority, PolicySource, WorkspaceProfile
+from keymint.api.source_documents import Reader, domains, file_in, place, require_new, text
+from keymint.errors import KeymintError, known_authority
+from keymint_ros import (
+    authority_issuance,
+    bootstrap,
+    certificate,
+    distros,
+    manifest,
+    packages_lock,
+    placeholders,
+    validity,
+)
+from keymint_ros.certificate import CertificateElement
+from keymint_ros.manifest import BUILD_TYPE
+
+if TYPE_CHECKING:
+    from lxml import etree
+
+MANIFEST = "keymint_profile.xml"
+NAME = "keymint_ros"
+LIBRARY = "comarmor.d"
+
+_AUTHORITY_DEFAULTS = "profile.defaults/authorities.xml"
+_GRANT_DEFAULTS = "package.defaults/permissions.xml"
+_IDENTITY_DEFAULTS = "package.defaults/identities.xml"
+
+
+@dataclass(frozen=True, slots=True)
+class _PathElement:
+    """A path in a document, and its line."""
+
+    path: str
+    line: int
+
+
+@dataclass(frozen=True, slots=True)
+class _ProfileManifest:
+    """The content of ``keymint_profile.xml``; ``authorities`` has pairs of a document and its defaults."""
+
+    name: str
+    authorities: tuple[tuple[_PathElement, _PathElement], ...]
+    policies: tuple[_PathElement, ...]
+    policy_type: str
+    package_type: str
+    build_types: tuple[str, ...]
+    layout: str
+    distro: str
+    accepts: frozenset[str]
+    revoke_superseded: bool
+
+
+def _path(parent: etree._Element, tag: str, usual: str) -> _PathElement:
+    element = parent.find(tag)
+    return _PathElement(usual, line(parent)) if element is None else _PathElement(text(element) or "", line(element))
+
+
+def _manifest(root: etree._Element) -> _ProfileManifest:
+    exports = _exports(root)
+    distro = root.find("export/distro")
+    return _ProfileManifest(
+        name=text(root.find("name")) or "",
+        authorities=tuple(
+            (_path(item, "authority_path", "authorities.xml"), _path(item, "defaults_path", _AUTHORITY_DEFAULTS))
+            for item in root.iterfind("authorities/authority")
+        ),
+        policies=tuple(_path(item, "policy_path", "policies.xml") for item in root.iterfind("policies/policy")),
+        policy_type=exports.get("policy_type") or bootstrap.POLICY_TYPE,
+        package_type=exports.get("package_type") or NAME,
+        build_types=manifest.build_types(root.findall("export/build_type")) or (BUILD_TYPE,),
+        layout=exports.get("layout", ""),
+        distro=exports.get("distro", "")
+        and distros.check(exports["distro"], place(root if distro is None else distro)),
+        accepts=frozenset(str(part.tag) for part in root.iterfind("accept/*")),
+        revoke_superseded=root.find("revoke_superseded") is not None,
+    )
+
+
+def _exports(root: etree._Element) -> Mapping[str, str]:
+    """Return the text of each element of ``<export>`` by its tag.
+
+    Raises:
+        KeymintError: an element that may occur once occurs twice.
+    """
+    exports: dict[str, str] = {}
+    for part in root.iterfind("export/*"):
+        tag = str(part.tag)
+        if tag != "build_type":
+            require_new(tag, exports, part, f"there are two elements <{tag}>", "remove one of them", "schema")
+        exports[tag] = text(part) or ""
+    return exports
+
+
+def _authorities(root: etree._Element) -> tuple[tuple[str, CertificateElement], ...]:
+    return tuple(
+        (element.get("name", "").strip(), certificate.read(element, placeholders.AUTHORITY))
+        for element in root.iterfind("authorities/authority")
+    )
+
+
+def _check_unique(name: str, known: Mapping[str, object], where: Origin) -> None:
+    """Check that an authority's name is new, even on a file system that ignores case."""
+    if name.lower() in {other.lower() for other in known}:
+        raise KeymintError(
+            f"there are two authorities named {name!r}",
+            where=where,
+            help="give each its own name, different in more than case: it becomes the name of a file",
+            code="authority-doubled",
+        )
+
+
+def _policies(root: etree._Element) -> tuple[tuple[str, _PathElement], ...]:
+    """Return name and path of each policy."""
+    return tuple((item.get("name", "").strip(), _policy_path(item)) for item in root.iterfind("policies/policy"))
+
+
+def _policy_path(policy: etree._Element) -> _PathElement:
+    """Return the path of a policy; documents of early 2018 have two elements for it, for the same folder.
+
+    Raises:
+        KeymintError: these two name different folders, but an include is relative to the file that has it.
+    """
+    (*config, path) = policy.iterfind("comarmor/*")
+    for each in config:
+        if os.path.normpath(text(each) or "") != os.path.normpath(text(path) or ""):
+            raise KeymintError(
+                f"<{each.tag}> names another folder than <{path.tag}>, but includes are relative to the file that has "
+                "them",
+                where=place(each),
+                help=f"move what is included into {text(path)!r}, and write <profile_path>{text(path)}</profile_path> "
+                "in place of both",
+                code="policy-folders",
+            )
+    return _PathElement(text(path) or "", line(path))
+
+
+_read_manifest = Reader("keymint_ros", "keymint_profile", _manifest)
+_read_authorities = Reader("keymint_ros", "authorities", _authorities)
+_read_authority_defaults = Reader(
+    "keymint_ros", "defaults_authorities", lambda root: certificate.read(root, placeholders.AUTHORITY)
+)
+_read_policies = Reader("keymint_ros", "policies", _policies)
+
+
+def base_of(profile: WorkspaceProfile) -> str:
+    """Return the path of the profile space as the user would type it, ending in a slash; or empty."""
+    folder = posixpath.dirname(profile.library or "")
+    return folder and f"{folder.rstrip('/')}/"
+
+
+def recognises(files: Mapping[str, bytes]) -> bool:
+    """Tell whether a profile space with these files is of this type."""
+    return MANIFEST in files
+
+
+def load(root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
+    """Load a profile: see :meth:`keymint.api.ProfileType.load`."""
+    name = str(root / MANIFEST)
+    own = _read_manifest(file_in(files, MANIFEST, Origin(str(root)), "profile"), name)
+    authorities: dict[str, Authority] = {}
+    issuers: dict[str, Origin] = {}
+    for path, defaults_path in own.authorities:
+        for authority, where, issuer_named_at in _load_authorities(root, files, path, defaults_path):
+            _check_unique(authority.name, authorities, where)
+            authorities[authority.name], issuers[authority.name] = authority, issuer_named_at
+    for each, issuance in authority_issuance.read(files, str(root), authorities).items():
+        spec = authority_issuance.applied(authorities[each].certificate, issuance)
+        authorities[each] = Authority(each, spec, issuance)
+    _check_hierarchy(authorities, issuers)
+    return WorkspaceProfile(
+        name=own.name,
+        profile_type=NAME,
+        policy_type=own.policy_type,
+        package_type=own.package_type,
+        policies=tuple(source for path in own.policies for source in _load_policies(root, files, path)),
+        library=root / LIBRARY,
+        authorities=tuple(authorities.values()),
+        build_types=own.build_types,
+        layout=own.layout or "sros2",
+        distro=own.distro or distros.DEFAULT,
+        distro_named=bool(own.distro),
+        files=files,
+        accepts=own.accepts,
+        revoke_superseded=own.revoke_superseded,
+        packages=packages_lock.read(files, str(root)),
+        package_copies=root / packages_lock.COPIES,
+    )
+
+
+def with_distro(profile: WorkspaceProfile, distro: str) -> WorkspaceProfile:
+    """Return a profile with a distribution: see :meth:`keymint.api.ProfileType.with_distro`."""
+    layout = _read_manifest(profile.files[MANIFEST], MANIFEST).layout
+    # What no node of the distribution could read stays where it would be without one.
+    is_readable = len(profile.authorities) == 1 or not distros.has_one_authority(distro, distros.layout(distro))
+    return replace(profile, distro=distro, layout=layout or (distros.layout(distro) if is_readable else profile.layout))
+
+
+def _document(root: Path, files: Mapping[str, bytes], path: _PathElement) -> tuple[bytes, str]:
+    """Return the content of a document that the manifest names, and its path as the user would type it."""
+    return file_in(files, path.path, Origin(str(root / MANIFEST), path.line), "profile"), str(root / path.path)
+
+
+def _load_authorities(
+    root: Path, files: Mapping[str, bytes], path: _PathElement, defaults_path: _PathElement
+) -> Iterator[tuple[Authority, Origin, Origin]]:
+    """Yield the authorities of one document, each with its place and the one that names its issuer."""
+    content, file = _document(root, files, path)
+    defaults_content, defaults_file = _document(root, files, defaults_path)
+    defaults = replace(_read_authority_defaults(defaults_content, defaults_file), file=defaults_file)
+    for name, element in _read_authorities(content, file):
+        own = replace(element, file=file)
+        spec = certificate.complete(own, defaults, {"name": name})
+        issuer = "" if spec.issuer == name else spec.issuer
+        yield Authority(name, replace(spec, issuer=issuer)), own.origin, certificate.issuer(own, defaults)[1]
+
+
+def _check_hierarchy(authorities: Mapping[str, Authority], issuers: Mapping[str, Origin]) -> None:
+    """Check that every chain of issuers ends in a self-signed authority of the profile."""
+    for name in authorities:
+        chain = [name]
+        while issuer := authorities[chain[-1]].certificate.issuer:
+            where = issuers[chain[-1]]
+            help_ = "leave <issuer_name> empty for a self-signed authority"
+            known_authority(issuer, authorities, where, help_=help_)
+            if issuer in chain:
+                raise KeymintError(
+                    f"authorities issue each other in a cycle: {' <- '.join([*chain, issuer])}",
+                    where=where,
+                    help="leave the <issuer_name> of the root authority empty",
+                    code="authority-cycle",
+                )
+            chain.append(issuer)
+
+
+def _load_policies(root: Path, files: Mapping[str, bytes], path: _PathElement) -> Iterator[PolicySource]:
+    """Yield the policies of one document."""
+    content, file = _document(root, files, path)
+    for name, policy in _read_policies(content, file):
+        yield PolicySource(name, Path(os.path.normpath(root / policy.path)), Origin(file, policy.line))
+
+
+def with_policy(files: Mapping[str, bytes], policy: str) -> Mapping[str, bytes]:
+    """Return the files that change with the policy: see :meth:`keymint.api.ProfileType.with_policy`."""
+    own = _read_manifest(file_in(files, MANIFEST, Origin(MANIFEST), "profile"), MANIFEST)
+    path, *others = own.policies
+    content, file = _document(Path(), files, path)
+    policies = [each for _, each in _read_policies(content, file)]
+    if not others and [each.path for each in policies] == [policy]:
+        return {}
+    if others or len(policies) != 1 or content != _as_written(policies[0].path):
+        raise KeymintError(
+            f"not replacing the profile's policies by {policy!r}: they were edited by hand",
+            where=Origin(file, policies[0].line),
+            help=f"write <profile_path>{policy}</profile_path> into this file, or create a new workspace",
+            code="policies-edited",
+        )
+    return {path.path: bootstrap.policies(policy)}
+
+
+def _as_written(policy: str) -> bytes:
+    """Return the list that Keymint writes of a policy; empty if it would not write a path like this."""
+    try:
+        return bootstrap.policies(policy)
+    except KeymintError:
+        return b""
+
+
+def settings(profile: WorkspaceProfile) -> Mapping[str, str]:
+    """Return the value of each option of ``init``: see :meth:`keymint.api.ProfileSettings.settings`."""
+    found: dict[str, str] = {}
+    for file, read in ((_IDENTITY_DEFAULTS, _read_identity_settings), (_GRANT_DEFAULTS, _read_grant_settings)):
+        if content := profile.files.get(file):
+            found |= read(content, file)
+    return {"distro": profile.distro, "layout": profile.layout, **found}
+
+
+def _settings(root: etree._Element) -> Mapping[str, str]:
+    """Return what the defaults of grants or identities set; the latter have no domains."""
+    ranges = (
+        f"{each.first}-{each.last}" if each.first < each.last else f"{each.first}"
+        for each in domains(root.find("domains"))
+    )
+    subject_name = text(root.find("subject_name")) or ""
+    formats = {name: format_ for format_, name in bootstrap.SUBJECT_NAMES.items()}
+    found = {
+        "domain": ", ".join(ranges),
+        "subject-format": formats.get(subject_name, subject_name),
+        "valid-for": validity.length(root),
+    }
+    return {name: value for name, value in found.items() if value}
+
+
+_read_grant_settings = Reader("keymint_ros", "defaults_permissions", _settings)
+_read_identity_settings = Reader("keymint_ros", "defaults_identities", _settings)

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Translate DDS endpoints into ROS 2 entities: topics, services, and the actions and parameters made of these."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from comarmor.rules import PARTS, parts
+from keymint.api.graph import Edge, Graph, Object
+from keymint_ros2_dds.discovery.ros_entities import ros_name, ros_type
+
+_TOPIC = {"publish": "ros_publish", "subscribe": "ros_subscribe"}
+_ROLES = {
+    "ros_call": frozenset({("publish", "rq"), ("subscribe", "rr")}),
+    "ros_execute": frozenset({("subscribe", "rq"), ("publish", "rr")}),
+}
+"""The two endpoints of each side of a service."""
+_FIRST = {parts(*composite)[0]: composite for composite in PARTS}
+"""The composite that each first part belongs to."""
+_ACTION_SUFFIX = "_SendGoal"
+
+Types = set[tuple[Object, str]]
+
+
+def interpret(graph: Graph, *, fold: bool) -> Graph:
+    """Return a graph in terms of ROS. It loses nothing, and is idempotent.
+
+    Args:
+        graph: objects of any kind; DDS topics that fit no mapping, and halves of services, stay DDS topics.
+        fold: combine services and topics into actions and parameters where all parts exist; otherwise split these.
+    """
+    edges = set(_unfolded(graph.edges))
+    types = {*graph.types, *_ros_types(graph)}
+    edges = set(_ros_edges(edges))
+    if fold:
+        edges, types = _folded(edges, types)
+    remaining = {edge.object for edge in edges}
+    return Graph.of(edges, graph.subjects, (item for item in types if item[0] in remaining))
+
+
+def _unfolded(edges: Iterable[Edge]) -> Iterator[Edge]:
+    for edge in edges:
+        for kind, permission, suffix in parts(edge.object.kind, edge.permission):
+            if suffix:
+                yield Edge(edge.subject, permission, Object(kind, edge.object.name + suffix), edge.domain)
+            else:
+                yield edge
+
+
+def _ros_types(graph: Graph) -> Iterator[tuple[Object, str]]:
+    for object_, name in graph.types:
+        entity = ros_name(object_) if object_.kind == "topic" else None
+        if entity:
+            yield (
+                Object("ros_topic" if entity.part == "rt" else "ros_service", entity.name),
+                ros_type(name, entity.part),
+            )
+
+
+def _ros_edges(edges: set[Edge]) -> Iterator[Edge]:
+    """Yield edges in terms of ROS; one endpoint of a service is kept unless its subject has both."""
+    halves: dict[Edge, dict[tuple[str, str], set[Edge]]] = {}
+    for edge in edges:
+        entity = ros_name(edge.object) if edge.permission in _TOPIC and edge.object.kind == "topic" else None
+        if entity is None:
+            yield edge
+        elif entity.part == "rt":
+            yield Edge(edge.subject, _TOPIC[edge.permission], Object("ros_topic", entity.name), edge.domain)
+        else:
+            half = (edge.permission, entity.part)
+            role = next(role for role, both in _ROLES.items() if half in both)
+            combined = Edge(edge.subject, role, Object("ros_service", entity.name), edge.domain)
+            halves.setdefault(combined, {}).setdefault(half, set()).add(edge)
+    for combined, endpoints in halves.items():
+        if endpoints.keys() == _ROLES[combined.permission]:
+            yield combined
+        elif combined not in edges:
+            for half_edges in endpoints.values():
+                yield from half_edges
+
+
+def _folded(edges: set[Edge], types: Types) -> tuple[set[Edge], Types]:
+    """Combine complete entities; a subject that lacks a part keeps the other parts."""
+    kept, named = set(edges), set(types)
+    of_object: dict[Object, list[str]] = {}
+    for object_, name in types:
+        of_object.setdefault(object_, []).append(name)
+    for edge in edges:
+        for (kind, permission, suffix), (composite, whole) in _FIRST.items():
+            if (edge.object.kind, edge.permission) != (kind, permission) or not edge.object.name.endswith(suffix):
+                continue
+            base = edge.object.name.removesuffix(suffix)
+            needed = {
+                Edge(edge.subject, part_permission, Object(part_kind, base + part), edge.domain)
+                for part_kind, part_permission, part in parts(composite, whole)
+            }
+            if not base or not needed <= edges:
+                continue
+            kept -= needed
+            kept.add(Edge(edge.subject, whole, Object(composite, base), edge.domain))
+            named |= {
+                (Object(composite, base), name.removesuffix(_ACTION_SUFFIX))
+                for name in of_object.get(edge.object, ())
+                if composite == "ros_action" and name.endswith(_ACTION_SUFFIX)
+            }
+    return kept, named

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Emits the permissions document of a subject by its kind.
+
+It is renamed from that of another member, which the engine made, where that is proven to be the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import field
+from functools import lru_cache
+
+from comarmor.patterns.steps import step_limit
+from comarmor.values import dataclass
+from keymint.api import BuildOptions, Claim, DomainRange, Grant, Package, Validity
+from keymint.errors import KeymintError
+from keymint.keymake.kinds import Arguments, Kind, kind_of
+from keymint_ros2_dds import subject_name_text
+from keymint_ros2_dds.compiling.gathering import gathered
+from keymint_ros2_dds.compiling.grant_compiler import Compiled, vendor_notes
+from keymint_ros2_dds.decision import VARIATIONS
+from keymint_ros2_dds.documents import dds_xml, permissions_document
+from keymint_ros2_dds.emit.compiled_elsewhere import emit_received
+from keymint_ros2_dds.emit.emission import Emitted, comparison, emit
+from keymint_ros2_dds.emit.kind_structure import PLAIN_TEXT, Signature, Structure
+from keymint_ros2_dds.emit.kind_template import Template
+from keymint_ros2_dds.enclave_layout import PERMISSIONS
+from keymint_ros2_dds.lowering.grant_rules import GrantRule
+from keymint_ros2_dds.proving import proof_cache
+from keymint_ros2_dds.reading.signed_permissions import DocumentGrant
+from keymint_ros2_dds.settings import validity_of
+from keymint_ros2_dds.vendor_limits import TIGHT, signed_size
+
+MOST = 1_000
+"""Kinds that are remembered."""
+MOST_EXEMPLARS = 100
+"""Members of a kind that are remembered."""
+FEW_STEPS = 5_000
+"""Steps of the engine for a member that is renamed: a tenth of any limit, so that none decides about a document."""
+
+Domains = tuple[DomainRange, ...]
+
+_SEMANTICS = tuple(variation.semantics for variation in VARIATIONS.values())
+
+
+@dataclass(frozen=True, slots=True)
+class _Made:
+    """What the engine made for a member.
+
+    Attributes:
+        arguments: the names in its rules.
+        rules: the rules in its document.
+        plain: these in plain form.
+        claims: what is proven about its document, and about every renamed one.
+        notes: there are notes on its document.
+    """
+
+    arguments: Arguments
+    rules: tuple[GrantRule[str], ...]
+    plain: tuple[GrantRule[str], ...]
+    claims: tuple[Claim, ...]
+    notes: bool
+
+
+@dataclass(slots=True)
+class _Members:
+    """The members of a kind.
+
+    Attributes:
+        first: the first member; None once it is among the exemplars.
+        structure: None if no member can be renamed; made for the second member, since many kinds have one only.
+        exemplars: a member for each signature, with the templates of its rules.
+    """
+
+    first: _Made | None
+    structure: Structure | None = None
+    exemplars: dict[Signature, tuple[_Made, Template, Template]] = field(default_factory=dict)
+
+    def settle(self, kind: Kind, distro: str, domains: Domains) -> None:
+        """Make the structure, and an exemplar of the first member."""
+        if self.first is not None:
+            first, self.first, self.structure = self.first, None, Structure.of(kind, distro)
+            self.keep(first, domains)
+
+    def keep(self, made: _Made, domains: Domains) -> None:
+        """Keep a member that the engine did as an exemplar, unless its document cannot be a template."""
+        fit = None if self.structure is None else self.structure.fit(made.arguments)
+        if fit is None or len(self.exemplars) >= MOST_EXEMPLARS:
+            return
+        names, signature = fit
+        minimal, plain = (Template.of(rules, domains, names) for rules in (made.rules, made.plain))
+        if minimal.renamed(names) == made.rules and minimal.has_no_names():
+            self.exemplars[signature] = made, minimal, plain
+
+
+_known: dict[tuple[Kind, str, Domains], _Members] = {}
+
+
+def emit_by_kind(package: Package, options: BuildOptions) -> Emitted:
+    """Return the permissions document of a package, equal in every byte to that of the engine.
+
+    Raises:
+        KeymintError: see :func:`keymint_ros2_dds.emit.emission.emit`.
+    """
+    if (received := emit_received(package, options)) is not None:
+        return received
+    if options != BuildOptions():
+        return emit(package, options)
+    kind, arguments = kind_of(package.grant.rules.rules)
+    domains = package.grant.domains
+    key = kind, package.distro, domains
+    members = _known.get(key)
+    if members is not None:
+        members.settle(kind, package.distro, domains)
+        renamed = _renamed(package, kind, arguments, members)
+        if renamed is not None:
+            return renamed
+    with step_limit(None) as counter:
+        emitted = emit(package, options)
+    compiled = emitted.compiled
+    if compiled is not None and counter.spent <= FEW_STEPS and _is_minimal(package, emitted, compiled):
+        made = _Made(arguments, emitted.rules, compiled.plain, emitted.claims, bool(emitted.diagnostics))
+        if members is not None:
+            members.keep(made, domains)
+        else:
+            if len(_known) >= MOST:
+                _known.pop(next(iter(_known)))
+            _known[key] = _Members(made)
+    return emitted
+
+
+def _is_minimal(package: Package, emitted: Emitted, compiled: Compiled) -> bool:
+    """Tell whether a document of the engine is minimal, not gathered, and usual."""
+    return compiled.portable and (emitted.rules,) == compiled.forms and emitted.is_usual(package.grant)
+
+
+def _renamed(package: Package, kind: Kind, arguments: Arguments, members: _Members) -> Emitted | None:
+    """Return the document of a package by renaming; None if a condition of the lemma does not hold."""
+    grant = package.grant
+    fit = None if members.structure is None else members.structure.fit(arguments)
+    if fit is None or fit[1] not in members.exemplars or not _is_plain(grant):
+        return None
+    names, signature = fit
+    made, minimal, plain = members.exemplars[signature]
+    rules = minimal.renamed(names)
+    if gathered(rules) != rules:
+        return None
+    head = permissions_document.head(grant)
+    document = minimal.document(head, rules)
+    if signed_size(document) > TIGHT:
+        return None
+    dds_xml.know_valid(document, PERMISSIONS)
+    proof_cache.remember(comparison(package, document), (kind, arguments), made.claims)
+    notes = tuple(vendor_notes(rules, grant)) if made.notes else ()
+    return Emitted(document, rules, plain.size(head, names), None, made.claims, notes)
+
+
+def _is_plain(grant: Grant) -> bool:
+    """Tell whether every model reads the head of a document as it is meant: the grant's name, subject and validity."""
+    try:
+        text = subject_name_text.of(grant)
+    except KeymintError:
+        return False  # the engine says what is wrong first
+    return bool(
+        PLAIN_TEXT.fullmatch(grant.name)
+        and PLAIN_TEXT.fullmatch(text)
+        and all(semantics.selects(semantics.reads_text(text), text) for semantics in _SEMANTICS)
+        and _is_ever_in_force(validity_of(grant))
+    )
+
+
+@lru_cache(maxsize=1 << 10)
+def _is_ever_in_force(validity: Validity) -> bool:
+    dates = dds_xml.date(validity.not_before), dds_xml.date(validity.not_after)
+    grant = DocumentGrant("", *dates, rules=(), allows=False, line=0)
+    return all(semantics.period(grant) is not None for semantics in _SEMANTICS)

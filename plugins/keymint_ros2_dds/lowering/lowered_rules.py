@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lowers the rules of a subject to DDS: the topic patterns that each rule allows or denies, by action.
+
+Order has no meaning yet: deny overrides allow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+
+from comarmor.errors import Diagnostic
+from comarmor.patterns import glob
+from comarmor.patterns.glob import Glob
+from comarmor.patterns.possible_names import advice, matches_ros_name
+from comarmor.patterns.printing import exact
+from comarmor.rules import Effect
+from comarmor.text import did_you_mean
+from comarmor.values import dataclass
+from keymint.errors import KeymintError
+from keymint.ir import Rule, SubjectRules
+from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS, TopicAction, needed_topics
+from keymint_ros2_dds.lowering.grant_rules import Partitions
+from keymint_ros2_dds.lowering.name_mapping import dds_patterns, has_kind, parse_expression
+
+LoweredRules = Mapping[tuple[Glob, Partitions], Rule]
+"""Topic patterns with their partitions (none: not narrowed), and for each the first rule that has it."""
+
+_RAW_TOPIC = "topic"
+"""The kind of rules on DDS topics by their own names."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lowered:
+    """The rules of a subject as DDS patterns, by action.
+
+    Attributes:
+        allow: the patterns that ALLOW rules match.
+        deny: the patterns that DENY rules match.
+        diagnostics: warnings about expressions that match no name.
+    """
+
+    allow: Mapping[TopicAction, LoweredRules]
+    deny: Mapping[TopicAction, LoweredRules]
+    diagnostics: tuple[Diagnostic, ...]
+
+    def patterns(self) -> Iterator[tuple[Effect, TopicAction, Glob, Rule]]:
+        """Yield every pattern with its rule, those of ALLOW rules first."""
+        for effect, sides in ((Effect.ALLOW, self.allow), (Effect.DENY, self.deny)):
+            for action in TopicAction:
+                for (pattern, _), rule in sides[action].items():
+                    yield effect, action, pattern, rule
+
+
+def lower(rules: SubjectRules, distro: str) -> Lowered:
+    """Return the DDS patterns of a subject's rules.
+
+    Args:
+        rules: the rules.
+        distro: ROS 2 distribution whose name mapping applies.
+
+    Raises:
+        KeymintError: an expression is invalid, or the distribution has no such entities; with ``file:line``.
+    """
+    if unknown := [_unknown(rule, distro, rules.subject) for rule in rules.rules if not has_kind(distro, rule.kind)]:
+        raise KeymintError.of(unknown)
+    sides: dict[Effect, dict[TopicAction, dict[tuple[Glob, Partitions], Rule]]] = {
+        effect: {action: {} for action in TopicAction} for effect in Effect
+    }
+    diagnostics: list[Diagnostic] = []
+    for rule in rules.rules:
+        side = sides[rule.effect]
+        partitions = tuple(sorted(set(rule.partitions)))
+        for expression in partitions:
+            parse_expression(expression, rule.origin)
+        for expression in rule.expressions:
+            tokens = parse_expression(expression, rule.origin)
+            try:
+                patterns = _patterns(tokens, rule.kind, rule.permissions, rule.effect, distro)
+            except KeyError as error:
+                raise _unknown_permission(error.args[0], rule) from None
+            for action, pattern, partition in patterns:
+                side[action].setdefault((pattern, partition or partitions), rule)
+            if not patterns or not (rule.kind == _RAW_TOPIC or matches_ros_name(tokens)):
+                diagnostics.append(_never_matches(expression, rule, rules.subject))
+    return Lowered(sides[Effect.ALLOW], sides[Effect.DENY], tuple(diagnostics))
+
+
+# Subjects of a fleet share most expressions, and a subject's rules are lowered for several purposes.
+@lru_cache(maxsize=1 << 14)
+def _patterns(
+    tokens: Glob, kind: str, permissions: tuple[str, ...], effect: Effect, distro: str
+) -> tuple[tuple[TopicAction, Glob, Partitions], ...]:
+    """Return action, topic pattern and mapped partitions of an expression of a rule, for all its permissions."""
+    return tuple(
+        (topic.action, pattern, () if partition is None else (exact(partition),))
+        for topic, suffix in needed_topics(kind, permissions)
+        for pattern, partition in dds_patterns(distro, tokens, topic, suffix, effect)
+        if pattern and not glob.is_empty(pattern) and not (partition and glob.is_empty(partition))
+    )
+
+
+def _unknown_permission(part: str, rule: Rule) -> KeymintError:
+    return KeymintError(
+        f"DDS knows no permission {part!r} of a {rule.kind} rule",
+        where=rule.origin,
+        help=did_you_mean(part, DDS_TOPICS),
+        code="permission-unknown",
+    )
+
+
+def _unknown(rule: Rule, distro: str, subject: str) -> Diagnostic:
+    return Diagnostic.error(
+        "distro-kind",
+        f"ROS 2 {distro.capitalize()} has no actions, but this is an {rule.effect} {rule.kind} rule",
+        rule.origin,
+        "remove it, or take a later distro",
+        subject,
+    )
+
+
+def _never_matches(expression: str, rule: Rule, subject: str) -> Diagnostic:
+    raw = rule.kind == _RAW_TOPIC
+    return Diagnostic.warning(
+        "never-matches",
+        f"the expression {expression!r} of this {rule.effect} {rule.kind} rule matches no name: no "
+        + ("DDS topic" if raw else "ROS object")
+        + " can have such a name",
+        rule.origin,
+        "remove it" if raw or not expression else advice(expression),
+        subject,
+    )

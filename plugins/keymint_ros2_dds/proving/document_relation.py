@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compare a permissions document with rules in both directions: what it lacks, and what it permits beyond them.
+
+The standard's reading decides (DDS Security 1.1, 9.4.1.3). Relay is compared as well. The governance is not: all
+topics count as under access control.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+
+from comarmor.patterns.decision_lists import DecisionList, Unknown, Witness
+from comarmor.patterns.proofs import implies
+from comarmor.patterns.tokens import PatternError
+from keymint.api import ComparisonTask, Counterexample, DocumentComparison, Package, Relation
+from keymint.errors import KeymintError
+from keymint.pki import distinguished_names
+from keymint_ros2_dds import subject_name_text
+from keymint_ros2_dds.decision import OMG, read
+from keymint_ros2_dds.enclave_layout import PERMISSIONS_P7S
+from keymint_ros2_dds.lowering.dds_topics import TopicAction
+from keymint_ros2_dds.lowering.lowered_rules import lower
+from keymint_ros2_dds.proving import octets, permission_lists
+from keymint_ros2_dds.proving.counterexamples import Counterexamples, Situation
+from keymint_ros2_dds.proving.governance_lists import NOTHING
+from keymint_ros2_dds.proving.grant_periods import grant_periods
+from keymint_ros2_dds.proving.questions import ProofQuestion
+
+_SEMANTICS = OMG.semantics
+_STATES = 50_000
+
+
+def compared(task: ComparisonTask) -> DocumentComparison:
+    """Compare a document with rules; see :meth:`keymint.api.DocumentComparer.compared`.
+
+    Raises:
+        KeymintError: a rule cannot be mapped.
+    """
+    lowered = lower(task.rules, task.distro)
+    try:
+        document = read(task.document, task.file, task.offset)
+    except KeymintError as error:
+        return DocumentComparison(Relation.UNKNOWN, reason=str(error))
+    if refused := _SEMANTICS.refusal(document):
+        return DocumentComparison(Relation.UNKNOWN, reason=refused)
+    return _Comparison(ProofQuestion(document, task, lowered)).result()
+
+
+def compared_with(content: bytes, name: str, package: Package) -> DocumentComparison:
+    """Compare a document with the rules of a package; see :meth:`keymint.api.DocumentComparer.compared_with`.
+
+    Raises:
+        KeymintError: a rule cannot be mapped.
+    """
+    own, grant = subject_name_text.of_any(distinguished_names.parse(name)), package.grant
+    return compared(
+        ComparisonTask(
+            content, PERMISSIONS_P7S, 0, own, grant.rules, package.distro, grant.domains, _STATES, lambda: True
+        )
+    )
+
+
+_Found = tuple[str, Situation]
+"""A name on which both differ, in the words of the engine, and when."""
+
+
+class _Comparison:
+    """Compares a document with the rules of a question."""
+
+    def __init__(self, question: ProofQuestion) -> None:
+        self._question = question
+        self._eras = tuple(grant_periods(question.document, question.task.subject_name, _SEMANTICS))
+        grants = [era.grant for era in self._eras]
+        self._pairs = permission_lists.has_partitions(question.lowered, grants)
+        self._universe = octets.universe(pairs=self._pairs)
+        self._reason = ""
+        self._known: dict[tuple[DecisionList, DecisionList], str | None] = {}
+
+    def result(self) -> DocumentComparison:
+        unread, by_locale = octets.locale_dependence(
+            self._question.document, [era.grant for era in self._eras], self._question.task.rules, _SEMANTICS
+        )
+        if unread:
+            return DocumentComparison(Relation.UNKNOWN, reason=unread)
+        missing: _Found | None = None
+        excess: _Found | None = None
+        try:
+            for situation in self._situations():
+                policy, permitted = self._lists(situation)
+                missing = self._shorter(missing, situation, policy, permitted)
+                excess = self._shorter(excess, situation, permitted, policy)
+        except PatternError as error:
+            return DocumentComparison(Relation.UNKNOWN, reason=f"{self._question.document.file}: {error}")
+        lacks, exceeds = self._example(missing, permitted=False), self._example(excess, permitted=True)
+        reason = self._reason or by_locale
+        if reason and not (lacks and exceeds):
+            return DocumentComparison(Relation.UNKNOWN, lacks, exceeds, reason)
+        if lacks and exceeds:
+            return DocumentComparison(Relation.DIFFERENT, lacks, exceeds)
+        relation = Relation.NARROWER if lacks else Relation.WIDER if exceeds else Relation.EQUAL
+        return DocumentComparison(relation, lacks, exceeds)
+
+    def _situations(self) -> Iterator[Situation]:
+        """Yield every situation in which both may differ, one for each group of domains that are alike."""
+        rules = [rule for era in self._eras for rule in era.grant.rules]
+        seen = set()
+        for domains, inside, applying in self._question.domains(rules, _SEMANTICS):
+            if (inside, applying) not in seen:
+                seen.add((inside, applying))
+                for action, era in product(TopicAction, self._eras or (None,)):
+                    yield Situation(action, domains.first, inside, era)
+
+    def _lists(self, situation: Situation) -> tuple[DecisionList, DecisionList]:
+        """Return what the rules allow, and what the document permits.
+
+        Raises:
+            PatternError: an expression of the document is not defined.
+        """
+        action, era, pairs = situation.action, situation.era, self._pairs
+        policy, permitted = NOTHING, NOTHING
+        if situation.inside:
+            policy = permission_lists.of_policy(self._question.lowered, action, pairs=pairs)
+        if era is not None:
+            (permitted,) = permission_lists.of_grant(era.grant, situation.domain, action, _SEMANTICS, pairs=pairs)
+        return policy, permitted
+
+    def _shorter(
+        self, best: _Found | None, situation: Situation, more: DecisionList, less: DecisionList
+    ) -> _Found | None:
+        """Return the shorter one of a name that was found before and one that only the first list permits here."""
+        if (more, less) not in self._known:
+            found = implies(more, less, self._universe, self._question.budget())
+            self._known[more, less] = found.word if isinstance(found, Witness) else None
+            if isinstance(found, Unknown):
+                self._reason = found.reason
+        word = self._known[more, less]
+        return best if word is None or (best and len(best[0]) <= len(word)) else (word, situation)
+
+    def _example(self, found: _Found | None, *, permitted: bool) -> Counterexample | None:
+        """Return a name with the decisions of the plain evaluators."""
+        if found is None:
+            return None
+        word, situation = found
+        examples = Counterexamples(self._question, OMG, "", self._eras, self._pairs)
+        example, defect = examples.of(situation, word, permitted=permitted)
+        self._reason = defect or self._reason
+        return None if defect else example

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Decide about messages on a link as the access control of Zenoh 1.6 and later does.
+
+A link has the properties of the other end. A subject matches it when each property that the subject gives has the
+link's value; a property that it does not give matches any. Subjects with equal properties share their rules. Such an
+entry denies a message if a deny rule of that flow and message includes the key expression; else it allows it if an
+allow rule includes it, or the default allows. The order of rules does not matter. A link on which no subject matches
+gets the default; otherwise it is enough that one entry allows.
+
+A rule applies to a key expression that it *includes*: one that only intersects it is untouched, also by a deny.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from itertools import product
+
+from comarmor.errors import Origin
+from comarmor.values import dataclass
+from keymint_ros2_zenoh.documents.access_control import AccessControl, AclRule, AclSubject
+from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr, parse
+from keymint_ros2_zenoh.keyexpr.key_relations import includes
+from keymint_ros2_zenoh.messages import Flow, Message, Permission
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """The properties of a link's other end; an empty property is one that the link does not have.
+
+    Attributes:
+        common_name: first common name of its certificate.
+        username: its user name.
+        interface: the network interface.
+        protocol: ``tls``, ``quic``, ``tcp``, …
+        zid: the identifier of the session, which nothing authenticates.
+    """
+
+    common_name: str = ""
+    username: str = ""
+    interface: str = ""
+    protocol: str = ""
+    zid: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class AccessDecision:
+    """A decision, and what decided.
+
+    Attributes:
+        allowed: the decision.
+        reason: one line, without the place.
+        rule: the rule that decided, or None for the default.
+        where: place of that rule; of the access control if the default decided; None if no document was read.
+    """
+
+    allowed: bool
+    reason: str
+    rule: AclRule | None = None
+    where: Origin | None = None
+
+
+_Entry = Mapping[tuple[Permission, Flow, Message], tuple[tuple[AclRule, KeyExpr], ...]]
+"""The rules of all subjects with the same properties."""
+_Properties = tuple[str | None, ...]
+
+
+class AccessModel:
+    """Decides about messages by the access control of one configuration.
+
+    Args:
+        access_control: of the router or session that decides.
+    """
+
+    def __init__(self, access_control: AccessControl) -> None:
+        self._control = access_control
+        self._entries: dict[_Properties, _Entry] = {}
+        self._any_name: list[_Properties] = []
+        self._of_name: dict[str, list[_Properties]] = {}
+        if access_control.enabled:
+            self._read(access_control)
+
+    def on(self, link: Link) -> LinkAccess:
+        """Return the decisions on a link."""
+        candidates = [*self._of_name.get(link.common_name, ()), *self._any_name]
+        matching = [self._entries[properties] for properties in candidates if _matches(properties, link)]
+        return LinkAccess(self._control, tuple(matching))
+
+    def decide(self, link: Link, message: Message, flow: Flow, key_expr: str) -> AccessDecision:
+        """Return the decision on a message; see :meth:`LinkAccess.decide`."""
+        return self.on(link).decide(message, flow, key_expr)
+
+    def _read(self, control: AccessControl) -> None:
+        rules = {rule.id: rule for rule in control.rules}
+        subjects = {subject.id: subject for subject in control.subjects}
+        parsed = {rule.id: tuple((rule, parse(text)) for text in rule.key_exprs) for rule in control.rules}
+        applying: dict[_Properties, dict[str, AclRule]] = {
+            properties: {} for subject in control.subjects for properties in _properties(subject)
+        }
+        for policy in control.policies:
+            own = {name: rules[name] for name in policy.rules}
+            for properties in {each for name in policy.subjects for each in _properties(subjects[name])}:
+                applying[properties].update(own)
+        for properties, own in applying.items():
+            entry: dict[tuple[Permission, Flow, Message], tuple[tuple[AclRule, KeyExpr], ...]] = {}
+            for rule in own.values():
+                for key in product((rule.permission,), rule.flows, rule.messages):
+                    entry[key] = entry.get(key, ()) + parsed[rule.id]
+            self._entries[properties] = entry
+            name = properties[0]
+            (self._any_name if name is None else self._of_name.setdefault(name, [])).append(properties)
+
+
+class LinkAccess:
+    """Decides about the messages on one link.
+
+    Args:
+        control: the access control.
+        entries: those that match the link.
+    """
+
+    def __init__(self, control: AccessControl, entries: tuple[_Entry, ...]) -> None:
+        self._control = control
+        self._entries = entries
+
+    @property
+    def watched(self) -> frozenset[Flow]:
+        """The flows of which Zenoh looks at each message; it does not look at one that is always allowed."""
+        control = self._control
+        if not control.enabled:
+            return frozenset()
+        if control.default_permission is Permission.DENY:
+            return frozenset(Flow)
+        return frozenset(flow for entry in self._entries for _, flow, _ in entry)
+
+    def decide(self, message: Message, flow: Flow, key_expr: str) -> AccessDecision:
+        """Return the decision on a message.
+
+        Args:
+            message: the message.
+            flow: its flow, as seen from the process whose configuration this is.
+            key_expr: its key expression, in canonical form.
+        """
+        control = self._control
+        if not control.enabled:
+            return AccessDecision(allowed=True, reason="access control is off", where=control.where)
+        default = control.default_permission is Permission.ALLOW
+        if not self._entries:
+            reason = f"no subject has the link's certificate; the default is {control.default_permission}"
+            return AccessDecision(default, reason, where=control.where)
+        asked = parse(key_expr)
+        denial: AccessDecision | None = None
+        for entry in self._entries:
+            deny = _including(entry.get((Permission.DENY, flow, message), ()), asked)
+            allow = None if deny else _including(entry.get((Permission.ALLOW, flow, message), ()), asked)
+            if allow:
+                return AccessDecision(allowed=True, reason=_reason(allow), rule=allow[0], where=allow[0].where)
+            if deny is None and default:
+                reason = f"no deny rule includes {key_expr}; the default is allow"
+                return AccessDecision(allowed=True, reason=reason, where=control.where)
+            if deny and denial is None:
+                denial = AccessDecision(allowed=False, reason=_reason(deny), rule=deny[0], where=deny[0].where)
+        reason = f"no rule for {message} {flow} includes {key_expr}; the default is deny"
+        return denial or AccessDecision(allowed=False, reason=reason, where=control.where)
+
+
+def _properties(subject: AclSubject) -> Iterable[_Properties]:
+    """Yield the combinations of one value of each property; None is a property that the subject does not give."""
+    lists = (subject.common_names, subject.usernames, subject.interfaces, subject.protocols, subject.zids)
+    return product(*(values or (None,) for values in lists))
+
+
+def _matches(properties: _Properties, link: Link) -> bool:
+    values = (link.common_name, link.username, link.interface, link.protocol, link.zid)
+    return all(given is None or given == value for given, value in zip(properties, values, strict=True))
+
+
+def _including(rules: Iterable[tuple[AclRule, KeyExpr]], asked: KeyExpr) -> tuple[AclRule, KeyExpr] | None:
+    return next(((rule, key_expr) for rule, key_expr in rules if includes(key_expr, asked)), None)
+
+
+def _reason(found: tuple[AclRule, KeyExpr]) -> str:
+    rule, key_expr = found
+    return f"the {rule.permission} rule {rule.id!r} includes it by {key_expr.text}"

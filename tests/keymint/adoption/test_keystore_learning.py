@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A policy is learned from a keystore only if it is proven to mean what the documents mean."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from comarmor.errors import Diagnostic, Severity
+from keymint.adoption.keystore_learning import Learning, learned_from
+from keymint.adoption.reading import found_in
+from keymint.api import DocumentComparison, FoundKeystore, KeystoreFiles, Relation
+from keymint.api.plugin_loader import Plugins
+from keymint.errors import KeymintError
+from keymint.stages.proof.proof_results import ProofEffort
+from tests import sros2_keystore
+
+POLICY = """<policy version="0.2.0"><enclaves><enclave path="/a"><profiles><profile ns="/" node="a">
+<topics publish="ALLOW"><topic>x</topic></topics></profile></profiles></enclave></enclaves></policy>"""
+EFFORT = ProofEffort(10_000, lambda: lambda: True)
+LEARNING = Learning("keymint_ros2_dds", "keymint_ros2_comarmor", "jazzy", "p.xml", EFFORT)
+
+
+@pytest.fixture
+def keystore(tmp_path: Path) -> tuple[KeystoreFiles, FoundKeystore]:
+    sros2_keystore.make(tmp_path / "ks", POLICY)
+    _, files, found = found_in(Plugins(), tmp_path / "ks", "ks", datetime(2026, 6, 1, tzinfo=UTC))
+    return files, found
+
+
+class Stand:
+    """Plugins, with some of them replaced."""
+
+    def __init__(self, build_type: object = None, policy_type: object = None) -> None:
+        self._plugins = Plugins()
+        self._build_type, self._policy_type = build_type, policy_type
+
+    def build_type(self, name: str) -> object:
+        return self._build_type or self._plugins.build_type(name)
+
+    def policy_type(self, name: str) -> object:
+        return self._policy_type or self._plugins.policy_type(name)
+
+
+class Comparer:
+    """A build type that finds something else than the real one."""
+
+    def __init__(self, result: DocumentComparison | None = None, **changes: Any) -> None:
+        self._real: Any = Plugins().build_type("keymint_ros2_dds")
+        self._result, self._changes = result, changes
+
+    def granted(self, *arguments: Any) -> object:
+        return replace(self._real.granted(*arguments), **self._changes)
+
+    def compared(self, task: Any) -> DocumentComparison:
+        return self._result or self._real.compared(task)
+
+    def compared_with(self, *arguments: Any) -> DocumentComparison:
+        return self._result or self._real.compared_with(*arguments)
+
+
+def learned(keystore: tuple[KeystoreFiles, FoundKeystore], stand: object = None) -> Any:
+    return learned_from(stand or Plugins(), *keystore, LEARNING)  # type: ignore[arg-type]
+
+
+def test_what_is_learned(keystore) -> None:
+    found = learned(keystore)
+    assert b"<attachment>/x</attachment>" in found.document
+    assert [each.rules.subject for each in found.granted] == ["/a"]
+    assert found.diagnostics == ()
+    assert "PRIVATE" not in repr(found)
+
+
+def test_a_policy_that_means_something_else_is_not_returned(keystore) -> None:
+    other = sros2_keystore.permissions(
+        sros2_keystore.enclaves_of(POLICY.replace("<topic>x", "<topic>y")),
+        ("2026-01-01T00:00:00", "2030-01-01T00:00:00"),
+    )
+    with pytest.raises(KeymintError, match=r"not proven to mean .*: it does not permit publish 'rt/x'"):
+        learned(keystore, Stand(Comparer(document=other)))
+    unknown = DocumentComparison(Relation.UNKNOWN, reason="not decided in time")
+    with pytest.raises(KeymintError, match="not decided in time"):
+        learned(keystore, Stand(Comparer(unknown)))
+
+
+def test_plugins_that_cannot_do_it(keystore) -> None:
+    with pytest.raises(KeymintError, match="reads no rules from documents"):
+        learned(keystore, Stand(build_type=object()))
+    with pytest.raises(KeymintError, match="cannot write rules"):
+        learned(keystore, Stand(policy_type=object()))
+
+
+def test_findings_on_the_keystore_are_warnings_unless_they_concern_trust(keystore) -> None:
+    files, found = keystore
+    finding = Diagnostic("adopt-key-mismatch", Severity.ERROR, "is not the key of the certificate beside it")
+    assert [each.severity for each in learned((files, replace(found, diagnostics=(finding,)))).diagnostics] == [
+        Severity.WARNING
+    ]
+    doubled = replace(found, diagnostics=(replace(finding, code="adopt-doubled"),))
+    with pytest.raises(KeymintError, match="is not the key"):
+        learned((files, doubled))

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``keymint verify --report``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from comarmor.errors import Origin, Reason
+from keymint.api import PolicyDecision, Tier, Verdict
+from keymint.api.graph import Column, ConfusionMatrix, Edge, Object
+from keymint.command_line.verify_report import labelled_edges
+from keymint.drawing.labelled_graph import Label
+from keymint.verify.mismatch import Comparison, Mismatch
+from keymint.verify.rows import EdgeRow
+from keymint.verify.verification import Verification
+
+EDGES = [Edge("/a", "ros_publish", Object("ros_topic", f"/t{at}")) for at in range(4)]
+DENIED = PolicyDecision(False, None, Reason(("no rule",)))
+
+
+def finding(edge: Edge) -> Mismatch:
+    verdict = Verdict(True, "allowed", deviation="row 5")
+    return Mismatch(edge, DENIED, verdict, "allow rule 2", Origin("/ws/permissions.xml", 7), "omg")
+
+
+def outcome(name: str, counts: ConfusionMatrix, *findings: Mismatch) -> Comparison:
+    return Comparison(name, "1", Tier.DECISION, counts, findings, {})
+
+
+def labels(*outcomes: Comparison):
+    row = EdgeRow("/a", Column(tuple(EDGES)))
+    verified = Verification("b", ("/a",), lambda: iter([row]), bytearray(4), lambda _edge: DENIED, outcomes)
+    return labelled_edges("t", verified, lambda file: file.removeprefix("/ws/"))
+
+
+def test_edges_without_findings_are_labelled_as_the_policy_does() -> None:
+    graph = labels(
+        outcome("x", ConfusionMatrix(0, 0, 1, 3), finding(EDGES[1])), outcome("y", ConfusionMatrix(0, 0, 0, 4))
+    )
+    why = "allow rule 2; row 5"
+    assert [one.transports for one in graph.edges] == [
+        (Label(False), Label(False)),
+        (Label(True, why, Origin("permissions.xml", 7)), Label(False)),
+        (Label(False), Label(False)),
+        (Label(False), Label(False)),
+    ]
+    assert [graph.confusion(at) for at in (0, 1)] == [ConfusionMatrix(0, 0, 1, 3), ConfusionMatrix(0, 0, 0, 4)]
+
+
+def test_nothing_is_said_after_the_last_finding_that_was_kept() -> None:
+    graph = labels(outcome("x", ConfusionMatrix(0, 0, 2, 2), finding(EDGES[1])))
+    assert [one.transports[0] and one.transports[0].allowed for one in graph.edges] == [False, True, None, None]
+
+
+def test_no_finding_was_kept() -> None:
+    graph = labels(outcome("x", ConfusionMatrix(0, 0, 2, 2)))
+    assert [one.transports for one in graph.edges] == [(None,)] * 4
+
+
+def test_a_finding_on_an_endpoint_follows_the_edges_of_the_graph() -> None:
+    endpoint = Edge("/a", "publish", Object("topic", "rq/sRequest"))
+    graph = labels(
+        outcome("x", ConfusionMatrix(0, 0, 1, 4), finding(endpoint)), outcome("y", ConfusionMatrix(0, 0, 0, 4))
+    )
+    assert [one.edge for one in graph.edges] == sorted([endpoint, *EDGES])
+    (found,) = [one for one in graph.edges if one.edge == endpoint]
+    assert [said and said.allowed for said in found.transports] == [True, False]
+
+
+def test_the_report_of_a_workspace(keymint, provisioned: Path) -> None:
+    found = keymint("verify", "-t", "omg", "--report", "report", cwd=provisioned)
+    assert found.code == 0, found.err
+    folder = provisioned / "report"
+    assert {path.name for path in folder.iterdir()} == {"index.html", "graph.svg", "graph-omg.svg", "differences.svg"}
+    assert "allowed (true positive)" in (folder / "graph.svg").read_text()
+    assert "policy.xml</h3>" in (folder / "index.html").read_text()
+
+
+def test_a_finding_is_in_the_report(keymint, provisioned: Path, policy: Path) -> None:
+    policy.write_text(policy.read_text().replace("<ros_subscribe/>", "<ros_publish/>"))
+    found = keymint("verify", "-t", "omg", "--report", "report", cwd=provisioned)
+    assert found.code == 3
+    text = (provisioned / "report/index.html").read_text()
+    assert 'class="false-positive"' in text
+    assert 'class="false-negative"' in text
+    assert "permissions.xml" in text
+    assert "false positive" in (provisioned / "report/differences.svg").read_text()

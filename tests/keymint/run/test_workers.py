@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Several processes plan what one would plan, and write nothing unless all of it is right.
+
+Commands with several processes run in one of their own, since a process with threads starts no others.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from keymint.run.workers import MIN_PACKAGES
+from tests.conftest import Outcome, snapshot
+
+Keymint = Callable[..., Outcome]
+SIZE = MIN_PACKAGES + 10
+FEW = 20
+"""Packages of tests in which processes start for fewer packages than usual."""
+PROFILE = """<profile name="p{n}">
+<attachment>/{folder}robot{n}/talker</attachment>
+<ros_topic qualifier="ALLOW">
+<attachment>{{namespace}}chatter{n}{wild}</attachment><permissions><ros_publish/></permissions>
+</ros_topic>
+<ros_topic qualifier="DENY"><attachment>/secret</attachment><permissions><ros_publish/></permissions></ros_topic>
+</profile>
+"""
+MAIN = """
+import sys
+from keymint import workers
+from keymint.cli import main
+workers.MIN_PACKAGES = 10
+sys.exit(main(sys.argv[1:]))
+"""
+SPY = """
+import multiprocessing.connection, os, sys
+from keymint import workers
+from keymint.cli import main
+workers.MIN_PACKAGES = 10
+whole = multiprocessing.connection.Connection._send_bytes
+def copied(self, content):
+    with open(f"{os.environ['SPY']}/{os.getpid()}", "ab") as file:
+        file.write(content)
+    whole(self, content)
+multiprocessing.connection.Connection._send_bytes = copied
+sys.exit(main(sys.argv[1:]))
+"""
+ENDED = """
+import os, signal, sys
+from keymint import workers
+from keymint.cli import main
+workers.MIN_PACKAGES = 10
+from keymint.stages.{module} import {stage}
+package = {stage}.package
+def ended(self, name):
+    if name == {name!r}:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return package(self, name)
+{stage}.package = ended
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def policy(path: Path, size: int = FEW, *, folder: str = "", extra: str = "") -> Path:
+    """Write a policy; every seventh subject has a wildcard."""
+    profiles = (PROFILE.format(n=n, folder=folder, wild="" if n % 7 else "*") for n in range(size))
+    path.write_text(f"<profiles>\n{''.join(profiles)}{extra}</profiles>\n")
+    return path
+
+
+def run(cwd: Path, *arguments: object, program: str = MAIN, **environment: str) -> Outcome:
+    """Run keymint in a process of its own."""
+    start = ("-c", program) if program else ("-m", "keymint")
+    command = [sys.executable, *start, *map(str, arguments)]
+    env = {**os.environ, **environment}
+    done = subprocess.run(command, cwd=cwd, env=env, capture_output=True, text=True, check=False)
+    return Outcome(done.returncode, done.stdout, done.stderr)
+
+
+def unsigned(workspace: Path) -> dict[str, bytes]:
+    """Return what does not depend on keys: sources and unsigned documents."""
+    files = [path for path in workspace.rglob("*") if path.is_file()]
+    kept = [path for path in files if path.suffix == ".xml" and path.name != "keymint_profile.xml"]  # has its name
+    return {str(path.relative_to(workspace)): path.read_bytes() for path in kept}
+
+
+def modes(workspace: Path) -> dict[str, int]:
+    """Return the mode of each file and folder, except the recorded answer, which a quick run does not have."""
+    found = (path for path in workspace.rglob("*") if not path.name.startswith("last-"))
+    return {str(path.relative_to(workspace)): path.lstat().st_mode for path in found}
+
+
+@pytest.mark.parametrize(("folder", "size", "program"), [("", SIZE, ""), ("fleet/", FEW, MAIN)])
+def test_any_number_of_processes_gives_the_same(
+    keymint: Keymint, tmp_path: Path, folder: str, size: int, program: str
+) -> None:
+    source = policy(tmp_path / "policy.xml", size, folder=folder)
+    reports = {}
+    for jobs in (1, 2, 3):
+        command = ("provision", source, "-w", f"ws{jobs}", "-j", jobs, "--json")
+        done = keymint(*command) if jobs == 1 else run(tmp_path, *command, program=program)
+        assert done.code == 0, done.err
+        reports[jobs] = json.loads(done.out.replace(f"ws{jobs}", "ws"))
+        assert keymint("check", "-w", f"ws{jobs}").code == 0
+    assert reports[1]["steps"] == reports[2]["steps"] == reports[3]["steps"]
+    assert reports[1] == reports[2] == reports[3]
+    assert unsigned(tmp_path / "ws1") == unsigned(tmp_path / "ws2") == unsigned(tmp_path / "ws3")
+    assert modes(tmp_path / "ws1") == modes(tmp_path / "ws2") == modes(tmp_path / "ws3")
+    before = snapshot(tmp_path / "ws2")
+    assert "nothing to do" in run(tmp_path, "provision", source, "-w", "ws2", "-j", 2).out
+    assert snapshot(tmp_path / "ws2") == before
+
+
+def test_each_stage_by_itself(keymint: Keymint, tmp_path: Path) -> None:
+    source = policy(tmp_path / "policy.xml")
+    for jobs in (1, 2):
+        assert keymint("init", f"ws{jobs}", "--policy", source).code == 0
+        for verb in (("create", "--all"), ("build",), ("install",), ("build", "--renew"), ("install",)):
+            command = (*verb, "-w", f"ws{jobs}", "-j", jobs)
+            done = keymint(*command) if jobs == 1 else run(tmp_path, *command)
+            assert done.code == 0, done.err
+        assert keymint("check", "-w", f"ws{jobs}").code == 0
+    assert unsigned(tmp_path / "ws1") == unsigned(tmp_path / "ws2")
+
+
+def test_the_errors_of_all_parts_together(keymint: Keymint, tmp_path: Path) -> None:
+    bad = """<profile name="bad{n}"><attachment>/{n}</attachment><topic qualifier="ALLOW"><attachment>a</attachment>
+        <partitions><partition>a[bc]</partition></partitions><permissions><publish/></permissions></topic></profile>"""
+    source = policy(tmp_path / "policy.xml", extra=bad.format(n="a") + bad.format(n="z"))
+    command = ("provision", source, "-w", "ws")
+    one, two = keymint(*command, "-j", 1), run(tmp_path, *command, "-j", 2)
+    assert one.code == two.code == 1
+    assert one.err == two.err
+    assert one.err.count("portably") == 2
+    assert not (tmp_path / "ws").exists()
+
+
+def test_a_refused_proof_is_explained_as_by_one_process(keymint: Keymint, tmp_path: Path) -> None:
+    source = policy(tmp_path / "policy.xml")
+    assert keymint("provision", source, "-w", "ws", "-j", 1).code == 0
+    for name in ("robot3", "robot17"):
+        document = tmp_path / f"ws/build/{name}/talker/permissions.xml"
+        document.write_text(document.read_text().replace("chatter", "secret_chatter"))
+    before = snapshot(tmp_path / "ws")
+    one, two = keymint("install", "-w", "ws", "-j", 1), run(tmp_path, "install", "-w", "ws", "-j", 2)
+    assert one.code == two.code == 3
+    assert one.err == two.err
+    assert snapshot(tmp_path / "ws") == before
+
+
+ENDED_BEFORE_STAGING = """
+import os, signal, sys
+from keymint import workers
+from keymint.cli import main
+from keymint.run.workers import Workers
+workers.MIN_PACKAGES = 10
+stage = Workers.stage
+def staged(self, store):
+    process = self._processes[-1]
+    os.kill(process.pid, signal.SIGKILL)
+    process.join()
+    return stage(self, store)
+Workers.stage = staged
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_a_process_that_is_ended_between_planning_and_staging(keymint: Keymint, tmp_path: Path) -> None:
+    source = policy(tmp_path / "policy.xml")
+    ended = run(tmp_path, "provision", source, "-w", "ws", "-j", 2, program=ENDED_BEFORE_STAGING)
+    assert ended.code == 1, ended.err
+    assert ended.err.count("\n") == 1
+    assert "a process of this run ended before its work was done" in ended.err
+    assert not list((tmp_path / "ws").rglob("key.pem"))
+    assert keymint("provision", source, "-w", "ws", "-j", 1).code == 0
+    assert keymint("check", "-w", "ws").code == 0
+
+
+@pytest.mark.parametrize(
+    ("module", "stage", "name"),
+    [
+        ("create", "CreateStage", "robot17/talker"),
+        ("install", "InstallStage", "robot3/talker"),
+        ("prove", "ProofStage", "robot9/talker"),
+    ],
+)
+def test_a_process_that_is_ended(keymint: Keymint, tmp_path: Path, module: str, stage: str, name: str) -> None:
+    source = policy(tmp_path / "policy.xml")
+    program = ENDED.format(module=module, stage=stage, name=name)
+    ended = run(tmp_path, "provision", source, "-w", "ws", "-j", 2, program=program)
+    assert ended.code == 1
+    assert ended.err.count("\n") == 1
+    assert "a process of this run ended before its work was done" in ended.err
+    assert not (tmp_path / "ws").exists()
+    assert keymint("provision", source, "-w", "ws", "-j", 1).code == 0
+    assert keymint("check", "-w", "ws").code == 0
+
+
+def test_no_private_key_leaves_its_process(tmp_path: Path) -> None:
+    source, seen = policy(tmp_path / "policy.xml"), tmp_path / "seen"
+    seen.mkdir()
+    done = run(tmp_path, "provision", source, "-w", "ws", "-j", 2, program=SPY, SPY=str(seen))
+    assert done.code == 0, done.err
+    sent = b"".join(path.read_bytes() for path in seen.iterdir())
+    assert b"robot17/talker" in sent
+    keys = list((tmp_path / "ws/private").rglob("*.pem"))
+    assert len(keys) == FEW + 2
+    for path in keys:
+        lines = re.findall(rb"^[A-Za-z0-9+/=]{20,}$", path.read_bytes(), re.MULTILINE)
+        assert lines
+        assert not any(line in sent for line in lines)
+
+
+def test_an_interrupted_run_leaves_no_process_and_no_workspace(tmp_path: Path) -> None:
+    source = policy(tmp_path / "policy.xml", 400)
+    command = [sys.executable, "-m", "keymint", "provision", str(source), "-w", "ws", "-j", "2"]
+    process = subprocess.Popen(command, cwd=tmp_path, start_new_session=True, stderr=subprocess.PIPE, text=True)
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    while process.poll() is None and not (pids := children.read_text().split()):
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode != 0
+    assert "Traceback" not in errors
+    assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
+    assert not (tmp_path / "ws").exists()

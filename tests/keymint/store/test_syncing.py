@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A whole file system is synchronised at once only where that is sure to work, and else file by file."""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+import platform
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from keymint.store import syncing
+from keymint.store.file_writing import FOLDER
+from keymint.store.syncing import sync_file_system, sync_tree
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Iterator[int]:
+    opened = os.open(tmp_path, FOLDER)
+    yield opened
+    os.close(opened)
+
+
+@pytest.fixture
+def called(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Return the calls of syncfs, which synchronises nothing."""
+    calls: list[int] = []
+
+    def syncfs(opened: int) -> int:
+        calls.append(opened)
+        return 0
+
+    monkeypatch.setattr(syncing, "_syncfs", lambda: syncfs)
+    return calls
+
+
+@pytest.mark.parametrize("kind", ["ext4", "xfs", "btrfs", "tmpfs", "overlay"])
+def test_a_local_file_system_is_synchronised_at_once(
+    folder: int, called: list[int], kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(syncing, "_kind_of", lambda _: kind)
+    assert sync_file_system(folder)
+    assert called == [folder]
+
+
+@pytest.mark.parametrize("kind", ["nfs4", "cifs", "fuse.sshfs", "9p", "virtiofs", "vboxsf", ""])
+def test_a_shared_or_unknown_file_system_is_not(
+    folder: int, called: list[int], kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(syncing, "_kind_of", lambda _: kind)
+    assert not sync_file_system(folder)
+    assert called == []
+
+
+@pytest.mark.parametrize(("number", "refused"), [(errno.ENOSYS, True), (errno.EPERM, True), (errno.EIO, False)])
+def test_a_refused_call_means_file_by_file_and_an_error_is_an_error(
+    folder: int, number: int, refused: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(_opened: int) -> int:
+        ctypes.set_errno(number)
+        return -1
+
+    monkeypatch.setattr(syncing, "_kind_of", lambda _: "ext4")
+    monkeypatch.setattr(syncing, "_syncfs", lambda: failing)
+    if refused:
+        assert not sync_file_system(folder)
+        return
+    with pytest.raises(OSError, match="Input/output"):
+        sync_file_system(folder)
+
+
+@pytest.mark.parametrize(
+    ("system", "release", "usable"),
+    [
+        ("Linux", "5.8.0-generic", True),
+        ("Linux", "6.18.44", True),
+        ("Linux", "5.7.19", False),
+        ("Linux", "4.19", False),
+        ("Darwin", "23.1.0", False),
+        ("Linux", "unknown", False),
+    ],
+)
+def test_a_kernel_that_reports_no_errors_is_not_trusted(
+    system: str, release: str, usable: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    uname: Any = os.uname_result((system, "host", release, "version", "machine"))
+    monkeypatch.setattr(os, "uname", lambda: uname)
+    assert (syncing._syncfs.__wrapped__() is not None) is usable
+
+
+def test_the_real_call_on_the_real_file_system(folder: int) -> None:
+    if platform.system() != "Linux":
+        pytest.skip("syncfs is a call of Linux")
+    known = Path("/proc/self/mountinfo").read_text().splitlines()
+    identifier = syncing.mount_of(folder).split()[1]
+    [kind] = [line.split(" - ")[1].split()[0] for line in known if line.split()[0] == identifier]
+    assert sync_file_system(folder) is (kind in syncing._LOCAL)
+
+
+def test_a_tree_is_synchronised_without_following_links_or_waiting_for_pipes(
+    tmp_path: Path, folder: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    (tmp_path / "a" / "b" / "file").touch()
+    (tmp_path / "a" / "link").symlink_to(tmp_path / "elsewhere")
+    os.mkfifo(tmp_path / "a" / "fifo")
+    (tmp_path / "elsewhere").touch()
+    synced: list[str] = []
+    monkeypatch.setattr(
+        os, "fsync", lambda opened: synced.append(str(Path(f"/proc/self/fd/{opened}").readlink().relative_to(tmp_path)))
+    )
+    sync_tree(folder, "a")
+    assert synced == ["a/b/file", "a/b", "a"]
+    sync_tree(folder, "elsewhere")
+    assert synced[-1] == "elsewhere"

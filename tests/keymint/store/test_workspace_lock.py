@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Readers share the workspace lock, and wait for a writer; without a lock they read."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import threading
+from pathlib import Path
+
+import pytest
+
+from keymint.store.store import Store
+from keymint.store.workspace_lock import LOCK, folder_lock, read_lock
+
+
+def never() -> None:
+    pytest.fail("waits although nobody writes")
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    """Return a store whose lock exists."""
+    store = Store({tmp_path: False}, tmp_path / ".keymint")
+    with store.locked(never):
+        pass
+    assert (tmp_path / ".keymint" / LOCK).exists()
+    return store
+
+
+@pytest.mark.usefixtures("store")
+def test_readers_do_not_exclude_each_other(tmp_path: Path) -> None:
+    with read_lock(tmp_path / ".keymint", never) as first, read_lock(tmp_path / ".keymint", never) as second:
+        assert first
+        assert second
+
+
+def test_a_reader_waits_for_a_writer(tmp_path: Path, store: Store) -> None:
+    order: list[str] = []
+    waits = threading.Event()
+
+    def on_wait() -> None:
+        order.append("waits")
+        waits.set()
+
+    def read() -> None:
+        with read_lock(tmp_path / ".keymint", on_wait) as held:
+            order.append(f"reads {held}")
+
+    reader = threading.Thread(target=read)
+    with store.locked(never):
+        reader.start()
+        assert waits.wait(10)
+        order.append("writer ends")
+    reader.join(10)
+    assert order == ["waits", "writer ends", "reads True"]
+
+
+def test_a_writer_waits_for_a_reader(tmp_path: Path, store: Store) -> None:
+    waits = threading.Event()
+
+    def write() -> None:
+        with store.locked(waits.set):
+            pass
+
+    writer = threading.Thread(target=write)
+    with read_lock(tmp_path / ".keymint", never):
+        writer.start()
+        assert waits.wait(10)
+    writer.join(10)
+    assert not writer.is_alive()
+
+
+@pytest.mark.parametrize("kind", ["nothing", "link"])
+def test_without_a_lock_the_workspace_is_read(tmp_path: Path, kind: str) -> None:
+    if kind == "link":
+        (tmp_path / "elsewhere").touch()
+        (tmp_path / LOCK).symlink_to("elsewhere")
+    with read_lock(tmp_path, never) as held:
+        assert not held
+    assert (tmp_path / LOCK).is_symlink() is (kind == "link")
+
+
+@pytest.mark.usefixtures("store")
+def test_the_lock_is_released_after_an_error(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="inside"), read_lock(tmp_path / ".keymint", never):
+        raise ValueError("inside")
+    with Store({tmp_path: False}, tmp_path / ".keymint").locked(never):
+        pass
+
+
+def test_a_folder_is_locked_without_a_file_in_it(tmp_path: Path) -> None:
+    order: list[str] = []
+    waits = threading.Event()
+
+    def write() -> None:
+        with folder_lock(tmp_path, fcntl.LOCK_EX, waits.set) as held:
+            order.append(f"writes {held}")
+
+    writer = threading.Thread(target=write)
+    with folder_lock(tmp_path, fcntl.LOCK_SH, never) as first, folder_lock(tmp_path, fcntl.LOCK_SH, never) as second:
+        writer.start()
+        assert waits.wait(10)
+        order.append(f"read {first} {second}")
+    writer.join(10)
+    assert order == ["read True True", "writes True"]
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", ["nothing", "link", "no locks"])
+def test_what_cannot_be_locked_is_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    folder = tmp_path / "private"
+    if kind == "link":
+        folder.symlink_to(tmp_path)
+    if kind == "no locks":
+        folder.mkdir()
+
+        def refuse(*_arguments: object) -> None:
+            raise OSError(errno.EBADF, "NFS locks no folder for writing")
+
+        monkeypatch.setattr(fcntl, "flock", refuse)
+    with folder_lock(folder, fcntl.LOCK_EX, never) as held:
+        assert not held
+
+
+def test_a_failure_to_lock_matters_to_a_writer_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_arguments: object) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(fcntl, "flock", fail)
+    with folder_lock(tmp_path, fcntl.LOCK_SH, never) as held:
+        assert not held
+    with pytest.raises(OSError, match="Input/output error"), folder_lock(tmp_path, fcntl.LOCK_EX, never):
+        pass

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The status of a folder: it changes with every file in it, whoever hides the change."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from keymint.view.folder_status import NEVER, folder_status, walk
+
+
+def edit_in_place(file: Path) -> None:
+    """Change the content, keep size and time of modification."""
+    before = file.stat()
+    with file.open("r+b") as opened:
+        opened.write(b"X")
+    os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))
+
+
+def replace_by_link(file: Path) -> None:
+    other = file.parent.parent / "elsewhere"
+    file.rename(other)
+    file.symlink_to(other)
+
+
+def replace_by_folder(file: Path) -> None:
+    file.unlink()
+    file.mkdir()
+
+
+def copy_back(file: Path) -> None:
+    """Replace a file by another one with the same content and times."""
+    before, content = file.stat(), file.read_bytes()
+    (file.parent / "new").write_bytes(content)
+    (file.parent / "new").rename(file)
+    os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))
+
+
+TOUCHES: dict[str, Callable[[Path], object]] = {
+    "edited": edit_in_place,
+    "longer": lambda file: file.write_bytes(b"longer content"),
+    "mode": lambda file: file.chmod(0o600),
+    "mode of the folder": lambda file: file.parent.chmod(0o700),
+    "removed": lambda file: file.unlink(),
+    "renamed": lambda file: file.rename(file.with_name("other")),
+    "link": replace_by_link,
+    "folder": replace_by_folder,
+    "replaced": copy_back,
+    "another file": lambda file: file.with_name("another").write_bytes(b""),
+    "linked elsewhere": lambda file: os.link(file, file.parent.parent / "second"),
+}
+
+
+@pytest.mark.parametrize("touch", TOUCHES.values(), ids=TOUCHES)
+def test_whatever_becomes_of_a_file_changes_the_status_of_its_folder(
+    tmp_path: Path, touch: Callable[[Path], object]
+) -> None:
+    folder = tmp_path / "folder"
+    folder.mkdir(mode=0o755)
+    (folder / "file").write_bytes(b"content")
+    (folder / "same").write_bytes(b"content")
+    before = folder_status(str(folder), [])
+    assert before is not None
+    assert before == folder_status(str(folder), [])
+    touch(folder / "file")
+    after = folder_status(str(folder), [])
+    assert after is not None
+    assert after.digest != before.digest
+
+
+def test_a_status_is_trusted_if_the_clock_moved_on_since_the_last_change(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"content")
+    os.utime(tmp_path / "file", ns=(1, 1))
+    status = folder_status(str(tmp_path), [])
+    assert status is not None
+    assert status.newest == (tmp_path / "file").stat().st_ctime_ns
+    assert not status.is_trusted(status.newest)
+    assert status.is_trusted(status.newest + 1)
+
+
+def test_a_folder_with_a_link_is_never_trusted(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to("nowhere")
+    status = folder_status(str(tmp_path), [])
+    assert status is not None
+    assert not status.is_trusted(NEVER)
+
+
+def test_a_file_that_another_program_modified_meanwhile_is_not_trusted(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"content")
+    modified = (tmp_path / "file").stat().st_mtime_ns
+    for written, since, trusted in (((), modified, False), ((), modified + 1, True), (("file",), modified, True)):
+        status = folder_status(str(tmp_path), [], written, since)
+        assert status is not None
+        assert status.is_trusted(NEVER) == trusted
+
+
+def test_all_folders_are_walked_but_those_of_git(tmp_path: Path) -> None:
+    for folder in ("a/b", "a/.git/c", "d"):
+        (tmp_path / folder).mkdir(parents=True)
+    found = walk([str(tmp_path / "a"), str(tmp_path / "d"), str(tmp_path / "missing")])
+    assert set(found) == {str(tmp_path / folder) for folder in ("a", "a/b", "d")}

@@ -1,0 +1,340 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A document of a kind is the engine's, byte for byte; whoever violates a condition of the lemma goes to the engine.
+
+Each test of a condition also writes the document that would follow without it, and shows that it is wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+from unittest import mock
+
+import pytest
+from hypothesis import event, given, settings
+from hypothesis import strategies as st
+from keymint_ros2_dds import build_type, proving
+from keymint_ros2_dds.documents import permissions_document
+from keymint_ros2_dds.emit import emission, kind_members
+from keymint_ros2_dds.emit.kind_structure import Structure
+from keymint_ros2_dds.emit.kind_template import Template
+from keymint_ros2_dds.rule_packages import package_of
+
+from comarmor.rules import parts
+from keymint.analysis.subject_patterns import rules_of
+from keymint.api import BuildOptions, BuildResult, DomainRange, Package, Proof, Validity
+from keymint.errors import KeymintError
+from keymint.ir import Rule, SubjectRules
+from keymint.keymake.kinds import kind_of
+from tests.effort import tries
+from tests.generated import pretty, tokens
+from tests.keymint.analysis.policies import loaded_text
+from tests.plugins.keymint_ros2_dds.packages import VALIDITY, package, rule
+
+USUAL = BuildOptions()
+TALK, HEAR = ("ros_topic", "ros_publish"), ("ros_topic", "ros_subscribe")
+
+NAMES = ["/a", "/b", "/ab", "/a/b", "/c"]
+RAW = ["rt/a", "rt/b", "rt/ab", "x", "rq/aRequest"]
+WILD = ["/*", "/a*", "/?", "/a/*", "*b", "/[ab]"]
+RAW_WILD = ["rt/*", "*", "r?/a", "rt/a*b"]
+KINDS = (
+    ("ros_topic", ["ros_publish", "ros_subscribe", "ros_publish ros_subscribe", "ros_relay"], NAMES, WILD),
+    ("ros_service", ["ros_call", "ros_execute"], NAMES, WILD),
+    ("ros_action", ["ros_request"], NAMES, WILD),
+    ("topic", ["publish", "subscribe", "publish subscribe"], RAW, RAW_WILD),
+)
+
+
+def by_engine(loaded: Package) -> BuildResult:
+    with mock.patch.object(kind_members, "_known", {}):
+        return build_type.build(loaded, USUAL)
+
+
+def outcome(build, loaded: Package):
+    try:
+        return build(loaded)
+    except KeymintError as error:
+        return error.diagnostics
+
+
+def by_kind(*loaded: Package) -> tuple[list[object], int]:
+    """Return what is built for packages in turn, and how often the engine was asked."""
+    with mock.patch.object(kind_members, "emit", wraps=emission.emit) as engine:
+        return [outcome(lambda each: build_type.build(each, USUAL), each) for each in loaded], engine.call_count
+
+
+@st.composite
+def rules(draw) -> Rule:
+    kind, permissions, names, wild = draw(st.sampled_from(KINDS))
+    expressions = draw(st.lists(st.sampled_from([*names, *names, *wild]), min_size=1, max_size=3))
+    return rule(
+        draw(st.sampled_from(["ALLOW", "ALLOW", "DENY"])), kind, draw(st.sampled_from(permissions)), *expressions
+    )
+
+
+def names_of_a_subject() -> st.SearchStrategy[dict[str, str]]:
+    """Draw another name for each name; they may coincide."""
+    others = st.lists(st.sampled_from([*NAMES, "/long/name_0", "/d", "/e"]), min_size=5, max_size=5)
+    raw = st.lists(st.sampled_from([*RAW, "rt/d", "rt/e", "y"]), min_size=5, max_size=5)
+    return st.builds(lambda *to: dict(zip([*NAMES, *RAW], [*to[0], *to[1]], strict=True)), others, raw)
+
+
+@settings(max_examples=tries(50, 100), deadline=None)
+@given(st.lists(rules(), min_size=1, max_size=5), st.lists(names_of_a_subject(), min_size=2, max_size=5))
+def test_every_member_has_the_bytes_of_the_engine_whoever_is_first(drawn, renamings) -> None:
+    loaded = [
+        package(
+            *(replace(each, expressions=tuple(names.get(text, text) for text in each.expressions)) for each in drawn),
+            subject=f"/robot{number}",
+        )
+        for number, names in enumerate(renamings)
+    ]
+    expected = [outcome(by_engine, each) for each in loaded]
+    for turned in (False, True):
+        with mock.patch.object(kind_members, "_known", {}):
+            built, asked = by_kind(*loaded[:: -1 if turned else 1])
+        event(f"renamed: {asked < len(loaded)}")
+        assert built == expected[:: -1 if turned else 1]
+
+
+@pytest.mark.parametrize("seed", range(tries(6, 120)))
+def test_all_subjects_of_a_random_policy_have_the_bytes_of_the_engine(tmp_path: Path, seed: int) -> None:
+    policy = loaded_text(tmp_path, pretty(tokens(seed)))
+    robots = {f"/{robot}/{name}" for robot in ("r1", "r2", "robot", "fleet/r1", "x") for name in ("talker", "driver")}
+    rules_by_subject = {subject: SubjectRules(subject, rules_of(policy, subject)) for subject in sorted(robots)}
+    loaded = [package_of(each, "jazzy") for each in rules_by_subject.values()]
+    built, _ = by_kind(*loaded)
+    assert built == [outcome(by_engine, each) for each in loaded]
+
+
+def test_robots_with_wildcards_for_the_fleet_need_the_engine_once(tmp_path: Path) -> None:
+    profiles = (
+        f"""<profile name="r{number}"><attachment>/r{number}/driver</attachment>
+        <ros_topic qualifier="ALLOW"><attachment>/r{number}/scan</attachment><attachment>/fleet/*</attachment>
+          <permissions><ros_publish/></permissions></ros_topic>
+        <ros_topic qualifier="DENY"><attachment>/fleet/secret/*</attachment>
+          <permissions><ros_publish/><ros_subscribe/></permissions></ros_topic>
+        <ros_action qualifier="ALLOW"><attachment>/r{number}/dock</attachment>
+          <permissions><ros_operate/></permissions></ros_action></profile>"""
+        for number in range(12)
+    )
+    policy = loaded_text(tmp_path, f"<profiles>{''.join(profiles)}</profiles>")
+    subjects = [f"/r{number}/driver" for number in range(12)]
+    loaded = [package_of(SubjectRules(each, rules_of(policy, each)), "jazzy") for each in subjects]
+    built, asked = by_kind(*loaded)
+    assert asked == 1
+    assert built == [by_engine(each) for each in loaded]
+
+
+def fleet(*numbers: int, more: Sequence[Rule] = ()) -> Iterator[Package]:
+    for number in numbers:
+        own = rule("ALLOW", *TALK, f"/robot{number}/scan", "/map", line=number)
+        services = rule("ALLOW", "ros_parameter", "ros_read", f"/robot{number}/talker")
+        yield package(own, services, *more, subject=f"/robot{number}")
+
+
+def test_the_engine_makes_one_document_for_a_kind() -> None:
+    loaded = list(fleet(1, 10, 7, 300))
+    built, asked = by_kind(*loaded)
+    assert asked == 1
+    assert built == [by_engine(each) for each in loaded]
+
+
+def test_topics_are_sorted_again() -> None:
+    """``/a`` comes before ``/map`` and ``/z`` after it."""
+    loaded = [package(rule("ALLOW", *TALK, "/map", name)) for name in ("/a", "/z")]
+    built, asked = by_kind(*loaded)
+    assert asked == 1
+    assert built == [by_engine(each) for each in loaded]
+
+
+def test_the_proof_of_a_renamed_document_is_known() -> None:
+    loaded = list(fleet(1, 2))
+    by_kind(*loaded)
+    document = build_type.build(loaded[1], USUAL).documents["permissions.xml"]
+    with mock.patch.object(proving.proof_cache, "prove_document", side_effect=AssertionError):
+        claims = proving.prove_content(emission.comparison(loaded[1], document))
+    assert {claim.proof for claim in claims} == {Proof.PROVEN}
+
+
+@pytest.mark.parametrize("options", [BuildOptions(optimise=False), BuildOptions(allow_vendor_specific=True)])
+def test_other_options_are_for_the_engine(options: BuildOptions) -> None:
+    with mock.patch.object(kind_members, "emit", wraps=emission.emit) as engine:
+        for each in fleet(1, 2):
+            build_type.build(each, options)
+    assert engine.call_count == 2
+
+
+class TestConditions:
+    """The second subject violates exactly one condition."""
+
+    @staticmethod
+    def renamed(first: Package, second: Package, names: Mapping[str, str]) -> bytes:
+        """Return the document that renaming would write for the second subject: DDS names of the first, and its own."""
+        template = Template.of(emission.emit(first, USUAL).rules, first.grant.domains, [*names])
+        return permissions_document.render(second.grant, template.renamed([*names.values()]))
+
+    def refuted(self, first: Package, second: Package, names: Mapping[str, str]) -> bool:
+        """Tell whether that document is proven to be wrong."""
+        document = self.renamed(first, second, names)
+        claims = proving.prove_content(emission.comparison(second, document))
+        return Proof.COUNTEREXAMPLE in {claim.proof for claim in claims}
+
+    def check(self, first: Package, second: Package, names: Mapping[str, str] | None = None) -> None:
+        (_, built), asked = by_kind(first, second)
+        assert asked == 2
+        assert built == outcome(by_engine, second)
+        assert names is None or self.refuted(first, second, names)
+
+    def test_names_that_a_parser_trims(self) -> None:
+        first, second = (package(rule("ALLOW", "topic", "publish", name)) for name in ("a", " a"))
+        self.check(first, second, {"a": " a"})
+
+    def test_names_that_fall_together_after_mapping(self) -> None:
+        """A raw topic has the name of a ROS topic, in the second subject only."""
+
+        def subject(raw: str) -> Package:
+            return package(rule("ALLOW", *TALK, "/x"), rule("DENY", "topic", "publish", raw))
+
+        self.check(subject("rt/y"), subject("rt/x"), {"rt/x": "rt/x", "rt/y": "rt/x"})
+
+    def test_a_name_that_a_wildcard_of_the_policy_matches(self) -> None:
+        def subject(name: str) -> Package:
+            return package(rule("ALLOW", *TALK, name), rule("DENY", *TALK, "/secret/*"))
+
+        self.check(subject("/a"), subject("/secret/a"), {"rt/a": "rt/secret/a"})
+
+    def test_a_name_in_another_part_of_the_intersection_of_two_wildcards(self) -> None:
+        """Both names match both wildcards, whose intersection is several patterns. The compiler writes these."""
+        wild = rule("ALLOW", *TALK, "/x*ab*"), rule("DENY", *HEAR, "/*ba*")
+
+        def subject(name: str) -> Package:
+            return package(*wild, rule("ALLOW", *HEAR, "/x*"), rule("DENY", *TALK, name))
+
+        self.check(subject("/xabba"), subject("/xbaab"))
+
+    def test_names_in_other_places(self) -> None:
+        """Each place has what the policy of this subject says; with names exchanged the proof fails."""
+        first, second = (
+            package(rule("ALLOW", *TALK, f"/{robot}/out"), rule("ALLOW", *HEAR, f"/{robot}/in")) for robot in "rs"
+        )
+        _, asked = by_kind(first, second)
+        assert asked == 1
+        assert self.refuted(first, second, {"rt/r/out": "rt/s/in", "rt/r/in": "rt/s/out"})
+
+    def test_other_domains(self) -> None:
+        first, second = (package(rule("ALLOW", *TALK, "/a"), domains=(DomainRange(0, last),)) for last in (0, 1))
+        _, asked = by_kind(first, second)
+        assert asked == 2
+        document = emission.emit(first, USUAL).document
+        claims = proving.prove_content(emission.comparison(second, document))
+        assert Proof.COUNTEREXAMPLE in {claim.proof for claim in claims}
+
+    def test_a_validity_that_some_vendor_reads_as_empty(self) -> None:
+        """Documents have whole seconds; a year of three digits is no date for any vendor."""
+        early = Validity(VALIDITY.not_before.replace(year=999), VALIDITY.not_after)
+        first, second = (package(rule("ALLOW", *TALK, "/a"), validity=period) for period in (VALIDITY, early))
+        self.check(first, second)
+        later = Validity(VALIDITY.not_before + timedelta(days=1), VALIDITY.not_after)
+        _, asked = by_kind(package(rule("ALLOW", *TALK, "/b"), validity=later))
+        assert asked == 0, "another period alone is no reason"
+
+    @pytest.mark.parametrize(("year", "code"), [(2027, "portability-subject-name"), (2262, "portability-date")])
+    def test_a_subject_name_that_some_vendor_does_not_recognise(self, year: int, code: str) -> None:
+        """Cyclone DDS compares no name of more than twenty parts. The engine says so, and what else is wrong first."""
+        period = Validity(VALIDITY.not_before, VALIDITY.not_after.replace(year=year))
+        first = package(rule("ALLOW", *TALK, "/a"))
+        second = package(rule("ALLOW", *TALK, "/b"), name="OU=x1,CN=/" + "/".join("a" * 25), validity=period)
+        self.check(first, second)
+        assert [each.code for each in outcome(by_engine, second)] == [code]
+
+    @pytest.mark.parametrize("head", [{"name": "OU=x1,CN=a&b"}, {"subject": "/a<b", "name": "OU=x1,CN=/b"}])
+    def test_a_grant_or_subject_whose_name_is_markup(self, head: dict[str, str]) -> None:
+        first, second = package(rule("ALLOW", *TALK, "/a")), package(rule("ALLOW", *TALK, "/b"), **head)
+        self.check(first, second)
+
+    def test_a_subject_that_gathering_would_help(self) -> None:
+        def subject(*names: str) -> Package:
+            return package(*(rule("ALLOW", *TALK, f"/some/longer/namespace/{name}/scan") for name in names))
+
+        words = [f"{number:b}".replace("0", "ab").replace("1", "cde") for number in range(64, 128)]
+        self.check(subject(*words), subject(*(f"robot{number:03}" for number in range(64))))
+
+    def test_a_document_of_a_size_to_warn_of(self) -> None:
+        def subject(length: int) -> Package:
+            letters = "abcdefghijklmnopqrstuvwxyz"
+            names = (f"/{letter * length}{other}" for letter in letters for other in (letter * 3, letter * 4))
+            return package(rule("ALLOW", *TALK, *names))
+
+        first, second = subject(20), subject(1_000)
+        (_, built), asked = by_kind(first, second)
+        assert asked == 2
+        assert "size-permissions" in {each.code for each in built.diagnostics}
+
+    def test_a_document_of_a_size_that_is_not_indented_is_renamed(self) -> None:
+        def subject(length: int) -> Package:
+            letters = "abcdefghijklmnopqrstuvwxyz"
+            return package(rule("ALLOW", *TALK, *(f"/{letter * (length + ord(letter))}" for letter in letters)))
+
+        loaded = [subject(0), subject(1_300)]
+        built, asked = by_kind(*loaded)
+        assert asked == 1
+        assert b"\n<permissions>" in built[1].documents["permissions.xml"]
+        assert built == [by_engine(each) for each in loaded]
+
+    def test_a_name_that_is_also_an_alternative_for_a_set(self) -> None:
+        """``[12]`` is written as two texts. In the first subject one of them is its name, too; nobody can tell."""
+        first, second = (package(rule("ALLOW", *TALK, "/x[12]", name)) for name in ("/x1", "/x2"))
+        self.check(first, second, {"rt/x1": "rt/x2"})
+
+    def test_names_by_which_rules_are_ordered(self) -> None:
+        """With partitions, the order of rules depends on names: the meaning is right, but not the bytes."""
+
+        def subject(name: str) -> Package:
+            both = rule("ALLOW", "topic", "publish", name, "m", partitions=("p", "q"))
+            own, other = (rule("DENY", "topic", "publish", *denied) for denied in ((name,), ("m",)))
+            return package(both, replace(own, partitions=("p",)), replace(other, partitions=("q",)))
+
+        first, second = subject("a"), subject("z")
+        self.check(first, second)
+        assert not self.refuted(first, second, {"a": "z", "m": "m"})
+        assert self.renamed(first, second, {"a": "z", "m": "m"}) != by_engine(second).documents["permissions.xml"]
+
+    @pytest.mark.parametrize(
+        "other",
+        [
+            rule("ALLOW", "topic", "publish", "x", partitions=("p",)),
+            rule("ALLOW", *TALK, "/x[12]"),
+            rule("ALLOW", *TALK, "/a*", "/*a"),
+            rule("ALLOW", *TALK, "?x"),
+        ],
+        ids=["partitions", "a set", "two wildcards with a name in common", "a wildcard for one name"],
+    )
+    def test_kinds_that_are_for_the_engine(self, other: Rule) -> None:
+        loaded = list(fleet(1, 2, 3, more=[other]))
+        built, asked = by_kind(*loaded)
+        assert asked == 3
+        assert built == [outcome(by_engine, each) for each in loaded]
+
+    def test_a_name_that_is_no_ros_name_gets_its_warning(self) -> None:
+        loaded = [package(rule("ALLOW", *TALK, name)) for name in ("/a", "/a-b")]
+        built, asked = by_kind(*loaded)
+        assert asked == 2
+        assert [each.code for each in built[1].diagnostics] == ["never-matches"]
+
+
+def test_many_kinds_are_forgotten_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kind_members, "MOST", 2)
+    for number in range(5):
+        build_type.build(package(rule("ALLOW", *TALK, f"/n{number}*", "/a")), USUAL)
+    assert len(kind_members._known) == 2
+
+
+def test_the_parts_of_actions_are_names_of_their_own() -> None:
+    (found,) = {len(parts("ros_action", "ros_request"))}
+    structure = Structure.of(kind_of([rule("ALLOW", "ros_action", "ros_request", "/a")])[0], "jazzy")
+    assert structure is not None
+    assert len(structure.slots) == found + 3, "three of the parts are services, with two topics each"
