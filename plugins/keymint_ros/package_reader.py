@@ -41,7 +41,7 @@ from keymint.names import subject_of
 from keymint_ros import (
     adopted,
     certificate,
-    issuance_document,
+    decisions,
     manifest,
     permissions,
     permissions_writer,
@@ -288,7 +288,7 @@ def load(
     subject = subject_of(name)
     plugins = {each: build_types(each, Origin(file)) for each in package_manifest.build_types}
     defects = Defects()
-    issued = defects.attempt(partial(issuance_document.issuance, folder, files)) or Issuance()
+    issued = defects.attempt(partial(decisions.issuance, folder, files)) or Issuance()
     in_common_name = any(isinstance(each, CommonNameIdentity) for each in plugins.values())
     values = placeholders.of_subject(subject, issued.generation, in_common_name=in_common_name)
     authorities = tuple(authority.name for authority in profile.authorities)

@@ -16,16 +16,7 @@ from comarmor.xml.reader import line
 from keymint.api import Authority, PolicySource, WorkspaceProfile
 from keymint.api.source_documents import Reader, domains, file_in, place, require_new, text
 from keymint.errors import KeymintError, known_authority
-from keymint_ros import (
-    authority_issuance,
-    bootstrap,
-    certificate,
-    distros,
-    manifest,
-    packages_lock,
-    placeholders,
-    validity,
-)
+from keymint_ros import bootstrap, certificate, decisions, distros, manifest, placeholders, validity
 from keymint_ros.certificate import CertificateElement
 from keymint_ros.manifest import BUILD_TYPE
 
@@ -178,8 +169,8 @@ def load(root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
         for authority, where, issuer_named_at in _load_authorities(root, files, path, defaults_path):
             _check_unique(authority.name, authorities, where)
             authorities[authority.name], issuers[authority.name] = authority, issuer_named_at
-    for each, issuance in authority_issuance.read(files, str(root), authorities).items():
-        spec = authority_issuance.applied(authorities[each].certificate, issuance)
+    for each, issuance in decisions.authority_issuance(files, str(root), authorities).items():
+        spec = decisions.applied(authorities[each].certificate, issuance)
         authorities[each] = Authority(each, spec, issuance)
     _check_hierarchy(authorities, issuers)
     return WorkspaceProfile(
@@ -197,8 +188,8 @@ def load(root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
         files=files,
         accepts=own.accepts,
         revoke_superseded=own.revoke_superseded,
-        packages=packages_lock.read(files, str(root)),
-        package_copies=root / packages_lock.COPIES,
+        packages=decisions.accepted_packages(files, str(root)),
+        package_copies=root / decisions.COPIES,
     )
 
 
