@@ -107,7 +107,7 @@ def _keeps_edit(grant: Grant, now: str, file: str) -> bool:
         return True
     raise KeymintError(
         "these permissions were edited by hand, and the policy changed too",
-        where=Origin(file, grant.line),
+        where=Origin(file, grant.own.line),
         help="move the edits into the policy, then replace the file with --force",
         code="hand-edited",
     )
