@@ -79,6 +79,12 @@ def written(moment: datetime) -> str:
     return f"{moment.astimezone(UTC):%Y-%m-%dT%H:%M:%S}"
 
 
+def element(period: Validity) -> str:
+    """Return the element of a period, as :func:`read` reads it."""
+    begin, end = written(period.not_before), written(period.not_after)
+    return f"<validity><not_before>{begin}</not_before><not_after>{end}</not_after></validity>"
+
+
 def length(root: etree._Element) -> str:
     """Return the length of the ``<validity>`` of a document as an ISO 8601 duration; empty if it has none.
 

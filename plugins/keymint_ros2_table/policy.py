@@ -8,6 +8,7 @@ from dataclasses import field, replace
 from pathlib import Path
 from types import MappingProxyType
 
+from keymint_comarmor import require_policies
 from keymint_comarmor.loaded import ComArmorPolicy
 
 import comarmor
@@ -45,11 +46,7 @@ def load(
     """
     maker = _PolicyMaker(library, library_shown)
     for source in sources:
-        if not source.path.exists():
-            raise KeymintError(
-                f"the policy '{source.path}' does not exist", where=source.origin,
-                help="name a CSV file or an SQLite database", code="policy-missing",
-            )  # fmt: skip
+        require_policies([source], "a CSV file or an SQLite database")
         maker.add(source.path)
     return ComArmorPolicy(maker.policy())
 
