@@ -41,7 +41,7 @@ _OVERRIDES = ("domains", "subject_name", "validity")
 
 
 @dataclass(frozen=True, slots=True)
-class Grant:
+class WrittenGrant:
     """The grant of a package.
 
     Attributes:
@@ -97,7 +97,7 @@ def _old(content: bytes, name: str) -> Origin | None:
     return None
 
 
-def read(content: bytes, name: str, subject: str) -> Grant:
+def read(content: bytes, name: str, subject: str) -> WrittenGrant:
     """Return the grant of a ``permissions.xml``.
 
     Args:
@@ -122,7 +122,7 @@ def read(content: bytes, name: str, subject: str) -> Grant:
     )
 
 
-def _grant(root: etree._Element) -> Grant:
+def _grant(root: etree._Element) -> WrittenGrant:
     (grant,) = root.iterfind("permissions/grant")
     overrides = [part for part in grant if part.tag in _OVERRIDES]
     elements = [part for part in grant if part.tag not in _OVERRIDES]
@@ -130,7 +130,7 @@ def _grant(root: etree._Element) -> Grant:
     base, current = root.get("digest", "").strip(), digest(rules)
     if base != current:
         _check_edited(grant)
-    return Grant(
+    return WrittenGrant(
         name=grant.get("name", "").strip(),
         own=certificate.read(grant, placeholders.SUBJECT),
         rules=rules,
@@ -190,7 +190,7 @@ def _check_edited(grant: etree._Element) -> None:
                 ) from None
 
 
-def has_rules(grant: Grant, rules: SubjectRules) -> bool:
+def has_rules(grant: WrittenGrant, rules: SubjectRules) -> bool:
     """Tell whether a document has exactly these rules in this order.
 
     Of their origins only the names of files count: folders depend on the current folder, and lines move with each
@@ -209,7 +209,7 @@ def _files(origin: Origin) -> list[str]:
     return [posixpath.basename(each.file) for each in (origin, *origin.chain)]
 
 
-def to_ir(grant: Grant, subject: str, file: str, base: str) -> SubjectRules:
+def to_ir(grant: WrittenGrant, subject: str, file: str, base: str) -> SubjectRules:
     """Return the rules of a document.
 
     The origin of a rule is its place in the policy, or in the document if the document was edited.
