@@ -46,6 +46,7 @@ def test_names_of_classes(modules: Sequence[house.Module]) -> None:
 
 
 def test_places_that_conduct_the_stages(modules: Sequence[house.Module]) -> None:
+    assert {"BuildStage", "InstallStage"} <= set(house.stages_of(modules)), "the rule must know their new names"
     conducting = house.conducting(modules)
     assert len(conducting) <= CONDUCTORS, conducting
 
