@@ -189,7 +189,7 @@ def test_a_process_that_is_ended_between_planning_and_staging(keymint: Keymint, 
     [
         ("create", "CreateStage", "robot17/talker"),
         ("install", "InstallStage", "robot3/talker"),
-        ("prove", "ProofStage", "robot9/talker"),
+        ("proof.prove", "ProofStage", "robot9/talker"),
     ],
 )
 def test_a_process_that_is_ended(keymint: Keymint, tmp_path: Path, module: str, stage: str, name: str) -> None:
