@@ -12,7 +12,7 @@ A rule applies to a key expression that it *includes*: one that only intersects 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
 
 from comarmor.errors import Origin
@@ -62,6 +62,8 @@ class AccessDecision:
 _Entry = Mapping[tuple[Permission, Flow, Message], tuple[tuple[AclRule, KeyExpr], ...]]
 """The rules of all subjects with the same properties."""
 _Properties = tuple[str | None, ...]
+KeyLists = tuple[tuple[tuple[KeyExpr, ...], tuple[KeyExpr, ...]], ...]
+"""For each entry the key expressions that it allows, and those that it denies."""
 
 
 class AccessModel:
@@ -73,6 +75,7 @@ class AccessModel:
 
     def __init__(self, access_control: AccessControl) -> None:
         self._control = access_control
+        self._depending: Sequence[AclSubject] = ()
         self._entries: dict[_Properties, _Entry] = {}
         self._any_name: list[_Properties] = []
         self._of_name: dict[str, list[_Properties]] = {}
@@ -81,17 +84,27 @@ class AccessModel:
 
     def on(self, link: Link) -> LinkAccess:
         """Return the decisions on a link."""
-        candidates = [*self._of_name.get(link.common_name, ()), *self._any_name]
-        matching = [self._entries[properties] for properties in candidates if _matches(properties, link)]
-        return LinkAccess(self._control, tuple(matching))
+        candidates = self._candidates(link.common_name)
+        return LinkAccess(self._control, [self._entries[each] for each in candidates if _matches(each, link)])
+
+    def of_certificate(self, common_name: str) -> LinkAccess:
+        """Return the decisions on links of which only the certificate is known: any other property may match."""
+        depending = (each for each in self._depending if common_name in (each.common_names or (common_name,)))
+        more = next((f"the subject {each.id!r} also depends on more than certificates" for each in depending), "")
+        return LinkAccess(self._control, [self._entries[each] for each in self._candidates(common_name)], more)
 
     def decide(self, link: Link, message: Message, flow: Flow, key_expr: str) -> AccessDecision:
         """Return the decision on a message; see :meth:`LinkAccess.decide`."""
         return self.on(link).decide(message, flow, key_expr)
 
+    def _candidates(self, common_name: str) -> Sequence[_Properties]:
+        return *self._of_name.get(common_name, ()), *self._any_name
+
     def _read(self, control: AccessControl) -> None:
         rules = {rule.id: rule for rule in control.rules}
         subjects = {subject.id: subject for subject in control.subjects}
+        depending = (subject for subject in control.subjects if subject.depends_on_more)
+        self._depending = sorted(depending, key=lambda subject: not subject.common_names)
         parsed = {rule.id: tuple((rule, parse(text)) for text in rule.key_exprs) for rule in control.rules}
         applying: dict[_Properties, dict[str, AclRule]] = {
             properties: {} for subject in control.subjects for properties in _properties(subject)
@@ -116,11 +129,19 @@ class LinkAccess:
     Args:
         control: the access control.
         entries: those that match the link.
+        unmodelled: why it is not known which entries match; empty if it is.
+
+    Attributes:
+        open: without a matching rule a message is allowed.
+        where: the place of the access control.
     """
 
-    def __init__(self, control: AccessControl, entries: tuple[_Entry, ...]) -> None:
+    def __init__(self, control: AccessControl, entries: Sequence[_Entry], unmodelled: str = "") -> None:
         self._control = control
         self._entries = entries
+        self.unmodelled = unmodelled
+        self.open = not control.enabled or control.default_permission is Permission.ALLOW
+        self.where = control.where
 
     @property
     def watched(self) -> frozenset[Flow]:
@@ -131,6 +152,13 @@ class LinkAccess:
         if control.default_permission is Permission.DENY:
             return frozenset(Flow)
         return frozenset(flow for entry in self._entries for _, flow, _ in entry)
+
+    def keys(self, message: Message, flow: Flow) -> KeyLists:
+        """Return for each entry the key expressions that it allows, and those that it denies."""
+        return tuple(
+            (_keys(entry, Permission.ALLOW, flow, message), _keys(entry, Permission.DENY, flow, message))
+            for entry in self._entries or ({},)
+        )
 
     def decide(self, message: Message, flow: Flow, key_expr: str) -> AccessDecision:
         """Return the decision on a message.
@@ -172,6 +200,10 @@ def _properties(subject: AclSubject) -> Iterable[_Properties]:
 def _matches(properties: _Properties, link: Link) -> bool:
     values = (link.common_name, link.username, link.interface, link.protocol, link.zid)
     return all(given is None or given == value for given, value in zip(properties, values, strict=True))
+
+
+def _keys(entry: _Entry, permission: Permission, flow: Flow, message: Message) -> tuple[KeyExpr, ...]:
+    return tuple(key_expr for _, key_expr in entry.get((permission, flow, message), ()))
 
 
 def _including(rules: Iterable[tuple[AclRule, KeyExpr]], asked: KeyExpr) -> tuple[AclRule, KeyExpr] | None:

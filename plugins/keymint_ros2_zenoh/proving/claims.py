@@ -3,15 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import product
 
 from comarmor.patterns.decision_lists import Equal, ProofResult, SearchBudget, Unknown, Witness
 from comarmor.patterns.steps import spend
-from comarmor.values import dataclass
-from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDecision, Proof, Verdict
-from keymint.ir import SubjectRules
-from keymint_ros2_zenoh.decision.message_access import AccessModel, Link
+from keymint.api import Claim, Counterexample, Endpoint, PolicyDecision, Proof, ProofTask, Verdict
+from keymint_ros2_zenoh.decision.message_access import KeyLists, LinkAccess
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr
 from keymint_ros2_zenoh.keyexpr.key_relations import includes, intersects
 from keymint_ros2_zenoh.lowering.key_rules import domain_ids
@@ -21,8 +19,7 @@ from keymint_ros2_zenoh.messages import Flow, Message
 from keymint_ros2_zenoh.proving import policy_evaluator
 from keymint_ros2_zenoh.proving.automaton import Automaton
 from keymint_ros2_zenoh.proving.key_search import Side, difference, side_of
-from keymint_ros2_zenoh.proving.policy_side import KeyLists, PolicySide
-from keymint_ros2_zenoh.proving.router_side import LinkRights, RouterRights
+from keymint_ros2_zenoh.proving.policy_side import PolicySide
 
 MODEL = "zenoh-1"
 _MEETING = 4
@@ -34,44 +31,23 @@ _REPLIES = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class RightsQuestion:
-    """What a router must permit on the links of an enclave, and what it says.
-
-    Attributes:
-        rules: the policy's rules for the subject.
-        distro: ROS 2 distribution.
-        domains: the domains in which the policy applies.
-        common_name: first common name of the enclave's certificate.
-        router: the rights of all enclaves, as the router has them.
-        states: the most states that the search for one claim may visit.
-        go_on: polled; the search ends when it returns False.
-        session: what the enclave's own configuration permits on links to the router.
-    """
-
-    rules: SubjectRules
-    distro: str
-    domains: tuple[DomainRange, ...]
-    common_name: str
-    router: RouterRights
-    states: int
-    go_on: Callable[[], bool]
-    session: LinkRights
-
-
-def prove_rights(question: RightsQuestion) -> Iterator[Claim]:
+def prove_rights(task: ProofTask, router: LinkAccess, session: LinkAccess) -> Iterator[Claim]:
     """Yield a claim for each message and flow.
+
+    Args:
+        task: what the policy allows the enclave.
+        router: what the router permits on links of the enclave.
+        session: what the enclave's own configuration permits on links to the router.
 
     Raises:
         KeymintError: Zenoh cannot express a rule of the policy.
     """
-    policy = PolicySide(name_rules(question.rules, question.distro), domain_ids(question.domains))
-    rights = question.router.on(question.common_name)
-    unknown = rights.unmodelled or policy.unproven(question.states)
-    proof = _Rights(question, policy, rights)
+    policy = PolicySide(name_rules(task.rules, task.package.distro), domain_ids(task.package.grant.domains))
+    unknown = router.unmodelled or policy.unproven(task.states)
+    proof = _Rights(task, policy, router, session)
     for message, flow in product(Message, Flow):
         if unknown:
-            yield proof.claim(message, flow, Proof.UNKNOWN, unknown, spent=not rights.unmodelled)
+            yield proof.claim(message, flow, Proof.UNKNOWN, unknown, spent=not router.unmodelled)
         else:
             yield proof.of(message, flow)
 
@@ -79,10 +55,11 @@ def prove_rights(question: RightsQuestion) -> Iterator[Claim]:
 class _Rights:
     """Makes the claims of one enclave."""
 
-    def __init__(self, question: RightsQuestion, policy: PolicySide, rights: LinkRights) -> None:
-        self._question = question
+    def __init__(self, task: ProofTask, policy: PolicySide, router: LinkAccess, session: LinkAccess) -> None:
+        self._task = task
         self._policy = policy
-        self._rights = rights
+        self._router = router
+        self._session = session
         self._automaton = Automaton()
         self._known: dict[tuple[Side, Side], ProofResult] = {}
         self._meeting: dict[tuple[tuple[KeyExpr, ...], tuple[KeyExpr, ...]], tuple[KeyExpr, ...]] = {}
@@ -92,12 +69,12 @@ class _Rights:
         *, spent: bool = False, excepted: tuple[str, ...] = (),
     ) -> Claim:  # fmt: skip
         """Return a claim about a message and a flow."""
-        domains = self._question.domains
+        domains = self._task.package.grant.domains
         return Claim(MODEL, action(message, flow), domains, UNIVERSE, proof, reason, example, spent, excepted)
 
     def of(self, message: Message, flow: Flow) -> Claim:
         """Return the claim about a message and a flow."""
-        router = self._side(self._rights.keys(message, flow), everything=self._rights.open)
+        router = self._side(self._router.keys(message, flow), everything=self._router.open)
         result = self._compare(self._side(self._policy.permitted(message, flow)), router)
         excepted: tuple[str, ...] = ()
         if isinstance(result, Witness) and message is Message.REPLY and not result.left:
@@ -112,7 +89,7 @@ class _Rights:
 
     def _in_session(self, message: Message, flow: Flow) -> Claim | None:
         """Return a claim that is not proven because the enclave's own configuration restricts what is permitted."""
-        session = self._question.session
+        session = self._session
         if session.unmodelled:
             reason = f"the configuration of the enclave's own sessions: {session.unmodelled}"
             return self.claim(message, flow, Proof.UNKNOWN, reason)
@@ -137,7 +114,7 @@ class _Rights:
         return self._decision(message, flow, witness.word).allowed is witness.left
 
     def _decision(self, message: Message, flow: Flow, key: str) -> PolicyDecision:
-        return policy_evaluator.decide(self._question.rules, self._policy.domains, key, message, flow)
+        return policy_evaluator.decide(self._task.rules, self._policy.domains, key, message, flow)
 
     def _side(self, lists: KeyLists, *, everything: bool = False) -> Side:
         """Return key expressions as nodes, without denials that concern nothing that is allowed.
@@ -166,28 +143,25 @@ class _Rights:
     def _compare(self, policy: Side, router: Side) -> ProofResult:
         key = (policy, router)
         if key not in self._known:
-            budget = SearchBudget(self._question.states, self._question.go_on)
+            budget = SearchBudget(self._task.states, self._task.go_on)
             self._known[key] = difference(self._automaton, policy, router, budget)
         return self._known[key]
 
     def _refuted(self, message: Message, flow: Flow, witness: Witness) -> Claim:
-        question, key = self._question, witness.word
-        policy = self._decision(message, flow, key)
-        decided = AccessModel(question.router.control).decide(
-            Link(question.common_name, protocol="tls"), message, flow, key
-        )
+        key = witness.word
+        policy, decided = self._decision(message, flow, key), self._router.decide(message, flow, key)
         if policy.allowed is not witness.left or decided.allowed is witness.left:
             return self.claim(
                 message, flow, Proof.UNKNOWN,
                 f"the engine and the plain evaluators disagree on {key!r}: a defect of Keymint",
             )  # fmt: skip
-        verdict = Verdict(decided.allowed, decided.reason, decided.where or self._rights.where)
+        verdict = Verdict(decided.allowed, decided.reason, decided.where or self._router.where)
         return self.claim(message, flow, Proof.COUNTEREXAMPLE, "", self._example(message, flow, key, policy, verdict))
 
     def _example(
         self, message: Message, flow: Flow, key: str, policy: PolicyDecision, verdict: Verdict
     ) -> Counterexample:
-        subject, meaning = self._question.rules.subject, policy_evaluator.meaning_of(key)
+        subject, meaning = self._task.rules.subject, policy_evaluator.meaning_of(key)
         endpoint = Endpoint(subject, action(message, flow), key, domain=meaning.domain if meaning else 0)
         edge = next(policy_evaluator.edges(subject, key, message, flow), None)
         return Counterexample(endpoint, edge, policy, verdict)

@@ -12,13 +12,13 @@ from keymint.errors import KeymintError
 from keymint.pki.identity_check import enclave_file
 from keymint_ros2_zenoh import configuration_requirements
 from keymint_ros2_zenoh.decision.admission import first_common_name
+from keymint_ros2_zenoh.decision.message_access import AccessModel
 from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.documents.configuration_reader import read
 from keymint_ros2_zenoh.emission import common_name, router_of
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, ROUTER, SESSION
 from keymint_ros2_zenoh.proving.anchor_check import differences
-from keymint_ros2_zenoh.proving.claims import MODEL, RightsQuestion, prove_rights
-from keymint_ros2_zenoh.proving.router_side import RouterRights
+from keymint_ros2_zenoh.proving.claims import MODEL, prove_rights
 from keymint_ros2_zenoh.settings import is_router
 
 CONNECT = "connect"
@@ -46,31 +46,23 @@ def prove(task: ProofTask) -> tuple[Claim, ...]:
         return ()
     if found := differences(task.files, task.folder, task.anchors, task.shared, task.shared_folder):
         raise KeymintError.of(found)
-    package = task.package
-    router = common_name(router_of(package))
+    router = common_name(router_of(task.package))
     session = read(enclave_file(task.files, task.folder, SESSION), f"{task.folder}/{SESSION}")
-    question = RightsQuestion(
-        task.rules,
-        package.distro,
-        package.grant.domains,
-        first_common_name(task.files[CERTIFICATE]),
-        router_rights(task.shared[ROUTER], f"{task.shared_folder}/{ROUTER}"),
-        task.states,
-        task.go_on,
-        RouterRights(session.access_control).on(router),
-    )
-    return (*prove_rights(question), _connects(task, session, router))
+    model = router_access(task.shared[ROUTER], f"{task.shared_folder}/{ROUTER}")
+    at_router = model.of_certificate(first_common_name(task.files[CERTIFICATE]))
+    at_session = AccessModel(session.access_control).of_certificate(router)
+    return (*prove_rights(task, at_router, at_session), _connects(task, session, router))
 
 
 # All enclaves rest on the same file.
 @lru_cache(maxsize=4)
-def router_rights(content: bytes, file: str) -> RouterRights:
-    """Return the rights in a router's file.
+def router_access(content: bytes, file: str) -> AccessModel:
+    """Return the model of a router's access control.
 
     Raises:
         KeymintError: it cannot be read.
     """
-    return RouterRights(read(content, file).access_control)
+    return AccessModel(read(content, file).access_control)
 
 
 def _connects(task: ProofTask, session: Configuration, router: str) -> Claim:

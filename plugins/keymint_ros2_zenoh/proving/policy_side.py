@@ -10,6 +10,7 @@ from comarmor.patterns.glob import Glob
 from comarmor.patterns.printing import exact
 from comarmor.rules import Effect
 from comarmor.values import dataclass
+from keymint_ros2_zenoh.decision.message_access import KeyLists
 from keymint_ros2_zenoh.keyexpr.key_expansion import key_exprs
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr
 from keymint_ros2_zenoh.lowering.key_rules import slot_rules
@@ -18,9 +19,6 @@ from keymint_ros2_zenoh.lowering.name_keys import advanced_key, data_key, graph_
 from keymint_ros2_zenoh.lowering.name_rules import NameRules
 from keymint_ros2_zenoh.messages import Flow, Message
 from keymint_ros2_zenoh.proving.expansion_proof import proven_exact
-
-KeyLists = tuple[tuple[tuple[KeyExpr, ...], tuple[KeyExpr, ...]], ...]
-"""For each entry the key expressions that it allows, and those that it denies."""
 
 
 @dataclass(frozen=True, slots=True)

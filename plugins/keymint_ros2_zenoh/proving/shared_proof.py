@@ -10,6 +10,7 @@ from keymint.errors import KeymintError
 from keymint_ros2_zenoh import configuration_requirements
 from keymint_ros2_zenoh.authority_roles import ACCESS
 from keymint_ros2_zenoh.decision.admission import first_common_name
+from keymint_ros2_zenoh.decision.message_access import LinkAccess
 from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.documents.configuration_reader import read
 from keymint_ros2_zenoh.emission import common_name
@@ -20,8 +21,7 @@ from keymint_ros2_zenoh.lowering.name_keys import ADVANCED
 from keymint_ros2_zenoh.messages import Flow, Message
 from keymint_ros2_zenoh.proving.anchor_check import router_differences
 from keymint_ros2_zenoh.proving.claims import MODEL
-from keymint_ros2_zenoh.proving.enclave_proof import configuration_claim, router_rights
-from keymint_ros2_zenoh.proving.router_side import RouterRights
+from keymint_ros2_zenoh.proving.enclave_proof import configuration_claim, router_access
 from keymint_ros2_zenoh.proving.wildcard_leaks import Leak, Rights, leaks
 from keymint_ros2_zenoh.settings import is_router
 
@@ -43,9 +43,10 @@ def prove_shared(task: SharedProofTask) -> tuple[Claim, ...]:
         raise KeymintError.of(found)
     file = f"{task.shared_folder}/{ROUTER}"
     configuration = read(task.shared[ROUTER], file)
-    rights = router_rights(task.shared[ROUTER], file)
+    model = router_access(task.shared[ROUTER], file)
     names = {package.subject: _name(package, task.enclaves) for package in task.packages if not is_router(package)}
-    return (_route(task, configuration, file), _identify(configuration, names, file), *_address(rights, names))
+    links = {subject: model.of_certificate(name) for subject, name in names.items()}
+    return (_route(task, configuration, file), _identify(configuration, names, file), *_address(links))
 
 
 def _name(package: Package, enclaves: Mapping[str, Mapping[str, bytes]]) -> str:
@@ -76,18 +77,18 @@ def _identify(configuration: Configuration, names: Mapping[str, str], file: str)
     return configuration_claim(IDENTIFY, "", _IDENTIFY, found, expected)
 
 
-def _address(rights: RouterRights, names: Mapping[str, str]) -> Iterator[Claim]:
+def _address(links: Mapping[str, LinkAccess]) -> Iterator[Claim]:
     """Yield for each message the claim that no key expression carries it around a denial, except those it names."""
     for message in _SENT:
-        senders = [_rights(rights, subject, name, message, Flow.INGRESS) for subject, name in names.items()]
-        receivers = [_rights(rights, subject, name, message, Flow.EGRESS) for subject, name in names.items()]
-        found = (leak for leak in leaks(senders, receivers) if not _without_answer(rights, names[leak.sender], leak))
+        senders = [_rights(subject, link, message, Flow.INGRESS) for subject, link in links.items()]
+        receivers = [_rights(subject, link, message, Flow.EGRESS) for subject, link in links.items()]
+        found = (leak for leak in leaks(senders, receivers) if not _without_answer(links[leak.sender], leak))
         excepted = tuple(dict.fromkeys(_exception(leak, message) for leak in found))
         yield Claim(MODEL, f"{ADDRESS} by {message}", (), _ADDRESS, Proof.PROVEN, excepted=excepted)
 
 
-def _rights(rights: RouterRights, subject: str, name: str, message: Message, flow: Flow) -> Rights:
-    entries = rights.on(name).keys(message, flow)
+def _rights(subject: str, link: LinkAccess, message: Message, flow: Flow) -> Rights:
+    entries = link.keys(message, flow)
     return Rights(
         subject,
         tuple(key for allowed, _ in entries for key in allowed),
@@ -95,7 +96,7 @@ def _rights(rights: RouterRights, subject: str, name: str, message: Message, flo
     )
 
 
-def _without_answer(rights: RouterRights, name: str, leak: Leak) -> bool:
+def _without_answer(link: LinkAccess, leak: Leak) -> bool:
     """Return whether a leaking query is one for cached data, of which no answer reaches the sender."""
     chunks = leak.denied.chunks
     if ADVANCED not in chunks:
@@ -103,7 +104,7 @@ def _without_answer(rights: RouterRights, name: str, leak: Leak) -> bool:
     data = parse("/".join(chunks[: chunks.index(ADVANCED)]))
     return all(
         any(includes(each, data) for each in denied) or not any(intersects(each, data) for each in allowed)
-        for allowed, denied in rights.on(name).keys(Message.REPLY, Flow.EGRESS)
+        for allowed, denied in link.keys(Message.REPLY, Flow.EGRESS)
     )
 
 

@@ -6,14 +6,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
+from keymint_ros2_zenoh.decision.message_access import AccessModel
 from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
 from keymint_ros2_zenoh.lowering.key_rules import lower
 from keymint_ros2_zenoh.messages import Permission
+from keymint_ros2_zenoh.proving.claims import prove_rights
 
 from comarmor.errors import Origin
 from comarmor.rules import Effect
-from keymint.api import DomainRange
+from keymint.api import Claim, DomainRange, ProofTask, TrustAnchors
 from keymint.ir import SubjectRules
+from tests.plugins.keymint_ros2_zenoh.workspaces import package
 
 DOMAINS = (DomainRange(0, 0),)
 FILE = "zenoh/router.json5"
@@ -34,6 +37,13 @@ def control_of(subjects: Mapping[str, SubjectRules]) -> AccessControl:
         entries.append(AclSubject(name, (name,), where=Origin(FILE, 1000 + len(entries))))
         policies.append(AclPolicy(tuple(ids), (name,)))
     return AccessControl(True, Permission.DENY, tuple(rules), tuple(entries), tuple(policies), Origin(FILE, 5))
+
+
+def claims_of(rules: SubjectRules, name: str, control: AccessControl, states: int) -> list[Claim]:
+    """Return the claims about an enclave whose own sessions are not restricted."""
+    task = ProofTask(package(subject=name), rules, {}, "", TrustAnchors({}, "", "sros2"), states, lambda: True)
+    session = AccessModel(AccessControl(False, Permission.DENY)).of_certificate(name)
+    return list(prove_rights(task, AccessModel(control).of_certificate(name), session))
 
 
 def with_rules(control: AccessControl, change: Callable[[AclRule], AclRule]) -> AccessControl:

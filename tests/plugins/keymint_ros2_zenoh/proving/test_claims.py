@@ -12,8 +12,6 @@ from keymint_ros2_zenoh.decision.message_access import AccessModel, Link
 from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
 from keymint_ros2_zenoh.lowering.message_slots import SLOTS, Place
 from keymint_ros2_zenoh.messages import Flow, Message, Permission
-from keymint_ros2_zenoh.proving.claims import RightsQuestion, prove_rights
-from keymint_ros2_zenoh.proving.router_side import RouterRights
 
 from comarmor.errors import Origin
 from keymint.api import Claim, Proof
@@ -27,10 +25,9 @@ from tests.plugins.keymint_ros2_zenoh.lowering.policies import (
     subject_rules,
 )
 
-from .controls import DOMAINS, FILE, control_of, with_rules
+from .controls import FILE, claims_of, control_of, with_rules
 
 NAME = "/robot1/talker"
-UNRESTRICTED = RouterRights(AccessControl(False, Permission.DENY)).on(NAME)
 BOTH = ["ros_publish", "ros_subscribe"]
 RULES = subject_rules(
     rule("ALLOW", "ros_topic", BOTH, "/a*", "/b", line=1),
@@ -42,11 +39,7 @@ RULES = subject_rules(
 
 
 def claims(rules: SubjectRules, control: AccessControl, states: int = 100_000) -> list[Claim]:
-    return list(
-        prove_rights(
-            RightsQuestion(rules, "jazzy", DOMAINS, NAME, RouterRights(control), states, lambda: True, UNRESTRICTED)
-        )
-    )
+    return claims_of(rules, NAME, control, states)
 
 
 def refuted(control: AccessControl, rules: SubjectRules = RULES) -> dict[str, tuple[str, bool]]:

@@ -6,12 +6,8 @@ from __future__ import annotations
 from random import Random
 
 import pytest
-from keymint_ros2_zenoh.documents.access_control import AccessControl
 from keymint_ros2_zenoh.keyexpr.key_expansion import key_exprs
-from keymint_ros2_zenoh.messages import Permission
-from keymint_ros2_zenoh.proving.claims import RightsQuestion, prove_rights
 from keymint_ros2_zenoh.proving.expansion_proof import proven_exact
-from keymint_ros2_zenoh.proving.router_side import RouterRights
 
 from comarmor.patterns import glob
 from comarmor.patterns.decision_lists import Equal, Unknown
@@ -23,10 +19,9 @@ from keymint.stages.proof.proof_results import STEPS
 from tests.effort import tries
 from tests.plugins.keymint_ros2_zenoh.lowering.policies import rule, subject_rules
 
-from .controls import DOMAINS, control_of
+from .controls import claims_of, control_of
 
 NAME = "/robot1/talker"
-UNRESTRICTED = RouterRights(AccessControl(False, Permission.DENY)).on(NAME)
 WORDS = ("a", "b", "ab", "scan", "odom", "cmd", "x")
 ROBOTS = ("", "/r1", "/r2", "/fleet/r1")
 KINDS = {
@@ -61,10 +56,7 @@ def policy(seed: int) -> SubjectRules:
 
 
 def proven(rules: SubjectRules, states: int = 500_000) -> list[Claim]:
-    control = RouterRights(control_of({NAME: rules}))
-    return list(
-        prove_rights(RightsQuestion(rules, "jazzy", DOMAINS, NAME, control, states, lambda: True, UNRESTRICTED))
-    )
+    return claims_of(rules, NAME, control_of({NAME: rules}), states)
 
 
 @pytest.mark.parametrize("seed", sorted({*range(tries(12, 300)), *HARD}))
