@@ -17,7 +17,7 @@ from keymint.api import Package
 from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
 from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
-from keymint_ros2_zenoh.documents.configuration import Configuration, Tls
+from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, enclave_folder
 from keymint_ros2_zenoh.lowering.key_rule import KeyRule
 from keymint_ros2_zenoh.messages import Flow, Message, Permission
@@ -44,7 +44,6 @@ _COMMON: Mapping[str, Any] = {
 
 A configuration replaces these defaults, so it must repeat them. ``transient_local`` needs time stamps.
 """
-_CLOSED: Mapping[str, Any] = {"gossip": False, "multicast": False, "protocols": PROTOCOLS}
 ROUTER_SETTINGS: Mapping[str, Any] = _COMMON
 SESSION_SETTINGS: Mapping[str, Any] = {
     **_COMMON,
@@ -84,10 +83,11 @@ def session(package: Package) -> Configuration:
     return Configuration(
         mode="client",
         connect=(settings.router.endpoint,),
-        tls=_tls(package, connect_certificate=_path(package, CERTIFICATE), connect_key=_path(package, KEY)),
+        connect_certificate=_path(package, CERTIFICATE),
+        connect_key=_path(package, KEY),
         access_control=_denying([every_message], [AclSubject(_ROUTER_RULE, (name,))], [policy]),
         other=SESSION_SETTINGS,
-        **_CLOSED,
+        **_closed(package),
     )
 
 
@@ -114,16 +114,18 @@ def router(package: Package, enclaves: Sequence[tuple[Package, Sequence[KeyRule]
     return Configuration(
         mode="router",
         listen=(listen_endpoint(settings_of(package).router),),
-        tls=_tls(package, listen_certificate=_path(package, CERTIFICATE), listen_key=_path(package, KEY)),
+        listen_certificate=_path(package, CERTIFICATE),
+        listen_key=_path(package, KEY),
         access_control=_denying(rules, subjects, policies),
         other=ROUTER_SETTINGS,
-        **_CLOSED,
+        **_closed(package),
     )
 
 
-def _tls(package: Package, **own: str) -> Tls:
-    """Return the settings of TLS: both ends show certificates, whose names and dates count."""
-    return Tls(root_ca=_path(package, IDENTITY_CA), mutual=True, verify_name=True, close_expired=True, **own)
+def _closed(package: Package) -> dict[str, Any]:
+    """Return the settings of both ends: they search nobody, and show certificates, whose names and dates count."""
+    tls = {"root_ca": _path(package, IDENTITY_CA), "mutual": True, "verify_name": True, "close_expired": True}
+    return {"gossip": False, "multicast": False, "protocols": PROTOCOLS, **tls}
 
 
 def _denying(rules: Iterable[AclRule], subjects: Iterable[AclSubject], policies: Iterable[AclPolicy]) -> AccessControl:

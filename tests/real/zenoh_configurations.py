@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from ipaddress import IPv4Address
 from pathlib import Path
+from typing import Any
 
 from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID
 from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
-from keymint_ros2_zenoh.documents.configuration import Configuration, Tls
+from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.documents.configuration_writer import write
 from keymint_ros2_zenoh.keyexpr.key_expr import canonical
 from keymint_ros2_zenoh.messages import Flow, Message, Permission
@@ -67,10 +68,8 @@ class Identities:
             Configuration(
                 mode="router",
                 listen=(f"tls/127.0.0.1:{port}",),
-                tls=self._tls(**own),
                 access_control=access_control,
-                gossip=False,
-                multicast=False,
+                **self._tls(**own),
             ),
             (),
         )
@@ -79,12 +78,13 @@ class Identities:
         """Return the configuration of a session, without access control of its own."""
         own = {"connect_certificate": f"{self.folder}/{file}.pem", "connect_key": f"{self.folder}/{file}.key"}
         endpoint = f"tls/localhost:{port}"
-        return write(
-            Configuration(mode="client", connect=(endpoint,), tls=self._tls(**own), gossip=False, multicast=False), ()
-        )
+        return write(Configuration(mode="client", connect=(endpoint,), **self._tls(**own)), ())
 
-    def _tls(self, **own: str) -> Tls:
-        return Tls(root_ca=f"{self.folder}/ca.pem", mutual=True, close_expired=True, **own)
+    def _tls(self, **own: str) -> dict[str, Any]:
+        return {
+            "root_ca": f"{self.folder}/ca.pem", "mutual": True, "close_expired": True, "gossip": False,
+            "multicast": False, **own,
+        }  # fmt: skip
 
 
 def random_access_control(randomly: random.Random) -> AccessControl:

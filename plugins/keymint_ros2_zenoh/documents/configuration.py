@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field
-from operator import attrgetter
+from dataclasses import field, fields
 from typing import Any
 
 from comarmor.errors import Origin
@@ -21,49 +20,12 @@ DEFAULT_LISTEN: Mapping[str, tuple[str, ...]] = {
 """Where a router, peer or client listens if its configuration does not say (Zenoh 1.10, ``DEFAULT_CONFIG.json5``)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Tls:
-    """The settings ``transport/link/tls``, with Zenoh's defaults.
-
-    Attributes:
-        root_ca: path of the certificates that the other side's certificate must lead to.
-        listen_certificate: path of the certificate of the listening side.
-        listen_key: path of its private key.
-        connect_certificate: path of the certificate of the connecting side.
-        connect_key: path of its private key.
-        mutual: the connecting side shows its certificate, and the listening side requires one.
-        verify_name: the host to connect to must be in the certificate of the listening side.
-        close_expired: a link ends when the certificate of the other side expires.
-    """
-
-    root_ca: str = ""
-    listen_certificate: str = ""
-    listen_key: str = ""
-    connect_certificate: str = ""
-    connect_key: str = ""
-    mutual: bool = False
-    verify_name: bool = True
-    close_expired: bool = False
-
-
 TLS = "transport/link/tls"
-SETTINGS: Mapping[str, str] = {
-    "mode": "mode",
-    "connect/endpoints": "connect",
-    "listen/endpoints": "listen",
-    "scouting/gossip/enabled": "gossip",
-    "scouting/multicast/enabled": "multicast",
-    "transport/link/protocols": "protocols",
-    f"{TLS}/root_ca_certificate": "tls.root_ca",
-    f"{TLS}/listen_certificate": "tls.listen_certificate",
-    f"{TLS}/listen_private_key": "tls.listen_key",
-    f"{TLS}/connect_certificate": "tls.connect_certificate",
-    f"{TLS}/connect_private_key": "tls.connect_key",
-    f"{TLS}/enable_mtls": "tls.mutual",
-    f"{TLS}/verify_name_on_connect": "tls.verify_name",
-    f"{TLS}/close_link_on_expiration": "tls.close_expired",
-}
-"""The attributes of :class:`Configuration` by the paths of their settings, in the order of documents."""
+
+
+def _setting(path: str, default: Any) -> Any:
+    """Return the field of a setting, which has Zenoh's default if a document lacks it."""
+    return field(default=default, metadata={"path": path})
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,26 +39,40 @@ class Configuration:
         gossip: sessions tell each other how to reach others.
         multicast: sessions search others by multicast.
         protocols: link protocols that are allowed; empty for all.
-        tls: certificates and keys.
+        root_ca: path of the certificates that the other side's certificate must lead to.
+        listen_certificate: path of the certificate of the listening side.
+        listen_key: path of its private key.
+        connect_certificate: path of the certificate of the connecting side.
+        connect_key: path of its private key.
+        mutual: the connecting side shows its certificate, and the listening side requires one.
+        verify_name: the host to connect to must be in the certificate of the listening side.
+        close_expired: a link ends when the certificate of the other side expires.
         access_control: the access control.
         other: settings that this type has no attribute for, by their path (``transport/unicast/max_sessions``).
         places: places of the settings that were read, by their path.
     """
 
-    mode: str = "peer"
-    connect: tuple[str, ...] = ()
-    listen: tuple[str, ...] = ()
-    gossip: bool = True
-    multicast: bool = True
-    protocols: tuple[str, ...] = ()
-    tls: Tls = field(default_factory=Tls)
+    mode: str = _setting("mode", "peer")
+    connect: tuple[str, ...] = _setting("connect/endpoints", ())
+    listen: tuple[str, ...] = _setting("listen/endpoints", ())
+    gossip: bool = _setting("scouting/gossip/enabled", True)
+    multicast: bool = _setting("scouting/multicast/enabled", True)
+    protocols: tuple[str, ...] = _setting("transport/link/protocols", ())
+    root_ca: str = _setting(f"{TLS}/root_ca_certificate", "")
+    listen_certificate: str = _setting(f"{TLS}/listen_certificate", "")
+    listen_key: str = _setting(f"{TLS}/listen_private_key", "")
+    connect_certificate: str = _setting(f"{TLS}/connect_certificate", "")
+    connect_key: str = _setting(f"{TLS}/connect_private_key", "")
+    mutual: bool = _setting(f"{TLS}/enable_mtls", False)
+    verify_name: bool = _setting(f"{TLS}/verify_name_on_connect", True)
+    close_expired: bool = _setting(f"{TLS}/close_link_on_expiration", False)
     access_control: AccessControl = field(default_factory=lambda: AccessControl(False, Permission.DENY))
     other: Mapping[str, Any] = field(default_factory=dict)
     places: Mapping[str, Origin] = field(default_factory=dict, compare=False, repr=False)
 
     def settings(self) -> dict[str, Any]:
         """Return the settings that have an attribute, by their path."""
-        return {path: attrgetter(attribute)(self) for path, attribute in SETTINGS.items()}
+        return {path: getattr(self, attribute) for path, attribute in SETTINGS.items()}
 
     def place(self, path: str, file: str) -> Origin:
         """Return the place of a setting, or of the closest one around it, or the file.
@@ -110,3 +86,7 @@ class Configuration:
                 return self.places[path]
             path = path.rpartition("/")[0]
         return Origin(file)
+
+
+SETTINGS: Mapping[str, str] = {each.metadata["path"]: each.name for each in fields(Configuration) if each.metadata}
+"""The attributes of :class:`Configuration` by the paths of their settings, in the order of documents."""

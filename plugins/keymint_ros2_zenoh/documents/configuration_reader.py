@@ -19,7 +19,7 @@ from comarmor.text import did_you_mean, quoted
 from keymint.errors import KeymintError
 from keymint_ros2_zenoh.documents import json5
 from keymint_ros2_zenoh.documents.access_control import PROPERTIES, AccessControl, AclPolicy, AclRule, AclSubject
-from keymint_ros2_zenoh.documents.configuration import DEFAULT_LISTEN, SETTINGS, Configuration, Tls
+from keymint_ros2_zenoh.documents.configuration import DEFAULT_LISTEN, SETTINGS, Configuration
 from keymint_ros2_zenoh.documents.json5 import Node
 from keymint_ros2_zenoh.keyexpr import key_expr
 from keymint_ros2_zenoh.messages import Flow, Message, Permission
@@ -109,15 +109,11 @@ class _Reading:
         """
         mode = self._in_mode("mode", "") or "peer"
         own: dict[str, Any] = {"listen": DEFAULT_LISTEN[mode]}
-        tls: dict[str, Any] = {}
         for path, attribute in SETTINGS.items():
             value = self._in_mode(path, mode)
             if value is not None:
-                outer, _, inner = attribute.rpartition(".")
-                (tls if outer else own)[inner] = tuple(value) if isinstance(value, list) else value
-        return Configuration(
-            **own, tls=Tls(**tls), access_control=self._access_control(), other=self._other, places=self._places
-        )
+                own[attribute] = tuple(value) if isinstance(value, list) else value
+        return Configuration(**own, access_control=self._access_control(), other=self._other, places=self._places)
 
     def _in_mode(self, path: str, mode: str) -> Any:
         """Return a setting that may have one value for all modes, or one for each; None if it has none."""

@@ -40,12 +40,12 @@ class EnclaveModel:
 
     def __init__(self, enclave: Enclave, router: InstalledConfiguration, environment: Environment) -> None:
         self.files = installed_configurations.session(enclave, environment)
-        own_name = self.files.common_name(self.files.configuration.tls.connect_certificate)
-        others_name = router.common_name(router.configuration.tls.listen_certificate)
+        own_name = self.files.common_name(self.files.configuration.connect_certificate)
+        others_name = router.common_name(router.configuration.listen_certificate)
         self.refusal = _refusal(self.files, router, environment)
         self._router_file, self._session_file = str(router.file), str(self.files.file)
         # Without mutual authentication a router asks for no certificate, and knows nobody by name.
-        known = own_name if router.configuration.tls.mutual else ""
+        known = own_name if router.configuration.mutual else ""
         self.router_access = router.access.on(Link(known, interface="lo", protocol="tls"))
         self.session_access = self.files.access.on(Link(others_name, interface="lo", protocol="tls"))
 
@@ -120,9 +120,9 @@ class InstalledModels:
 
 def _refusal(session: InstalledConfiguration, router: InstalledConfiguration, environment: Environment) -> str:
     """Return why a session and a router have no link, or an empty text."""
-    own, other = session.configuration.tls, router.configuration.tls
-    listened = {loopback.port(endpoint) for endpoint in router.configuration.listen}
-    endpoints = [endpoint for endpoint in session.configuration.connect if loopback.port(endpoint) in listened]
+    own, other = session.configuration, router.configuration
+    listened = {loopback.port(endpoint) for endpoint in other.listen}
+    endpoints = [endpoint for endpoint in own.connect if loopback.port(endpoint) in listened]
     if not endpoints:
         return "the session does not connect to a port of the router"
     certificate = session.content(own.connect_certificate)

@@ -70,12 +70,12 @@ def test_a_session_is_a_client_of_the_router_alone() -> None:
     assert not found.gossip
     assert not found.multicast
     assert found.protocols == ("tls",)
-    assert found.tls.mutual
-    assert found.tls.verify_name
-    assert found.tls.close_expired
-    assert found.tls.root_ca == f"{KEYSTORE}/enclaves/talker/identity_ca.cert.pem"
-    assert found.tls.connect_certificate == f"{KEYSTORE}/enclaves/talker/cert.pem"
-    assert found.tls.connect_key == f"{KEYSTORE}/enclaves/talker/key.pem"
+    assert found.mutual
+    assert found.verify_name
+    assert found.close_expired
+    assert found.root_ca == f"{KEYSTORE}/enclaves/talker/identity_ca.cert.pem"
+    assert found.connect_certificate == f"{KEYSTORE}/enclaves/talker/cert.pem"
+    assert found.connect_key == f"{KEYSTORE}/enclaves/talker/key.pem"
     control = found.access_control
     assert (control.enabled, control.default_permission) == (True, Permission.DENY)
     assert [subject.common_names for subject in control.subjects] == [("/zenoh_router",)]
@@ -94,9 +94,9 @@ def test_the_router_denies_by_default_and_knows_each_enclave_by_one_common_name(
     assert found.mode == "router"
     assert found.listen == ("tls/localhost:7447",)
     assert found.connect == ()
-    assert found.tls.listen_certificate == f"{KEYSTORE}/enclaves/zenoh_router/cert.pem"
-    assert found.tls.mutual
-    assert found.tls.close_expired
+    assert found.listen_certificate == f"{KEYSTORE}/enclaves/zenoh_router/cert.pem"
+    assert found.mutual
+    assert found.close_expired
     control = found.access_control
     assert (control.enabled, control.default_permission) == (True, Permission.DENY)
     assert [subject.common_names for subject in control.subjects] == [("/robot/listener",), ("/talker",)]

@@ -50,7 +50,7 @@ def test_the_files_of_the_enclaves(ws: Path) -> None:
         assert files == (common if name == "zenoh_router" else common | {"session.json5"})
         assert (ws / "install/enclaves" / name / "key.pem").stat().st_mode & 0o777 == 0o600
     session = read((ws / "install/enclaves/talker/session.json5").read_bytes(), "session.json5")
-    assert session.tls.connect_certificate == str(ws / "install/enclaves/talker/cert.pem")
+    assert session.connect_certificate == str(ws / "install/enclaves/talker/cert.pem")
 
 
 def test_certificates_of_nodes_are_for_clients_and_that_of_the_router_for_servers(ws: Path) -> None:

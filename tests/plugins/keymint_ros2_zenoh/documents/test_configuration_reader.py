@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
-from keymint_ros2_zenoh.documents.configuration import Configuration, Tls
+from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.documents.configuration_reader import read
 from keymint_ros2_zenoh.messages import Flow, Message, Permission
 
@@ -79,11 +79,11 @@ def test_certificates_and_keys() -> None:
     }
     link = {"protocols": ["tls"], "tls": tls}
     configuration = reading(transport={"link": link})
-    assert configuration.tls == Tls(
-        "/ca", "/lc", "/lk", "/cc", "/ck", mutual=True, verify_name=False, close_expired=True
-    )
-    assert configuration.protocols == ("tls",)
-    assert reading(transport={"link": {"tls": {"enable_mtls": None}}}).tls == Tls()
+    assert configuration == Configuration(
+        "peer", (), ("tcp/[::]:0",), True, True, ("tls",), "/ca", "/lc", "/lk", "/cc", "/ck", mutual=True,
+        verify_name=False, close_expired=True,
+    )  # fmt: skip
+    assert reading(transport={"link": {"tls": {"enable_mtls": None}}}) == reading()
 
 
 def test_other_settings_are_kept_with_their_places() -> None:

@@ -11,7 +11,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
-from keymint_ros2_zenoh.documents.configuration import Configuration, Tls
+from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.documents.configuration_reader import read
 from keymint_ros2_zenoh.documents.configuration_writer import write
 from keymint_ros2_zenoh.messages import Flow, Message, Permission
@@ -47,7 +47,7 @@ def configurations(draw: st.DrawFn) -> Configuration:
     control = AccessControl(
         draw(st.booleans()), draw(st.sampled_from(Permission)), tuple(rules), tuple(subjects), tuple(policies)
     )
-    tls = Tls(*(draw(st.just("") | TEXT) for _ in range(5)), *(draw(st.booleans()) for _ in range(3)))
+    tls = *(draw(st.just("") | TEXT) for _ in range(5)), *(draw(st.booleans()) for _ in range(3))
     endpoints = some(TEXT, 0)
     return Configuration(
         draw(st.sampled_from(["router", "peer", "client"])),
@@ -56,9 +56,9 @@ def configurations(draw: st.DrawFn) -> Configuration:
         draw(st.booleans()),
         draw(st.booleans()),
         draw(endpoints),
-        tls,
-        control,
-        draw(st.sampled_from([{}, {"transport/unicast/max_links": 2, "namespace": "a b"}])),
+        *tls,
+        access_control=control,
+        other=draw(st.sampled_from([{}, {"transport/unicast/max_links": 2, "namespace": "a b"}])),
     )
 
 
@@ -93,8 +93,8 @@ def test_zenoh_reads_what_is_written(zenoh: ModuleType) -> None:
         (AclPolicy(("/ü 1",), ("/ü",)),),
     )
     configuration = Configuration(
-        "client", ("tls/localhost:7447",), (), False, False, ("tls",), Tls("/ca.pem", mutual=True), control,
-        {"transport/unicast/max_links": 1},
+        "client", ("tls/localhost:7447",), (), False, False, ("tls",), "/ca.pem", mutual=True, access_control=control,
+        other={"transport/unicast/max_links": 1},
     )  # fmt: skip
     content = write(configuration, ["title"])
     assert max(map(len, content.decode().splitlines())) <= 120

@@ -134,7 +134,7 @@ def test_the_claims_across_subjects_are_proven() -> None:
 
 
 def tls(**changed: Any) -> Callable[[Configuration], Configuration]:
-    return lambda found: replace(found, tls=replace(found.tls, **changed))
+    return lambda found: replace(found, **changed)
 
 
 SESSION_FAULTS = {

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from keymint_ros2_zenoh.documents.configuration import Configuration, Tls
+from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.vendors import loopback
 
 
@@ -28,7 +28,7 @@ def test_a_port_that_the_router_does_not_have_stays() -> None:
 
 
 def test_only_paths_that_are_set_and_found_here_change() -> None:
-    settings = Configuration(tls=Tls(connect_certificate="/robot/cert.pem", root_ca="/gone")).settings()
+    settings = Configuration(connect_certificate="/robot/cert.pem", root_ca="/gone").settings()
     changes = loopback.path_changes(settings, {"/robot/cert.pem": "/here/cert.pem"}.get)
     assert changes == {"transport/link/tls/connect_certificate": "/here/cert.pem"}
 
