@@ -1,19 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compare the labels of a transport with those of the policy, keeping only counts and mismatches."""
+"""Compare the labels of a transport with those of the policy, keeping only counts and mismatches.
+
+A transport allows a ROS service only if it allows both of its topics. The edge of the service does not show a document
+that permits one of them, although a subject that may publish requests can already make a server act. So the endpoints
+of services, actions and parameters that a transport denies are compared too; an endpoint that it allows alone is a
+false positive of its own, a *half*.
+
+Most transports answer edge by edge (:func:`compare`, and :func:`with_halves` after it). One that decides about all
+endpoints of a subject at once is asked about edges for the reasons of mismatches only (:func:`compare_endpoints`); the
+result is the same.
+"""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import groupby
-from operator import attrgetter
+from itertools import chain, groupby
+from operator import and_, attrgetter
 
 from comarmor.values import dataclass
-from keymint.api import Enclave, Tier, Transport, Verdict
+from keymint.api import Enclave, EndpointTransport, Tier, Transport, Verdict
 from keymint.api.graph import ConfusionMatrix, Edge
 from keymint.errors import KeymintError
+from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.mismatch import Comparison, Mismatch
+from keymint.verify.rows import EdgeRow, MappedColumn, Naming, labelled_rows, mapped
 from keymint.verify.tally import Tally
 
 ENCLAVE_REFUSED = "enclave-refused"
@@ -40,51 +52,211 @@ class Asking:
     tally: Tally | None = None
 
 
-def compare(
-    name: str,
-    transport: Transport,
-    enclaves: Mapping[str, Enclave],
-    edges: Iterable[Edge],
-    labels: Iterable[int],
-    explain: Explain,
-    asking: Asking,
-) -> Comparison:
-    """Compare one transport with the policy.
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """A transport that is compared with the policy.
 
-    Args:
-        name: the transport's name.
-        transport: a usable transport.
+    Attributes:
+        name: its name.
+        transport: the transport, which is usable.
         enclaves: the enclave of each subject of the edges.
-        edges: grouped by subject.
-        labels: the policy's label of each edge: 1 allowed, 0 denied.
         explain: returns mismatches with their reasons.
         asking: how to ask.
+    """
+
+    name: str
+    transport: Transport
+    enclaves: Mapping[str, Enclave]
+    explain: Explain
+    asking: Asking
+
+    def compared(self, confusion: ConfusionMatrix, found: _Found, endpoints: int = 0) -> Comparison:
+        """Return the comparison; the last findings are of single endpoints."""
+        version, tier = self.transport.usable().version, self.asking.tier
+        return Comparison(self.name, version, tier, confusion, tuple(found.findings), found.wrong, endpoints)
+
+
+class _Found:
+    """The mismatches of a transport so far: the first ones, and the number of each subject."""
+
+    def __init__(self, asked: Asked, findings: Iterable[Mismatch] = (), wrong: Mapping[str, int] | None = None) -> None:
+        self._asked = asked
+        self.findings = list(findings)
+        self.wrong = dict(wrong or {})
+
+    @property
+    def room(self) -> int:
+        """How many more are kept."""
+        return max(0, self._asked.asking.limit - len(self.findings))
+
+    def add(self, subject: str, count: int, kept: list[tuple[Edge, Verdict]]) -> None:
+        """Count mismatches of a subject, and keep the first of them."""
+        self.wrong[subject] = self.wrong.get(subject, 0) + count
+        if kept:
+            self.findings += self._asked.explain(self._asked.name, self._asked.enclaves[subject], kept)
+
+    def ask(self, subject: str, wrong: Sequence[tuple[Edge, bool]]) -> None:
+        """Count mismatches of a subject; the transport is asked for its reasons of those that are kept."""
+        first, asked = dict(wrong[: self.room]), self._asked
+        again = label_enclave(asked.transport, asked.enclaves[subject], first, asked.asking.tier) if first else ()
+        self.add(subject, len(wrong), [(edge, replace(verdict, allowed=first[edge])) for edge, verdict in again])
+
+
+def compare(asked: Asked, edges: Iterable[Edge], labels: Iterable[int]) -> Comparison:
+    """Compare a transport with the policy, edge by edge.
+
+    Args:
+        asked: the transport.
+        edges: grouped by subject.
+        labels: the policy's label of each edge: 1 allowed, 0 denied.
 
     Raises:
         KeymintError: the transport does not work.
     """
-    expected = iter(labels)
+    expected, tally = iter(labels), asked.asking.tally
     counts = [[0, 0], [0, 0]]
-    findings: list[Mismatch] = []
-    by_subject: dict[str, int] = {}
-    for subject, labelled in label_by_subject(transport, enclaves, edges, asking.tier):
+    found = _Found(asked)
+    for subject, labelled in label_by_subject(asked.transport, asked.enclaves, edges, asked.asking.tier):
         wrong: list[tuple[Edge, Verdict]] = []
+        count, room = 0, found.room
         for edge, verdict in labelled:
             allowed = next(expected)
             decided = verdict.allowed if not verdict.partial else not allowed
             counts[allowed][decided] += 1
-            if asking.tally is not None:
-                asking.tally.add(edge, verdict, agreed=allowed == decided)
+            if tally is not None:
+                tally.add(edge, verdict, agreed=allowed == decided)
             if allowed != decided:
-                by_subject[subject] = by_subject.get(subject, 0) + 1
-                if len(findings) + len(wrong) < asking.limit:
+                count += 1
+                if count <= room:
                     wrong.append((edge, replace(verdict, allowed=decided)))
-        if wrong:
-            findings += explain(name, enclaves[subject], wrong)
-        asking.on_subject(name, subject)
+        if count:
+            found.add(subject, count, wrong)
+        asked.asking.on_subject(asked.name, subject)
     (true_negative, false_positive), (false_negative, true_positive) = counts
-    confusion = ConfusionMatrix(true_positive, false_negative, false_positive, true_negative)
-    return Comparison(name, transport.usable().version, asking.tier, confusion, tuple(findings), by_subject)
+    return asked.compared(ConfusionMatrix(true_positive, false_negative, false_positive, true_negative), found)
+
+
+def with_halves(
+    asked: Asked, outcome: Comparison, rows: Iterable[EdgeRow], labels: bytes | bytearray, policy: EndpointPolicy
+) -> Comparison:
+    """Add the endpoints that are false positives to a comparison edge by edge, each as an edge of its own.
+
+    An endpoint is omitted if its edge is a false positive already.
+
+    Args:
+        asked: the transport.
+        outcome: the comparison of the edges.
+        rows: the edges.
+        labels: the policy's label of each edge: 1 allowed, 0 denied.
+        policy: the policy on endpoints, with the naming of each subject that has one.
+
+    Raises:
+        KeymintError: the transport does not work.
+    """
+    waiting: dict[str, tuple[EdgeRow, bytes, MappedColumn]] = {}
+    found = _Found(asked, outcome.findings, outcome.wrong)
+    count = 0
+    endpoints = _endpoints(labelled_rows(rows, labels), policy.namings, waiting)
+    for subject, labelled in label_by_subject(asked.transport, asked.enclaves, endpoints, asked.asking.tier):
+        verdicts = dict(labelled)
+        row, expected, column = waiting.pop(subject)
+        answers = (verdicts.get(row.edge(each)) for each in column.endpoints.requests)
+        halves = _halves(row, expected, column, bytes(bool(each and each.allowed) for each in answers), policy)
+        if halves:
+            count += len(halves)
+            found.add(subject, len(halves), [(each, verdicts[each]) for each in halves[: found.room]])
+    confusion = replace(outcome.confusion, false_positive=outcome.confusion.false_positive + count)
+    return asked.compared(confusion, found, len(found.findings) - len(outcome.findings))
+
+
+def compare_endpoints(
+    asked: Asked,
+    transport: EndpointTransport,
+    rows: Iterable[EdgeRow],
+    labels: bytes | bytearray,
+    policy: EndpointPolicy,
+) -> Comparison:
+    """Compare a transport that decides about all endpoints of a subject at once, halves included.
+
+    Args:
+        asked: the transport.
+        transport: the same.
+        rows: the edges.
+        labels: the policy's label of each edge: 1 allowed, 0 denied.
+        policy: the policy on endpoints, with the naming of each subject.
+
+    Raises:
+        KeymintError: the transport does not work.
+    """
+    found = _Found(asked)
+    single: dict[str, list[tuple[Edge, bool]]] = {}
+    both = by_policy = by_transport = 0
+    for row, expected in labelled_rows(rows, labels):
+        column = mapped(row.column, policy.namings[row.subject])
+        admitted = _admitted(transport, asked.enclaves[row.subject], column, asked.asking.tier)
+        decided = column.allowed(admitted)
+        if halves := _halves(row, expected, column, admitted, policy):
+            single[row.subject] = [(edge, True) for edge in halves]
+        if decided != expected:
+            differing = [
+                (row.edge(request), bool(allowed))
+                for request, allowed, label in zip(row.column.requests, decided, expected, strict=True)
+                if allowed != label
+            ]
+            found.ask(row.subject, differing)
+        both += sum(map(and_, expected, decided))
+        by_policy += expected.count(1)
+        by_transport += decided.count(1)
+        asked.asking.on_subject(asked.name, row.subject)
+    of_edges = len(found.findings)
+    for subject, edges in single.items():
+        found.ask(subject, edges)
+    false_positive = by_transport - both + sum(map(len, single.values()))
+    confusion = ConfusionMatrix(both, by_policy - both, false_positive, len(labels) - by_policy - by_transport + both)
+    return asked.compared(confusion, found, len(found.findings) - of_edges)
+
+
+def _endpoints(
+    rows: Iterable[tuple[EdgeRow, bytes]],
+    namings: Mapping[str, Naming],
+    waiting: dict[str, tuple[EdgeRow, bytes, MappedColumn]],
+) -> Iterator[Edge]:
+    """Yield the endpoints of denied edges with several endpoints, each once, grouped by subject.
+
+    Args:
+        rows: the edges with the policy's labels.
+        namings: the naming of each subject that has one.
+        waiting: receives the row of a subject before its first endpoint is yielded.
+    """
+    for row, expected in rows:
+        if row.subject in namings:
+            column = mapped(row.column, namings[row.subject])
+            waiting[row.subject] = row, expected, column
+            needed = dict.fromkeys(chain.from_iterable(column.denied(expected)))
+            yield from (row.edge(column.endpoints.requests[at]) for at in needed)
+
+
+def _halves(row: EdgeRow, labels: bytes, column: MappedColumn, admitted: bytes, policy: EndpointPolicy) -> list[Edge]:
+    """Return the endpoints of a row that a transport admits although the policy denies them and all that need them.
+
+    Args:
+        row: the edges of a subject.
+        labels: which of them the policy allows.
+        column: their endpoints.
+        admitted: which endpoints the transport admits, at least of denied edges with several endpoints.
+        policy: the policy on endpoints.
+    """
+    return [each for each in sorted(map(row.edge, column.halves(labels, admitted))) if not policy.decide(each).allowed]
+
+
+def _admitted(transport: EndpointTransport, enclave: Enclave, column: MappedColumn, tier: Tier) -> bytes:
+    """Return which endpoints a transport admits; none of a refused enclave."""
+    try:
+        return transport.admitted(enclave, column.endpoints, tier)
+    except KeymintError as error:
+        if error.diagnostics[0].code != ENCLAVE_REFUSED:
+            raise
+        return bytes(len(column.endpoints.requests))
 
 
 def label_by_subject(

@@ -1,23 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verify what one build type has built: ask each of its transports for every edge, and compare it with the policy."""
+"""Verify what one build type has built: ask each of its transports for every edge, and compare it with the policy.
+
+Models of transports are asked in parts on a pool if that is worth it: each part has some of the subjects.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import astuple, field, replace
 from itertools import chain
 
 from comarmor.values import dataclass
-from keymint.api import EndpointTransport, LoadedPolicy, PolicyDecision, Tier, Transport
-from keymint.api.graph import Edge
-from keymint.verify.compare import Asking, compare
-from keymint.verify.compare_endpoints import compare_endpoints
+from keymint.api import DivisiblePolicy, EndpointTransport, LoadedPolicy, PolicyDecision, Tier, Transport
+from keymint.api.graph import ConfusionMatrix, Edge, Graph, Object
+from keymint.api.plugin_loader import Plugins
+from keymint.executors import Pool
+from keymint.verify.compare import Asked, Asking, compare, compare_endpoints, with_halves
+from keymint.verify.copies import Copies, placed
 from keymint.verify.endpoint_policy import EndpointPolicy, label
 from keymint.verify.explain import Explainer
-from keymint.verify.halves import with_halves
 from keymint.verify.mismatch import Comparison
 from keymint.verify.rows import EdgeRows
-from keymint.verify.scope import VerificationScope
+from keymint.verify.scope import VerificationScope, common_objects, edges_of_graph, edges_of_policy, selected
+from keymint.verify.usable_transports import models, names_rules
+
+LEAST = 150_000
+"""Edges, times models, for which a process of its own is worth its start."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,42 +53,152 @@ class Verification:
         return chain.from_iterable(self.rows())
 
 
-def verification(
+@dataclass(frozen=True, slots=True)
+class VerificationPart:
+    """Some subjects to verify.
+
+    Attributes:
+        scope: the scope of these subjects.
+        policy: the policy, at least about these subjects.
+        graph: a graph with these subjects and the objects to ask about; None to ask about the objects of the policy.
+        common: objects of the policy that every subject is asked about, if there is no graph.
+        transports: names of the models.
+        asking: how to ask.
+        copies: the enclaves.
+        files: the files of the copies by relative path, for a machine that does not have them.
+    """
+
+    scope: VerificationScope
+    policy: LoadedPolicy
+    graph: Graph | None
+    common: tuple[Object, ...]
+    transports: tuple[str, ...]
+    asking: Asking
+    copies: Copies
+    files: Mapping[str, bytes] | None = None
+
+    def rows(self) -> tuple[tuple[str, ...], EdgeRows]:
+        """Return the subjects, and a function that yields all edges to ask about."""
+        if self.graph is not None:
+            subjects, rows = edges_of_graph(self.graph, self.scope)
+            return subjects, selected(rows, self.scope)
+        own = {subject: self.copies.enclaves[subject] for subject in self.scope.enclaves}
+        rows = edges_of_policy(self.policy, replace(self.scope, enclaves=own), self.common)
+        return tuple(own), selected(rows, self.scope)
+
+    def verified(self, plugins: Plugins, transports: Mapping[str, Transport]) -> Verification:
+        """Compare transports with the policy.
+
+        Raises:
+            KeymintError: a transport does not work.
+        """
+        scope, asking, copies = self.scope, self.asking, self.copies
+        subjects, rows = self.rows()
+        readers = copies.read_by(transports)
+        policy = EndpointPolicy(self.policy, scope.namings)
+        explain = Explainer(policy, readers, lambda: copies.read_by(models(plugins, scope.build_type)))
+        labels = label(policy, rows(), lambda subject: asking.on_subject("policy", subject))
+        alone = asking.tier is not Tier.EXCHANGE and scope.namings.keys() >= set(subjects)
+
+        def compared(name: str, transport: Transport) -> Comparison:
+            asked = Asked(name, transport, scope.enclaves, explain, asking)
+            if alone and isinstance(transport, EndpointTransport):
+                return compare_endpoints(asked, transport, rows(), labels, policy)
+            outcome = compare(asked, chain.from_iterable(rows()), labels)
+            return with_halves(asked, outcome, rows(), labels, policy) if scope.select is None else outcome
+
+        comparisons = tuple(compared(name, transport) for name, transport in readers.items())
+        return Verification(scope.build_type, subjects, rows, labels, policy.decide, comparisons)
+
+    def about(self, subjects: Sequence[str], *, elsewhere: bool) -> VerificationPart:
+        """Return the part about some of the subjects, for this machine or for another one."""
+        graph = self.graph and replace(self.graph, subjects=tuple(subjects))
+        part = replace(
+            self, scope=self.scope.about(subjects), graph=graph, asking=replace(self.asking, on_subject=_unseen)
+        )
+        if not elsewhere or not isinstance(self.policy, DivisiblePolicy):
+            return part
+        copies = self.copies.about(subjects)
+        return replace(part, policy=self.policy.about(subjects), copies=copies, files=copies.public_files())
+
+
+def verify_part(plugins: Plugins, part: VerificationPart) -> tuple[bytes, tuple[Comparison, ...]]:
+    """Return the labels of the policy, and the comparison of each model.
+
+    Raises:
+        KeymintError: as of :meth:`VerificationPart.verified`.
+    """
+    with placed(part.copies, part.files) as copies:
+        named = {name: plugins.transport(name) for name in part.transports}
+        verified = replace(part, copies=copies).verified(plugins, named)
+        return bytes(verified.labels), verified.comparisons
+
+
+def verified_in_parts(
+    pool: Pool,
+    plugins: Plugins,
     scope: VerificationScope,
     policy: LoadedPolicy,
-    subjects: tuple[str, ...],
-    rows: EdgeRows,
+    graph: Graph | None,
+    copies: Copies,
     transports: Mapping[str, Transport],
-    find_models: Callable[[], Mapping[str, Transport]],
     asking: Asking,
 ) -> Verification:
-    """Compare transports of a build type with the policy.
+    """Verify one build type on copies of the enclaves; models are asked on a pool if that is worth it.
 
     Args:
+        pool: where models are asked.
+        plugins: the installed plugins.
         scope: the enclaves.
         policy: the policy.
-        subjects: the subjects of the edges.
-        rows: returns the edges of each subject; called for each transport and for the policy.
+        graph: a graph with the subjects and objects to ask about; None to ask about the objects of the policy.
+        copies: copies of the enclaves.
         transports: the transports, by name.
-        find_models: returns simulated transports of the build type, to explain mismatches.
         asking: how to ask.
 
     Raises:
-        KeymintError: a transport does not work.
+        KeymintError: a transport does not work, or the pool is lost.
     """
-    endpoint_policy = EndpointPolicy(policy, scope.namings)
-    explain = Explainer(endpoint_policy, transports, find_models)
-    labels = label(endpoint_policy, rows(), lambda subject: asking.on_subject("policy", subject))
+    modelled = tuple(name for name, each in transports.items() if names_rules(each.usable()))
+    common = () if graph else common_objects(policy, scope)
+    whole = VerificationPart(scope, policy, graph, common, modelled, asking, copies)
+    subjects, rows = whole.rows()
+    objects = len(graph.objects) if graph else len(common)
+    divided = pool.parts(subjects, -(-LEAST // max(1, objects * len(modelled))))
+    if len(divided) < 2 if pool.shares_memory else not (modelled and isinstance(policy, DivisiblePolicy)):  # noqa: PLR2004
+        return whole.verified(plugins, transports)
+    others = {name: each for name, each in transports.items() if name not in modelled}
+    compared = {each.transport: each for each in (whole.verified(plugins, others).comparisons if others else ())}
+    labels = bytearray()
+    comparisons: list[tuple[Comparison, ...]] = []
+    tasks = (whole.about(each, elsewhere=not pool.shares_memory) for each in divided)
+    for each, (own_labels, of_models) in zip(divided, pool.map(verify_part, tasks), strict=True):
+        labels += own_labels
+        comparisons.append(of_models)
+        for name in ("policy", *modelled):
+            for subject in each:
+                asking.on_subject(name, subject)
+    for name, of_parts in zip(modelled, zip(*comparisons, strict=True), strict=True):
+        compared[name] = _together(of_parts, asking.limit)
+    decide = EndpointPolicy(policy, scope.namings).decide
+    return Verification(scope.build_type, subjects, rows, labels, decide, tuple(compared[name] for name in transports))
 
-    def compared(name: str, transport: Transport) -> Comparison:
-        alone = asking.tier is not Tier.EXCHANGE and scope.namings.keys() >= set(subjects)
-        if alone and isinstance(transport, EndpointTransport):
-            return compare_endpoints(name, transport, scope.enclaves, rows(), labels, endpoint_policy, explain, asking)
-        edges = chain.from_iterable(rows())
-        outcome = compare(name, transport, scope.enclaves, edges, labels, explain, asking)
-        if scope.select is not None:
-            return outcome
-        return with_halves(outcome, transport, scope.enclaves, rows(), labels, endpoint_policy, explain, asking.limit)
 
-    comparisons = tuple(compared(name, transport) for name, transport in transports.items())
-    return Verification(scope.build_type, subjects, rows, labels, endpoint_policy.decide, comparisons)
+def _unseen(_name: str, _subject: str) -> None:
+    """Show no progress: a part is done as a whole."""
+
+
+def _together(comparisons: Sequence[Comparison], limit: int) -> Comparison:
+    """Return the comparison of all subjects, given those of the parts in the order of the subjects."""
+    ends = [len(each.findings) - each.endpoints for each in comparisons]
+    edges = [finding for each, end in zip(comparisons, ends, strict=True) for finding in each.findings[:end]][:limit]
+    endpoints = [finding for each, end in zip(comparisons, ends, strict=True) for finding in each.findings[end:]]
+    kept = endpoints[: limit - len(edges)]
+    counts = [astuple(each.confusion) for each in comparisons]
+    return replace(
+        comparisons[0],
+        confusion=ConfusionMatrix(*map(sum, zip(*counts, strict=True))),
+        findings=(*edges, *kept),
+        wrong={subject: count for each in comparisons for subject, count in each.wrong.items()},
+        endpoints=len(kept),
+    )

@@ -31,7 +31,6 @@ from keymint.store.changes import Action, Step
 from keymint.verify.compare import Asking
 from keymint.verify.copies import copied
 from keymint.verify.mismatch import Comparison
-from keymint.verify.parts import verified_in_parts
 from keymint.verify.scope import (
     VerificationScope,
     installed_scopes,
@@ -40,7 +39,7 @@ from keymint.verify.scope import (
 )
 from keymint.verify.tally import Tally
 from keymint.verify.usable_transports import choose
-from keymint.verify.verification import Verification
+from keymint.verify.verification import Verification, verified_in_parts
 from keymint.workspace.policy_loading import load_policy
 
 

@@ -18,10 +18,8 @@ from comarmor.errors import Origin, Reason
 from keymint.api import Availability, Enclave, PolicyDecision, PolicySource, Tier, Verdict
 from keymint.api.graph import Column, Edge, Object
 from keymint.errors import KeymintError
-from keymint.verify.compare import ENCLAVE_REFUSED, Asking, compare
-from keymint.verify.compare_endpoints import compare_endpoints
+from keymint.verify.compare import ENCLAVE_REFUSED, Asked, Asking, compare, compare_endpoints, with_halves
 from keymint.verify.endpoint_policy import EndpointPolicy, label
-from keymint.verify.halves import with_halves
 from keymint.verify.mismatch import Comparison, Mismatch
 from keymint.verify.rows import EdgeRow, Naming
 
@@ -90,11 +88,12 @@ def judge(tmp_path_factory: pytest.TempPathFactory) -> EndpointPolicy:
 
 def both(judge: EndpointPolicy, transport: Transport, rows: Sequence[EdgeRow], limit: int) -> list[Comparison]:
     labels = label(judge, rows)
-    edges, asking = chain.from_iterable(rows), Asking(Tier.DECISION, limit, lambda _name, _subject: None)
-    outcome = compare("fake", transport, ENCLAVES, edges, labels, explain, asking)
-    slow = with_halves(outcome, transport, ENCLAVES, rows, labels, judge, explain, limit)
+    asking = Asking(Tier.DECISION, limit, lambda _name, _subject: None)
+    asked = Asked("fake", transport, ENCLAVES, explain, asking)
+    outcome = compare(asked, chain.from_iterable(rows), labels)
+    slow = with_halves(asked, outcome, rows, labels, judge)
     transport.asked.clear()
-    fast = compare_endpoints("fake", transport, ENCLAVES, rows, labels, judge, explain, asking)
+    fast = compare_endpoints(asked, transport, rows, labels, judge)
     return [slow, fast]
 
 

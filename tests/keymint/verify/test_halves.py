@@ -14,8 +14,8 @@ from keymint_ros2_dds import build_type
 from comarmor.errors import Origin
 from keymint.api import Availability, Enclave, PolicySource, Tier, Verdict
 from keymint.api.graph import Column, ConfusionMatrix, Edge, EdgeOutcome, Object
+from keymint.verify.compare import Asked, Asking, with_halves
 from keymint.verify.endpoint_policy import EndpointPolicy
-from keymint.verify.halves import with_halves
 from keymint.verify.mismatch import Comparison, Mismatch
 from keymint.verify.rows import EdgeRow, Naming
 
@@ -61,15 +61,14 @@ def compared(judge: EndpointPolicy, allowed: set[str], edges: Sequence[Edge], li
     def explain(name: str, enclave: Enclave, wrong: list[tuple[Edge, Verdict]]) -> list[Mismatch]:
         return [Mismatch(edge, judge.decide(edge), verdict, verdict.reason, HERE) for edge, verdict in wrong]
 
+    asking = Asking(Tier.DECISION, limit, lambda _name, _subject: None)
+    enclaves = {"/s": Enclave("/s", Path("/nowhere/s"), "humble", Path("/nowhere"))}
     return with_halves(
+        Asked("fake", Transport(frozenset(allowed)), enclaves, explain, asking),
         Comparison("fake", "1", Tier.DECISION, ConfusionMatrix(true_negative=len(edges)), (), {}),
-        Transport(frozenset(allowed)),
-        {"/s": Enclave("/s", Path("/nowhere/s"), "humble", Path("/nowhere"))},
         [EdgeRow("/s", Column(tuple(edges)))],
         bytes(judge.decide(edge).allowed for edge in edges),
         judge,
-        explain,
-        limit,
     )
 
 
