@@ -7,14 +7,10 @@ from collections.abc import Iterable, Iterator
 
 from comarmor.rules import PARTS, parts
 from keymint.api.graph import Edge, Graph, Object
-from keymint_ros2_dds.discovery.ros_entities import ros_name, ros_type
+from keymint_ros2_dds.discovery.ros_entities import ros_edge, ros_type
 
-_TOPIC = {"publish": "ros_publish", "subscribe": "ros_subscribe"}
-_ROLES = {
-    "ros_call": frozenset({("publish", "rq"), ("subscribe", "rr")}),
-    "ros_execute": frozenset({("subscribe", "rq"), ("publish", "rr")}),
-}
-"""The two endpoints of each side of a service."""
+_BOTH = {"publish", "subscribe"}
+"""Each side of a service writes the one topic of it, and reads the other."""
 _FIRST = {parts(*composite)[0]: composite for composite in PARTS}
 """The composite that each first part belongs to."""
 _ACTION_SUFFIX = "_SendGoal"
@@ -49,34 +45,27 @@ def _unfolded(edges: Iterable[Edge]) -> Iterator[Edge]:
 
 def _ros_types(graph: Graph) -> Iterator[tuple[Object, str]]:
     for object_, name in graph.types:
-        entity = ros_name(object_) if object_.kind == "topic" else None
-        if entity:
-            yield (
-                Object("ros_topic" if entity.part == "rt" else "ros_service", entity.name),
-                ros_type(name, entity.part),
-            )
+        writer = ros_edge(Edge("", "publish", object_))
+        if writer:
+            yield writer.object, ros_type(name, writer.permission)
 
 
 def _ros_edges(edges: set[Edge]) -> Iterator[Edge]:
     """Yield edges in terms of ROS; one endpoint of a service is kept unless its subject has both."""
-    halves: dict[Edge, dict[tuple[str, str], set[Edge]]] = {}
+    halves: dict[Edge, set[Edge]] = {}
     for edge in edges:
-        entity = ros_name(edge.object) if edge.permission in _TOPIC and edge.object.kind == "topic" else None
-        if entity is None:
+        found = ros_edge(edge)
+        if found is None:
             yield edge
-        elif entity.part == "rt":
-            yield Edge(edge.subject, _TOPIC[edge.permission], Object("ros_topic", entity.name), edge.domain)
+        elif found.object.kind == "ros_topic":
+            yield found
         else:
-            half = (edge.permission, entity.part)
-            role = next(role for role, both in _ROLES.items() if half in both)
-            combined = Edge(edge.subject, role, Object("ros_service", entity.name), edge.domain)
-            halves.setdefault(combined, {}).setdefault(half, set()).add(edge)
+            halves.setdefault(found, set()).add(edge)
     for combined, endpoints in halves.items():
-        if endpoints.keys() == _ROLES[combined.permission]:
+        if {endpoint.permission for endpoint in endpoints} == _BOTH:
             yield combined
         elif combined not in edges:
-            for half_edges in endpoints.values():
-                yield from half_edges
+            yield from endpoints
 
 
 def _folded(edges: set[Edge], types: Types) -> tuple[set[Edge], Types]:

@@ -27,10 +27,11 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.regex import lazy_regex
 from comarmor.text import first_few
 from keymint.api.generated_names import is_generated
+from keymint.api.graph import Edge
 from keymint.api.graph_json import legal_node
 from keymint.errors import ExitCode, KeymintError
 from keymint_ros2_dds.discovery.capture import DiscoveredEndpoint, DiscoveredParticipant
-from keymint_ros2_dds.discovery.ros_entities import ros_name
+from keymint_ros2_dds.discovery.ros_entities import ros_edge
 
 _GUID = lazy_regex(r"[0-9a-f]{8,32}\Z")
 _PARAMETERS, _TYPES = "/get_parameters", "/get_type_description"
@@ -57,14 +58,15 @@ def name_participants(
     describes: dict[str, set[str]] = defaultdict(set)
     meets: dict[str, set[str]] = defaultdict(set)
     for endpoint in endpoints:
-        entity = ros_name(endpoint.object)
-        if entity is None or entity.part == "rt" or not entity.name.endswith((_PARAMETERS, _TYPES)):
+        found = ros_edge(Edge("", endpoint.permission, endpoint.object))
+        if found is None or found.object.kind == "ros_topic" or not found.object.name.endswith((_PARAMETERS, _TYPES)):
             continue
-        node, is_server = entity.name.rpartition("/")[0], (entity.part, endpoint.permission) == ("rq", "subscribe")
-        if entity.name.endswith(_PARAMETERS):
+        node, has_parameters = found.object.name.rpartition("/")[0], found.object.name.endswith(_PARAMETERS)
+        is_server = (found.permission, endpoint.permission) == ("ros_execute", "subscribe")
+        if has_parameters:
             meets[endpoint.participant].add(node)
         if is_server:
-            (serves if entity.name.endswith(_PARAMETERS) else describes)[endpoint.participant].add(node)
+            (serves if has_parameters else describes)[endpoint.participant].add(node)
     diagnostics: list[Diagnostic] = []
     for participant in sorted(participants):
         guid, how = participant.guid, "the name that you gave"

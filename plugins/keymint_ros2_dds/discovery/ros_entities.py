@@ -9,57 +9,38 @@ from __future__ import annotations
 
 from comarmor.regex import lazy_regex
 from comarmor.ros_names import is_fully_qualified
-from comarmor.values import dataclass
-from keymint.api.graph import Object
+from keymint.api.graph import Edge
+from keymint_ros2_dds.lowering.endpoints import meanings
+from keymint_ros2_dds.lowering.name_mapping import ARDENT
 
+_LATER = "bouncy"
+"""Stands for all distributions but Ardent."""
 _TYPE = lazy_regex(r"([A-Za-z]\w*(?:::[A-Za-z]\w*)*)::dds_::([A-Za-z]\w*)_\Z")
-_SUFFIXES = {"rt": "", "rq": "Request", "rr": "Reply"}
+_SENT = {"ros_publish": "", "ros_call": "_Request", "ros_execute": "_Response"}
+"""How the DDS types end that each permission writes."""
 
 
-@dataclass(frozen=True, slots=True)
-class RosName:
-    """The ROS entity of a DDS topic.
-
-    Attributes:
-        part: ``rt`` a topic, ``rq`` the requests of a service, ``rr`` its replies.
-        name: the topic's or service's name.
-    """
-
-    part: str
-    name: str
-
-
-def ros_name(topic: Object) -> RosName | None:
-    """Return the ROS entity of a DDS topic, or None if no mapping produces its name.
+def ros_edge(endpoint: Edge) -> Edge | None:
+    """Return the edge on a ROS name that needs an endpoint, or None if no mapping produces its name.
 
     Args:
-        topic: an object of kind ``topic``.
+        endpoint: an edge of any kind; one that is not of kind ``topic`` is no endpoint.
     """
-    if not topic.partitions:
-        whole = topic.name
-    elif len(topic.partitions) == 1 and "/" not in topic.name:
-        whole = f"{topic.partitions[0]}/{topic.name}"
-    else:
+    topic = endpoint.object
+    if topic.kind != "topic" or len(topic.partitions) > 1 or (topic.partitions and "/" in topic.name):
         return None
-    part, slash, rest = whole.partition("/")
-    suffix = _SUFFIXES.get(part)
-    if suffix is None or not rest.endswith(suffix):
-        return None
-    name = slash + rest.removesuffix(suffix)
-    return RosName(part, name) if is_fully_qualified(name) else None
+    found = meanings(ARDENT if topic.partitions else _LATER, endpoint)
+    return next((edge for edge in found if is_fully_qualified(edge.object.name)), None)
 
 
-def ros_type(dds_type: str, part: str) -> str:
+def ros_type(dds_type: str, permission: str) -> str:
     """Return the ROS type of a DDS type: ``std_msgs::msg::dds_::String_`` is ``std_msgs/msg/String``.
 
     Args:
         dds_type: the DDS type's name.
-        part: as :attr:`RosName.part`; the types of requests and replies give that of the service.
+        permission: that of who writes it; the types of requests and replies give that of the service.
     """
     match = _TYPE.match(dds_type)
     if match is None:
         return dds_type
-    name = match[2]
-    if part != "rt":
-        name = name.removesuffix("_Request" if part == "rq" else "_Response")
-    return "/".join([*match[1].split("::"), name])
+    return "/".join([*match[1].split("::"), match[2].removesuffix(_SENT[permission])])
