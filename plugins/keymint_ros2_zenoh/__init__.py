@@ -48,7 +48,7 @@ class Zenoh:
     check_shared = lazy("keymint_ros2_zenoh.check:check_shared")
     actions = lazy("keymint_ros2_zenoh.lowering.edge_actions:actions")
     installed_names = lazy("keymint_ros2_zenoh.transports.installed_configurations:installed_names")
-    check_rules = lazy("keymint_ros2_zenoh.lowering.rule_check:check_rules")
+    check_rules = lazy("keymint_ros2_zenoh.lowering.key_rules:check_rules")
 
     differences = lazy("keymint_ros2_zenoh.proving.anchor_check:differences")
     terms = lazy("keymint_ros2_zenoh.proving.anchor_check:terms")

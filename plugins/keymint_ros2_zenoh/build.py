@@ -10,9 +10,7 @@ from keymint.api import BuildOptions, BuildResult, Package
 from keymint_ros2_zenoh import emission, key_limits
 from keymint_ros2_zenoh.documents.configuration_writer import write
 from keymint_ros2_zenoh.enclave_layout import ROUTER, SESSION
-from keymint_ros2_zenoh.gathering import gathered
-from keymint_ros2_zenoh.lowering.key_rule import KeyRule
-from keymint_ros2_zenoh.lowering.rule_check import lower_package
+from keymint_ros2_zenoh.lowering.key_rules import KeyRule, gathered, lower_package
 from keymint_ros2_zenoh.settings import BUILD_TYPE, is_router, settings_of
 
 _SESSION_TITLE = (

@@ -19,7 +19,7 @@ from keymint.pki import distinguished_names
 from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
 from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, enclave_folder
-from keymint_ros2_zenoh.lowering.key_rule import KeyRule
+from keymint_ros2_zenoh.lowering.key_rules import KeyRule
 from keymint_ros2_zenoh.messages import Flow, Message, Permission
 from keymint_ros2_zenoh.settings import Router, in_endpoint, is_router, settings_of
 

@@ -12,8 +12,8 @@ from comarmor.rules import parts
 from comarmor.values import dataclass
 from keymint.api.graph import Edge
 from keymint_ros2_zenoh.keyexpr.key_expr import literal
-from keymint_ros2_zenoh.lowering.message_slots import SLOTS, WAYS, Place, Slot, action
-from keymint_ros2_zenoh.lowering.name_keys import ADVANCED
+from keymint_ros2_zenoh.lowering.message_slots import SLOTS, WAYS, Slot, action
+from keymint_ros2_zenoh.lowering.name_keys import ADVANCED, Place
 from keymint_ros2_zenoh.messages import Flow, Message
 
 TYPE = "std_msgs::msg::dds_::String_"

@@ -9,25 +9,41 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Defects, Diagnostic, Origin
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.relations import TooComplexError, disjoint, intersection
 from comarmor.rules import Effect
 from comarmor.values import dataclass
-from keymint.api import DomainRange
+from keymint.api import DomainRange, Package
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
-from keymint_ros2_zenoh.keyexpr.key_expansion import TooManyAlternativesError, key_exprs
+from keymint_ros2_zenoh.keyexpr.key_expansion import TooManyAlternativesError, key_exprs, maximal
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr
 from keymint_ros2_zenoh.lowering.deny_wildcards import deny_wildcards
-from keymint_ros2_zenoh.lowering.key_rule import KeyRule
-from keymint_ros2_zenoh.lowering.message_slots import GRAPH_SLOTS, SLOTS, USERS, Place, Slot
-from keymint_ros2_zenoh.lowering.name_keys import advanced_key, data_key, graph_key, own_tokens_key
+from keymint_ros2_zenoh.lowering.message_slots import GRAPH_SLOTS, SLOTS, USERS, Slot
+from keymint_ros2_zenoh.lowering.name_keys import Place, graph_key, name_key, own_tokens_key
 from keymint_ros2_zenoh.lowering.name_rules import NameRules, name_rules
 from keymint_ros2_zenoh.messages import Flow, Message
 
 MAX_DOMAINS = 32
 """Domains that one subject may have: key expressions have no ranges, so that each domain repeats all of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeyRule:
+    """What a router must permit or deny on the link of a subject. A denial overrides; what no rule allows is denied.
+
+    Attributes:
+        effect: allow or deny.
+        messages: messages, in the order of :class:`Message`.
+        flows: flows as the router sees them: ingress is from the subject, egress to it.
+        key_exprs: key expressions, sorted.
+    """
+
+    effect: Effect
+    messages: tuple[Message, ...]
+    flows: tuple[Flow, ...]
+    key_exprs: tuple[KeyExpr, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +66,7 @@ def lower(rules: SubjectRules, distro: str, domains: Sequence[DomainRange], orig
         rules: the subject's rules.
         distro: ROS 2 distribution.
         domains: the domains in which they apply.
-        origin: where the domains are written; also the origin of the rules for the graph.
+        origin: where the domains are written.
 
     Raises:
         KeymintError: Zenoh cannot express a rule, or there are too many domains.
@@ -58,7 +74,50 @@ def lower(rules: SubjectRules, distro: str, domains: Sequence[DomainRange], orig
     names = name_rules(rules, distro)
     _require_few(domains, origin)
     ids = domain_ids(domains)
-    return Lowered((*_rules(names, ids), *_graph(rules.subject, ids, origin)), tuple(lower_notes(names)))
+    return Lowered((*_rules(names, ids), *_graph(rules.subject, ids)), tuple(lower_notes(names)))
+
+
+def lower_package(package: Package) -> Lowered:
+    """Return what a router must permit or deny on the link of a package's subject.
+
+    Raises:
+        KeymintError: Zenoh cannot express a rule or the validity of the grant; all defects with their ``file:line``.
+    """
+    defects, grant = Defects(), package.grant
+    defects.found += _dated(package)
+    with defects:
+        lowered = lower(grant.rules, package.distro, grant.domains, grant.domains_origin or grant.origin)
+    defects.require_none()
+    return lowered
+
+
+def _dated(package: Package) -> Iterator[Diagnostic]:
+    """Yield an error for rights that begin later or end earlier than the certificate of the subject."""
+    rights, identity = package.grant.validity, package.identity.validity
+    if rights is None:
+        return
+    if rights.not_before > identity.not_before or rights.not_after < identity.not_after:
+        yield Diagnostic.error(
+            "zenoh-validity",
+            "the permissions are valid for a shorter time than the certificate, but rights on Zenoh have no dates: "
+            "they end with the certificate",
+            package.grant.origin,
+            "give the certificate the same validity, or leave out that of the permissions",
+            package.subject,
+        )
+
+
+def check_rules(rules: SubjectRules, distro: str) -> Sequence[Diagnostic]:
+    """Return rules that Zenoh cannot express, that hold for literal keys only, or that match no name.
+
+    Args:
+        rules: the policy's rules for a subject.
+        distro: ROS 2 distribution whose name mapping applies.
+    """
+    try:
+        return tuple(lower_notes(name_rules(rules, distro)))
+    except KeymintError as error:
+        return error.diagnostics
 
 
 def lower_notes(names: NameRules) -> Iterator[Diagnostic]:
@@ -91,15 +150,14 @@ def _rules(names: NameRules, domains: tuple[int, ...]) -> Iterator[KeyRule]:
         for key in key_exprs(pattern):
             for slot in slots:
                 by_key.setdefault((key, slot.place), set()).add(slot)
-    for (effect, rule), by_key in places.items():
+    for (effect, _), by_key in places.items():
         groups: dict[frozenset[tuple[Message, Flow]], list[KeyExpr]] = {}
         for (name, place), own in by_key.items():
             sides = frozenset((slot.message, slot.flow) for slot in own)
             for domain in domains:
-                data = data_key(domain, name)
-                groups.setdefault(sides, []).append(data if place is Place.DATA else advanced_key(data))
+                groups.setdefault(sides, []).append(name_key(domain, name, place))
         for sides, keys in groups.items():
-            yield from _by_flow(effect, sides, keys, rule.origin)
+            yield from _by_flow(effect, sides, keys)
 
 
 def slot_rules(names: NameRules) -> Iterator[tuple[Effect, tuple[Slot, ...], Glob, Rule]]:
@@ -139,9 +197,7 @@ def _denied_too(names: NameRules, pattern: Glob, permissions: Iterable[str]) -> 
                     yield both
 
 
-def _by_flow(
-    effect: Effect, sides: Iterable[tuple[Message, Flow]], keys: Iterable[KeyExpr], origin: Origin
-) -> Iterator[KeyRule]:
+def _by_flow(effect: Effect, sides: Iterable[tuple[Message, Flow]], keys: Iterable[KeyExpr]) -> Iterator[KeyRule]:
     """Yield rules of messages and flows, one if both flows have the same messages."""
     expressions = tuple(sorted(set(keys)))
     flows: dict[tuple[Message, ...], tuple[Flow, ...]] = {}
@@ -150,11 +206,24 @@ def _by_flow(
         flows[messages] = (*flows.get(messages, ()), flow)
     for messages, own in flows.items():
         if messages:
-            yield KeyRule(effect, messages, own, expressions, origin)
+            yield KeyRule(effect, messages, own, expressions)
 
 
-def _graph(subject: str, domains: tuple[int, ...], origin: Origin) -> Iterator[KeyRule]:
+def _graph(subject: str, domains: tuple[int, ...]) -> Iterator[KeyRule]:
     """Yield what lets a node announce itself and read the graph. No enclave can announce the nodes of another one."""
     own = [own_tokens_key(domain, subject) for domain in domains]
-    yield from _by_flow(Effect.ALLOW, {(Message.LIVELINESS_TOKEN, Flow.INGRESS)}, own, origin)
-    yield from _by_flow(Effect.ALLOW, GRAPH_SLOTS, [graph_key(domain) for domain in domains], origin)
+    yield from _by_flow(Effect.ALLOW, {(Message.LIVELINESS_TOKEN, Flow.INGRESS)}, own)
+    yield from _by_flow(Effect.ALLOW, GRAPH_SLOTS, [graph_key(domain) for domain in domains])
+
+
+def gathered(rules: Iterable[KeyRule]) -> tuple[KeyRule, ...]:
+    """Return fewer rules that decide every message and key expression as the given ones do.
+
+    The order of rules has no meaning, and a rule applies if one of its key expressions includes the key. So rules of
+    the same effect, messages and flows are one rule with all their key expressions. One that another includes is left
+    out.
+    """
+    groups: dict[tuple[Effect, tuple[Message, ...], tuple[Flow, ...]], set[KeyExpr]] = {}
+    for rule in rules:
+        groups.setdefault((rule.effect, rule.messages, rule.flows), set()).update(rule.key_exprs)
+    return tuple(KeyRule(*shared, maximal(keys)) for shared, keys in groups.items())

@@ -7,18 +7,11 @@ Measured with Zenoh 1.10.2, by leaving out each of them. Ingress is from the sub
 from __future__ import annotations
 
 from collections.abc import Mapping
-from enum import StrEnum
 from itertools import product, starmap
 
 from comarmor.values import dataclass
+from keymint_ros2_zenoh.lowering.name_keys import Place
 from keymint_ros2_zenoh.messages import Flow, Message
-
-
-class Place(StrEnum):
-    """Which keys of a name: those of its data, or those beside them that serve ``transient_local``."""
-
-    DATA = "data"
-    ADVANCED = "advanced"
 
 
 @dataclass(frozen=True, slots=True, order=True)

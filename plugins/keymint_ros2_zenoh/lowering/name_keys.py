@@ -8,6 +8,8 @@ The topic or service ``/a/b`` has the key ``<domain>/a/b/<type>/<hash>``. Beside
 
 from __future__ import annotations
 
+from enum import StrEnum
+
 from comarmor.text import did_you_mean
 from keymint.errors import KeymintError
 from keymint_ros2_zenoh.keyexpr.key_expr import ANY_CHUNK, ANY_CHUNKS, KeyExpr, of_chunks
@@ -38,19 +40,23 @@ def check_distro(distro: str) -> None:
         )
 
 
-def data_key(domain: int, name: KeyExpr) -> KeyExpr:
+class Place(StrEnum):
+    """Which keys of a name: those of its data, or those beside them that serve ``transient_local``."""
+
+    DATA = "data"
+    ADVANCED = "advanced"
+
+
+def name_key(domain: int, name: KeyExpr, place: Place = Place.DATA) -> KeyExpr:
     """Return the keys of topics or services in a domain.
 
     Args:
         domain: the domain id.
         name: ROS names without the leading ``/``.
+        place: which of their keys.
     """
-    return of_chunks((str(domain), *name.chunks, *TYPE_AND_HASH))
-
-
-def advanced_key(data: KeyExpr) -> KeyExpr:
-    """Return the keys that publishers and subscribers of topics use beside the keys of these to be transient_local."""
-    return of_chunks((*data.chunks, ADVANCED, ANY_CHUNKS))
+    beside = () if place is Place.DATA else (ADVANCED, ANY_CHUNKS)
+    return of_chunks((str(domain), *name.chunks, *TYPE_AND_HASH, *beside))
 
 
 def graph_key(domain: int) -> KeyExpr:

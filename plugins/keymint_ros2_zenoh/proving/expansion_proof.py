@@ -8,7 +8,7 @@ from comarmor.patterns.decision_lists import BudgetError, ProofResult, SearchBud
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.steps import cached
 from keymint_ros2_zenoh.keyexpr.key_expansion import key_exprs
-from keymint_ros2_zenoh.lowering.name_keys import data_key
+from keymint_ros2_zenoh.lowering.name_keys import name_key
 from keymint_ros2_zenoh.proving.automaton import Automaton
 from keymint_ros2_zenoh.proving.key_search import difference, side_of
 
@@ -31,7 +31,7 @@ def proven_exact(pattern: Glob, states: int) -> ProofResult:
 def _decided(pattern: Glob, states: int) -> ProofResult:
     automaton = Automaton()
     names = frozenset(automaton.names(0, rest) for rest in glob.after(pattern, "/"))
-    keys = frozenset(automaton.key_expr(data_key(0, each)) for each in key_exprs(pattern))
+    keys = frozenset(automaton.key_expr(name_key(0, each)) for each in key_exprs(pattern))
     left, right = (side_of(((nodes, frozenset()),)) for nodes in (names, keys))
     result = difference(automaton, left, right, SearchBudget(states))
     if isinstance(result, Unknown):

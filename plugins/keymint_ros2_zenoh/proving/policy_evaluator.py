@@ -18,8 +18,8 @@ from keymint.api.graph import Edge, Object
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_zenoh.keyexpr.key_expansion import ALPHABET
 from keymint_ros2_zenoh.keyexpr.key_expr import VERBATIM
-from keymint_ros2_zenoh.lowering.message_slots import GRAPH_SLOTS, USERS, Place, Slot
-from keymint_ros2_zenoh.lowering.name_keys import ADVANCED, GRAPH, TOKEN_ENCLAVE, TYPE_AND_HASH
+from keymint_ros2_zenoh.lowering.message_slots import GRAPH_SLOTS, USERS, Slot
+from keymint_ros2_zenoh.lowering.name_keys import ADVANCED, GRAPH, TOKEN_ENCLAVE, TYPE_AND_HASH, Place
 from keymint_ros2_zenoh.messages import Flow, Message
 
 _KIND = {

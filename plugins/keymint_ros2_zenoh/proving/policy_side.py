@@ -14,8 +14,8 @@ from keymint_ros2_zenoh.decision.message_access import KeyLists
 from keymint_ros2_zenoh.keyexpr.key_expansion import key_exprs
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr
 from keymint_ros2_zenoh.lowering.key_rules import slot_rules
-from keymint_ros2_zenoh.lowering.message_slots import GRAPH_SLOTS, USERS, Place, Slot
-from keymint_ros2_zenoh.lowering.name_keys import advanced_key, data_key, graph_key, own_tokens_key
+from keymint_ros2_zenoh.lowering.message_slots import GRAPH_SLOTS, USERS, Slot
+from keymint_ros2_zenoh.lowering.name_keys import Place, graph_key, name_key, own_tokens_key
 from keymint_ros2_zenoh.lowering.name_rules import NameRules
 from keymint_ros2_zenoh.messages import Flow, Message
 from keymint_ros2_zenoh.proving.expansion_proof import proven_exact
@@ -74,10 +74,10 @@ class PolicySide:
 
     def _keys(self, place: Place, patterns: Sequence[Glob]) -> tuple[KeyExpr, ...]:
         return tuple(
-            key if place is Place.DATA else advanced_key(key)
+            name_key(domain, name, place)
             for pattern in patterns
             for name in key_exprs(pattern)
-            for key in (data_key(domain, name) for domain in self.domains)
+            for domain in self.domains
         )
 
     def _graph(self, message: Message, flow: Flow) -> Iterator[KeyExpr]:

@@ -15,9 +15,8 @@ from keymint_ros2_zenoh import configuration_requirements
 from keymint_ros2_zenoh.build import build, build_shared
 from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.documents.configuration_reader import read
-from keymint_ros2_zenoh.gathering import gathered
 from keymint_ros2_zenoh.key_limits import check_identity
-from keymint_ros2_zenoh.lowering.rule_check import lower_package
+from keymint_ros2_zenoh.lowering.key_rules import gathered, lower_package
 from keymint_ros2_zenoh.messages import Flow, Message, Permission
 from keymint_ros2_zenoh.settings import Router
 

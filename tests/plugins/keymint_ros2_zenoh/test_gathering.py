@@ -5,13 +5,11 @@ from __future__ import annotations
 
 from hypothesis import given
 from hypothesis import strategies as st
-from keymint_ros2_zenoh.gathering import gathered
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr, canonical
 from keymint_ros2_zenoh.keyexpr.key_relations import includes
-from keymint_ros2_zenoh.lowering.key_rule import KeyRule
+from keymint_ros2_zenoh.lowering.key_rules import KeyRule, gathered
 from keymint_ros2_zenoh.messages import Flow, Message
 
-from comarmor.errors import Origin
 from comarmor.rules import Effect
 
 CHUNKS = st.sampled_from(["a", "b", "*", "**", "a$*", "@adv"])
@@ -22,7 +20,6 @@ RULES = st.builds(
     st.sampled_from([(Message.PUT,), (Message.PUT, Message.QUERY), (Message.REPLY,)]),
     st.sampled_from([(Flow.INGRESS,), tuple(Flow)]),
     st.lists(KEYS, min_size=1, max_size=4).map(tuple),
-    st.just(Origin("policy.xml", 1)),
 )
 
 
@@ -46,8 +43,7 @@ def test_every_decision_is_the_same(rules: tuple[KeyRule, ...], keys: list[KeyEx
 
 
 def test_included_key_expressions_are_left_out() -> None:
-    where = Origin("policy.xml", 1)
     keys = [(canonical("0/a/*/*"), canonical("0/b/*/*")), (canonical("0/**"),)]
-    rules = [KeyRule(Effect.ALLOW, (Message.PUT,), (Flow.INGRESS,), each, where) for each in keys]
+    rules = [KeyRule(Effect.ALLOW, (Message.PUT,), (Flow.INGRESS,), each) for each in keys]
     [one] = gathered(rules)
     assert one.key_exprs == (canonical("0/**"),)

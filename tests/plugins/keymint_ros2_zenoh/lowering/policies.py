@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from hypothesis import strategies as st
 from keymint_ros2_zenoh.keyexpr.key_expr import parse
 from keymint_ros2_zenoh.keyexpr.key_relations import includes
-from keymint_ros2_zenoh.lowering.key_rule import KeyRule
+from keymint_ros2_zenoh.lowering.key_rules import KeyRule
 from keymint_ros2_zenoh.messages import Flow, Message
 
 from comarmor.errors import Origin

@@ -9,7 +9,8 @@ import sys
 import pytest
 from hypothesis import given, settings
 from keymint_ros2_zenoh.lowering.key_rules import MAX_DOMAINS, Lowered, lower
-from keymint_ros2_zenoh.lowering.message_slots import SLOTS, USERS, Place, Slot
+from keymint_ros2_zenoh.lowering.message_slots import SLOTS, USERS, Slot
+from keymint_ros2_zenoh.lowering.name_keys import Place
 from keymint_ros2_zenoh.messages import Flow, Message
 
 from comarmor.errors import Origin
@@ -194,11 +195,6 @@ def test_the_order_of_rules_is_the_same_in_every_process() -> None:
         for seed in "012"
     }
     assert len(printed) == 1
-
-
-def test_rules_cite_their_origin() -> None:
-    origins = {each.origin for each in lowered(subject_rules(rule("ALLOW", "ros_topic", ["ros_publish"], "/x"))).rules}
-    assert origins == {Origin("policy.xml", 1), WHERE}
 
 
 def raw(effect: str, *permissions: str, partitions: tuple[str, ...] = ()) -> Rule:
