@@ -264,7 +264,8 @@ def _fastdds_rights(vendor: Vendor, folder: Path) -> set[tuple[str, str]]:
         except RefusedError:
             return set()
         asked = [(action, name) for action in ("publish", "subscribe") for name in NAMES]
-        return {each for each, allowed in zip(asked, participant.allow(asked), strict=True) if allowed}
+        answers = participant.allow([(action, name, ()) for action, name in asked])
+        return {each for each, allowed in zip(asked, answers, strict=True) if allowed}
 
 
 @on_each_fastdds

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ask real participants of a vendor, each in its own process, which endpoints they may create."""
+"""Ask a vendor which endpoints an enclave may create: a real participant in its own process, or whatever decides."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
 from itertools import groupby
 
 from keymint.api import Enclave, Verdict
@@ -55,13 +55,35 @@ def joined(system: System, enclave: Enclave, domain: int, *, conforming: bool = 
     return system.open(enclave.folder, domain, conforming=conforming, revocations=revocations)
 
 
-def admission(
-    vendor: Vendor, model: Variation, models: EnclaveModels, edges: Iterable[Edge]
+@contextmanager
+def participant(vendor: Vendor, models: EnclaveModels, subject: str, domain: int) -> Iterator[ProbeParticipant | str]:
+    """Open a real participant of an enclave in a process of its own, or tell why it is refused; see :data:`Opener`.
+
+    Raises:
+        KeymintError: the enclave is missing, or a process of the vendor fails.
+    """
+    enclave = models.enclaves[subject]
+    enclave_files.refuse_unusable_key(enclave)
+    with participants(vendor, subject) as system:
+        opened: ProbeParticipant | str
+        try:
+            opened = joined(system, enclave, domain)
+        except RefusedError as error:
+            opened = f"the participant is refused: {error}"
+        yield opened
+
+
+Opener = Callable[[EnclaveModels, str, int], AbstractContextManager[ProbeParticipant | AccessControl | str]]
+"""Opens the enclave of a subject in a domain, to ask it about endpoints; a text says why the vendor refuses it."""
+
+
+def decided(
+    opener: Opener, model: Variation, models: EnclaveModels, edges: Iterable[Edge]
 ) -> Iterator[tuple[Edge, Verdict]]:
-    """Yield whether real participants may have each edge; one participant per enclave and domain, one at a time.
+    """Yield whether a vendor allows each edge; the enclaves are opened one at a time.
 
     Args:
-        vendor: the vendor, with its built probe.
+        opener: opens an enclave.
         model: the model of the vendor.
         models: the enclaves.
         edges: grouped by subject.
@@ -71,39 +93,33 @@ def admission(
     """
     for (subject, domain), group in groupby(edges, key=lambda edge: (edge.subject, edge.domain)):
         enclave, enclave_model = models.enclaves[subject], models.of(subject, domain)
-        enclave_files.refuse_unusable_key(enclave)
-        with participants(vendor, subject) as system:
-            try:
-                participant = joined(system, enclave, domain)
-            except RefusedError as error:
-                reason = f"the participant is refused: {error}"
-                refused = Verdict(allowed=False, reason=reason, where=enclave_model.place())
-                yield from ((edge, refused) for edge in group)
-                continue
+        with opener(models, subject, domain) as opened:
             for edge in group:
-                needed = endpoints(enclave.distro, edge)
-                yield edge, enclave_model.verdict(model, needed, asked(participant, needed))
+                if isinstance(opened, str):
+                    yield edge, Verdict(allowed=False, reason=opened, where=enclave_model.place())
+                else:
+                    needed = endpoints(enclave.distro, edge)
+                    yield edge, enclave_model.verdict(model, needed, asked(opened, needed))
 
 
-def admitted(vendor: Vendor, enclave: Enclave, domain: int, endpoints: Sequence[Edge]) -> Sequence[bool]:
-    """Return which endpoints a real participant may have; nothing if the participant is refused.
+def admitted(
+    opener: Opener, models: EnclaveModels, subject: str, domain: int, endpoints: Sequence[Edge]
+) -> Sequence[bool]:
+    """Return which endpoints a vendor allows; nothing if it refuses the enclave.
 
     Args:
-        vendor: the vendor, with its built probe.
-        enclave: the enclave.
+        opener: opens an enclave.
+        models: the enclaves.
+        subject: the enclave's.
         domain: DDS domain id.
         endpoints: edges of kind ``topic`` whose names can be said.
 
     Raises:
         KeymintError: the vendor's process fails.
     """
-    enclave_files.refuse_unusable_key(enclave)
-    topics = [(each.permission, each.object.name, *each.object.partitions) for each in endpoints]
-    with participants(vendor, enclave.subject) as system:
-        try:
-            return joined(system, enclave, domain).allow(topics)
-        except RefusedError:
-            return ()
+    topics = [(each.permission, each.object.name, each.object.partitions) for each in endpoints]
+    with opener(models, subject, domain) as opened:
+        return () if isinstance(opened, str) else opened.allow(topics)
 
 
 def asked(vendor: ProbeParticipant | AccessControl, needed: Iterable[Edge]) -> Iterator[tuple[bool, str]]:

@@ -110,12 +110,8 @@ def _admitted(vendor: Vendor, model: Variation, models: EnclaveModels, batch: Se
     """Return all endpoints of the edges, and whether the vendor admits them to a participant of the subject."""
     enclave = models.enclaves[batch[0].subject]
     needed = dict.fromkeys(endpoint for edge in batch for endpoint in endpoints(enclave.distro, edge))
-    with admission.participants(vendor, enclave.subject) as system:
-        answers: Iterable[tuple[bool, str]]
-        try:
-            answers = admission.asked(admission.joined(system, enclave, batch[0].domain), needed)
-        except RefusedError as error:
-            answers = repeat((False, f"the participant is refused: {error}"))
+    with admission.participant(vendor, models, enclave.subject, batch[0].domain) as opened:
+        answers = repeat((False, opened)) if isinstance(opened, str) else admission.asked(opened, needed)
         return {
             endpoint: _Trial(endpoint, *answer, _peer(endpoint, models, model))
             for endpoint, answer in zip(needed, answers, strict=False)

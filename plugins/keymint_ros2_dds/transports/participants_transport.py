@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import ClassVar
 
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
@@ -13,6 +13,7 @@ from keymint.errors import KeymintError
 from keymint.host.vendor_process import MissingVendorError
 from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, FASTDDS_3_3, Variation
 from keymint_ros2_dds.transports import admission, enclave_files
+from keymint_ros2_dds.transports.admission import Opener
 from keymint_ros2_dds.transports.delivery import exchange
 from keymint_ros2_dds.transports.enclave_model import EnclaveModels
 from keymint_ros2_dds.vendors import probe_builds
@@ -73,18 +74,16 @@ class RealTransport:
         """See :meth:`keymint.api.Transport.label`."""
         self.usable().require(tier, self.NAME)
         models = EnclaveModels(enclaves, self._environment, keep_all=tier is Tier.EXCHANGE)
-        if tier is Tier.DECISION:
-            return self._decision(models, edges)
-        vendor = self._vendor(nonconforming=tier is Tier.EXCHANGE)
-        if tier is Tier.ADMISSION:
-            return admission.admission(vendor, self.MODEL, models, edges)
+        if tier is not Tier.EXCHANGE:
+            return admission.decided(self._opener(tier), self.MODEL, models, edges)
+        vendor = self._vendor(nonconforming=True)
         for enclave in enclaves:
             enclave_files.refuse_unusable_key(enclave)
         return exchange(vendor, self.MODEL, models, edges)
 
     def admitted(self, enclave: Enclave, endpoints: Column, tier: Tier) -> bytes:
         """See :meth:`keymint.api.EndpointTransport.admitted`."""
-        decide = self._decide if tier is Tier.DECISION else self._ask
+        opener, models = self._opener(tier), EnclaveModels([enclave], self._environment)
         admitted = bytearray(len(endpoints.requests))
         for domain in {each.domain for each in endpoints.requests}:
             sayable = [
@@ -92,21 +91,16 @@ class RealTransport:
                 for at, each in enumerate(endpoints.requests)
                 if each.domain == domain and not admission.unsayable(each)
             ]
-            answers = decide(enclave, domain, [endpoints.requests[at] for at in sayable])
+            named = [endpoints.requests[at] for at in sayable]
+            answers = admission.admitted(opener, models, enclave.subject, domain, named)
             for at, allowed in zip(sayable, answers, strict=False):
                 admitted[at] = allowed
         return bytes(admitted)
 
-    def _decide(self, enclave: Enclave, domain: int, endpoints: Sequence[Edge]) -> Iterable[bool]:
-        """Decide without data exchange which endpoints an enclave may have; nothing if it is refused."""
-        return self._ask(enclave, domain, endpoints)
-
-    def _ask(self, enclave: Enclave, domain: int, endpoints: Sequence[Edge]) -> Iterable[bool]:
-        return admission.admitted(self._vendor(nonconforming=False), enclave, domain, endpoints)
-
-    def _decision(self, models: EnclaveModels, edges: Iterable[Edge]) -> Iterator[tuple[Edge, Verdict]]:
-        """Decide without data exchange; a vendor that needs a participant for that does so by admission."""
-        return admission.admission(self._vendor(nonconforming=False), self.MODEL, models, edges)
+    def _opener(self, tier: Tier) -> Opener:
+        """Return what is asked at a tier without data exchange; a vendor that needs a participant has one for both."""
+        del tier
+        return partial(admission.participant, self._vendor(nonconforming=False))
 
     def _vendor(self, *, nonconforming: bool) -> Vendor:
         """Return the vendor with its built programs; the compiler is asked once whether they are up to date."""

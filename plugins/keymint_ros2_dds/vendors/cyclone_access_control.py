@@ -231,6 +231,10 @@ class AccessControl:
         allowed = self.allows(direction, topic, partitions)
         return allowed, "the access-control plugin allows it" if allowed else self.reason
 
+    def allow(self, endpoints: Iterable[tuple[str, str, Iterable[str]]]) -> list[bool]:
+        """Tell which endpoints the enclave may create: direction, topic and partitions of each."""
+        return [self.allows(*endpoint) for endpoint in endpoints]
+
     def close(self) -> None:
         """Free the plugin instance; it denies everything afterwards."""
         self._handle = 0

@@ -180,9 +180,9 @@ class ProbeParticipant:
         answer, reason = self._process.ask("TRY", direction, topic, *partitions)
         return answer == "ALLOWED", reason.strip()
 
-    def allow(self, endpoints: Sequence[Sequence[str]]) -> list[bool]:
+    def allow(self, endpoints: Iterable[tuple[str, str, Iterable[str]]]) -> list[bool]:
         """Tell which endpoints the vendor allows: direction, topic and partitions of each; all are deleted at once."""
-        commands = [("TRY", *words) for words in endpoints]
+        commands = [("TRY", direction, topic, *partitions) for direction, topic, partitions in endpoints]
         return [answer == "ALLOWED" for answer, _ in self._process.ask_all(commands)]
 
 
