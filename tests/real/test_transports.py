@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from keymint_ros2_dds.transports import real_cyclonedds
-from keymint_ros2_dds.transports.participants_transport import RealTransport
+from keymint_ros2_dds.transports.participants_transport import ParticipantsTransport
 from keymint_ros2_dds.transports.simulated_transport import Simulated
 from keymint_ros2_dds.vendors.participants import System
 
@@ -115,7 +115,7 @@ def test_allowed_samples_are_delivered_and_an_intruder_is_refused(transport: Tra
 
 
 def test_a_participant_that_does_not_conform_ignores_its_own_permissions(
-    transport: RealTransport, pair: list[Enclave]
+    transport: ParticipantsTransport, pair: list[Enclave]
 ) -> None:
     """Else its refusal, which the tier *exchange* reports, would be by its own side."""
     with System(transport._vendor(nonconforming=True)) as system:

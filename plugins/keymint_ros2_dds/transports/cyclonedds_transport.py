@@ -15,13 +15,13 @@ from keymint_ros2_dds.decision import CYCLONEDDS_0_10
 from keymint_ros2_dds.transports import enclave_files
 from keymint_ros2_dds.transports.admission import Opener
 from keymint_ros2_dds.transports.enclave_model import EnclaveModel, EnclaveModels
-from keymint_ros2_dds.transports.participants_transport import RealTransport
+from keymint_ros2_dds.transports.participants_transport import ParticipantsTransport
 from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
 from keymint_ros2_dds.vendors.participants import CycloneDDS
 
 
-class CycloneDDSTransport(RealTransport):
+class CycloneDDSTransport(ParticipantsTransport):
     """Cyclone DDS, whose access-control plugin decides without participants."""
 
     NAME = "cyclonedds"

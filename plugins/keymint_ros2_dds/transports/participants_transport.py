@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from functools import cached_property, partial
+from functools import partial
 from typing import ClassVar
 
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.api.graph import Column, Edge
+from keymint.api.vendor_transports import VendorTransport
 from keymint.errors import KeymintError
 from keymint.host.vendor_process import MissingVendorError
 from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, FASTDDS_3_3, Variation
@@ -21,7 +22,7 @@ from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, Vendor
 from keymint_ros2_dds.vendors.unpacked import unpacked
 
 
-class RealTransport:
+class ParticipantsTransport(VendorTransport):
     """Implements :class:`keymint.api.Transport` with participants of a vendor.
 
     Attributes:
@@ -43,19 +44,8 @@ class RealTransport:
     UNPACKED: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, environment: Environment) -> None:
-        self._environment = environment
+        super().__init__(environment)
         self._vendors: dict[bool, Vendor] = {}
-
-    def usable(self) -> Availability:
-        """Return which tiers are usable here; determined once."""
-        return self._usable
-
-    @cached_property
-    def _usable(self) -> Availability:
-        try:
-            return self._installed()
-        except MissingVendorError as error:
-            return Availability(usable=False, reason=error.reason, help=error.help)
 
     def _installed(self) -> Availability:
         """Look for the libraries, compilers and headers that the tiers need.
@@ -122,7 +112,7 @@ class RealTransport:
         return self._vendors[nonconforming]
 
 
-class FastDDSTransport(RealTransport):
+class FastDDSTransport(ParticipantsTransport):
     """Fast DDS 2.9; its access control cannot be asked without a participant: *decision* and *admission* are one."""
 
     NAME = "fastdds"
@@ -142,7 +132,7 @@ class FastDDS3Transport(FastDDSTransport):
     UNPACKED = ("fastdds-3.3.0", "fastdds-3.1.2")
 
 
-class CycloneDDS0105Transport(RealTransport):
+class CycloneDDS0105Transport(ParticipantsTransport):
     """Cyclone DDS 0.10.5, unpacked into the cache: Keymint's process cannot load its access-control plugin."""
 
     NAME = "cyclonedds-0.10.5"

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from functools import cached_property
 from itertools import groupby
 
 from comarmor.regex import lazy_regex
-from keymint.api import Availability, Enclave, Environment, Tier, Verdict
+from keymint.api import Availability, Enclave, Tier, Verdict
 from keymint.api.graph import Edge
+from keymint.api.vendor_transports import VendorTransport
 from keymint.errors import KeymintError
 from keymint.host.vendor_process import MissingVendorError, ProcessDiedError, ProcessFailedError
 from keymint_ros2_dds.decision import of_version
@@ -26,24 +26,14 @@ _LONGEST = 200
 """Bytes of a name; rmw accepts 247, less what follows the name of an action or of a node."""
 
 
-class RosTransport:
+class RosTransport(VendorTransport):
     """Implements :class:`keymint.api.SelectiveTransport`: nodes of the ROS 2 that the user has sourced."""
 
-    def __init__(self, environment: Environment) -> None:
-        self._environment = environment
-
-    def usable(self) -> Availability:
-        """Return whether a ROS 2 is sourced, and can be run apart from all others; never by default."""
-        return self._usable
-
-    @cached_property
-    def _usable(self) -> Availability:
+    def _installed(self) -> Availability:
+        """Look for a ROS 2 that is sourced, and can be run apart from all others; it is never used by default."""
         variables = self._environment.variables
-        try:
-            with RosNetwork(variables) as network:
-                version = f"{variables['ROS_DISTRO']}, {network.rmw}"
-        except MissingVendorError as error:
-            return Availability(usable=False, reason=error.reason, help=error.help)
+        with RosNetwork(variables) as network:
+            version = f"{variables['ROS_DISTRO']}, {network.rmw}"
         if not re.search("dds|rtps", version):
             return Availability(False, version, "this rmw implementation is not of DDS", "set RMW_IMPLEMENTATION")
         return Availability(usable=True, version=version, tiers=(Tier.ADMISSION,), by_default=False)

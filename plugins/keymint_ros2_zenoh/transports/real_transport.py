@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import cached_property
 from itertools import groupby
 
-from keymint.api import Availability, Enclave, Environment, Tier, Verdict
+from keymint.api import Availability, Enclave, Tier, Verdict
 from keymint.api.graph import Edge
-from keymint.host.vendor_process import MissingVendorError
+from keymint.api.vendor_transports import VendorTransport
 from keymint_ros2_zenoh.transports.delivery import exchange
 from keymint_ros2_zenoh.transports.enclave_model import InstalledModels
 from keymint_ros2_zenoh.transports.logged_decisions import logged_decisions
@@ -19,26 +18,11 @@ from keymint_ros2_zenoh.vendors.zenoh_library import installed_version
 _Labeller = Callable[[Network, InstalledModels, Iterable[Edge]], Iterator[tuple[Edge, Verdict]]]
 
 
-class RealZenoh:
-    """Implements :class:`keymint.api.Transport` with the library ``eclipse-zenoh``.
+class RealZenoh(VendorTransport):
+    """Implements :class:`keymint.api.Transport` with the library ``eclipse-zenoh``."""
 
-    Args:
-        environment: the environment variables for its processes.
-    """
-
-    def __init__(self, environment: Environment) -> None:
-        self._environment = environment
-
-    def usable(self) -> Availability:
-        """Return whether the library is installed; determined once."""
-        return self._usable
-
-    @cached_property
-    def _usable(self) -> Availability:
-        try:
-            return Availability(usable=True, version=installed_version(), tiers=tuple(Tier))
-        except MissingVendorError as error:
-            return Availability(usable=False, reason=error.reason, help=error.help)
+    def _installed(self) -> Availability:
+        return Availability(usable=True, version=installed_version(), tiers=tuple(Tier))
 
     def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`."""
