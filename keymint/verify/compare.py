@@ -24,9 +24,8 @@ from keymint.api import Enclave, EndpointTransport, Tier, Transport, Verdict
 from keymint.api.graph import ConfusionMatrix, Edge
 from keymint.errors import KeymintError
 from keymint.verify.endpoint_policy import EndpointPolicy
-from keymint.verify.mismatch import Comparison, Mismatch
+from keymint.verify.mismatch import Comparison, Mismatch, Tally
 from keymint.verify.rows import EdgeRow, MappedColumn, Naming, labelled_rows, mapped
-from keymint.verify.tally import Tally
 
 ENCLAVE_REFUSED = "enclave-refused"
 """Code of the error of a transport that refuses a complete enclave."""

@@ -15,8 +15,7 @@ from pathlib import Path
 
 import pytest
 from keymint_ros2_dds.discovery import graph_source
-from keymint_ros2_dds.vendors.participants import DeniedError, System
-from keymint_ros2_dds.vendors.ports import free_ports
+from keymint_ros2_dds.vendors.participants import DeniedError, System, free_ports
 
 from .provisioning import enclave
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 from keymint_ros2_dds.transports import real_cyclonedds
+from keymint_ros2_dds.transports.enclave_model import Simulated
 from keymint_ros2_dds.transports.participants_transport import ParticipantsTransport
-from keymint_ros2_dds.transports.simulated_transport import Simulated
 from keymint_ros2_dds.vendors.participants import System
 
 from keymint.api import Enclave, EndpointTransport, Environment, Tier, Transport, Verdict

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from keymint_ros2_zenoh.vendors.loopback_ports import free_port
+from keymint_ros2_zenoh.vendors.loopback import free_port
 
 from tests.conftest import CHECKOUT
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import pytest
 from keymint_ros2_zenoh.vendors import access_log
-from keymint_ros2_zenoh.vendors.loopback_ports import free_port
+from keymint_ros2_zenoh.vendors.loopback import free_port
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError, ZenohSystem
 
 from tests.effort import FULL

@@ -15,7 +15,7 @@ from keymint_ros2_zenoh.documents.access_control import AccessControl
 from keymint_ros2_zenoh.messages import Flow, Message
 from keymint_ros2_zenoh.vendors import access_log
 from keymint_ros2_zenoh.vendors.access_log import LoggedDecision
-from keymint_ros2_zenoh.vendors.loopback_ports import free_port
+from keymint_ros2_zenoh.vendors.loopback import free_port
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError, ZenohProcess, ZenohSystem
 
 from .zenoh_configurations import FENCE, NAMES, ROUTER, Identities, random_access_control, random_key_expr

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import count
 from typing import Any
 
-from keymint_ros2_zenoh.vendors.loopback_ports import free_port
+from keymint_ros2_zenoh.vendors.loopback import free_port
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohProcess, ZenohSystem
 
 from tests.plugins.keymint_ros2_zenoh.install_spaces import InstallSpace, merged

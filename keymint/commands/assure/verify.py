@@ -30,14 +30,13 @@ from keymint.stages.proof.trust_anchors import differences
 from keymint.store.changes import Action, Step
 from keymint.verify.compare import Asking
 from keymint.verify.copies import copied
-from keymint.verify.mismatch import Comparison
+from keymint.verify.mismatch import Comparison, Tally
 from keymint.verify.scope import (
     VerificationScope,
     installed_scopes,
     selective,
     subjects_of_graph,
 )
-from keymint.verify.tally import Tally
 from keymint.verify.usable_transports import choose
 from keymint.verify.verification import Verification, verified_in_parts
 from keymint.workspace.policy_loading import load_policy

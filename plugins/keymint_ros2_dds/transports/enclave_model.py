@@ -1,20 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decide about installed enclaves by the models of vendors."""
+"""Decide about installed enclaves by the models of vendors, and the simulated transports that do."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 from itertools import repeat
 
 from comarmor.errors import Origin
-from keymint.api import Enclave, Environment, Verdict
+from comarmor.values import dataclass
+from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.api.graph import Column, Edge
 from keymint.api.installed_enclaves import EnclavesBySubject
 from keymint.errors import KeymintError
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import (
     OMG,
+    VARIATIONS,
     DecisionOutcome,
     DocumentEvaluator,
     EndpointDecision,
@@ -22,6 +24,7 @@ from keymint_ros2_dds.decision import (
     fnmatch_dialects,
 )
 from keymint_ros2_dds.decision.endpoint_access import DomainAccess, topic_rule
+from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.reading.signed_governance import DocumentDomainRule, DocumentTopicRule
 from keymint_ros2_dds.transports import authentication, enclave_files
 from keymint_ros2_dds.transports.authentication import Authentication
@@ -209,3 +212,34 @@ class EnclaveModels:
         if len(domains) == 1:
             return self.of(subject, *domains).admitted(variation, endpoints)
         return bytes(self.of(subject, each.domain).decide(variation, each).allowed for each in endpoints.requests)
+
+
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """A transport that decides as the standard, or as the model of a vendor."""
+
+    variation: Variation
+    environment: Environment
+
+    def usable(self) -> Availability:
+        """Return that it is usable."""
+        version = "1.1" if self.variation is OMG else self.variation.name.rpartition("-")[2]
+        return Availability(usable=True, version=version, tiers=(Tier.DECISION,))
+
+    def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
+        """See :meth:`keymint.api.Transport.label`."""
+        del tier
+        models = EnclaveModels(enclaves, self.environment)
+        for edge in edges:
+            needed = endpoints(models.enclaves[edge.subject].distro, edge)
+            yield edge, models.of(edge.subject, edge.domain).verdict(self.variation, needed)
+
+    def admitted(self, enclave: Enclave, endpoints: Column, tier: Tier) -> bytes:
+        """See :meth:`keymint.api.EndpointTransport.admitted`."""
+        del tier
+        return EnclaveModels([enclave], self.environment).admitted(enclave.subject, self.variation, endpoints)
+
+
+def simulated(name: str, environment: Environment) -> Simulated:
+    """Return the simulated transport of this name."""
+    return Simulated(VARIATIONS[name], environment)

@@ -20,9 +20,11 @@ tabs, and each line is answered by one line:
 
 from __future__ import annotations
 
+import random
+import socket
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import field
 from pathlib import Path
 from typing import Self
@@ -31,9 +33,14 @@ from comarmor.values import dataclass
 from keymint.host.vendor_process import CommandProcess, ProcessFailedError
 from keymint_ros2_dds.enclave_layout import CRL
 from keymint_ros2_dds.vendors import cyclone_access_control
-from keymint_ros2_dds.vendors.ports import FIRST_PARTICIPANT, free_ports
 from keymint_ros2_dds.vendors.unpacked import Unpacked
 
+PORTS = 40
+"""Ports of a system: the first ten are not for participants, each of which then has two (RTPS 2.2, 9.6.1.1)."""
+FIRST_PARTICIPANT = 10
+_GUARD = 5
+_RANGE = range(20_000, 32_000, PORTS)
+"""First ports of the blocks, below the kernel's ephemeral range."""
 _AT_ONCE = 32
 """Commands that are sent before their answers are read; they fit into a pipe."""
 
@@ -234,3 +241,36 @@ def _line_of(words: Sequence[str]) -> str:
     if "\n" in line or line.count("\t") != len(words) - 1:
         raise ProcessFailedError(f"words with a tab or a newline cannot be sent: {words}")
     return line
+
+
+@contextmanager
+def free_ports() -> Iterator[int]:
+    """Yield the first of a block of UDP ports on loopback that no other system uses, in this process or another.
+
+    One port that no participant uses stays bound as long as the context; whoever binds it owns the block.
+
+    Raises:
+        OSError: no block is free.
+    """
+    for first in random.sample(_RANGE, len(_RANGE)):
+        guard = _bound(first + _GUARD)
+        if guard is None:
+            continue
+        with guard:
+            others = [_bound(first + offset) for offset in range(PORTS) if offset != _GUARD]
+            for other in filter(None, others):
+                other.close()
+            if None not in others:
+                yield first
+                return
+    raise OSError("no free block of UDP ports on loopback")
+
+
+def _bound(port: int) -> socket.socket | None:
+    bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        bound.bind(("127.0.0.1", port))
+    except OSError:
+        bound.close()
+        return None
+    return bound

@@ -1,13 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a policy permits a subject, as patterns of keys for each message and flow."""
+"""What a policy permits a subject, as patterns of keys for each message and flow.
+
+That the key expressions of a pattern match exactly the names that the pattern matches is proven here too.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from comarmor.patterns.decision_lists import Equal
+from comarmor.patterns import glob
+from comarmor.patterns.decision_lists import BudgetError, Equal, ProofResult, SearchBudget, Unknown
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.printing import exact
+from comarmor.patterns.steps import cached
 from comarmor.rules import Effect
 from comarmor.values import dataclass
 from keymint_ros2_zenoh.decision.message_access import KeyLists
@@ -18,7 +23,8 @@ from keymint_ros2_zenoh.lowering.message_slots import GRAPH_SLOTS, USERS, Slot
 from keymint_ros2_zenoh.lowering.name_keys import Place, graph_key, name_key, own_tokens_key
 from keymint_ros2_zenoh.lowering.name_rules import NameRules
 from keymint_ros2_zenoh.messages import Flow, Message
-from keymint_ros2_zenoh.proving.expansion_proof import proven_exact
+from keymint_ros2_zenoh.proving.automaton import Automaton
+from keymint_ros2_zenoh.proving.key_search import difference, side_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,3 +92,29 @@ class PolicySide:
                 yield own_tokens_key(domain, self.names.subject)
             if (message, flow) in GRAPH_SLOTS:
                 yield graph_key(domain)
+
+
+def proven_exact(pattern: Glob, states: int) -> ProofResult:
+    """Compare a pattern of ROS names with its key expressions, as keys of domain 0 with any type and hash.
+
+    Args:
+        pattern: pattern of names.
+        states: the most states that the search may visit.
+    """
+    try:
+        return _decided(pattern, states)
+    except BudgetError as error:
+        return Unknown(str(error))
+
+
+# Many enclaves have the same patterns. What is unknown is not cached: it may depend on an outer limit.
+@cached(1 << 14)
+def _decided(pattern: Glob, states: int) -> ProofResult:
+    automaton = Automaton()
+    names = frozenset(automaton.names(0, rest) for rest in glob.after(pattern, "/"))
+    keys = frozenset(automaton.key_expr(name_key(0, each)) for each in key_exprs(pattern))
+    left, right = (side_of(((nodes, frozenset()),)) for nodes in (names, keys))
+    result = difference(automaton, left, right, SearchBudget(states))
+    if isinstance(result, Unknown):
+        raise BudgetError(result.reason)
+    return result

@@ -21,8 +21,7 @@ from comarmor.values import dataclass
 from keymint.api import Verdict
 from keymint.api.graph import Edge
 from keymint_ros2_zenoh.decision.operations import CALL, OTHER_END, PUBLISH, SUBSCRIBE, Operation
-from keymint_ros2_zenoh.transports.edge_verdict import NAMELESS
-from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel, InstalledModels
+from keymint_ros2_zenoh.transports.enclave_model import NAMELESS, EnclaveModel, InstalledModels
 from keymint_ros2_zenoh.transports.logged_decisions import LoggedSession, in_sessions
 from keymint_ros2_zenoh.transports.loopback_network import Network
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohProcess

@@ -1,23 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The model's decisions about installed enclaves: at the router, and at the session's own access control."""
+"""The model's decisions about installed enclaves, and the simulated transport that gives them.
+
+Both ends of a link decide: the router, and the session's own access control.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from comarmor.errors import Origin
-from keymint.api import Enclave, Environment, Verdict
+from comarmor.values import dataclass
+from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.api.graph import Edge
 from keymint.api.installed_enclaves import EnclavesBySubject
 from keymint.pki import certificates
 from keymint_ros2_zenoh.decision import admission
 from keymint_ros2_zenoh.decision.message_access import AccessDecision, Link
-from keymint_ros2_zenoh.decision.operations import Request, operations
+from keymint_ros2_zenoh.decision.operations import Operation, Request, operations
 from keymint_ros2_zenoh.transports import installed_configurations
-from keymint_ros2_zenoh.transports.edge_verdict import edge_verdict
 from keymint_ros2_zenoh.transports.installed_configurations import InstalledConfiguration
 from keymint_ros2_zenoh.vendors import loopback
+
+NAMELESS = Verdict(allowed=False, reason="no key of Zenoh can have this name")
 
 
 class EnclaveModel:
@@ -136,3 +141,58 @@ def _refusal(session: InstalledConfiguration, router: InstalledConfiguration, en
         if not any(admission.names_host(leaf, loopback.host(endpoint)) for endpoint in endpoints):
             reason = "no subjectAltName of it is the host that the session connects to"
     return f"the session refuses the certificate of the router: {reason}" if reason else ""
+
+
+def edge_verdict(
+    operations: Sequence[Operation], decide: Callable[[Request], Verdict], at_router: Callable[[Request], Verdict]
+) -> Verdict:
+    """Return the decision on an edge.
+
+    It is allowed if all messages of all operations are. It is allowed in part if not, but the router permits the
+    messages of one of the ways to do an operation: a session need not keep to the conventions of ROS, nor to its own
+    access control.
+
+    Args:
+        operations: the operations of the edge; none if no key can have its name.
+        decide: decides on a message at the router and at the session's own access control.
+        at_router: decides on a message at the router alone.
+    """
+    first: Verdict | None = None
+    denied: dict[Operation, tuple[Request, Verdict]] = {}
+    for operation in operations:
+        for request in operation.requests:
+            verdict = decide(request)
+            first = first or verdict
+            if not verdict.allowed:
+                denied[operation] = request, verdict
+                break
+    if not denied:
+        return first or NAMELESS
+    missing, denial = next(iter(denied.values()))
+    for operation in denied:  # one that is whole may be permitted for its own sake: the edge is composite
+        for way in operation.ways:
+            permitted = [at_router(request) for request in way]
+            if all(verdict.allowed for verdict in permitted):
+                reason = f"in part: {permitted[0].reason}; but {denial.reason}"
+                # If the router permits all, the session's own file is the one to look at.
+                where = denial.where if at_router(missing).allowed else permitted[0].where
+                return Verdict(allowed=False, reason=reason, where=where, partial=True)
+    return denial
+
+
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """Implements :class:`keymint.api.Transport` with the model of Zenoh 1.6 and later."""
+
+    environment: Environment
+
+    def usable(self) -> Availability:
+        """Return that it is usable."""
+        return Availability(usable=True, version="1", tiers=(Tier.DECISION,))
+
+    def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
+        """See :meth:`keymint.api.Transport.label`."""
+        del tier
+        models = InstalledModels(enclaves, self.environment)
+        for edge in edges:
+            yield edge, models.of(edge.subject).label(edge)

@@ -16,8 +16,7 @@ from keymint.api.graph import Edge
 from keymint_ros2_zenoh.decision.message_access import AccessDecision
 from keymint_ros2_zenoh.decision.operations import Operation, Request, operations
 from keymint_ros2_zenoh.messages import Flow
-from keymint_ros2_zenoh.transports.edge_verdict import edge_verdict
-from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel, InstalledModels
+from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel, InstalledModels, edge_verdict
 from keymint_ros2_zenoh.transports.loopback_network import ROUTER, Network
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError, ZenohProcess
 

@@ -12,7 +12,6 @@ from keymint.host.vendor_process import ProcessFailedError
 from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel
 from keymint_ros2_zenoh.transports.installed_configurations import InstalledConfiguration
 from keymint_ros2_zenoh.vendors import access_log, loopback
-from keymint_ros2_zenoh.vendors.loopback_ports import free_port
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError, ZenohSystem
 
 ROUTER = "router"
@@ -83,7 +82,7 @@ class Network:
     def _open_router(self, files: InstalledConfiguration) -> None:
         listen = files.configuration.listen
         for attempt in range(_ATTEMPTS):
-            self._ports = {loopback.port(endpoint): str(free_port()) for endpoint in listen}
+            self._ports = {loopback.port(endpoint): str(loopback.free_port()) for endpoint in listen}
             try:
                 self.router.open(ROUTER, files.file, loopback.router_changes(listen, self._ports) | _paths(files))
             except ZenohError as error:

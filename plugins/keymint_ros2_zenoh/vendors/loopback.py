@@ -12,11 +12,20 @@ Access control, modes, mutual TLS, scouting and all other settings are those of 
 from __future__ import annotations
 
 import re
+import socket
 from collections.abc import Callable, Mapping, Sequence
 
 from keymint_ros2_zenoh.documents.configuration import TLS
 
 LOOPBACK = ("localhost", "127.0.0.1")
+
+
+def free_port() -> int:
+    """Return a TCP port of 127.0.0.1 that nothing listens on now; another program may take it before it is used."""
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+    return port
 
 
 def router_changes(listen: Sequence[str], ports: Mapping[str, str]) -> dict[str, object]:

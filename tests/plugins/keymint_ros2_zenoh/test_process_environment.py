@@ -6,8 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from keymint_ros2_zenoh import build_type
-from keymint_ros2_zenoh.enclave_layout import SESSION, files
-from keymint_ros2_zenoh.process_environment import enclave_variables, keystore_variables
+from keymint_ros2_zenoh.enclave_layout import SESSION, enclave_variables, files, keystore_variables
 
 from keymint.api import ProcessEnvironment
 from keymint.host.shells import resolved

@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_zenoh.decision.operations import operations
-from keymint_ros2_zenoh.lowering.edge_actions import actions
+from keymint_ros2_zenoh.decision.operations import actions, operations
 
 from comarmor.rules import PARTS
 from keymint.api.graph import Edge, Object
