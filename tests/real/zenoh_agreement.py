@@ -111,7 +111,7 @@ def _expected(flows: frozenset[Flow], literal: list[str], wild: list[str]) -> se
 def _compared(model: AccessModel, link: Link, decision: LoggedDecision, origin: str) -> tuple[bool, str]:
     """Compare a decision; one for all messages of a link with the model's on any message."""
     message, flow = Message(decision.message or Message.PUT), Flow(decision.flow or Flow.INGRESS)
-    modelled = model.decide(link, message, flow, decision.key or FENCE)
+    modelled = model.on(link).decide(message, flow, decision.key or FENCE)
     if modelled.allowed == decision.allowed:
         return decision.allowed, ""
     return decision.allowed, f"{decision}, but the model says {modelled.reason}; {origin}"

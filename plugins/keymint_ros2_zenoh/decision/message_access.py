@@ -93,10 +93,6 @@ class AccessModel:
         more = next((f"the subject {each.id!r} also depends on more than certificates" for each in depending), "")
         return LinkAccess(self._control, [self._entries[each] for each in self._candidates(common_name)], more)
 
-    def decide(self, link: Link, message: Message, flow: Flow, key_expr: str) -> AccessDecision:
-        """Return the decision on a message; see :meth:`LinkAccess.decide`."""
-        return self.on(link).decide(message, flow, key_expr)
-
     def _candidates(self, common_name: str) -> Sequence[_Properties]:
         return *self._of_name.get(common_name, ()), *self._any_name
 

@@ -141,8 +141,7 @@ class _Run:
         self._is_topic = permission in {PUBLISH, SUBSCRIBE}
         self._by_querier = conforming and not self._is_topic
         if self._is_topic:
-            boxes = {self._name(trial): trial.operation.key for trial in trials}
-            self._process.ask("subscribe", session=self._receiver, keys=boxes)
+            self._process.ask("subscribe", session=self._receiver, keys=self._boxes)
         else:
             self._process.ask("answer", session=self._receiver, keys=self._keys, text=self._receiver)
 
@@ -162,30 +161,23 @@ class _Run:
     def send(self) -> None:
         """Send everything once, the denied samples first."""
         if self._is_topic:
-            samples = [(trial.operation.key, self._name(trial)) for trial in self._trials]
+            samples = [(trial.operation.key, self._text(trial)) for trial in self._trials]
             self._process.ask("publish" if self._conforming else "put", session=self._sender, samples=samples)
         elif not self._by_querier:
-            self._process.ask("query", session=self._sender, name=self._sender, keys=self._keys)
+            self._process.ask("query", session=self._sender, keys=self._boxes)
 
     def collect(self, seconds: float) -> None:
-        """Note what has arrived when the last sample has, if that is permitted, or when a time has passed."""
-        permitted = self._trials[-1].logged.allowed
-        if self._is_topic:
-            names = [self._name(trial) for trial in reversed(self._trials)]
-            last = names[0] if permitted else ""
-            boxes = self._process.ask("received", names=names, last=last, wait=seconds)
-            for trial in self._trials:
-                trial.delivered |= any(text == self._name(trial) for _, text in boxes[self._name(trial)])
-            return
+        """Note what has arrived when the last sample or answer has, if it is permitted, or when a time has passed."""
         if self._by_querier:
-            found = self._process.ask("queriers", session=self._sender, keys=self._keys, wait=seconds)
-            answers = {(key, text) for key, texts in found.items() for text in texts}
-        else:
-            last = self._keys[-1] if permitted else ""
-            found = self._process.ask("answered", name=self._sender, last=last, wait=seconds)
-            answers = {(key, text) for key, text in found}
+            answers = self._process.ask("queriers", session=self._sender, keys=self._keys, wait=seconds)
+            for trial in self._trials:
+                trial.delivered |= self._text(trial) in answers[trial.operation.key]
+            return
+        last = self._trials[-1]
+        text = self._text(last) if last.logged.allowed else ""
+        found = self._process.ask("received", names=[*reversed(self._boxes)], last=text, wait=seconds)
         for trial in self._trials:
-            trial.delivered |= (trial.operation.key, self._receiver) in answers
+            trial.delivered |= any(text == self._text(trial) for _, text in found[self._name(trial)])
 
     def close(self) -> None:
         """Close the sessions."""
@@ -196,9 +188,18 @@ class _Run:
     def _keys(self) -> list[str]:
         return [trial.operation.key for trial in self._trials]
 
+    @property
+    def _boxes(self) -> dict[str, str]:
+        """The key of each mailbox, in the order of the trials."""
+        return {self._name(trial): trial.operation.key for trial in self._trials}
+
     def _name(self, trial: _Trial) -> str:
-        """Return a mailbox of this run, and the text of its sample."""
+        """Return the name of a trial's mailbox."""
         return f"{self._own} {trial.operation.permission} {trial.operation.key}"
+
+    def _text(self, trial: _Trial) -> str:
+        """Return the text of a trial's sample, or of the answer to its query."""
+        return self._name(trial) if self._is_topic else self._receiver
 
 
 def _verdict(trials: Sequence[_Trial]) -> Verdict:

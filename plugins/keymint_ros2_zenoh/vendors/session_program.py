@@ -44,10 +44,10 @@ class Mailbox:
         if reply.ok is not None:
             self.put(key, reply.ok.payload.to_string())
 
-    def wait(self, is_last: Callable[[str, str], bool], seconds: float) -> list[tuple[str, str]]:
-        """Return all samples until now, but first wait for one that is the last by its key and text, up to a time."""
+    def samples(self, last: str = "", seconds: float = 0) -> list[tuple[str, str]]:
+        """Return all samples until now, but first wait for one with the text ``last``, up to a time."""
         with self._arrival:
-            self._arrival.wait_for(lambda: any(is_last(*sample) for sample in self._samples), seconds)
+            self._arrival.wait_for(lambda: any(text == last for _, text in self._samples), seconds)
             return list(self._samples)
 
 
@@ -108,14 +108,10 @@ class Commands:
             box = self._mailboxes[name] = Mailbox()
             self._declared[session].append(self._sessions[session].declare_subscriber(key, in_order(box.arrived)))
 
-    def answered(self, name: str, last: str, seconds: float) -> list[tuple[str, str]]:
-        """Return what is in a mailbox; wait for something on the key ``last``, up to a time."""
-        return self._mailboxes[name].wait(lambda key, _: key == last, seconds)
-
     def received(self, names: list[str], last: str, seconds: float) -> dict[str, list[tuple[str, str]]]:
         """Return the samples in mailboxes; wait for the text ``last`` in the first of them, up to a time."""
-        self._mailboxes[names[0]].wait(lambda _, text: text == last, seconds)
-        return {name: self._mailboxes[name].wait(lambda _, __: True, 0) for name in names}
+        self._mailboxes[names[0]].samples(last, seconds)
+        return {name: self._mailboxes[name].samples() for name in names}
 
     def answer(self, session: str, keys: list[str], text: str) -> None:
         """Declare queryables that answer each query with a text, on the key of the query if it is literal."""
@@ -128,10 +124,10 @@ class Commands:
             queryable = self._sessions[session].declare_queryable(key, reply, complete=True)
             self._declared[session].append(queryable)
 
-    def query(self, session: str, name: str, keys: list[str]) -> None:
-        """Send a query for each key; its answers come into a mailbox as the key and the text."""
-        box = self._mailboxes[name] = Mailbox()
-        for key in keys:
+    def query(self, session: str, keys: dict[str, str]) -> None:
+        """Send a query for each key, by the name of the mailbox into which its answers come."""
+        for name, key in keys.items():
+            box = self._mailboxes[name] = Mailbox()
             self._sessions[session].get(key, in_order(partial(box.replied, key)), timeout=_QUERY_SECONDS)
 
     def queriers(self, session: str, keys: list[str], seconds: float) -> dict[str, list[str]]:

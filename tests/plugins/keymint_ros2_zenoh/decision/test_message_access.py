@@ -31,7 +31,7 @@ def control(
 
 
 def allowed(access: AccessControl, key: str, link: Link = TALKER, message: Message = PUT, flow: Flow = IN) -> bool:
-    return AccessModel(access).decide(link, message, flow, key).allowed
+    return AccessModel(access).on(link).decide(message, flow, key).allowed
 
 
 def test_a_rule_applies_to_its_messages_and_flows_only() -> None:
@@ -118,11 +118,11 @@ def test_the_decision_names_the_rule_and_its_place() -> None:
     access = control(rule("a", "allow", "0/**", line=3), rule("d", "deny", "0/secret/**", line=7))
     model = AccessModel(access)
     for key, name, line in (("0/x", "a", 3), ("0/secret/x", "d", 7)):
-        decision = model.decide(TALKER, PUT, IN, key)
+        decision = model.on(TALKER).decide(PUT, IN, key)
         assert decision.rule is not None
         assert (decision.rule.id, decision.where) == (name, Origin("router.json5", line))
         assert repr(name) in decision.reason
-    unmentioned = model.decide(TALKER, QUERY, IN, "0/x")
+    unmentioned = model.on(TALKER).decide(QUERY, IN, "0/x")
     assert (unmentioned.allowed, unmentioned.rule) == (False, None)
     assert unmentioned.reason == "no rule for query ingress includes 0/x; the default is deny"
 
