@@ -14,8 +14,7 @@ from typing import Any
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import quoted
 from keymint.api import Package
-from keymint_ros2_zenoh.documents.access_control import AclSubject
-from keymint_ros2_zenoh.documents.configuration import TLS, Configuration
+from keymint_ros2_zenoh.documents.configuration import TLS, AclSubject, Configuration
 from keymint_ros2_zenoh.emission import ROUTER_SETTINGS, SESSION_SETTINGS
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, enclave_folder
 from keymint_ros2_zenoh.messages import Permission

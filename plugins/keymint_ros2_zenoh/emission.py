@@ -16,8 +16,7 @@ from comarmor.rules import Effect
 from keymint.api import Package
 from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
-from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
-from keymint_ros2_zenoh.documents.configuration import Configuration
+from keymint_ros2_zenoh.documents.configuration import AccessControl, AclPolicy, AclRule, AclSubject, Configuration
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, enclave_folder
 from keymint_ros2_zenoh.lowering.key_rules import KeyRule
 from keymint_ros2_zenoh.messages import Flow, Message, Permission

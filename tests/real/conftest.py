@@ -18,9 +18,8 @@ from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, VARIATIONS, 
 from keymint_ros2_dds.transports import real_cyclonedds, real_cyclonedds_0_10_5, real_fastdds, real_fastdds_3
 from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, System, Vendor
-from keymint_ros2_dds.vendors.unpacked import unpacked
-from keymint_ros2_zenoh.vendors.zenoh_library import installed_version
-from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohSystem
+from keymint_ros2_dds.vendors.probe_builds import unpacked
+from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohSystem, installed_version
 
 from keymint import cli
 from keymint.api import Availability, Environment, Tier, Transport

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from keymint_ros2_zenoh.vendors import zenoh_library
+from keymint_ros2_zenoh.vendors import zenoh_processes
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError, ZenohSystem
 
 from keymint.host import vendor_process
@@ -70,9 +70,9 @@ def test_files_are_private(zenoh_system: ZenohSystem) -> None:
 
 
 def test_a_missing_library_skips_the_test_or_fails_it_if_vendors_are_required(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(zenoh_library.importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setattr(zenoh_processes.importlib.util, "find_spec", lambda _: None)
     with pytest.raises(MissingVendorError) as raised:
-        zenoh_library.installed_version()
+        zenoh_processes.installed_version()
     monkeypatch.delenv("KEYMINT_REQUIRE_VENDORS", raising=False)
     with pytest.raises(pytest.skip.Exception, match="Zenoh: no library eclipse-zenoh; pip install eclipse-zenoh"):
         missing(raised.value)
@@ -82,10 +82,10 @@ def test_a_missing_library_skips_the_test_or_fails_it_if_vendors_are_required(mo
 
 
 def test_a_library_that_is_too_old_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(zenoh_library.importlib.util, "find_spec", lambda _: object())
-    monkeypatch.setattr(zenoh_library.importlib.metadata, "version", lambda _: "1.5.9")
+    monkeypatch.setattr(zenoh_processes.importlib.util, "find_spec", lambda _: object())
+    monkeypatch.setattr(zenoh_processes.importlib.metadata, "version", lambda _: "1.5.9")
     with pytest.raises(MissingVendorError, match=r"eclipse-zenoh 1\.5\.9 is older than 1\.6"):
-        zenoh_library.installed_version()
+        zenoh_processes.installed_version()
 
 
 def test_the_benchmark_of_the_router_prints_a_row(zenoh_library: str, monkeypatch: pytest.MonkeyPatch) -> None:

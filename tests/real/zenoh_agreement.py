@@ -11,7 +11,7 @@ from itertools import count
 from pathlib import Path
 
 from keymint_ros2_zenoh.decision.message_access import AccessModel, Link
-from keymint_ros2_zenoh.documents.access_control import AccessControl
+from keymint_ros2_zenoh.documents.configuration import AccessControl
 from keymint_ros2_zenoh.messages import Flow, Message
 from keymint_ros2_zenoh.vendors import access_log
 from keymint_ros2_zenoh.vendors.access_log import LoggedDecision

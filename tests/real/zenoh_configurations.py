@@ -13,8 +13,7 @@ from typing import Any
 from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID
-from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
-from keymint_ros2_zenoh.documents.configuration import Configuration
+from keymint_ros2_zenoh.documents.configuration import AccessControl, AclPolicy, AclRule, AclSubject, Configuration
 from keymint_ros2_zenoh.documents.configuration_writer import write
 from keymint_ros2_zenoh.keyexpr.key_expr import canonical
 from keymint_ros2_zenoh.messages import Flow, Message, Permission

@@ -19,7 +19,7 @@ from keymint_ros2_dds.transports.delivery import exchange
 from keymint_ros2_dds.transports.enclave_model import EnclaveModels
 from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, Vendor
-from keymint_ros2_dds.vendors.unpacked import unpacked
+from keymint_ros2_dds.vendors.probe_builds import unpacked
 
 
 class ParticipantsTransport(VendorTransport):

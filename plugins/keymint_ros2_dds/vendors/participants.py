@@ -33,7 +33,7 @@ from comarmor.values import dataclass
 from keymint.host.vendor_process import CommandProcess, ProcessFailedError
 from keymint_ros2_dds.enclave_layout import CRL
 from keymint_ros2_dds.vendors import cyclone_access_control
-from keymint_ros2_dds.vendors.unpacked import Unpacked
+from keymint_ros2_dds.vendors.probe_builds import Unpacked
 
 PORTS = 40
 """Ports of a system: the first ten are not for participants, each of which then has two (RTPS 2.2, 9.6.1.1)."""

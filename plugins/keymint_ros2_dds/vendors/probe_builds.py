@@ -3,6 +3,10 @@
 
 A probe is built from its source in this folder, against the vendor's packages, once for each version of source,
 compiler and library. :mod:`participants` starts it and talks to it.
+
+``make vendors-new`` unpacks newer versions of vendors into the cache, each with its libraries and loader. Nothing of
+them is installed. A program that is built for one is started by its loader, because the machine's may be too old for
+its libraries.
 """
 
 from __future__ import annotations
@@ -12,7 +16,7 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +25,7 @@ from keymint.host.vendor_process import MissingVendorError
 from keymint_ros2_dds.vendors import cyclone_access_control, program_cache
 
 _SOURCES = Path(__file__).parent
+HELP = "'make vendors-new' in a checkout of Keymint unpacks it from Debian"
 
 
 def inherited(environment: Mapping[str, str]) -> Mapping[str, str]:
@@ -149,7 +154,7 @@ FASTDDS = Probe(
     FAST_PACKAGES,
 )
 FASTDDS_3 = replace(FASTDDS, arguments=("-std=c++17", "-lfastdds", "-lfastcdr"), packages=("g++",))
-"""The same source; its headers are not the machine's (:mod:`unpacked`)."""
+"""The same source; its headers are not the machine's (:class:`Unpacked`)."""
 FASTDDS_NONCONFORMING = Probe(
     "Fast DDS", "fastdds_nonconforming.c", ("gcc", "cc"), "stdbool.h", ("-std=gnu11", "-shared", "-fPIC"), FAST_PACKAGES
 )
@@ -166,3 +171,64 @@ def require_cyclone_plugins() -> None:
         cyclone_access_control.library()
     except OSError as error:
         raise _missing("Cyclone DDS", str(error), CYCLONE_PACKAGES[:1]) from None
+
+
+@dataclass(frozen=True, slots=True)
+class Unpacked:
+    """A version of a vendor.
+
+    Attributes:
+        version: the version.
+        headers: its folder of headers.
+        libraries: its folder of shared objects.
+        loader: the program that loads them (ELF's interpreter).
+    """
+
+    version: str
+    headers: Path
+    libraries: Path
+    loader: Path
+
+    @property
+    def starter(self) -> tuple[str, ...]:
+        """The words that come before a program, so that it runs with these libraries and no others."""
+        return str(self.loader), "--library-path", str(self.libraries)
+
+    @property
+    def plugins(self) -> Path:
+        """The folder of the security plugins of Cyclone DDS; Fast DDS has none."""
+        return self.libraries / "libddsc0debian"
+
+    def built(self, probe: Probe) -> Probe:
+        """Return a probe that is built from the headers and libraries of this version; :attr:`starter` starts it.
+
+        The libraries need a newer C library than the linker finds on the machine, so it does not look for that.
+
+        Args:
+            probe: how to build it with the machine's headers.
+        """
+        headers = f"-I{self.headers}", f"-I{self.headers / self.libraries.name}"
+        folders = (*headers, f"-L{self.libraries}", "-Wl,--allow-shlib-undefined")
+        return replace(probe, folders=folders, packages=(probe.compilers[0],))
+
+
+def unpacked(cache: Path, names: Iterable[str]) -> Unpacked:
+    """Return the first of these versions that is in the cache.
+
+    Args:
+        cache: this user's cache.
+        names: folders of versions: a vendor and a version.
+
+    Raises:
+        MissingVendorError: none is there, or others could have written it.
+    """
+    folder, tried = cache / "vendors", tuple(names)
+    found = {name: next((folder / name).glob("usr/lib/*/ld-linux*.so.*"), None) for name in tried}
+    for name, loader in found.items():
+        if loader is None:
+            continue
+        if not program_cache.is_ours_alone(folder):
+            reason = f"others may write to {folder} or to a folder above it"
+            raise MissingVendorError(name, reason, "take this right from them (chmod)")
+        return Unpacked(name.rpartition("-")[2], folder / name / "usr/include", loader.parent, loader)
+    raise MissingVendorError(tried[0], f"no {' or '.join(tried)} in {folder}", HELP)

@@ -17,7 +17,7 @@ from itertools import product
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
-from keymint_ros2_zenoh.documents.access_control import AccessControl, AclRule, AclSubject
+from keymint_ros2_zenoh.documents.configuration import AccessControl, AclRule, AclSubject
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr, parse
 from keymint_ros2_zenoh.keyexpr.key_relations import includes
 from keymint_ros2_zenoh.messages import Flow, Message, Permission

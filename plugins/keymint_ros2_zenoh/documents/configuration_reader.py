@@ -18,8 +18,16 @@ from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean, quoted
 from keymint.errors import KeymintError
 from keymint_ros2_zenoh.documents import json5
-from keymint_ros2_zenoh.documents.access_control import PROPERTIES, AccessControl, AclPolicy, AclRule, AclSubject
-from keymint_ros2_zenoh.documents.configuration import DEFAULT_LISTEN, SETTINGS, Configuration
+from keymint_ros2_zenoh.documents.configuration import (
+    DEFAULT_LISTEN,
+    PROPERTIES,
+    SETTINGS,
+    AccessControl,
+    AclPolicy,
+    AclRule,
+    AclSubject,
+    Configuration,
+)
 from keymint_ros2_zenoh.documents.json5 import Node
 from keymint_ros2_zenoh.keyexpr import key_expr
 from keymint_ros2_zenoh.messages import Flow, Message, Permission

@@ -7,8 +7,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from keymint_ros2_zenoh.documents.access_control import PROPERTIES, AccessControl, AclRule, AclSubject
-from keymint_ros2_zenoh.documents.configuration import Configuration
+from keymint_ros2_zenoh.documents.configuration import PROPERTIES, AccessControl, AclRule, AclSubject, Configuration
 
 _WIDTH = 120
 

@@ -13,7 +13,7 @@ from keymint_ros2_zenoh.transports.delivery import exchange
 from keymint_ros2_zenoh.transports.enclave_model import InstalledModels
 from keymint_ros2_zenoh.transports.logged_decisions import logged_decisions
 from keymint_ros2_zenoh.transports.loopback_network import Network, running
-from keymint_ros2_zenoh.vendors.zenoh_library import installed_version
+from keymint_ros2_zenoh.vendors.zenoh_processes import installed_version
 
 _Labeller = Callable[[Network, InstalledModels, Iterable[Edge]], Iterator[tuple[Edge, Verdict]]]
 

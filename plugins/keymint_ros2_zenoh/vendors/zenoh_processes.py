@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Processes with real Zenoh sessions, routers among them; :mod:`session_program` lists their commands."""
+"""Processes with real Zenoh sessions, routers among them; :mod:`session_program` lists their commands.
+
+They need Zenoh's library for Python: a wheel with access control, TLS, and routers.
+"""
 
 from __future__ import annotations
 
+import importlib.metadata
+import importlib.util
 import json
 import sys
 import tempfile
@@ -12,10 +17,13 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Self
 
-from keymint.host.vendor_process import GRACE_SECONDS, CommandProcess, ProcessFailedError
+from keymint.host.vendor_process import GRACE_SECONDS, CommandProcess, MissingVendorError, ProcessFailedError
 from keymint_ros2_zenoh.vendors import access_log
 from keymint_ros2_zenoh.vendors.access_log import LoggedDecision
 
+DISTRIBUTION = "eclipse-zenoh"
+OLDEST = (1, 6)
+"""Before 1.6.0 one of several matching subjects decided, in the order of a hash table."""
 _INHERITED = ("PATH", "LD_LIBRARY_PATH", "PYTHONPATH")
 
 
@@ -141,3 +149,26 @@ class ZenohProcess(CommandProcess):
             time.sleep(0.002)
             found += [each for each in self.decisions() if each.zid == zid]
         return access_log.combined(each for each in found if each.key != fence)
+
+
+def installed_version() -> str:
+    """Return the version of the installed library, without loading it.
+
+    Raises:
+        MissingVendorError: it is not installed, or is too old.
+    """
+    if importlib.util.find_spec("zenoh") is None:
+        raise _missing(f"no library {DISTRIBUTION}")
+    try:
+        version = importlib.metadata.version(DISTRIBUTION)
+    except importlib.metadata.PackageNotFoundError:
+        raise _missing(f"no library {DISTRIBUTION}") from None
+    numbers = tuple(int(part) if part.isdigit() else 0 for part in version.split(".")[:2])
+    if numbers < OLDEST:
+        oldest = ".".join(map(str, OLDEST))
+        raise _missing(f"{DISTRIBUTION} {version} is older than {oldest}")
+    return version
+
+
+def _missing(reason: str) -> MissingVendorError:
+    return MissingVendorError("Zenoh", reason, f"pip install {DISTRIBUTION}, in Keymint's environment {sys.prefix}")

@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 from keymint_ros2_dds.transports import real_cyclonedds_0_10_5, real_fastdds_3
 from keymint_ros2_dds.vendors.participants import FastDDS
-from keymint_ros2_dds.vendors.probe_builds import FASTDDS_3
-from keymint_ros2_dds.vendors.unpacked import unpacked
+from keymint_ros2_dds.vendors.probe_builds import FASTDDS_3, unpacked
 
 from keymint.api import Environment, Tier, Transport
 from keymint.host.vendor_process import MissingVendorError

@@ -8,8 +8,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
-from keymint_ros2_zenoh.documents.configuration import Configuration
+from keymint_ros2_zenoh.documents.configuration import AccessControl, AclPolicy, AclRule, AclSubject, Configuration
 from keymint_ros2_zenoh.documents.configuration_reader import read
 from keymint_ros2_zenoh.messages import Flow, Message, Permission
 

@@ -10,8 +10,7 @@ from typing import Any
 
 from hypothesis import given
 from hypothesis import strategies as st
-from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
-from keymint_ros2_zenoh.documents.configuration import Configuration
+from keymint_ros2_zenoh.documents.configuration import AccessControl, AclPolicy, AclRule, AclSubject, Configuration
 from keymint_ros2_zenoh.documents.configuration_reader import read
 from keymint_ros2_zenoh.documents.configuration_writer import write
 from keymint_ros2_zenoh.messages import Flow, Message, Permission

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from keymint_ros2_zenoh.decision.message_access import AccessModel
-from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
+from keymint_ros2_zenoh.documents.configuration import AccessControl, AclPolicy, AclRule, AclSubject
 from keymint_ros2_zenoh.lowering.key_rules import lower
 from keymint_ros2_zenoh.messages import Permission
 from keymint_ros2_zenoh.proving.claims import prove_rights

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import given, settings
 from keymint_ros2_zenoh.decision.message_access import AccessModel, Link
-from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
+from keymint_ros2_zenoh.documents.configuration import AccessControl, AclPolicy, AclRule, AclSubject
 from keymint_ros2_zenoh.lowering.message_slots import SLOTS
 from keymint_ros2_zenoh.lowering.name_keys import Place
 from keymint_ros2_zenoh.messages import Flow, Message, Permission

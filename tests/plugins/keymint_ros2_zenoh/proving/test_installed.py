@@ -9,8 +9,7 @@ from functools import cache
 from typing import Any
 
 import pytest
-from keymint_ros2_zenoh.documents.access_control import AccessControl, AclPolicy, AclRule, AclSubject
-from keymint_ros2_zenoh.documents.configuration import Configuration
+from keymint_ros2_zenoh.documents.configuration import AccessControl, AclPolicy, AclRule, AclSubject, Configuration
 from keymint_ros2_zenoh.documents.configuration_reader import read
 from keymint_ros2_zenoh.documents.configuration_writer import write
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, ROUTER, SESSION, SIGNATURE
