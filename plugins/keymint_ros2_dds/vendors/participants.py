@@ -85,20 +85,31 @@ class Vendor(ABC):
         """
 
 
+def cyclonedds_on_loopback(index: str, most: int, more: str = "") -> str:
+    """Return a configuration of Cyclone DDS, for ``CYCLONEDDS_URI``: unicast on loopback, and nothing else.
+
+    Args:
+        index: number of the participant, or ``auto``.
+        most: the greatest number that a participant may have.
+        more: more settings of the discovery.
+    """
+    return (
+        "<CycloneDDS><Domain Id='any'><General><Interfaces>"
+        "<NetworkInterface address='127.0.0.1' multicast='false'/></Interfaces>"
+        "<AllowMulticast>false</AllowMulticast></General><Discovery><Peers><Peer Address='127.0.0.1'/></Peers>"
+        f"<ParticipantIndex>{index}</ParticipantIndex><MaxAutoParticipantIndex>{most}</MaxAutoParticipantIndex>"
+        f"{more}</Discovery></Domain></CycloneDDS>"
+    )
+
+
 class CycloneDDS(Vendor):
     """Participants of Cyclone DDS; the transport is configured as for any application, by ``CYCLONEDDS_URI``."""
 
     def start(self, first_port: int, index: int, *, conforming: bool) -> tuple[Mapping[str, str], tuple[str, ...]]:
         """Return the configuration (unicast, loopback and ports of this system only) and the plugins' folder."""
-        configuration = (
-            "<CycloneDDS><Domain Id='any'><General><Interfaces>"
-            "<NetworkInterface address='127.0.0.1' multicast='false'/></Interfaces>"
-            "<AllowMulticast>false</AllowMulticast></General><Discovery><Peers><Peer Address='127.0.0.1'/></Peers>"
-            f"<ParticipantIndex>{index}</ParticipantIndex><MaxAutoParticipantIndex>9</MaxAutoParticipantIndex>"
-            f"<Ports><Base>{first_port}</Base><DomainGain>0</DomainGain></Ports></Discovery></Domain></CycloneDDS>"
-        )
+        ports = f"<Ports><Base>{first_port}</Base><DomainGain>0</DomainGain></Ports>"
         plugins = self.version.plugins if self.version else cyclone_access_control.library().folder
-        environment = {**self.environment, "CYCLONEDDS_URI": configuration}
+        environment = {**self.environment, "CYCLONEDDS_URI": cyclonedds_on_loopback(str(index), 9, ports)}
         if conforming:
             return environment, (str(plugins),)
         environment["KEYMINT_VENDOR_PLUGIN"] = str(plugins / "libdds_security_ac.so")

@@ -16,17 +16,11 @@ from pathlib import Path
 from typing import Self
 
 from keymint.host.vendor_process import MissingVendorError, ProcessFailedError
-from keymint_ros2_dds.vendors.participants import ProbeProcess, RefusedError
+from keymint_ros2_dds.vendors.participants import ProbeProcess, RefusedError, cyclonedds_on_loopback
 
 _PROGRAM = str(Path(__file__).with_name("ros_node.py"))
 UNSHARE = ("unshare", "--map-root-user", "--net", "--mount")
 _ENTER = ("nsenter", "--user", "--preserve-credentials", "--net", "--mount", "--target")
-_CYCLONEDDS = (
-    "<CycloneDDS><Domain Id='any'><General><Interfaces><NetworkInterface address='127.0.0.1' multicast='false'/>"
-    "</Interfaces><AllowMulticast>false</AllowMulticast></General><Discovery><Peers><Peer Address='127.0.0.1'/></Peers>"
-    "<ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>30</MaxAutoParticipantIndex></Discovery>"
-    "</Domain></CycloneDDS>"
-)
 _CONFIGURES = (
     "FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS",
     "ROS_SECURITY_ENCLAVE_OVERRIDE",
@@ -53,7 +47,7 @@ class RosNetwork(ExitStack):
         super().__init__()
         self._variables = {name: value for name, value in variables.items() if name not in _CONFIGURES}
         self._variables |= {
-            "CYCLONEDDS_URI": _CYCLONEDDS,
+            "CYCLONEDDS_URI": cyclonedds_on_loopback("auto", 30),
             "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "ROS_LOG_DIR": str(PRIVATE),

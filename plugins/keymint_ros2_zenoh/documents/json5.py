@@ -151,7 +151,7 @@ class _Scanner:
         if part == "{":
             return Node(self._members(), line)
         if part == "[":
-            return Node(self._items(), line)
+            return Node([self._value(*each) for each in self._each("]")], line)
         if kind == "word" and part in _CONSTANTS:
             return Node(_CONSTANTS[part], line)
         if kind == "word" and _NUMBER.fullmatch(part):
@@ -162,8 +162,7 @@ class _Scanner:
 
     def _members(self) -> dict[str, Node]:
         members: dict[str, Node] = {}
-        kind, part = next(self._parts)
-        while part != "}":
+        for kind, part in self._each("}"):
             line = self._line
             key = self._text(part) if kind == "text" else part
             if kind not in {"text", "word"} or (kind == "word" and "\\" in part):
@@ -173,20 +172,16 @@ class _Scanner:
                 raise _refused(message, self._name, line, "remove one of them", "json5-doubled")
             next(self._parts)  # the colon
             members[key] = Node(self._value(*next(self._parts)).value, line)
-            kind, part = next(self._parts)
-            if part == ",":
-                kind, part = next(self._parts)
         return members
 
-    def _items(self) -> list[Node]:
-        items: list[Node] = []
+    def _each(self, end: str) -> Iterator[tuple[str, str]]:
+        """Yield kind and text of the part that begins each member or item, up to the mark at the end."""
         kind, part = next(self._parts)
-        while part != "]":
-            items.append(self._value(kind, part))
+        while part != end:
+            yield kind, part
             kind, part = next(self._parts)
             if part == ",":
                 kind, part = next(self._parts)
-        return items
 
     def _text(self, part: str) -> str:
         return str(pyjson5.decode(part)) if "\\" in part else part[1:-1]

@@ -18,6 +18,7 @@ from keymint.pki import certificates
 from keymint_ros2_zenoh.decision import admission
 from keymint_ros2_zenoh.decision.message_access import AccessDecision, Link
 from keymint_ros2_zenoh.decision.operations import Operation, Request, operations
+from keymint_ros2_zenoh.enclave_layout import ROUTER, SESSION
 from keymint_ros2_zenoh.transports import installed_configurations
 from keymint_ros2_zenoh.transports.installed_configurations import InstalledConfiguration
 from keymint_ros2_zenoh.vendors import loopback
@@ -44,7 +45,7 @@ class EnclaveModel:
     """
 
     def __init__(self, enclave: Enclave, router: InstalledConfiguration, environment: Environment) -> None:
-        self.files = installed_configurations.session(enclave, environment)
+        self.files = installed_configurations.configuration(enclave.folder / SESSION, enclave.install, environment)
         own_name = self.files.common_name(self.files.configuration.connect_certificate)
         others_name = router.common_name(router.configuration.listen_certificate)
         self.refusal = _refusal(self.files, router, environment)
@@ -119,7 +120,9 @@ class InstalledModels:
             KeymintError: it cannot be read.
         """
         if install not in self._routers:
-            self._routers[install] = installed_configurations.router(install, self._environment)
+            self._routers[install] = installed_configurations.configuration(
+                install / ROUTER, install, self._environment
+            )
         return self._routers[install]
 
 

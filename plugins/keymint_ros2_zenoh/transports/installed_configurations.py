@@ -11,8 +11,6 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path, PurePosixPath
 
-from cryptography import x509
-
 from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import Enclave, Environment
@@ -23,7 +21,7 @@ from keymint_ros2_zenoh.decision import admission
 from keymint_ros2_zenoh.decision.message_access import AccessModel
 from keymint_ros2_zenoh.documents import configuration_reader as documents
 from keymint_ros2_zenoh.documents.configuration import Configuration
-from keymint_ros2_zenoh.enclave_layout import ROUTER, SESSION
+from keymint_ros2_zenoh.enclave_layout import ROUTER
 from keymint_ros2_zenoh.keyexpr.key_expr import ANY_CHARACTERS, ANY_CHUNKS
 from keymint_ros2_zenoh.lowering.name_keys import TYPE_AND_HASH
 
@@ -58,15 +56,6 @@ class InstalledConfiguration:
         """
         return installed_file(self._there(path))
 
-    def certificate(self, path: str) -> x509.Certificate:
-        """Return the first certificate of a file that the configuration names.
-
-        Raises:
-            KeymintError: it cannot be read.
-        """
-        found = self._there(path)
-        return certificates.load_bundle(installed_file(found), Origin(str(found)))[0]
-
     def _there(self, path: str) -> Path:
         found = self.local(path)
         if found is not None:
@@ -83,25 +72,29 @@ class InstalledConfiguration:
         Raises:
             KeymintError: it cannot be read.
         """
-        return admission.common_name(self.certificate(path))
+        found = self._there(path)
+        return admission.common_name(certificates.load_bundle(installed_file(found), Origin(str(found)))[0])
 
 
-def session(enclave: Enclave, environment: Environment) -> InstalledConfiguration:
-    """Return the configuration of the session of an enclave.
+def configuration(file: Path, install: Path, environment: Environment) -> InstalledConfiguration:
+    """Return the configuration of a session, or of the router; one that was read before in this run is not read again.
 
-    Raises:
-        KeymintError: it cannot be read, or Zenoh would refuse it.
-    """
-    return _read(enclave.folder / SESSION, enclave.install, environment)
-
-
-def router(install: Path, environment: Environment) -> InstalledConfiguration:
-    """Return the configuration of the router of an install space.
+    Args:
+        file: its absolute path.
+        install: the install space that it belongs to.
+        environment: what was read before.
 
     Raises:
         KeymintError: it cannot be read, or Zenoh would refuse it.
     """
-    return _read(install / ROUTER, install, environment)
+    content = installed_file(file)
+    digest = hashlib.sha256(f"zenoh {file}\n".encode() + content).digest()
+    found = environment.opened.get(digest)
+    if not isinstance(found, InstalledConfiguration):
+        read = documents.read(content, str(file))
+        access = AccessModel(read.access_control)
+        found = environment.opened[digest] = InstalledConfiguration(file, install, read, access)
+    return found
 
 
 def installed_names(enclave: Enclave) -> tuple[str, ...]:
@@ -120,14 +113,3 @@ def _name(key: str) -> str:
     if ANY_CHUNKS in key.split("/")[-len(TYPE_AND_HASH) :]:
         return f"/{'/'.join(name).rstrip('/*')}*"
     return f"/{'/'.join(name[: -len(TYPE_AND_HASH)])}"
-
-
-def _read(file: Path, install: Path, environment: Environment) -> InstalledConfiguration:
-    content = installed_file(file)
-    digest = hashlib.sha256(f"zenoh {file}\n".encode() + content).digest()
-    found = environment.opened.get(digest)
-    if not isinstance(found, InstalledConfiguration):
-        configuration = documents.read(content, str(file))
-        access = AccessModel(configuration.access_control)
-        found = environment.opened[digest] = InstalledConfiguration(file, install, configuration, access)
-    return found
