@@ -12,7 +12,7 @@ A rule applies to a key expression that it *includes*: one that only intersects 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import product
 
 from comarmor.errors import Origin
@@ -59,8 +59,10 @@ class AccessDecision:
     where: Origin | None = None
 
 
-_Entry = Mapping[tuple[Permission, Flow, Message], tuple[tuple[AclRule, KeyExpr], ...]]
+_Entry = Sequence[AclRule]
 """The rules of all subjects with the same properties."""
+_Applying = Sequence[tuple[AclRule, KeyExpr]]
+"""The rules of an entry about a message, once with each of their key expressions."""
 _Properties = tuple[str | None, ...]
 KeyLists = tuple[tuple[tuple[KeyExpr, ...], tuple[KeyExpr, ...]], ...]
 """For each entry the key expressions that it allows, and those that it denies."""
@@ -101,7 +103,6 @@ class AccessModel:
         subjects = {subject.id: subject for subject in control.subjects}
         depending = (subject for subject in control.subjects if subject.depends_on_more)
         self._depending = sorted(depending, key=lambda subject: not subject.common_names)
-        parsed = {rule.id: tuple((rule, parse(text)) for text in rule.key_exprs) for rule in control.rules}
         applying: dict[_Properties, dict[str, AclRule]] = {
             properties: {} for subject in control.subjects for properties in _properties(subject)
         }
@@ -110,11 +111,7 @@ class AccessModel:
             for properties in {each for name in policy.subjects for each in _properties(subjects[name])}:
                 applying[properties].update(own)
         for properties, own in applying.items():
-            entry: dict[tuple[Permission, Flow, Message], tuple[tuple[AclRule, KeyExpr], ...]] = {}
-            for rule in own.values():
-                for key in product((rule.permission,), rule.flows, rule.messages):
-                    entry[key] = entry.get(key, ()) + parsed[rule.id]
-            self._entries[properties] = entry
+            self._entries[properties] = tuple(own.values())
             name = properties[0]
             (self._any_name if name is None else self._of_name.setdefault(name, [])).append(properties)
 
@@ -135,6 +132,7 @@ class LinkAccess:
     def __init__(self, control: AccessControl, entries: Sequence[_Entry], unmodelled: str = "") -> None:
         self._control = control
         self._entries = entries
+        self._found: dict[tuple[Message, Flow], Sequence[tuple[_Applying, _Applying]]] = {}
         self.unmodelled = unmodelled
         self.open = not control.enabled or control.default_permission is Permission.ALLOW
         self.where = control.where
@@ -147,14 +145,24 @@ class LinkAccess:
             return frozenset()
         if control.default_permission is Permission.DENY:
             return frozenset(Flow)
-        return frozenset(flow for entry in self._entries for _, flow, _ in entry)
+        return frozenset(flow for entry in self._entries for rule in entry if rule.messages for flow in rule.flows)
 
     def keys(self, message: Message, flow: Flow) -> KeyLists:
         """Return for each entry the key expressions that it allows, and those that it denies."""
-        return tuple(
-            (_keys(entry, Permission.ALLOW, flow, message), _keys(entry, Permission.DENY, flow, message))
-            for entry in self._entries or ({},)
+        found = tuple(
+            (tuple(key for _, key in allowing), tuple(key for _, key in denying))
+            for allowing, denying in self._about(message, flow)
         )
+        return found or (((), ()),)
+
+    def _about(self, message: Message, flow: Flow) -> Sequence[tuple[_Applying, _Applying]]:
+        """Return for each entry its allow rules and its deny rules about a message."""
+        if (message, flow) not in self._found:  # a transport asks the same link about many keys
+            self._found[message, flow] = [
+                (_applying(entry, Permission.ALLOW, message, flow), _applying(entry, Permission.DENY, message, flow))
+                for entry in self._entries
+            ]
+        return self._found[message, flow]
 
     def decide(self, message: Message, flow: Flow, key_expr: str) -> AccessDecision:
         """Return the decision on a message.
@@ -173,9 +181,9 @@ class LinkAccess:
             return AccessDecision(default, reason, where=control.where)
         asked = parse(key_expr)
         denial: AccessDecision | None = None
-        for entry in self._entries:
-            deny = _including(entry.get((Permission.DENY, flow, message), ()), asked)
-            allow = None if deny else _including(entry.get((Permission.ALLOW, flow, message), ()), asked)
+        for allowing, denying in self._about(message, flow):
+            deny = _including(denying, asked)
+            allow = None if deny else _including(allowing, asked)
             if allow:
                 return AccessDecision(allowed=True, reason=_reason(allow), rule=allow[0], where=allow[0].where)
             if deny is None and default:
@@ -198,8 +206,9 @@ def _matches(properties: _Properties, link: Link) -> bool:
     return all(given is None or given == value for given, value in zip(properties, values, strict=True))
 
 
-def _keys(entry: _Entry, permission: Permission, flow: Flow, message: Message) -> tuple[KeyExpr, ...]:
-    return tuple(key_expr for _, key_expr in entry.get((permission, flow, message), ()))
+def _applying(entry: _Entry, permission: Permission, message: Message, flow: Flow) -> _Applying:
+    own = (rule for rule in entry if rule.permission is permission and message in rule.messages and flow in rule.flows)
+    return [(rule, parse(text)) for rule in own for text in rule.key_exprs]
 
 
 def _including(rules: Iterable[tuple[AclRule, KeyExpr]], asked: KeyExpr) -> tuple[AclRule, KeyExpr] | None:
