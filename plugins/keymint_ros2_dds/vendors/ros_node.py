@@ -107,20 +107,12 @@ class StandIn:
 
     def try_(self, permission: str, name: str) -> str:
         """Create what a permission needs, and delete it."""
-        try:
-            self._destroy(self._made(permission, name, deque()))
-        except self._denial as error:
-            return f"DENIED {_line(error)}"
-        return "ALLOWED"
+        return self._allowed(lambda: self._destroy(self._made(permission, name, deque())))
 
     def keep(self, id_: str, permission: str, name: str) -> str:
         """Create what a permission needs."""
-        self._inbox[id_] = deque()
-        try:
-            self._kept[id_] = self._made(permission, name, self._inbox[id_])[0]
-        except self._denial as error:
-            return f"DENIED {_line(error)}"
-        return "ALLOWED"
+        inbox = self._inbox[id_] = deque()
+        return self._allowed(lambda: self._kept.update({id_: self._made(permission, name, inbox)[0]}))
 
     def send(self, id_: str, text: str) -> str:
         """Publish, call or request with a text."""
@@ -137,8 +129,13 @@ class StandIn:
 
     def node(self, name: str, namespace: str) -> str:
         """Create a further node, as a program does that sets no option."""
+        new = partial(self._ros.node.Node, name, namespace=namespace, use_global_arguments=False)
+        return self._allowed(lambda: new().destroy_node())
+
+    def _allowed(self, create: Callable[[], object]) -> str:
+        """Create something, and return whether ROS allows it."""
         try:
-            self._ros.node.Node(name, namespace=namespace, use_global_arguments=False).destroy_node()
+            create()
         except self._denial as error:
             return f"DENIED {_line(error)}"
         return "ALLOWED"
