@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Relations between patterns: disjointness, inclusion, intersection.
 
-Answers are exact, except for inclusion, which determinises lazily up to a number of states: where these do not suffice,
+Answers are exact, except for inclusion, which is searched up to a number of states: where these do not suffice,
 :func:`covers` and :func:`union_covers` return False and :func:`exactly_covers` raises. All functions count their steps
 (:mod:`comarmor.patterns.steps`).
 """
@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator
 from comarmor.patterns.glob import EVERYTHING, Glob, is_empty, literal, normalise, prefix, suffix, units
 from comarmor.patterns.matching import matcher
 from comarmor.patterns.steps import StepLimitError, cached, spend, step_limit
-from comarmor.patterns.tokens import ANY, STAR, Charset, Star, Token, distinct_letters
+from comarmor.patterns.tokens import ANY, STAR, Charset, Star, Token
 
 MAX_STATES = 2_000
 """Most states that a test of inclusion visits."""
@@ -163,71 +163,26 @@ def _union_covers(outers: tuple[Glob, ...], inner: Glob) -> bool | None:
         return True
     if (text := literal(inner)) is not None:
         return any(matcher(outer)(text) for outer in outers)
-    rows = tuple(units(outer) for outer in outers if not disjoint(outer, inner))
-    return _included(units(inner), rows) if rows else False
+    near = tuple(outer for outer in outers if not disjoint(outer, inner))
+    return _is_included(inner, near) if near else False
 
 
-def _included(inner: tuple[Token, ...], outers: tuple[tuple[Token, ...], ...]) -> bool | None:
-    """Search the product of ``inner`` and the subset automaton of ``outers`` for a word that only ``inner`` matches.
+def _is_included(inner: Glob, outers: tuple[Glob, ...]) -> bool | None:
+    """Search for a word that only ``inner`` matches; None if this was not decided."""
+    # Few questions get here, and most runs have none.
+    from comarmor.patterns.cube_search import CubeSearch  # noqa: PLC0415
+    from comarmor.patterns.decision_lists import EVERY_WORD, BudgetError, SearchBudget  # noqa: PLC0415
+    from comarmor.patterns.derivatives import Derivatives  # noqa: PLC0415
 
-    A state is a position in ``inner``, and the set of positions (number of the pattern, index) in ``outers``.
-    """
-    letters = _letters((*outers, inner))
-    start = frozenset((number, index) for number, outer in enumerate(outers) for index in _closure(outer, 0))
-    todo = [(index, start) for index in _closure(inner, 0)]
-    seen = set(todo)
-    while todo:
-        index, positions = todo.pop()
-        spend(1 + len(positions))
-        if index == len(inner):
-            if not any(position == len(outers[number]) for number, position in positions):
-                return False
-            continue
-        following = _closure(inner, index if isinstance(inner[index], Star) else index + 1)
-        for letter in letters:
-            if not _accepts(inner[index], letter):
-                continue
-            after = frozenset(
-                (number, end) for number, position in positions for end in _step(outers[number], position, letter)
-            )
-            if not after:
-                return False
-            new = {(end, after) for end in following} - seen
-            if len(seen) + len(new) > MAX_STATES:
-                return None
-            seen |= new
-            todo += new
-    return True
-
-
-def _closure(tokens: tuple[Token, ...], index: int) -> list[int]:
-    """Return the positions that are reached from one without reading a character."""
-    positions = [index]
-    while index < len(tokens) and isinstance(tokens[index], Star):
-        index += 1
-        positions.append(index)
-    return positions
-
-
-def _step(tokens: tuple[Token, ...], index: int, letter: str) -> list[int]:
-    """Return the positions that are reached from one by reading a letter."""
-    if index == len(tokens) or not _accepts(tokens[index], letter):
-        return []
-    return _closure(tokens, index if isinstance(tokens[index], Star) else index + 1)
-
-
-def _accepts(token: Token, letter: str) -> bool:
-    if isinstance(token, str):
-        return token == letter
-    return isinstance(token, Star) or letter in token
-
-
-def _letters(rows: Iterable[tuple[Token, ...]]) -> tuple[str, ...]:
-    """Return one character of each class that the tokens distinguish."""
-    tokens = dict.fromkeys(token for row in rows for token in row)
-    sets = [token for token in tokens if isinstance(token, Charset)]
-    spend(len(tokens) * (len(tokens) + sum(len(each.ranges) for each in sets)) // 4)
-    return distinct_letters({token for token in tokens if isinstance(token, str)}, sets)
+    tokens = dict.fromkeys(token for each in (*outers, inner) for token in units(each))
+    ranges = sum(len(token.ranges) for token in tokens if isinstance(token, Charset))
+    spend(len(tokens) * (len(tokens) + ranges) // 4)  # the letters that they distinguish are found without a count
+    derivatives = Derivatives((inner, *outers), EVERY_WORD)
+    search = CubeSearch(derivatives, (inner,), outers, SearchBudget(MAX_STATES).state_counter())
+    try:
+        return search.shortest(None) is None
+    except BudgetError:
+        return None
 
 
 def intersection(left: Glob, right: Glob, limit: int = 64) -> tuple[Glob, ...]:
