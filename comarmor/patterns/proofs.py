@@ -60,18 +60,6 @@ def difference(
     return _within(budget, lambda: _difference(a, b, universe, budget))
 
 
-def implies(
-    a: DecisionList, b: DecisionList, universe: Universe = EVERY_WORD, budget: SearchBudget | None = None
-) -> ProofResult:
-    """Test whether a list permits only words that another one permits.
-
-    Returns:
-        :class:`Equal` if so; else a shortest :class:`Witness` that only ``a`` permits, or :class:`Unknown`.
-    """
-    budget = budget or SearchBudget()
-    return _within(budget, lambda: Equal() if fast_path.implied(a, b, universe) else _escape((a,), b, universe, budget))
-
-
 def escapes(
     permitting: Sequence[DecisionList],
     denying: DecisionList,
@@ -159,6 +147,8 @@ def _search_cubes(
 def _escape(
     permitting: Sequence[DecisionList], denying: DecisionList, universe: Universe, budget: SearchBudget
 ) -> ProofResult:
+    if len(permitting) == 1 and fast_path.implied(permitting[0], denying, universe):
+        return Equal()
     derivatives = cache(lambda: Derivatives(_patterns((*permitting, denying)), universe))
     search = CounterexampleSearch(permitting, denying, universe, derivatives, budget.state_counter())
     word = search.shortest()

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextvars import ContextVar
 from functools import lru_cache, wraps
+from math import inf
 from typing import ParamSpec, TypeVar
 
 from comarmor.values import dataclass
@@ -39,29 +40,29 @@ class StepCounter:
     """The steps taken so far, and their limit.
 
     Attributes:
-        allowed: the limit; None for no limit.
+        allowed: the limit; infinite for no limit.
         reported: the limit to report; it is an outer one's if that leaves fewer steps.
         spent: steps taken.
     """
 
-    allowed: int | None
-    reported: int
+    allowed: float = inf
+    reported: int = 0
     spent: int = 0
 
     @property
-    def remaining(self) -> int | None:
-        """The steps that remain; None for no limit."""
-        return None if self.allowed is None else max(0, self.allowed - self.spent)
+    def remaining(self) -> float:
+        """The steps that remain."""
+        return max(0, self.allowed - self.spent)
 
     def nested(self, steps: int | None) -> StepCounter:
         """Return a counter for a part of the work, limited to these steps or to those that remain here."""
         remaining = self.remaining
-        if remaining is None or (steps is not None and steps < remaining):
-            return StepCounter(steps, steps or 0)
+        if steps is not None and steps < remaining:
+            return StepCounter(steps, steps)
         return StepCounter(remaining, self.reported)
 
 
-_current: ContextVar[StepCounter | None] = ContextVar("_current", default=None)
+_current: ContextVar[StepCounter] = ContextVar("_current", default=StepCounter())  # noqa: B039 - only counts
 
 
 def spend(steps: int = 1) -> None:
@@ -71,10 +72,9 @@ def spend(steps: int = 1) -> None:
         StepLimitError: the limit is exceeded.
     """
     counter = _current.get()
-    if counter is not None:
-        counter.spent += steps
-        if counter.allowed is not None and counter.spent > counter.allowed:
-            raise StepLimitError(counter.reported)
+    counter.spent += steps
+    if counter.spent > counter.allowed:
+        raise StepLimitError(counter.reported)
 
 
 class step_limit:  # noqa: N801 - used like a function
@@ -90,16 +90,14 @@ class step_limit:  # noqa: N801 - used like a function
         self._steps = steps
 
     def __enter__(self) -> StepCounter:
-        self._outer = outer = _current.get()
-        steps = self._steps
-        self._counter = counter = StepCounter(steps, steps or 0) if outer is None else outer.nested(steps)
-        self._token = _current.set(counter)
-        return counter
+        self._outer = _current.get()
+        self._counter = self._outer.nested(self._steps)
+        self._token = _current.set(self._counter)
+        return self._counter
 
     def __exit__(self, *_: object) -> None:
         _current.reset(self._token)
-        if self._outer is not None:
-            self._outer.spent += self._counter.spent
+        self._outer.spent += self._counter.spent
 
 
 def cached(maxsize: int) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:
@@ -113,13 +111,12 @@ def cached(maxsize: int) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:
         @lru_cache(maxsize)
         def compute(*args: _P.args, **kwargs: _P.kwargs) -> tuple[_T, int]:
             outer = _current.get()
-            counter = StepCounter(None, 0) if outer is None else outer.nested(None)
+            counter = outer.nested(None)
             token = _current.set(counter)
             try:
                 return function(*args, **kwargs), 1 + counter.spent
             except Exception:
-                if outer is not None:
-                    outer.spent += counter.spent
+                outer.spent += counter.spent
                 raise
             finally:
                 _current.reset(token)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from comarmor.errors import Origin
 from comarmor.patterns import glob
 from comarmor.patterns.expression import matches
 from comarmor.patterns.rule_matching import rule_matches, rule_matches_partition
@@ -30,23 +31,24 @@ def _applies(rule: Rule, edge: Edge) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class NearMiss:
-    """A rule that nearly matches: its position, and the difference in words."""
+class MatchedRule:
+    """A rule that applies to a request, its place, and a note if it only nearly applies."""
 
-    at: int
-    lacks: str
+    rule: Rule
+    where: Origin
+    note: str = ""
 
 
-def nearest(rules: Sequence[Rule], edge: Edge) -> NearMiss | None:
-    """Return the ALLOW rule that comes nearest to an edge, or None.
+def nearest(rules: Sequence[Rule], edge: Edge) -> MatchedRule | None:
+    """Return the ALLOW rule that comes nearest to an edge, with the difference in words, or None.
 
     The same object with another permission is nearer than an object with a similar name.
     """
-    allows = [(at, rule) for at, rule in enumerate(rules) if rule.effect is Effect.ALLOW]
+    allows = [rule for rule in rules if rule.effect is Effect.ALLOW]
     for lack in (_other_partition, _other_permission, _other_kind):
-        for at, rule in allows:
+        for rule in allows:
             if lacks := lack(rule, edge):
-                return NearMiss(at, lacks)
+                return MatchedRule(rule, rule.origin, lacks)
     return _similar_name(allows, edge)
 
 
@@ -74,12 +76,14 @@ def _other_kind(rule: Rule, edge: Edge) -> str:
     return ""
 
 
-def _similar_name(allows: Sequence[tuple[int, Rule]], edge: Edge) -> NearMiss | None:
+def _similar_name(allows: Sequence[Rule], edge: Edge) -> MatchedRule | None:
     by_expression = {
-        each: at
-        for at, rule in reversed(allows)
+        each: rule
+        for rule in reversed(allows)
         if rule.kind == edge.object.kind and edge.permission in rule.permissions
         for each in rule.expressions
     }
     near = nearest_word(edge.object.name, by_expression)
-    return NearMiss(by_expression[near], f"it applies to {near!r}; did you mean that?") if near else None
+    if not near:
+        return None
+    return MatchedRule(by_expression[near], by_expression[near].origin, f"it applies to {near!r}; did you mean that?")

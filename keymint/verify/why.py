@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
-from comarmor.errors import Origin
 from comarmor.text import nearest_word
 from comarmor.values import dataclass
 from keymint.api import (
@@ -25,28 +24,18 @@ from keymint.api import (
 )
 from keymint.api.graph import Edge, Object
 from keymint.errors import ExitCode, KeymintError
-from keymint.ir import Rule
 from keymint.names import name_of, typed_permission, typed_subject
 from keymint.verify.compare import label_enclave
 from keymint.verify.copies import copied
 from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.explain import Explainer
-from keymint.verify.matching import matching_rules, nearest
+from keymint.verify.matching import MatchedRule, matching_rules, nearest
 from keymint.verify.mismatch import Mismatch
 from keymint.verify.rows import RAW, Naming
 from keymint.verify.scope import Names, naming_of
 from keymint.workspace.installed_enclaves import installed
 from keymint.workspace.session import Session
 from keymint.workspace.workspace import packages
-
-
-@dataclass(frozen=True, slots=True)
-class MatchedRule:
-    """A rule that applies to a request, its place, and a note if it only nearly applies."""
-
-    rule: Rule
-    where: Origin
-    note: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +158,6 @@ def explain(
     subject_rules = policy.rules(edge.subject)
     rules = subject_rules.rules if subject_rules else ()
     matching = matching_rules(rules, (edge, *meanings))
-    near = None if matching else nearest(rules, edge)
     subjects = policy.subjects()
     is_installed = name_of(edge.subject) in installed(session)
     asked = {name: group for name, group in transports.items() if name in views}
@@ -179,7 +167,7 @@ def explain(
         policy=next(iter(decisions.values()), policy.decide(edge)),
         decisions=decisions,
         rules=[MatchedRule(rules[at], rules[at].origin) for at in matching],
-        near=MatchedRule(rules[near.at], rules[near.at].origin, near.lacks) if near else None,
+        near=None if matching else nearest(rules, edge),
         similar=nearest_word(edge.subject, subjects) if package is None and edge.subject not in subjects else "",
         package=_rules_of_package(session, package, (edge, *meanings)) if package else (),
         packaged=package is not None,

@@ -16,7 +16,7 @@ from comarmor.errors import Diagnostic, Origin, Spot
 from comarmor.patterns.decision_lists import Block, Equal, ProofResult, Unknown
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.pattern_index import PatternIndex
-from comarmor.patterns.proofs import implies
+from comarmor.patterns.proofs import escapes
 from comarmor.patterns.relations import TooComplexError
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.rules import Effect
@@ -196,7 +196,7 @@ class RedundantRules:
             others = (other for other, owner in overlapping if owner != expression and owner not in self._removed)
             covering = Block(True, tuple(dict.fromkeys(others)))
             legal = restrict_allowed(pattern, legal_names(key[0]))
-            if not (covering.patterns and _is_proven(implies(legal, (covering,), universe(key[0])))):
+            if not (covering.patterns and _is_proven(escapes([legal], (covering,), universe(key[0])))):
                 return False
         return True
 

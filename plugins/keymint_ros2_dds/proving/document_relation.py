@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from itertools import product
 
 from comarmor.patterns.decision_lists import DecisionList, Unknown, Witness
-from comarmor.patterns.proofs import implies
+from comarmor.patterns.proofs import escapes
 from comarmor.patterns.tokens import PatternError
 from keymint.api import ComparisonTask, Counterexample, DocumentComparison, Package, Relation
 from keymint.errors import KeymintError
@@ -130,7 +130,7 @@ class _Comparison:
     ) -> _Found | None:
         """Return the shorter one of a name that was found before and one that only the first list permits here."""
         if (more, less) not in self._known:
-            found = implies(more, less, self._universe, self._question.budget())
+            found = escapes([more], less, self._universe, self._question.budget())
             self._known[more, less] = found.word if isinstance(found, Witness) else None
             if isinstance(found, Unknown):
                 self._reason = found.reason

@@ -77,8 +77,8 @@ SIMILAR = rule("ros_topic", "ros_publish", "/scans")
 def test_the_nearest_rule(rules: list[Rule], request_: Edge, position: int, note: str) -> None:
     near = nearest(rules, request_)
     assert near is not None
-    assert near.at == position
-    assert note in near.lacks
+    assert near.rule is rules[position]
+    assert note in near.note
 
 
 def test_no_rule_is_near() -> None:
