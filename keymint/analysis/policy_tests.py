@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from comarmor.errors import Diagnostic, Origin, Spot
 from comarmor.patterns.decision_lists import Equal, Witness, negated
-from comarmor.patterns.glob import Glob, literal, parse, surround
+from comarmor.patterns.glob import Glob, parse, surround
 from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import disjoint
 from comarmor.rules import Effect, parts
@@ -90,8 +90,7 @@ class ExpectationChecker:
 
     def _check_allow(self, within: Glob, kind: str, permission: str, name: Glob) -> tuple[str, Origin | None]:
         """Check that all matching subjects that the policy names have a permission on all names."""
-        exact = literal(within)
-        subjects = (exact,) if exact is not None else named_subjects(self._policy, within)
+        subjects = named_subjects(self._policy, within)
         if not subjects:
             return "the policy names no subject that matches it", None
         for subject in subjects:

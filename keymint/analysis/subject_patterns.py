@@ -253,8 +253,9 @@ def namespace_name_splits(subjects: Glob) -> Iterator[tuple[Glob, Glob]]:
 
 
 def named_subjects(policy: LoadedPolicy, pattern: Glob) -> tuple[str, ...]:
-    """Return the subjects that a policy names exactly and that match a pattern."""
-    return tuple(subject for subject in policy.subjects() if matches(pattern, subject))
+    """Return the subject itself for an exact pattern, else the subjects that a policy names and the pattern matches."""
+    exact = literal(pattern)
+    return (exact,) if exact is not None else tuple(each for each in policy.subjects() if matches(pattern, each))
 
 
 def unknown_subject(policy: LoadedPolicy, pattern: Glob) -> str:
@@ -268,9 +269,8 @@ def unknown_subject(policy: LoadedPolicy, pattern: Glob) -> str:
 
 
 def representatives(policy: LoadedPolicy, pattern: Glob) -> tuple[str, ...]:
-    """Return the subject itself for an exact pattern, else the named subjects, or else an example for each profile."""
-    exact = literal(pattern)
-    named = (exact,) if exact is not None else named_subjects(policy, pattern)
+    """Return the subjects of :func:`named_subjects`, or if there are none an example for each profile."""
+    named = named_subjects(policy, pattern)
     written = None if named else structure(policy)
     examples: dict[str, None] = {}
     for profile in written.profiles if written else ():

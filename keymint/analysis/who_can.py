@@ -60,13 +60,12 @@ def who_can(policy: LoadedPolicy, within: Glob, kind: str, permission: str, name
         permission: a permission of that kind.
         name: pattern of the objects; for kind ``topic`` with the partition.
     """
-    exact = literal(within)
-    written = structure(policy) if exact is None else None
+    written = structure(policy) if literal(within) is None else None
     rules = SymbolicRules(written) if written else None
     singles = (
         [subject for subject in rules.singles if matches(within, subject) and can_exist((subject,))] if rules else []
     )
-    named = (exact,) if exact is not None else tuple(dict.fromkeys((*named_subjects(policy, within), *singles)))
+    named = tuple(dict.fromkeys((*named_subjects(policy, within), *singles)))
     search = _HolderSearch(policy, kind, permission, name)
     for subject in named:
         yield from search.holder(subject)

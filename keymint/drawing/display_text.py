@@ -44,6 +44,11 @@ def role(permission: str) -> str:
     return permission.removeprefix("ros_")
 
 
+def directions(permission: str) -> tuple[bool, bool]:
+    """Return whether data flow from the subject to the object, and whether they flow back."""
+    return role(permission) in OUTWARD, role(permission) in INWARD
+
+
 def object_name(object_: Object, domain: int = 0) -> str:
     """Return an object's name with its partitions and domain: ``scan @ a, b (domain 3)``."""
     partitions = ", ".join(partition or "(empty)" for partition in object_.partitions)

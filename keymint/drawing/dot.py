@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from comarmor.text import printable
 from keymint.api.graph import EdgeOutcome, Object
-from keymint.drawing.display_text import INWARD, OUTWARD, object_name, role, sentence
+from keymint.drawing.display_text import directions, object_name, sentence
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph
 from keymint.drawing.legend import edge_classes
 from keymint.drawing.palette import LIGHT
@@ -69,7 +69,7 @@ def _style(object_: Object, labelled: LabelledGraph) -> str:
 
 def _attributes(one: LabelledEdge, labelled: LabelledGraph, options: DrawingOptions) -> str:
     outcome = one.outcome(options.transport)
-    out, into = role(one.edge.permission) in OUTWARD, role(one.edge.permission) in INWARD
+    out, into = directions(one.edge.permission)
     verdict = edge_classes(outcome, labels=False).partition(" ")[0]
     attributes: Mapping[str, str] = {
         "dir": "both" if out and into else "forward" if out else "back",

@@ -17,15 +17,7 @@ from itertools import accumulate
 from comarmor.text import printable
 from comarmor.values import dataclass
 from keymint.api.graph import DomainObject, Object
-from keymint.drawing.display_text import (
-    INWARD,
-    KINDS,
-    OUTWARD,
-    columns,
-    object_name,
-    role,
-    shorten,
-)
+from keymint.drawing.display_text import KINDS, columns, directions, object_name, shorten
 from keymint.drawing.labelled_graph import LabelledEdge
 
 CHARACTER = 7.3
@@ -315,6 +307,5 @@ def _line(
         at[subject.key, one],
         object_.x if rightward else object_.x + object_.width,
         at[object_.key, one],
-        role(one.edge.permission) in OUTWARD,
-        role(one.edge.permission) in INWARD,
+        *directions(one.edge.permission),
     )
