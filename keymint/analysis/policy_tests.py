@@ -7,10 +7,10 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from comarmor.errors import Diagnostic, Origin, Spot
 from comarmor.patterns.decision_lists import Equal, Witness, negated
-from comarmor.patterns.glob import Glob, parse, surround
+from comarmor.patterns.glob import Glob, parse
 from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import disjoint
-from comarmor.rules import Effect, parts
+from comarmor.rules import Effect
 from comarmor.values import dataclass
 from keymint.analysis.rule_lists import (
     allow_only,
@@ -20,6 +20,7 @@ from keymint.analysis.rule_lists import (
     matching_rule,
     object_patterns,
     part_lists,
+    part_patterns,
     query_pattern,
 )
 from keymint.analysis.subject_patterns import can_exist, named_subjects, pattern_examples, rules_of, unknown_subject
@@ -118,7 +119,7 @@ class ExpectationChecker:
     def _exercised(self, expected: Expectation, within: Glob, kind: str, permission: str, name: Glob) -> Iterator[Spot]:
         """Yield the spots of the rules that decide on subjects and objects of an expectation."""
         effect = Effect.ALLOW if expected.allowed else Effect.DENY
-        names = [((part_kind, part), surround("", name, suffix)) for part_kind, part, suffix in parts(kind, permission)]
+        names = [*part_patterns(kind, permission, name)]
         for subject, rules in self._rules.items():
             if not matches(within, subject):
                 continue

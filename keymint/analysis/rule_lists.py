@@ -12,11 +12,11 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from comarmor.patterns.decision_lists import Block, DecisionList, Equal, ProofResult, SearchBudget, Universe
 from comarmor.patterns.glob import Glob, before, normalise, parse, surround, units
-from comarmor.patterns.matching import matches
 from comarmor.patterns.possible_names import matches_ros_name
 from comarmor.patterns.printing import exact
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import TooComplexError, intersection
+from comarmor.patterns.rule_matching import rule_matches, rule_matches_partition
 from comarmor.patterns.tokens import ANY, MAX_CODE, STAR, charset
 from comarmor.rules import Effect, parts, suffixes
 from keymint.ir import Rule
@@ -78,16 +78,15 @@ def object_patterns(rule: Rule, key: PermissionKey) -> Iterator[Glob]:
 
 def matching_rule(rules: Sequence[Rule], effect: Effect, kind: str, permission: str, word: str) -> Rule | None:
     """Return the first rule of an effect for a name, by the first part of a composite permission that has one."""
-    return next(
-        (
-            rule
-            for part_kind, part, suffix in parts(kind, permission)
-            for rule in rules
-            if rule.effect is effect
-            and any(matches(pattern, word + suffix) for pattern in object_patterns(rule, (part_kind, part)))
-        ),
-        None,
+    partition, _, name = word.rpartition(SEPARATOR)
+    near = [rule for rule in rules if rule.effect is effect and rule_matches_partition(rule, partition)]
+    matching = (
+        rule
+        for part_kind, part, suffix in parts(kind, permission)
+        for rule in near
+        if rule_matches(rule, part_kind, part, name + suffix)
     )
+    return next(matching, None)
 
 
 def in_partition(partition: str, name: Glob) -> Glob:
