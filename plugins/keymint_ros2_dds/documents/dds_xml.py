@@ -22,7 +22,7 @@ INDENTED = 32_000
 Both forms have line ends, so that a line number identifies a topic.
 """
 
-INDENTATIONS = ("  ", "")
+_INDENTATIONS = ("  ", "")
 """What each level of a document is indented by: of a small one, and of a large one."""
 
 _XSI = "http://www.w3.org/2001/XMLSchema-instance"
@@ -79,12 +79,6 @@ def domains(parent: etree._Element, ranges: Iterable[DomainRange]) -> None:
             child(id_range, "max", str(item.last))
 
 
-def size_if_small(size: Callable[[str], int]) -> int:
-    """Return the bytes of a document of which each indentation's are known; see :func:`indented_if_small`."""
-    sizes = [len(_HEAD) + size(indentation) + 1 for indentation in INDENTATIONS]
-    return next((each for each in sizes if each <= INDENTED), sizes[-1])
-
-
 @lru_cache(maxsize=64)
 def date(moment: datetime) -> str:
     """Return a date in the form that all vendors read: UTC, to the second, without a zone (Fast DDS ignores zones)."""
@@ -114,7 +108,7 @@ def indented_if_small(write: Callable[[str], str]) -> bytes:
     Args:
         write: returns the document as text, without declaration, for the text by which each level is indented.
     """
-    for indentation in INDENTATIONS:
+    for indentation in _INDENTATIONS:
         content = _HEAD + write(indentation).encode() + b"\n"
         if len(content) <= INDENTED:
             break

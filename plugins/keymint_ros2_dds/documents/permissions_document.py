@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes the permissions document: a grant for one subject (DDS Security 1.1, 9.4.1.3).
-
-It is written as text, in three parts: what precedes the rules, what is around their lists of topics, and these lists.
-"""
+"""Writes the permissions document, as text: a grant for one subject (DDS Security 1.1, 9.4.1.3)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 
 from lxml import etree
@@ -29,30 +26,18 @@ _TEXT = str.maketrans(_ESCAPED)
 _ATTRIBUTE = str.maketrans({**_ESCAPED, '"': "&quot;", "\n": "&#10;", "\t": "&#9;"})
 
 
-Around = Sequence[str]
-"""The text before each list of topics of some rules, and after the last one, to the end of the document."""
-
-
 def render(permissions: Grant, rules: Sequence[GrantRule[str]]) -> bytes:
     """Return the permissions document, indented unless it is large; a pure function of its arguments.
 
     Raises:
         KeymintError: the subject's name, a date or a domain cannot be expressed portably across DDS vendors.
     """
-    begin = head(permissions)
-
-    def write(indent: str) -> str:
-        return text(begin[indent], rules, around_topics(rules, permissions.domains, indent), indent)
-
-    return dds_xml.indented_if_small(write)
+    _check(permissions)
+    name = subject_name_text.of(permissions)
+    return dds_xml.indented_if_small(lambda indent: _text(permissions, name, rules, indent))
 
 
-def head(permissions: Grant) -> Mapping[str, str]:
-    """Return the text before the rules of a document, for each indentation.
-
-    Raises:
-        KeymintError: see :func:`render`.
-    """
+def _check(permissions: Grant) -> None:
     subject = permissions.rules.subject
     period = validity_of(permissions)
     problems = [*check_domains(permissions.domains, permissions.domains_origin or permissions.origin, subject)]
@@ -62,64 +47,41 @@ def head(permissions: Grant) -> Mapping[str, str]:
         problems.append(Diagnostic.error("portability-date", message, permissions.origin, help_, subject))
     if problems:
         raise KeymintError.of(problems)
-    name = subject_name_text.of(permissions).translate(_TEXT)
-    label = permissions.name.translate(_ATTRIBUTE)
-    begin, end = dds_xml.date(period.not_before), dds_xml.date(period.not_after)
-    return {
-        indent: (
-            f"{dds_xml.start(PERMISSIONS)}\n"
-            f"{indent}<permissions>\n"
-            f'{indent * 2}<grant name="{label}">\n'
-            f"{indent * 3}<subject_name>{name}</subject_name>\n"
-            f"{indent * 3}<validity>\n"
-            f"{indent * 4}<not_before>{begin}</not_before>\n"
-            f"{indent * 4}<not_after>{end}</not_after>\n"
-            f"{indent * 3}</validity>\n"
-        )
-        for indent in dds_xml.INDENTATIONS
-    }
 
 
-def text(begin: str, rules: Iterable[GrantRule[str]], around: Around, indent: str) -> str:
-    """Return a document as text.
-
-    Args:
-        begin: from :func:`head`.
-        rules: its rules, for their lists of topics.
-        around: from :func:`around_topics`.
-        indent: what each level is indented by.
-    """
-    parts = [begin]
-    following = iter(around)
-    for topics in (topics for rule in rules for topics in rule.topics.values()):
-        parts += next(following), _elements("topic", topics, indent)
-    return "".join((*parts, *following))
-
-
-def around_topics(rules: Iterable[GrantRule[str]], domains: tuple[DomainRange, ...], indent: str) -> Around:
-    """Return the text around the lists of topics of some rules."""
-    texts = [""]
+def _text(permissions: Grant, name: str, rules: Sequence[GrantRule[str]], indent: str) -> str:
+    """Return the document of a subject name, without declaration."""
+    period, domains = validity_of(permissions), _domains(permissions.domains, indent)
+    head = (
+        f"{dds_xml.start(PERMISSIONS)}\n"
+        f"{indent}<permissions>\n"
+        f'{indent * 2}<grant name="{permissions.name.translate(_ATTRIBUTE)}">\n'
+        f"{indent * 3}<subject_name>{name.translate(_TEXT)}</subject_name>\n"
+        f"{indent * 3}<validity>\n"
+        f"{indent * 4}<not_before>{dds_xml.date(period.not_before)}</not_before>\n"
+        f"{indent * 4}<not_after>{dds_xml.date(period.not_after)}</not_after>\n"
+        f"{indent * 3}</validity>\n"
+    )
+    parts = [head]
     for rule in rules:
         tag = "allow_rule" if rule.effect is Effect.ALLOW else "deny_rule"
-        texts[-1] += f"{indent * 3}<{tag}>\n{_domains(domains, indent)}"
-        for action in rule.topics:
-            texts[-1] += f"{indent * 4}<{action}>\n{indent * 5}<topics>\n"
-            texts.append(f"{indent * 5}</topics>\n")
-            if rule.partitions != DEFAULT:
-                partitions = _elements("partition", rule.partitions, indent)
-                texts[-1] += f"{indent * 5}<partitions>\n{partitions}{indent * 5}</partitions>\n"
-            texts[-1] += f"{indent * 4}</{action}>\n"
-        texts[-1] += f"{indent * 3}</{tag}>\n"
-    texts[-1] += f"{indent * 3}<default>DENY</default>\n{indent * 2}</grant>\n{indent}</permissions>\n</dds>"
-    return texts
+        parts.append(f"{indent * 3}<{tag}>\n{domains}")
+        for action, topics in rule.topics.items():
+            partitions = "" if rule.partitions == DEFAULT else _list("partition", rule.partitions, indent)
+            criteria = _list("topic", topics, indent) + partitions
+            parts.append(f"{indent * 4}<{action}>\n{criteria}{indent * 4}</{action}>\n")
+        parts.append(f"{indent * 3}</{tag}>\n")
+    parts.append(f"{indent * 3}<default>DENY</default>\n{indent * 2}</grant>\n{indent}</permissions>\n</dds>")
+    return "".join(parts)
 
 
-def _elements(tag: str, texts: Sequence[str], indent: str) -> str:
+def _list(tag: str, texts: Sequence[str], indent: str) -> str:
     joined = "".join(texts)
     if any(char in joined for char in _ESCAPED):
         texts = [text.translate(_TEXT) for text in texts]
     begin, end = f"{indent * 6}<{tag}>", f"</{tag}>\n"
-    return f"{begin}{(end + begin).join(texts)}{end}"
+    elements = f"{begin}{(end + begin).join(texts)}{end}"
+    return f"{indent * 5}<{tag}s>\n{elements}{indent * 5}</{tag}s>\n"
 
 
 @lru_cache(maxsize=64)

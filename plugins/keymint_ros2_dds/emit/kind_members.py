@@ -6,6 +6,7 @@ It is renamed from that of another member, which the engine made, where that is 
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import field
 from functools import lru_cache
 
@@ -22,9 +23,8 @@ from keymint_ros2_dds.documents import dds_xml, permissions_document
 from keymint_ros2_dds.emit.compiled_elsewhere import emit_received
 from keymint_ros2_dds.emit.emission import Emitted, comparison, emit
 from keymint_ros2_dds.emit.kind_structure import PLAIN_TEXT, Signature, Structure
-from keymint_ros2_dds.emit.kind_template import Template
 from keymint_ros2_dds.enclave_layout import PERMISSIONS
-from keymint_ros2_dds.lowering.grant_rules import GrantRule
+from keymint_ros2_dds.lowering.grant_rules import GrantRule, is_name
 from keymint_ros2_dds.proving import proof_cache
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant
 from keymint_ros2_dds.settings import validity_of
@@ -68,28 +68,32 @@ class _Members:
     Attributes:
         first: the first member; None once it is among the exemplars.
         structure: None if no member can be renamed; made for the second member, since many kinds have one only.
-        exemplars: a member for each signature, with the templates of its rules.
+        exemplars: a member for each signature, with its DDS names.
     """
 
     first: _Made | None
     structure: Structure | None = None
-    exemplars: dict[Signature, tuple[_Made, Template, Template]] = field(default_factory=dict)
+    exemplars: dict[Signature, tuple[_Made, list[str]]] = field(default_factory=dict)
 
-    def settle(self, kind: Kind, distro: str, domains: Domains) -> None:
+    def settle(self, kind: Kind, distro: str) -> None:
         """Make the structure, and an exemplar of the first member."""
         if self.first is not None:
             first, self.first, self.structure = self.first, None, Structure.of(kind, distro)
-            self.keep(first, domains)
+            self.keep(first)
 
-    def keep(self, made: _Made, domains: Domains) -> None:
-        """Keep a member that the engine did as an exemplar, unless its document cannot be a template."""
+    def keep(self, made: _Made) -> None:
+        """Keep a member that the engine did as an exemplar, unless its document cannot be a template.
+
+        Its topics must be sorted, as they are again for every other member, and those that are the same for all members
+        have wildcards.
+        """
         fit = None if self.structure is None else self.structure.fit(made.arguments)
         if fit is None or len(self.exemplars) >= MOST_EXEMPLARS:
             return
         names, signature = fit
-        minimal, plain = (Template.of(rules, domains, names) for rules in (made.rules, made.plain))
-        if minimal.renamed(names) == made.rules and minimal.has_no_names():
-            self.exemplars[signature] = made, minimal, plain
+        shared = {text for rule in made.rules for text in rule.every_topic()} - set(names)
+        if renamed(made.rules, {}) == made.rules and not any(map(is_name, shared)):
+            self.exemplars[signature] = made, names
 
 
 _known: dict[tuple[Kind, str, Domains], _Members] = {}
@@ -110,17 +114,17 @@ def emit_by_kind(package: Package, options: BuildOptions) -> Emitted:
     key = kind, package.distro, domains
     members = _known.get(key)
     if members is not None:
-        members.settle(kind, package.distro, domains)
-        renamed = _renamed(package, kind, arguments, members)
-        if renamed is not None:
-            return renamed
+        members.settle(kind, package.distro)
+        emitted = _by_renaming(package, kind, arguments, members)
+        if emitted is not None:
+            return emitted
     with step_limit(None) as counter:
         emitted = emit(package, options)
     compiled = emitted.compiled
     if compiled is not None and counter.spent <= FEW_STEPS and _is_minimal(package, emitted, compiled):
         made = _Made(arguments, emitted.rules, compiled.plain, emitted.claims, bool(emitted.diagnostics))
         if members is not None:
-            members.keep(made, domains)
+            members.keep(made)
         else:
             if len(_known) >= MOST:
                 _known.pop(next(iter(_known)))
@@ -133,25 +137,38 @@ def _is_minimal(package: Package, emitted: Emitted, compiled: Compiled) -> bool:
     return compiled.portable and (emitted.rules,) == compiled.forms and emitted.is_usual(package.grant)
 
 
-def _renamed(package: Package, kind: Kind, arguments: Arguments, members: _Members) -> Emitted | None:
+def renamed(rules: Sequence[GrantRule[str]], names: Mapping[str, str]) -> tuple[GrantRule[str], ...]:
+    """Return rules with other names of topics, each list sorted as the compiler does."""
+    return tuple(
+        GrantRule(
+            rule.effect,
+            rule.partitions,
+            {action: tuple(sorted(names.get(text, text) for text in texts)) for action, texts in rule.topics.items()},
+        )
+        for rule in rules
+    )
+
+
+def _by_renaming(package: Package, kind: Kind, arguments: Arguments, members: _Members) -> Emitted | None:
     """Return the document of a package by renaming; None if a condition of the lemma does not hold."""
     grant = package.grant
     fit = None if members.structure is None else members.structure.fit(arguments)
     if fit is None or fit[1] not in members.exemplars or not _is_plain(grant):
         return None
-    names, signature = fit
-    made, minimal, plain = members.exemplars[signature]
-    rules = minimal.renamed(names)
+    own, signature = fit
+    made, others = members.exemplars[signature]
+    names = dict(zip(others, own, strict=True))
+    rules, plain = renamed(made.rules, names), renamed(made.plain, names)
     if gathered(rules) != rules:
         return None
-    head = permissions_document.head(grant)
-    document = minimal.document(head, rules)
+    document = permissions_document.render(grant, rules)
     if signed_size(document) > TIGHT:
         return None
     dds_xml.know_valid(document, PERMISSIONS)
     proof_cache.remember(comparison(package, document), (kind, arguments), made.claims)
     notes = tuple(vendor_notes(rules, grant)) if made.notes else ()
-    return Emitted(document, rules, plain.size(head, names), None, made.claims, notes)
+    plain_size = len(document if plain == rules else permissions_document.render(grant, plain))
+    return Emitted(document, rules, plain_size, None, made.claims, notes)
 
 
 def _is_plain(grant: Grant) -> bool:

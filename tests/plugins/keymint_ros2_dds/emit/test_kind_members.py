@@ -19,7 +19,6 @@ from keymint_ros2_dds import build_type, proving
 from keymint_ros2_dds.documents import permissions_document
 from keymint_ros2_dds.emit import emission, kind_members
 from keymint_ros2_dds.emit.kind_structure import Structure
-from keymint_ros2_dds.emit.kind_template import Template
 from keymint_ros2_dds.rule_packages import package_of
 
 from comarmor.rules import parts
@@ -174,8 +173,8 @@ class TestConditions:
     @staticmethod
     def renamed(first: Package, second: Package, names: Mapping[str, str]) -> bytes:
         """Return the document that renaming would write for the second subject: DDS names of the first, and its own."""
-        template = Template.of(emission.emit(first, USUAL).rules, first.grant.domains, [*names])
-        return permissions_document.render(second.grant, template.renamed([*names.values()]))
+        rules = kind_members.renamed(emission.emit(first, USUAL).rules, names)
+        return permissions_document.render(second.grant, rules)
 
     def refuted(self, first: Package, second: Package, names: Mapping[str, str]) -> bool:
         """Tell whether that document is proven to be wrong."""
