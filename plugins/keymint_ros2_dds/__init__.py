@@ -81,9 +81,9 @@ class DdsSecurity:
     receive = lazy("keymint_ros2_dds.emit.compiled_elsewhere:receive")
     compiling = lazy("keymint_ros2_dds.emit.compiled_elsewhere:compiling")
 
-    question = lazy("keymint_ros2_dds.proving.proofs_elsewhere:question")
-    know = lazy("keymint_ros2_dds.proving.proofs_elsewhere:receive")
-    proving = lazy("keymint_ros2_dds.proving.proofs_elsewhere:proving")
+    question = lazy("keymint_ros2_dds.proving.enclave_proof:remote_question")
+    know = lazy("keymint_ros2_dds.proving.enclave_proof:receive")
+    proving = lazy("keymint_ros2_dds.proving.enclave_proof:proving")
 
 
 build_type = DdsSecurity()

@@ -7,15 +7,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
 
-from comarmor.patterns.decision_lists import Unknown, Witness
+from comarmor.patterns.decision_lists import DecisionList, ProofResult, Unknown, Witness
+from comarmor.patterns.proofs import escapes
 from comarmor.patterns.tokens import PatternError
 from keymint.api import Claim, DomainRange, Proof
 from keymint_ros2_dds.decision import VARIATIONS, shipped
 from keymint_ros2_dds.decision.endpoint_access import DomainAccess
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.domains import merged
-from keymint_ros2_dds.proving import octets, protection
-from keymint_ros2_dds.proving.comparison import Comparator
+from keymint_ros2_dds.proving import octets, permission_lists, protection
 from keymint_ros2_dds.proving.counterexamples import Counterexamples, Situation
 from keymint_ros2_dds.proving.enclave_governance import ACTIONS, unread_topic
 from keymint_ros2_dds.proving.governance_lists import (
@@ -24,6 +24,7 @@ from keymint_ros2_dds.proving.governance_lists import (
     REFUSED,
     WILDCARDS,
     Permitted,
+    difference,
     is_closed,
     regions,
 )
@@ -62,15 +63,51 @@ def prove_document(question: ProofQuestion, *, models: Sequence[str] | None = No
         question: the document, and what it must permit.
         models: names of :data:`keymint_ros2_dds.decision.VARIATIONS`; None: those that the distribution ships.
     """
-    compare = Comparator(question)
+    compare = _Comparator(question)
     names = shipped(question.task.distro) if models is None else models
     return tuple(claim for name in names for claim in _Model(question, compare, name).claims())
+
+
+class _Comparator:
+    """Compares the policy with decision lists of the document, once for all models with the same lists.
+
+    Attributes:
+        pairs: words have partitions.
+        independent: no expression depends on the locale.
+    """
+
+    def __init__(self, question: ProofQuestion) -> None:
+        self._question = question
+        opens = question.governance is not None and question.governance.opens()
+        self.pairs = opens or permission_lists.has_partitions(question.lowered, question.document.grants)
+        self._universe = octets.universe(pairs=self.pairs)
+        self.independent = octets.is_independent(question.document, question.task.rules)
+        self._policy = {
+            action: permission_lists.of_policy(question.lowered, action, pairs=self.pairs) for action in ACTIONS
+        }
+        self._known: dict[tuple[object, ...], ProofResult] = {}
+
+    def of(self, situation: Situation, permitted: Permitted) -> ProofResult:
+        """Compare what the policy allows with what the document permits."""
+        policy = self._policy[situation.action] if situation.inside else NOTHING
+        key = (policy, permitted)
+        result = self._known.get(key)
+        if result is None:
+            result = self._known[key] = self._compared(policy, permitted)
+        return result
+
+    def _compared(self, policy: DecisionList, permitted: Permitted) -> ProofResult:
+        budget = self._question.budget()
+        if self._question.since is None:
+            return difference(policy, permitted, self._universe, budget)
+        found = escapes(permitted.lists, policy, self._universe, budget)
+        return Witness(found.word, left=False) if isinstance(found, Witness) else found
 
 
 class _Model:
     """Makes the claims of one model."""
 
-    def __init__(self, question: ProofQuestion, comparison: Comparator, name: str) -> None:
+    def __init__(self, question: ProofQuestion, comparison: _Comparator, name: str) -> None:
         self._question = question
         self._comparison = comparison
         self._variation = VARIATIONS[name]
@@ -162,7 +199,7 @@ class _Model:
             return NOTHING_PERMITTED
         action, domain, inside, grant = situation.action, situation.domain, situation.inside, situation.era.grant
         pairs, governance = self._comparison.pairs, self._governance
-        own = self._comparison.lists.of(grant, domain, action, semantics)
+        own = permission_lists.of_grant(grant, domain, action, semantics, pairs=pairs)
         if governance is None:
             return Permitted(own)
         governed = DomainAccess(governance.document, domain, semantics)

@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
-from keymint.api import Claim, ComparisonTask, ProofTask, TrustAnchors, ValidityTerm
+from keymint.api import Claim, ComparisonTask, Proof, ProofTask, TrustAnchors, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint.pki.identity_check import enclave_file
@@ -17,14 +18,13 @@ from keymint_ros2_dds.enclave_layout import CERTIFICATE, GOVERNANCE, PERMISSIONS
 from keymint_ros2_dds.examine import differences
 from keymint_ros2_dds.proving import validity_terms
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
-from keymint_ros2_dds.proving.proof_cache import prove_content
+from keymint_ros2_dds.proving.proof_cache import know, prove_content
 from keymint_ros2_dds.transports.enclave_files import subject_name
 
 
 def prove(task: ProofTask) -> tuple[Claim, ...]:
     """Return the claims about an enclave, by model, action and domains; see :func:`question`."""
-    asked = question(task)
-    return prove_content(asked.task, models=asked.models, governance=asked.governance)
+    return _proven(question(task))
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +59,43 @@ def question(task: ProofTask) -> EnclaveQuestion:
     signed = _signed(files, folder, task.anchors, GOVERNANCE, unsigned=task.unsigned)
     models = (OMG.name,) if task.standard_only else shipped(task.anchors.distro or package.distro)
     return EnclaveQuestion(held, EnclaveGovernance(*signed, package), models)
+
+
+def _proven(asked: EnclaveQuestion) -> tuple[Claim, ...]:
+    return prove_content(asked.task, models=asked.models, governance=asked.governance)
+
+
+def remote_question(task: ProofTask) -> EnclaveQuestion:
+    """See :meth:`keymint.api.RemoteProver.question`: signatures and keys are verified here, not where it is proven."""
+    asked = question(task)
+    return replace(asked, task=replace(asked.task, go_on=_always))
+
+
+def _always() -> bool:
+    return True
+
+
+def proving() -> Callable[..., Sequence[Sequence[Claim]]]:
+    """See :meth:`keymint.api.RemoteProver.proving`."""
+    return prove_part
+
+
+def prove_part(_plugins: object, asked: Sequence[EnclaveQuestion]) -> tuple[tuple[Claim, ...], ...]:
+    """Prove claims on a worker; none about a document that cannot be read, which is found again where the user is."""
+    return tuple(map(_proven_or_none, asked))
+
+
+def _proven_or_none(asked: EnclaveQuestion) -> tuple[Claim, ...]:
+    try:
+        return _proven(asked)
+    except KeymintError:
+        return ()
+
+
+def receive(asked: EnclaveQuestion, claims: tuple[Claim, ...]) -> None:
+    """Keep claims that are all proven; others are decided again here, with their places."""
+    if claims and all(claim.proof is Proof.PROVEN for claim in claims):
+        know(asked.task, asked.governance, asked.models, claims)
 
 
 def terms(

@@ -29,7 +29,6 @@ from comarmor.patterns.tokens import charset
 from comarmor.values import dataclass
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.proving import octets
-from keymint_ros2_dds.proving.dialects import read
 from keymint_ros2_dds.reading.signed_governance import DocumentDomainRule
 
 WILDCARDS = "*?["
@@ -111,7 +110,7 @@ def patterns(expression: str, semantics: Semantics, *, pairs: bool) -> tuple[Glo
     Raises:
         PatternError: implementations read it differently.
     """
-    globs = read((semantics.reads_text(expression),), semantics.fnmatch)
+    globs = octets.read((semantics.reads_text(expression),), semantics.fnmatch)
     return tuple(octets.pair(EVERYTHING, topic) for topic in globs) if pairs else globs
 
 

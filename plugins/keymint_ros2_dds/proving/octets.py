@@ -14,10 +14,12 @@ none of these. A class in a policy is that of the C locale.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from functools import cache, lru_cache
 
 from comarmor.patterns.decision_lists import Universe
-from comarmor.patterns.glob import Glob, normalise
-from comarmor.patterns.tokens import charset
+from comarmor.patterns.glob import Glob, normalise, parse
+from comarmor.patterns.tokens import Dialect, Undefined, charset
 from comarmor.regex import lazy_regex
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_dds.decision import fnmatch_dialects
@@ -59,6 +61,30 @@ def of_glob(glob: Glob) -> Glob:
     if all(token.isascii() for token in glob if isinstance(token, str)):
         return glob
     return tuple(fnmatch_dialects.in_bytes(token) if isinstance(token, str) else token for token in glob)
+
+
+@cache
+def _strict(dialect: Dialect) -> Dialect:
+    """Return the dialect with errors for notation that implementations read differently."""
+    return replace(dialect, errors=frozenset({Undefined.UNKNOWN_CLASS, Undefined.COLLATION}))
+
+
+# Each model asks for each list of expressions, and for some of them in both directions.
+@lru_cache(maxsize=64)
+def read(expressions: tuple[str, ...], dialect: Dialect) -> tuple[Glob, ...]:
+    """Return the distinct patterns of the expressions of a document, over bytes, as a dialect has them.
+
+    Raises:
+        PatternError: an expression contains notation that implementations read differently.
+    """
+    joined = "".join(expressions)
+    if fnmatch_dialects.is_plain(joined):
+        if not joined.isascii():
+            expressions = tuple(map(fnmatch_dialects.in_bytes, expressions))
+        return tuple((text,) if text else () for text in dict.fromkeys(expressions))
+    strict = _strict(dialect)
+    patterns = dict.fromkeys([parse(expression, strict) for expression in expressions])
+    return tuple(patterns) if joined.isascii() else tuple(dict.fromkeys(map(of_glob, patterns)))
 
 
 def in_text(name: str) -> str:

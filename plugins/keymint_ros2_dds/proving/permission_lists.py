@@ -13,19 +13,15 @@ from itertools import chain
 from comarmor.patterns.decision_lists import Block, DecisionList
 from comarmor.patterns.glob import EVERYTHING, Glob, parse
 from comarmor.patterns.matching import matches
-from comarmor.regex import lazy_regex
 from comarmor.rules import Effect
 from keymint_ros2_dds.decision.semantics import Semantics, TopicCheck
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import Partitions
 from keymint_ros2_dds.lowering.lowered_rules import Lowered
 from keymint_ros2_dds.proving import octets
-from keymint_ros2_dds.proving.dialects import read
 from keymint_ros2_dds.reading.signed_permissions import DocumentCriteria, DocumentGrant, DocumentRule
 
 _DEFAULT: Glob = ()
-_DIFFERS = lazy_regex(r"[\[\\\s]")
-"""What models may read differently: sets, escapes, and blanks, which some trim."""
 
 
 def has_partitions(lowered: Lowered, grants: Iterable[DocumentGrant]) -> bool:
@@ -86,55 +82,7 @@ def of_grant(
     lists = [(*_endpoints(rules, action, semantics, pairs=pairs), *default)]
     if semantics.topic_check:
         lists.append((*_topics(rules, action, semantics, pairs=pairs), *default))
-    return tuple(lists)
-
-
-class GrantLists:
-    """The decision lists of the grants of a document; models that read a list alike share it.
-
-    Args:
-        grants: the grants.
-        pairs: words have partitions.
-    """
-
-    def __init__(self, grants: Sequence[DocumentGrant], *, pairs: bool) -> None:
-        self._pairs = pairs
-        self._alike = not pairs and all(map(_is_read_alike, grants))
-        self._known: dict[tuple[object, ...], DecisionList] = {}
-
-    def of(self, grant: DocumentGrant, domain: int, action: str, semantics: Semantics) -> tuple[DecisionList, ...]:
-        """Return what :func:`of_grant` returns.
-
-        Raises:
-            PatternError: implementations read an expression differently.
-        """
-        if not self._alike:
-            return of_grant(grant, domain, action, semantics, pairs=self._pairs)
-        rules = [rule for rule in grant.rules if semantics.applies(rule, domain)]
-        numbers = tuple(map(id, rules))
-        if (numbers, action) not in self._known:
-            self._known[numbers, action] = tuple(_endpoints(rules, action, semantics, pairs=False))
-        if semantics.topic_check is not TopicCheck.FIRST:  # the topics of a direction are those of its endpoints here
-            return (self._known[numbers, action],)
-        if (numbers, "") not in self._known:
-            self._known[numbers, ""] = tuple(_topics(rules, action, semantics, pairs=False))
-        return self._known[numbers, action], self._known[numbers, ""]
-
-
-def _is_read_alike(grant: DocumentGrant) -> bool:
-    """Tell whether all models read the topics of a grant as the same patterns, in the default partition.
-
-    They do if it denies by default, has no partitions and data tags, each rule has one list of topics for an action,
-    and no text has a blank, a set or an escape.
-    """
-    return not grant.allows and all(
-        len({criteria.action for criteria in rule.criteria}) == len(rule.criteria)
-        and all(
-            criteria.partitions is None and criteria.tags is None and not _DIFFERS.search("".join(criteria.topics))
-            for criteria in rule.criteria
-        )
-        for rule in grant.rules
-    )
+    return tuple(dict.fromkeys(lists))
 
 
 def _endpoints(rules: Iterable[DocumentRule], action: str, semantics: Semantics, *, pairs: bool) -> Iterator[Block]:
@@ -169,7 +117,7 @@ def _partitions(rule: DocumentRule, together: Sequence[DocumentCriteria], semant
 
 
 def _read(expressions: Iterable[str], semantics: Semantics) -> tuple[Glob, ...]:
-    return read(tuple(map(semantics.reads_text, expressions)), semantics.fnmatch)
+    return octets.read(tuple(map(semantics.reads_text, expressions)), semantics.fnmatch)
 
 
 def _words(partitions: Sequence[Glob], topics: tuple[Glob, ...], *, pairs: bool) -> tuple[Glob, ...]:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds.decision import fnmatch_dialects
-from keymint_ros2_dds.proving.dialects import read
+from keymint_ros2_dds.proving.octets import read
 
 from comarmor.patterns.matching import matches
 from comarmor.patterns.tokens import PatternError

@@ -14,7 +14,7 @@ from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import VARIATIONS, DocumentEvaluator, fnmatch_dialects
 from keymint_ros2_dds.lowering.lowered_rules import lower
 from keymint_ros2_dds.proving import permission_lists, policy_evaluator
-from keymint_ros2_dds.proving.dialects import read
+from keymint_ros2_dds.proving.octets import read
 
 from comarmor.patterns.evaluate import permits
 from comarmor.patterns.matching import matches
@@ -82,46 +82,6 @@ def test_the_decision_point_lies_between_the_bounds_of_a_model(content, pairs):
             least, most = (all(permits(each, word) for each in of) for of in (lists[0], lists[-1]))
             allowed = judge.decide(action, name, (partition,)).allowed
             assert least <= allowed <= most, (variation.name, action, name, partition)
-
-
-@st.composite
-def almost_plain_grants(draw):
-    """Draw documents of which each has at most a few of the traits that models read differently."""
-    traits = draw(st.sets(st.sampled_from(["[a]", " a", "partitions", "tags", "twice", "ALLOW"]), max_size=2))
-    texts = st.sampled_from(["a", "b", "*", "a*", "?", "]", "é", *(traits & {"[a]", " a"})])
-
-    def criteria(action):
-        partitions = draw(st.sampled_from([("",), ("p",)])) if "partitions" in traits else None
-        tags = draw(st.sampled_from(["", "t"])) if "tags" in traits else ""
-        return xml.criteria(action, *draw(st.lists(texts, min_size=1, max_size=3)), partitions=partitions, tags=tags)
-
-    actions = ["publish", "publish", "subscribe", "relay"] if "twice" in traits else ["publish", "subscribe"]
-    drawn = [
-        xml.rule(
-            draw(st.sampled_from(["allow", "deny"])),
-            *map(criteria, actions),
-            domains=draw(st.sampled_from(["<id>0</id>", "<id>1</id>"])),
-        )
-        for _ in range(draw(st.integers(1, 3)))
-    ]
-    return xml.document(xml.grant(*drawn, default="ALLOW" if "ALLOW" in traits else "DENY"))
-
-
-@settings(max_examples=tries(60, 200), deadline=None)
-@given(st.one_of(almost_plain_grants(), grants()), st.booleans())
-def test_lists_that_models_share_are_those_of_each_model(content, pairs):
-    document = decision.read(content)
-    shared = permission_lists.GrantLists(document.grants, pairs=pairs)
-    for grant, model, action in itertools.product(document.grants, VARIATIONS.values(), ("publish", "subscribe")):
-        own = permission_lists.of_grant(grant, 0, action, model.semantics, pairs=pairs)
-        assert set(shared.of(grant, 0, action, model.semantics)) == set(own), "a list that is there twice says the same"
-
-
-def test_models_share_the_lists_of_a_plain_document():
-    document = decision.read(xml.document(xml.grant(xml.rule("allow", xml.criteria("publish", "a", "b*")))))
-    shared = permission_lists.GrantLists(document.grants, pairs=False)
-    lists = [shared.of(document.grants[0], 0, "publish", model.semantics)[0] for model in VARIATIONS.values()]
-    assert lists[0] is lists[1] is lists[2]
 
 
 @settings(max_examples=tries(75, 150), deadline=None)
