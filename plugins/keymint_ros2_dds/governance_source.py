@@ -3,16 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 from comarmor.errors import Defects, Diagnostic, Origin
 from comarmor.text import quoted
-from comarmor.values import dataclass
 from comarmor.xml.reader import line
-from keymint.api import DomainRange, Grant, PackageSettings, PackageSources, SourcePart
+from keymint.api import Grant, PackageSettings, PackageSources, SourcePart
 from keymint.api.source_documents import DEFAULT_DOMAINS, Reader, domains, incomplete, signer, text
 from keymint.errors import KeymintError
 from keymint_ros2_dds.settings import STRICT_DOMAIN, STRICT_TOPIC, DdsSettings, DomainRule, Governance, TopicProtection
@@ -51,7 +50,7 @@ def settings(sources: PackageSources) -> PackageSettings:
 
 
 def _governance(sources: PackageSources, part: SourcePart) -> Governance:
-    own = () if part.content is None else _read(part.content, part.file)
+    own = () if part.content is None else _read(part.content, part.file).iterfind("domain_access_rules/domain_rule")
     if part.defaults is None:
         raise KeymintError(
             f"there is no file {quoted(part.defaults_file, 200)} in the package or its profile",
@@ -59,11 +58,10 @@ def _governance(sources: PackageSources, part: SourcePart) -> Governance:
             help="create it, or correct the path",
             code="file-missing",
         )
-    defaults = _read_defaults(part.defaults, part.defaults_file)
-    defaults_at = Origin(part.defaults_file, defaults.line)
-    usual = defaults.issuer or (sources.grant.issuer if sources.grant else "")
-    issuer = signer(part.issuer, part.where, usual, defaults_at, sources.authorities)
-    rules = _complete(own, part.file, *_base(part.defaults, part.defaults_file))
+    base, general, defaults_issuer = _base(part.defaults, part.defaults_file)
+    usual = defaults_issuer or (sources.grant.issuer if sources.grant else "")
+    issuer = signer(part.issuer, part.where, usual, base.origin, sources.authorities)
+    rules = tuple(_domain_rule(element, part.file, base, general) for element in own) or (base,)
     return Governance(issuer, rules, accepts_open=OPEN_GOVERNANCE in sources.accepts)
 
 
@@ -72,53 +70,6 @@ def _grant_defects(grant: Grant) -> Iterator[Diagnostic]:
     missing = "subject_name" if not grant.subject_name else "validity" if grant.validity is None else ""
     if missing:
         yield from incomplete("grant", missing, grant.defaults_origin or grant.origin).diagnostics
-
-
-@dataclass(frozen=True, slots=True)
-class _TopicRuleElement:
-    """A ``<topic_rule>``, ``<ros_service_rule>`` and so on.
-
-    Attributes:
-        settings: the settings that it gives, by tag.
-    """
-
-    line: int
-    kind: str
-    expression: str
-    settings: Mapping[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class _DomainRuleElement:
-    """A ``<domain_rule>``, or the ``<defaults>`` of all.
-
-    Attributes:
-        issuer: name of the authority that signs the governance; empty if not given.
-        domains: empty if not given.
-        settings: the settings that it gives, by tag.
-    """
-
-    line: int
-    issuer: str
-    domains: tuple[DomainRange, ...]
-    settings: Mapping[str, Any]
-    topic_rules: tuple[_TopicRuleElement, ...]
-
-
-def _domain_rule_element(element: etree._Element) -> _DomainRuleElement:
-    return _DomainRuleElement(
-        line=line(element),
-        issuer=text(element.find("issuer_name")) or "",
-        domains=domains(element.find("domains")),
-        settings=_settings(element, STRICT_DOMAIN),
-        topic_rules=tuple(_topic_rule_element(rule) for rule in element.iterfind("topic_access_rules/*")),
-    )
-
-
-def _topic_rule_element(element: etree._Element) -> _TopicRuleElement:
-    kind = str(element.tag).removesuffix("_rule")
-    expression = element.find(f"{kind.removeprefix('ros_')}_expression")
-    return _TopicRuleElement(line(element), kind, text(expression) or "", _settings(element, STRICT_TOPIC))
 
 
 def _settings(element: etree._Element, known: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -130,65 +81,77 @@ def _settings(element: etree._Element, known: Mapping[str, Any]) -> Mapping[str,
     }
 
 
-_read = Reader(
-    "keymint_ros2_dds",
-    "source_governance",
-    lambda root: tuple(_domain_rule_element(rule) for rule in root.iterfind("domain_access_rules/domain_rule")),
-)
-"""Reads the domain rules of a package, in order."""
-_read_defaults = Reader("keymint_ros2_dds", "source_governance_defaults", _domain_rule_element)
+def _checked(root: etree._Element) -> etree._Element:
+    """Return a document whose ranges of domains are in order.
+
+    Raises:
+        KeymintError: one is not; with its line.
+    """
+    for element in root.iter("domains"):
+        domains(element)
+    return root
+
+
+_read = Reader("keymint_ros2_dds", "source_governance", _checked)
+"""Reads the governance of a package."""
+_read_defaults = Reader("keymint_ros2_dds", "source_governance_defaults", _checked)
 """Reads the defaults of a domain rule."""
 
 
 @lru_cache(maxsize=64)
-def _base(content: bytes, file: str) -> tuple[DomainRule, Mapping[str, Any]]:
-    """Return the domain rule that the defaults describe, and their settings for every topic.
+def _base(content: bytes, file: str) -> tuple[DomainRule, Mapping[str, Any], str]:
+    """Return the domain rule that the defaults describe, their settings for every topic, and the issuer, if any.
 
     Args:
-        content: the defaults.
+        content: the defaults. If a package has no domain rules, theirs is the only one.
         file: their document, for origins.
     """
-    defaults = _read_defaults(content, file)
-    general: Mapping[str, Any] = next(
-        (rule.settings for rule in defaults.topic_rules if (rule.kind, rule.expression) == ("topic", "*")), {}
-    )
+    root = _read_defaults(content, file)
     rule = DomainRule(
-        domains=defaults.domains or DEFAULT_DOMAINS,
-        topic_rules=tuple(_topic_protection(rule, general, file) for rule in defaults.topic_rules),
-        origin=Origin(file, defaults.line),
-        **{**STRICT_DOMAIN, **defaults.settings},
+        domains=domains(root.find("domains")) or DEFAULT_DOMAINS,
+        topic_rules=(),
+        origin=Origin(file, line(root)),
+        **{**STRICT_DOMAIN, **_settings(root, STRICT_DOMAIN)},
     )
-    return rule, general
+    topics = root.findall("topic_access_rules/*")
+    general: Mapping[str, Any] = next(
+        (_settings(topic, STRICT_TOPIC) for topic in topics if _kind_and_expression(topic) == ("topic", "*")), {}
+    )
+    rules = tuple(_topic_protection(topic, general, file) for topic in topics)
+    return replace(rule, topic_rules=rules), general, text(root.find("issuer_name")) or ""
 
 
-def _complete(
-    own: Iterable[_DomainRuleElement], file: str, base: DomainRule, general: Mapping[str, Any]
-) -> tuple[DomainRule, ...]:
-    """Return the domain rules that a package and its defaults describe together.
+def _domain_rule(element: etree._Element, file: str, base: DomainRule, general: Mapping[str, Any]) -> DomainRule:
+    """Return the domain rule that a package and its defaults describe together.
 
     A domain rule's own topic rules come before those of the defaults, since the first one that matches a topic decides.
     A topic rule takes the settings that it leaves out from the defaults' rule for every topic.
 
     Args:
-        own: the domain rules of the package. If it has none, the defaults become the only rule.
+        element: the package's ``<domain_rule>``.
         file: the package's document, for origins.
         base: the domain rule of the defaults.
         general: settings of the defaults for every topic.
     """
-    rules = tuple(
-        replace(
-            base,
-            domains=rule.domains or base.domains,
-            topic_rules=(*(_topic_protection(topic, general, file) for topic in rule.topic_rules), *base.topic_rules),
-            origin=Origin(file, rule.line),
-            domains_origin=None if rule.domains else base.origin,
-            **rule.settings,
-        )
-        for rule in own
+    own_domains = domains(element.find("domains"))
+    own_topics = (_topic_protection(each, general, file) for each in element.iterfind("topic_access_rules/*"))
+    return replace(
+        base,
+        domains=own_domains or base.domains,
+        topic_rules=(*own_topics, *base.topic_rules),
+        origin=Origin(file, line(element)),
+        domains_origin=None if own_domains else base.origin,
+        **_settings(element, STRICT_DOMAIN),
     )
-    return rules or (base,)
 
 
-def _topic_protection(rule: _TopicRuleElement, general: Mapping[str, Any], file: str) -> TopicProtection:
-    settings = {**STRICT_TOPIC, **general, **rule.settings}
-    return TopicProtection(rule.kind, rule.expression, origin=Origin(file, rule.line), **settings)
+def _topic_protection(element: etree._Element, general: Mapping[str, Any], file: str) -> TopicProtection:
+    settings = {**STRICT_TOPIC, **general, **_settings(element, STRICT_TOPIC)}
+    return TopicProtection(*_kind_and_expression(element), origin=Origin(file, line(element)), **settings)
+
+
+def _kind_and_expression(element: etree._Element) -> tuple[str, str]:
+    """Return the kind of a ``<topic_rule>``, ``<ros_service_rule>`` and so on, and its expression."""
+    kind = str(element.tag).removesuffix("_rule")
+    expression = element.find(f"{kind.removeprefix('ros_')}_expression")
+    return kind, text(expression) or ""
