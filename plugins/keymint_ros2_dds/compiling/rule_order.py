@@ -23,7 +23,6 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.relations import TooComplexError, intersection, union_covers
-from comarmor.patterns.steps import spend, step_limit
 from comarmor.rules import Effect
 from keymint.ir import Rule
 from keymint.keymake.order import EarlyRules, early_rules
@@ -70,13 +69,16 @@ def _both_directions(groups: _Groups) -> list[GrantRule[Glob]]:
         orders.insert(0, ((), (publish, subscribe)))
     candidates: list[list[GrantRule[Glob]]] = []
     refused: UnportableError | None = None
-    known: dict[TopicAction, tuple[list[_Early], int]] = {}
-    for order, early_actions in orders:
+    known: dict[TopicAction, list[_Early]] = {}
+    for action in (subscribe, publish):
         try:
-            early = [item for action in early_actions for item in _once(known, action, groups)]
+            known[action] = _early(action, groups)
         except UnportableError as error:
             refused = error
+    for order, early_actions in orders:
+        if not known.keys() >= set(early_actions):
             continue
+        early = [item for action in early_actions for item in known[action]]
         if order or not any(rules.dirty for _, _, rules in early):
             turns: list[_Groups] = [{action: groups[action]} for action in order]
             turns = turns or [groups]
@@ -90,18 +92,6 @@ def _both_directions(groups: _Groups) -> list[GrantRule[Glob]]:
 def _cost(rules: Iterable[GrantRule[Glob]]) -> int:
     """Return the approximate size of rules: a rule counts as two patterns."""
     return sum(2 + sum(map(len, rule.topics.values())) for rule in rules)
-
-
-def _once(known: dict[TopicAction, tuple[list[_Early], int]], action: TopicAction, groups: _Groups) -> list[_Early]:
-    """Return what :func:`_early` returns, which takes the same steps each time."""
-    if action in known:
-        early, steps = known[action]
-        spend(steps)
-        return early
-    with step_limit(None) as counter:
-        early = _early(action, groups)
-    known[action] = early, counter.spent
-    return early
 
 
 def _early(action: TopicAction, groups: _Groups) -> list[_Early]:

@@ -40,18 +40,12 @@ def presented_until(content: bytes) -> datetime | None:
         document = read(content)
     except KeymintError:
         return None
-    return _until(document, document.grants)
+    return _until(document.grants)
 
 
-def _until(document: PermissionsDocument, grants: Iterable[object]) -> datetime | None:
-    chosen = {id(each) for each in grants}
-    periods = [
-        period
-        for semantics in _CHOOSING
-        for grant in document.grants
-        if id(grant) in chosen and (period := semantics.period(grant))
-    ]
-    return max((end for _, end in periods), default=None)
+def _until(grants: Iterable[DocumentGrant]) -> datetime | None:
+    periods = (semantics.period(grant) for grant in grants for semantics in _CHOOSING)
+    return max((period[1] for period in periods if period), default=None)
 
 
 def choosers() -> tuple[str, ...]:
@@ -131,7 +125,7 @@ def _of_document(
     for identity in identities.of(_readings(document)):
         by_reading = {id(each): _chosen(document, identity, each) for each in _CHOOSING}
         chosen = {name: by_reading[id(each)] for name, each in _SEMANTICS.items()}
-        ends = _until(document, (grant for grants in chosen.values() for grant in grants))
+        ends = _until(grant for grants in by_reading.values() for grant in grants)
         if ends is None or ends < task.now:
             continue
         claims = tuple(_claims(task, given, document, identity, _to_prove(task, chosen, identity, known), known))
