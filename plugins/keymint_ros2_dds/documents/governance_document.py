@@ -9,7 +9,7 @@ from functools import lru_cache
 
 from lxml import etree
 
-from comarmor.errors import Diagnostic, Origin, Severity
+from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns import glob
 from comarmor.patterns.glob import EVERYTHING, Glob
 from comarmor.patterns.printing import exact
@@ -26,7 +26,6 @@ from keymint_ros2_dds.settings import STRICT_DOMAIN, STRICT_TOPIC, DomainRule, G
 
 _ODD = lazy_regex(r"[^A-Za-z0-9_/*?\[\]!^\\-]|//|(?<=.)/$")
 """Characters and slashes that no ROS name has; expression syntax aside (ROS 2 design, "Topic and Service Names")."""
-_Places = tuple[tuple[Origin | None, ...], ...]
 _PERMISSIONS = {
     "topic": ("publish",),
     "ros_topic": ("ros_publish",),
@@ -54,7 +53,7 @@ def build(
     """
     if content := _without_findings(governance, distro, allow_vendor_specific):
         return content, ()
-    content, diagnostics = _compile(governance, _places(governance), distro, allow_vendor_specific)
+    content, diagnostics = _compile(governance, distro, allow_vendor_specific)
     diagnostics = tuple(replace(item, subject=subject) for item in diagnostics)
     if errors := [item for item in diagnostics if item.severity is Severity.ERROR]:
         raise KeymintError.of(errors)
@@ -63,21 +62,15 @@ def build(
 
 @lru_cache(maxsize=64)
 def _without_findings(governance: Governance, distro: str, lenient: bool) -> bytes:
-    """Return the document, empty if there is something to report; cached, since most packages have an equal one."""
-    content, problems = _compile(governance, _places(governance), distro, lenient)
+    """Return the document, empty if there is something to report; cached, since most packages have an equal one.
+
+    Where a governance is written does not count when it is compared, so findings, which name places, are not cached.
+    """
+    content, problems = _compile(governance, distro, lenient)
     return b"" if problems else content
 
 
-def _places(governance: Governance) -> _Places:
-    """Return where a governance is written, which does not count when it is compared."""
-    return tuple(
-        (rule.origin, rule.domains_origin, *(topic.origin for topic in rule.topic_rules))
-        for rule in governance.domain_rules
-    )
-
-
-@lru_cache(maxsize=64)
-def _compile(governance: Governance, _: _Places, distro: str, lenient: bool) -> tuple[bytes, tuple[Diagnostic, ...]]:
+def _compile(governance: Governance, distro: str, lenient: bool) -> tuple[bytes, tuple[Diagnostic, ...]]:
     problems = list(_check(governance, lenient))
     root = dds_xml.root(GOVERNANCE)
     rules = dds_xml.child(root, "domain_access_rules")
