@@ -6,8 +6,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from keymint.api import AuthorityRole, Implementation, Package
-from keymint.errors import KeymintError
-from keymint_ros2_dds.settings import settings_of
 
 IDENTITY, PERMISSIONS = "identity", "permissions"
 IMPLEMENTATIONS = (
@@ -27,19 +25,10 @@ def implementations() -> Sequence[Implementation]:
 def authorities(package: Package) -> tuple[AuthorityRole, ...]:
     """Return the authorities of a package; see :meth:`keymint.api.BuildType.authorities`.
 
-    Raises:
-        KeymintError: permissions and governance have different issuers (DDS Security 1.1, 9.4.1: one permissions CA).
+    Its permissions authority signs the governance as well (DDS Security 1.1, 9.4.1): no other sources are loaded, see
+    :func:`keymint_ros2_dds.governance_source.settings`.
     """
     identity, grant = package.identity, package.grant
-    governance = settings_of(package).governance
-    if governance.issuer != grant.issuer:
-        raise KeymintError(
-            f"governance is signed by {governance.issuer!r}, permissions by {grant.issuer!r}, "
-            "but participants verify both with one permissions authority",
-            where=grant.origin,
-            help="give both the same issuer_name",
-            code="authority-mismatch",
-        )
     return (
         AuthorityRole(IDENTITY, identity.issuer, identity.origin),
         AuthorityRole(PERMISSIONS, grant.issuer, grant.origin, signs=True),

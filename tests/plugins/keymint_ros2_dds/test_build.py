@@ -9,12 +9,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from keymint_ros2_dds import build_type
 
 from keymint.api import DomainRange, Validity
-from keymint.errors import KeymintError
 from tests.plugins.keymint_ros2_dds.builds import CHATTER, codes, refusal
-from tests.plugins.keymint_ros2_dds.packages import package
 
 from .packages import VALIDITY
 
@@ -33,12 +30,6 @@ from .packages import VALIDITY
 )
 def test_what_does_not_fit_together_is_refused(fields, code):
     assert code in codes(refusal(CHATTER, **fields))
-
-
-def test_permissions_and_governance_have_one_signer():
-    with pytest.raises(KeymintError, match="one permissions authority") as caught:
-        build_type.authorities(package(CHATTER, issuer="another"))
-    assert caught.value.diagnostics[0].code == "authority-mismatch"
 
 
 def test_the_documents_do_not_depend_on_the_hash_seed():
