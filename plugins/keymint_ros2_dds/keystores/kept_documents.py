@@ -7,7 +7,6 @@ domains, and proven to permit the same for all names as the standard reads it. T
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from functools import lru_cache
 
 from comarmor.errors import Diagnostic
@@ -16,6 +15,7 @@ from keymint.errors import KeymintError
 from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.compiling.grant_compiler import compile_rules
 from keymint_ros2_dds.decision.semantics import STANDARD
+from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.emit.emission import Emitted, comparison
 from keymint_ros2_dds.enclave_layout import GOVERNANCE_XML, PERMISSIONS_XML
 from keymint_ros2_dds.keystores.governance_as_source import is_same
@@ -64,7 +64,7 @@ def _other_header(package: Package, grant: DocumentGrant) -> str:
     if grant.subject_name != subject:
         return f"it is for {grant.subject_name!r}, and the sources are for {subject!r}"
     if STANDARD.period(grant) != (period.not_before, period.not_after):
-        wanted = " to ".join(map(_shown, (period.not_before, period.not_after)))
+        wanted = " to ".join(map(dds_xml.date, (period.not_before, period.not_after)))
         return f"it is valid from {grant.not_before} to {grant.not_after}, and the sources say {wanted}"
     return "it allows by default" if grant.allows else ""
 
@@ -97,7 +97,3 @@ def _has_same_rules(kept: bytes, built: bytes) -> bool:
         return is_same(kept, built)
     except KeymintError:
         return False
-
-
-def _shown(moment: datetime) -> str:
-    return f"{moment.astimezone(UTC):%Y-%m-%dT%H:%M:%S}"
