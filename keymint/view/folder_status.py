@@ -104,6 +104,14 @@ def folder_status(
     return FolderStatus(hashlib.blake2b("\n".join(rows).encode(), digest_size=16).hexdigest(), newest, names)
 
 
+class FolderNames(NamedTuple):
+    """The names of files that a run wrote into a folder, and of those that it removed from it."""
+
+    folder: str
+    written: Collection[str]
+    removed: Collection[str]
+
+
 class Sight(NamedTuple):
     """The folders of a workspace as they are before a run reads a file.
 
@@ -123,31 +131,32 @@ class Sight(NamedTuple):
         roots = tuple(folders)
         return cls(roots, walk(roots), clock)
 
-    def after(
-        self, written: Mapping[str, Collection[str]], removed: Mapping[str, Iterable[str]], visible: int, clock: int
-    ) -> Sight:
-        """Return what is there when the run is done.
-
-        The status of a folder in which something else changed meanwhile is not trusted.
+    def after(self, changes: Iterable[FolderNames], visible: int, clock: int) -> Sight | None:
+        """Return what is there when the run is done, or None if something else may have changed meanwhile.
 
         Args:
-            written: the names of files that the run wrote, by folder.
-            removed: those that it removed.
+            changes: what the run wrote and removed, a folder perhaps more than once.
             visible: the clock of the file system before the first write became visible.
             clock: the clock of the file system, later than the last write.
         """
-        folders = {
-            folder: status if status.is_trusted(self.clock) else status._replace(newest=NEVER)
-            for folder, status in self.folders.items()
-        }
-        for folder in filter(self._has, {*written, *removed, *self._new_above(written)}):
-            before, new = self.folders.get(folder), written.get(folder, ())
+        if not all(status.is_trusted(self.clock) for status in self.folders.values()):
+            return None
+        written: dict[str, set[str]] = {}
+        removed: dict[str, set[str]] = {}
+        for each in changes:
+            written.setdefault(each.folder, set()).update(each.written)
+            removed.setdefault(each.folder, set()).update(each.removed)
+        folders = dict(self.folders)
+        for folder in filter(self._has, {*written, *self._new_above(written)}):
+            before, new = self.folders.get(folder), written.get(folder, set())
             present = folder_status(folder, [], new, self.clock, visible)
             if present is None:
                 folders.pop(folder, None)
                 continue
             kept = set(before.files if before else ()).difference(removed.get(folder, ()))
-            folders[folder] = present if {*present.files} == kept.union(new) else present._replace(newest=NEVER)
+            if {*present.files} != kept | new or not present.is_trusted(clock):
+                return None
+            folders[folder] = present
         return Sight(self.roots, folders, clock)
 
     def _has(self, folder: str) -> bool:
