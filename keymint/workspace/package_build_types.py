@@ -131,7 +131,6 @@ def inputs_digest(session: Session, name: str, build_types: Iterable[str] | None
     return session.made(
         ("inputs", name, shared),
         lambda: digest(session.profile_digest, session.sources_digest(name), session.plugins.versions, *places),
-        of_sources=True,
     )
 
 

@@ -60,7 +60,11 @@ def once(make: Callable[[Session, *_Arguments], _T]) -> Callable[[Session, *_Arg
 
 
 def once_of_sources(make: Callable[[Session, *_Arguments], _T]) -> Callable[[Session, *_Arguments], _T]:
-    """Do the same as :func:`once` for results that depend on the profile and the source space only."""
+    """Do the same as :func:`once` for results that depend on the profile and the content of the source space only.
+
+    They are handed on to other sessions of the workspace until a plan changes that, so nothing else may be in them: not
+    the place of another space, nor the record.
+    """
     return _made_once(make, of_sources=True)
 
 
@@ -319,7 +323,7 @@ class Session(Inputs):
             return ()
         return tuple(name for name in self.packages() if self.role(name) is Role.INFRASTRUCTURE)
 
-    @once_of_sources
+    @once
     def sources_digest(self, name: str) -> str:
         """Return the digest of all that a package is loaded from except the profile, its infrastructure included."""
         infrastructure = self.infrastructure()
