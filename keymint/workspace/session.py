@@ -62,8 +62,8 @@ def once(make: Callable[[Session, *_Arguments], _T]) -> Callable[[Session, *_Arg
 def once_of_sources(make: Callable[[Session, *_Arguments], _T]) -> Callable[[Session, *_Arguments], _T]:
     """Do the same as :func:`once` for results that depend on the profile and the content of the source space only.
 
-    They are handed on to other sessions of the workspace until a plan changes that, so nothing else may be in them: not
-    the place of another space, nor the record.
+    They are handed on to other sessions until a plan changes that. So what else a result depends on, e.g. the place of
+    another space, is an argument.
     """
     return _made_once(make, of_sources=True)
 
@@ -323,11 +323,14 @@ class Session(Inputs):
             return ()
         return tuple(name for name in self.packages() if self.role(name) is Role.INFRASTRUCTURE)
 
-    @once
     def sources_digest(self, name: str) -> str:
         """Return the digest of all that a package is loaded from except the profile, its infrastructure included."""
+        return self._sources_digest(name, self.workspace.install)
+
+    @once_of_sources
+    def _sources_digest(self, name: str, install: Path) -> str:
         infrastructure = self.infrastructure()
-        placed = (str(self.workspace.install),) if infrastructure else ()
+        placed = (str(install),) if infrastructure else ()
         return digest(*placed, self._sources(name)[1], *map(self._named_digest, infrastructure))
 
     def _named_digest(self, name: str) -> str:
