@@ -76,32 +76,32 @@ def folder_status(
         since: if another file was modified after this time, the status is not trusted.
         visible: the same for the files that this run wrote: the time at which they appeared.
     """
-    files: dict[str, str] = {}
+    files: dict[str, tuple[int, ...]] = {}
+    owner: tuple[int, ...] = ()
     newest = 0
     try:
         own = os.stat(folder)  # noqa: PTH116 - of texts, because there are many
-        rows = [f"{own.st_mode} {own.st_uid} {own.st_gid} {own.st_dev}"]
+        owner = own.st_mode, own.st_uid, own.st_gid, own.st_dev
         with os.scandir(folder) as entries:
             for entry in entries:
-                name, of = entry.name, entry.stat(follow_symlinks=False)
-                if stat.S_ISDIR(of.st_mode):
+                name = entry.name
+                if entry.is_dir(follow_symlinks=False):
                     if name != _SKIPPED:
                         below.append(entry.path)
                     continue
+                of = entry.stat(follow_symlinks=False)
                 if not stat.S_ISREG(of.st_mode) or of.st_mtime_ns >= (visible if name in written else since):
                     newest = NEVER
                 newest = max(newest, of.st_mtime_ns, of.st_ctime_ns)
                 files[name] = (
-                    f"{name!r} {of.st_mode} {of.st_uid} {of.st_gid} {of.st_size} "
-                    f"{of.st_mtime_ns} {of.st_ctime_ns} {of.st_ino}"
-                )
+                    of.st_mode, of.st_uid, of.st_gid, of.st_size, of.st_mtime_ns, of.st_ctime_ns, of.st_ino,
+                )  # fmt: skip
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError:
-        rows, newest = [], NEVER
-    names = tuple(sorted(files))
-    rows += (files[name] for name in names)
-    return FolderStatus(hashlib.blake2b("\n".join(rows).encode(), digest_size=16).hexdigest(), newest, names)
+        newest = NEVER
+    rows = repr((owner, sorted(files.items())))
+    return FolderStatus(hashlib.blake2b(rows.encode(), digest_size=16).hexdigest(), newest, tuple(sorted(files)))
 
 
 class FolderNames(NamedTuple):
