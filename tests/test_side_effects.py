@@ -18,7 +18,7 @@ from tests.conftest import CHECKOUT
 pytestmark = pytest.mark.xdist_group("audit")  # one worker, so that the verbs run once
 
 WRITERS = {
-    f"keymint/{name}.py"
+    f"keymint/store/{name}.py"
     for name in (
         "store", "folder_staging", "folder_swap", "file_writing", "open_folders", "group_commit", "journal",
         "user_files", "workspace_lock",
