@@ -21,7 +21,7 @@ from keymint.workspace.session import Inputs, Session
 
 
 def remember(
-    call: Call, inputs: Inputs, plan: Plan, report: Report, sight: Sight, store: Store, console: Console
+    call: Call, inputs: Inputs, plan: Plan, report: Report, sight: Sight | None, store: Store, console: Console
 ) -> None:
     """Record the answer to a command, unless something is in doubt.
 
@@ -30,12 +30,12 @@ def remember(
         inputs: the workspace before it.
         plan: what it did.
         report: what it reports.
-        sight: the files after it.
+        sight: the files after it; None if another program may have changed some.
         store: the writer.
         console: where the report is shown.
     """
     expected = next_report(plan, report)
-    if expected is None or not is_recordable(call, str(inputs.workspace.root)):
+    if expected is None or sight is None or not is_recordable(call, str(inputs.workspace.root)):
         return
     session = _session_after(inputs, plan)
     seen = recorded_files(session)

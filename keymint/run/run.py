@@ -33,12 +33,12 @@ from keymint.stages.package_stage import Crew, PlanStage
 from keymint.store.changes import File, Plan, Step
 from keymint.store.journal import Intent, Journal, intent_of
 from keymint.store.workspace_lock import LOCK, clock, folder_lock, read_lock
-from keymint.view.folder_status import Sight
+from keymint.view.folder_status import FolderNames, Sight
 from keymint.view.recorded_answers import Call
 from keymint.view.stamps import MAX_RECORD, State
 from keymint.view.stamps import load as load_state
 from keymint.view.tree import HeldError, Tree, read_file
-from keymint.workspace import file_index, gitignore
+from keymint.workspace import gitignore
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.workspace import Workspace, find, packages, shown
 
@@ -168,15 +168,10 @@ class Run:
         )
         return self.known_workspace
 
-    def inputs(self, workspace: Workspace, sight: Sight | None = None) -> Inputs:
-        """Read the inputs of a plan.
-
-        Args:
-            workspace: the workspace.
-            sight: its folders as they are; without it all files are read.
-        """
+    def inputs(self, workspace: Workspace) -> Inputs:
+        """Return the inputs of a plan for a workspace; its files are read as they are asked for."""
         state = load_state(read_file(workspace.state / RECORD, MAX_RECORD))
-        tree = Tree(known=file_index.load(workspace, sight) if sight else {}, linked=workspace.install)
+        tree = Tree(linked=workspace.install)
         return Inputs(workspace, tree, state, self.plugins, self.setting.environment, self.setting.now, self.tokens)
 
     def snapshot(self, workspace: Workspace, *, auditing: bool = False) -> Inputs:
@@ -372,17 +367,17 @@ class Run:
             guards = gitignore.missing_files(workspace, plan)
             with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
                 visible = execute(plan, workspace, store, inputs.state, self.workers, advance, self.intent())
-            changes = (*guards, *plan.changes())
-            sight = file_index.save(store, workspace, inputs.tree, sight, changes, visible)
+            names = [FolderNames(str(each.folder), each.written, each.removed) for each in (*guards, *plan.changes())]
+            seen = sight.after(names, visible, clock(workspace.state))
             report = self.report({}, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps)
-            remember(self.setting.call, inputs, plan, self.presented(report), sight, store, self.console)
+            remember(self.setting.call, inputs, plan, self.presented(report), seen, store, self.console)
             store.end()
         return report
 
     def _planned_again(self, workspace: Workspace, make_plan: Callable[[Inputs], Plan]) -> tuple[Inputs, Plan, Sight]:
         """Plan under the workspace lock; return what the plan was made from, the plan, and the folders as they are."""
         sight = Sight.of(map(str, workspace.spaces()), clock(workspace.state))
-        inputs = self.inputs(workspace, sight)
+        inputs = self.inputs(workspace)
         return inputs, make_plan(inputs), sight
 
     def report(

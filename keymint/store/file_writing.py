@@ -41,9 +41,9 @@ def c_function(name: str) -> Callable[..., int] | None:
     return found
 
 
-def temporary(suffix: str = SUFFIX) -> str:
+def temporary() -> str:
     """Return a unique name that a sweep recognises as temporary."""
-    return f"{PREFIX}{os.getpid()}-{next(_serial)}{suffix}"
+    return f"{PREFIX}{os.getpid()}-{next(_serial)}{SUFFIX}"
 
 
 def is_temporary(name: str) -> bool:

@@ -14,12 +14,15 @@ import os
 import stat
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from keymint.store.file_writing import is_temporary, opened_folder, reported, temporary
+from keymint.store import folder_swap
+from keymint.store.file_writing import SUFFIX, is_temporary, opened_folder, reported, temporary
 from keymint.store.folder_staging import NOT_EMPTY
-from keymint.store.folder_swap import swap_in
 from keymint.store.open_folders import OpenFolders, Roots, close_to_others
 from keymint.store.staged import Exchange, Staged, remove_staged
 from keymint.store.syncing import FEW, sync_file_system, sync_tree
+
+WAITING = ".next"
+"""Suffix of the name of a complete new folder whose place is being cleared."""
 
 
 def commit(roots: Roots, staged: Sequence[Staged], ready: Callable[[tuple[Exchange, ...]], None] | None = None) -> None:
@@ -35,11 +38,9 @@ def commit(roots: Roots, staged: Sequence[Staged], ready: Callable[[tuple[Exchan
             finishes it. If it could not be synchronised, nothing became visible.
     """
     exchanges = [exchange for each in staged for exchange in each.exchanges]
-    if not exchanges:
-        return
     inner = _inside_replaced(exchanges)
     groups = _in_order(_outer_first(exchanges, inner), roots)
-    waiting = [exchange for group in reversed(groups) for exchange in reversed(group)]
+    recorded = False
     old: list[tuple[Exchange, str]] = []
     with OpenFolders(roots, create=False) as folders:
         try:
@@ -47,16 +48,14 @@ def commit(roots: Roots, staged: Sequence[Staged], ready: Callable[[tuple[Exchan
             if ready is not None:
                 # Their temporary names must be durable as well, since the next run looks for them.
                 _sync(exchanges, folders, len({each.folder for each in exchanges}), staged=False)
-                recorded = tuple(reversed(waiting))
-                waiting.clear()
-                ready(recorded)
+                recorded = True
+                ready(tuple(exchange for group in groups for exchange in group))
             for group in groups:
                 for exchange in group:
                     for moved in inner.get(f"{exchange.folder}/{exchange.name}", ()):
                         _move_along(exchange, moved, folders)
                     with reported(f"{exchange.folder}/{exchange.name}"):
                         left = make_visible(folders.open(exchange.folder), exchange)
-                    del waiting[-1:]
                     if left is not None:
                         old.append((exchange, left))
                 _sync(group, folders, len({each.folder for each in group}), staged=False)
@@ -67,10 +66,11 @@ def commit(roots: Roots, staged: Sequence[Staged], ready: Callable[[tuple[Exchan
             # A run takes its mark back after this, and the next run removes what is left only if there is a mark.
             _sync(cleared, folders, len({each.folder for each in cleared}), staged=False)
         except BaseException:
-            remove_staged(waiting, folders)
             for exchange, left in old:
                 with contextlib.suppress(Exception):
                     _clear_away(exchange, left, folders)
+            if not recorded:
+                remove_staged(exchanges, folders)
             raise
 
 
@@ -106,7 +106,7 @@ def make_visible(folder: int, exchange: Exchange) -> str | None:
     """
     name, staged = exchange.name, exchange.staged
     if staged is not None and exchange.replaces:
-        return swap_in(folder, staged, name)
+        return _replace_folder(folder, exchange, staged)
     if staged is not None:
         try:
             os.rename(staged, name, src_dir_fd=folder, dst_dir_fd=folder)
@@ -115,15 +115,53 @@ def make_visible(folder: int, exchange: Exchange) -> str | None:
                 raise
             _move_into(exchange, folder, staged, (folder, name))  # another process created it meanwhile
     elif exchange.replaces:
-        return _remove_folder(folder, exchange)
+        return _moved_away(folder, exchange)
     else:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(name, dir_fd=folder)
     return None
 
 
-def _remove_folder(parent: int, exchange: Exchange) -> str | None:
-    """Rename a folder away; return its temporary name."""
+def waiting_name(staged: str) -> str:
+    """Return the name of a staged folder from when the one in its place is moved away, until it has its place.
+
+    It tells that this began, so that the next run finishes it if it is stopped in between.
+    """
+    return f"{staged.removesuffix(SUFFIX)}{WAITING}" if staged.endswith(SUFFIX) else staged
+
+
+def _replace_folder(parent: int, exchange: Exchange, staged: str) -> str | None:
+    """Put a complete folder in the place of another one, in one step where the file system can.
+
+    Else the folder is missing for a moment, but old and new files are never mixed.
+
+    Returns:
+        The name that the old folder has now; None if it is already removed.
+    """
+    waiting = waiting_name(staged)
+    if staged != waiting:
+        try:
+            folder_swap.exchange(parent, staged, exchange.name)
+        except OSError as error:
+            if error.errno not in folder_swap.UNABLE:
+                raise
+        else:
+            return staged
+        os.rename(staged, waiting, src_dir_fd=parent, dst_dir_fd=parent)
+        os.fsync(parent)
+    old = _moved_away(parent, exchange, (parent, waiting))
+    os.rename(waiting, exchange.name, src_dir_fd=parent, dst_dir_fd=parent)
+    return old
+
+
+def _moved_away(parent: int, exchange: Exchange, new: tuple[int, str] | None = None) -> str | None:
+    """Rename a folder away if it is there; return its temporary name.
+
+    Args:
+        parent: the open folder in which it is.
+        exchange: the exchange of its name.
+        new: what takes its place; see :func:`_move_into`.
+    """
     away = temporary()
     try:
         os.rename(exchange.name, away, src_dir_fd=parent, dst_dir_fd=parent)
@@ -133,7 +171,7 @@ def _remove_folder(parent: int, exchange: Exchange) -> str | None:
         if error.errno != errno.EXDEV:
             raise
         # overlayfs cannot rename a folder of a lower layer: remove file by file
-        _move_into(exchange, parent, exchange.name)
+        _move_into(exchange, parent, exchange.name, new)
         return None
     return away
 

@@ -20,7 +20,7 @@ from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.names import listed
 from keymint.store.file_writing import check_component, is_temporary
-from keymint.store.group_commit import commit
+from keymint.store.group_commit import commit, waiting_name
 from keymint.store.open_folders import OpenFolders, Roots
 from keymint.store.staged import Exchange, Staged
 from keymint.view.stamps import digest, sealed, unsealed
@@ -168,6 +168,9 @@ def recovered(journal: Journal, roots: Roots) -> Journal:
         KeymintError: the system refuses; it can be tried again.
     """
     exchanges = journal.exchanges
+    for exchange in exchanges:
+        if waiting := _waiting(exchange):  # it may be the only complete copy
+            commit(roots, [Staged((replace(exchange, staged=waiting),))], lambda _: None)
     finished = journal.finished or not (all(map(_is_pending, exchanges)) or any(map(_is_lost, exchanges)))
     if finished:
         for exchange in exchanges:
@@ -190,6 +193,12 @@ def _is_pending(exchange: Exchange) -> bool:
     return os.path.lexists(f"{exchange.folder}/{exchange.staged}") and (
         not exchange.replaces or not _has(place, exchange.changed)
     )
+
+
+def _waiting(exchange: Exchange) -> str:
+    """Return the name of a new folder for which the one in its place began to be moved away; empty if it did not."""
+    name = waiting_name(exchange.staged) if exchange.staged and exchange.replaces else ""
+    return name if name and os.path.lexists(f"{exchange.folder}/{name}") else ""
 
 
 def _is_lost(exchange: Exchange) -> bool:

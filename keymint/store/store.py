@@ -23,8 +23,7 @@ from pathlib import Path
 
 from keymint.store import journal
 from keymint.store.changes import File, FolderChange
-from keymint.store.file_writing import is_temporary, opened_folder, reported
-from keymint.store.folder_swap import finish, is_waiting
+from keymint.store.file_writing import is_temporary, reported
 from keymint.store.group_commit import commit
 from keymint.store.journal import Intent, Journal
 from keymint.store.open_folders import OpenFolders, Roots
@@ -134,16 +133,13 @@ class Store:
         marked = self.is_marked()
         # A run that is killed while it sets its mark leaves temporary files in the folder of records only.
         roots = [*self._roots.private] if marked else [str(self._records)]
-        for path in _found(roots, is_waiting):
-            with reported(path), opened_folder(os.path.dirname(path)) as parent:
-                finish(parent, os.path.basename(path))
         found = None
         if marked:
             found = journal.load(read_file(self._mark, MAX_RECORD) or b"", self._records)
             if found.exchanges:
                 found = journal.recovered(found, self._roots)
                 self._record(found)  # before anything is removed, by which it is told what became visible
-        for path in _found(roots, is_temporary):
+        for path in _temporary_paths(roots):
             with reported(path):
                 if os.path.isdir(path) and not os.path.islink(path):
                     shutil.rmtree(path)
@@ -202,9 +198,9 @@ class Store:
         self.change([FolderChange(folder, files, (), private)])
 
 
-def _found(roots: Iterable[str], wanted: Callable[[str], bool]) -> Iterator[str]:
-    """Yield the paths below folders whose names are wanted; what is in one of these folders is not looked at."""
+def _temporary_paths(roots: Iterable[str]) -> Iterator[str]:
+    """Yield the temporary files and folders below folders; what is in one of these folders goes with it."""
     for root in roots:
         for folder, folders, files in os.walk(root):
-            yield from (f"{folder}/{name}" for name in (*folders, *files) if wanted(name))
-            folders[:] = (name for name in folders if not is_temporary(name) and not is_waiting(name))
+            yield from (f"{folder}/{name}" for name in (*folders, *files) if is_temporary(name))
+            folders[:] = (name for name in folders if not is_temporary(name))

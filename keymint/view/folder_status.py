@@ -76,32 +76,40 @@ def folder_status(
         since: if another file was modified after this time, the status is not trusted.
         visible: the same for the files that this run wrote: the time at which they appeared.
     """
-    files: dict[str, str] = {}
+    files: dict[str, tuple[int, ...]] = {}
+    owner: tuple[int, ...] = ()
     newest = 0
     try:
         own = os.stat(folder)  # noqa: PTH116 - of texts, because there are many
-        rows = [f"{own.st_mode} {own.st_uid} {own.st_gid} {own.st_dev}"]
+        owner = own.st_mode, own.st_uid, own.st_gid, own.st_dev
         with os.scandir(folder) as entries:
             for entry in entries:
-                name, of = entry.name, entry.stat(follow_symlinks=False)
-                if stat.S_ISDIR(of.st_mode):
+                name = entry.name
+                if entry.is_dir(follow_symlinks=False):
                     if name != _SKIPPED:
                         below.append(entry.path)
                     continue
+                of = entry.stat(follow_symlinks=False)
                 if not stat.S_ISREG(of.st_mode) or of.st_mtime_ns >= (visible if name in written else since):
                     newest = NEVER
                 newest = max(newest, of.st_mtime_ns, of.st_ctime_ns)
                 files[name] = (
-                    f"{name!r} {of.st_mode} {of.st_uid} {of.st_gid} {of.st_size} "
-                    f"{of.st_mtime_ns} {of.st_ctime_ns} {of.st_ino}"
-                )
+                    of.st_mode, of.st_uid, of.st_gid, of.st_size, of.st_mtime_ns, of.st_ctime_ns, of.st_ino,
+                )  # fmt: skip
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError:
-        rows, newest = [], NEVER
-    names = tuple(sorted(files))
-    rows += (files[name] for name in names)
-    return FolderStatus(hashlib.blake2b("\n".join(rows).encode(), digest_size=16).hexdigest(), newest, names)
+        newest = NEVER
+    rows = repr((owner, sorted(files.items())))
+    return FolderStatus(hashlib.blake2b(rows.encode(), digest_size=16).hexdigest(), newest, tuple(sorted(files)))
+
+
+class FolderNames(NamedTuple):
+    """The names of files that a run wrote into a folder, and of those that it removed from it."""
+
+    folder: str
+    written: Collection[str]
+    removed: Collection[str]
 
 
 class Sight(NamedTuple):
@@ -123,31 +131,32 @@ class Sight(NamedTuple):
         roots = tuple(folders)
         return cls(roots, walk(roots), clock)
 
-    def after(
-        self, written: Mapping[str, Collection[str]], removed: Mapping[str, Iterable[str]], visible: int, clock: int
-    ) -> Sight:
-        """Return what is there when the run is done.
-
-        The status of a folder in which something else changed meanwhile is not trusted.
+    def after(self, changes: Iterable[FolderNames], visible: int, clock: int) -> Sight | None:
+        """Return what is there when the run is done, or None if something else may have changed meanwhile.
 
         Args:
-            written: the names of files that the run wrote, by folder.
-            removed: those that it removed.
+            changes: what the run wrote and removed, a folder perhaps more than once.
             visible: the clock of the file system before the first write became visible.
             clock: the clock of the file system, later than the last write.
         """
-        folders = {
-            folder: status if status.is_trusted(self.clock) else status._replace(newest=NEVER)
-            for folder, status in self.folders.items()
-        }
-        for folder in filter(self._has, {*written, *removed, *self._new_above(written)}):
-            before, new = self.folders.get(folder), written.get(folder, ())
+        if not all(status.is_trusted(self.clock) for status in self.folders.values()):
+            return None
+        written: dict[str, set[str]] = {}
+        removed: dict[str, set[str]] = {}
+        for each in changes:
+            written.setdefault(each.folder, set()).update(each.written)
+            removed.setdefault(each.folder, set()).update(each.removed)
+        folders = dict(self.folders)
+        for folder in filter(self._has, {*written, *self._new_above(written)}):
+            before, new = self.folders.get(folder), written.get(folder, set())
             present = folder_status(folder, [], new, self.clock, visible)
             if present is None:
                 folders.pop(folder, None)
                 continue
             kept = set(before.files if before else ()).difference(removed.get(folder, ()))
-            folders[folder] = present if {*present.files} == kept.union(new) else present._replace(newest=NEVER)
+            if {*present.files} != kept | new or not present.is_trusted(clock):
+                return None
+            folders[folder] = present
         return Sight(self.roots, folders, clock)
 
     def _has(self, folder: str) -> bool:

@@ -133,7 +133,7 @@ def record(
     Args:
         call: the command, which is recordable.
         root: the root of the workspace.
-        sight: the spaces as the command left them.
+        sight: the spaces as the command left them, and nothing else.
         seen: the paths that the policy was read from, each with its fingerprint: the SHA-256 if it is a file.
         dates: dates that the command may have compared with the clock, beside those in the record.
         answer: what the same command will print.
@@ -144,8 +144,7 @@ def record(
     others = {path: path_status(path) for path in (*elsewhere, *_profiles_below(call, root))}
     own = path_status(state)
     if (
-        not all(status.is_trusted(sight.clock) for status in sight.folders.values())
-        or own[1] >= sight.clock
+        own[1] >= sight.clock
         or not all(_is_older(newest, call.started) for _, newest in others.values())
         or not all(_has_content(path, fingerprint) for path, fingerprint in seen.items())
     ):

@@ -25,18 +25,15 @@ _Read = TypeVar("_Read")
 
 
 class _Disk:
-    """The files on the disk by absolute path, as text; every file and folder is read at most once.
+    """The files on the disk by absolute path, as text; each is read once, and perhaps once more for its digest.
 
     Args:
-        known: digests of files that need not be read for them, by folder and name.
         linked: a folder in which symbolic links are followed that stay in it; empty for none.
     """
 
-    def __init__(self, known: Mapping[str, Mapping[str, str]], linked: str = "") -> None:
-        self.digests: dict[str, dict[str, str]] = {}
-        """Digests that were asked for, by folder and name."""
-        self.known = known
+    def __init__(self, linked: str) -> None:
         self.linked = linked
+        self._digests: dict[str, str | None] = {}
         self._contents: dict[str, bytes | KeymintError | None] = {}
         self._equal: dict[bytes | None, bytes | None] = {}
         """Contents that are held, each once: enclaves have many files in common."""
@@ -74,17 +71,13 @@ class _Disk:
             raise
 
     def digest(self, path: str) -> str | None:
-        folder, _, name = path.rpartition("/")
-        digests = self.digests.setdefault(folder, {})
-        if name not in digests:
-            value = self.known.get(folder, {}).get(name)
-            if value is None:
-                content = self.read(path)
-                if content is None:
-                    return None
-                value = digest(content)
-            digests[name] = value
-        return digests[name]
+        if path not in self._digests:
+            kept = path in self._contents
+            content = self.read(path)
+            if not kept:  # a large fleet has more bytes than memory
+                del self._contents[path]
+            self._digests[path] = None if content is None else digest(content)
+        return self._digests[path]
 
     def entries(self, folder: str) -> Mapping[str, bool]:
         return self._once(self._entries, folder, self._scan, {})
@@ -202,12 +195,11 @@ class Tree:
     """Files by absolute path, as they are at the first access.
 
     Args:
-        known: digests of files that need not be read for them, by folder and name.
         linked: a folder in which symbolic links are followed that stay in it, as ROS 2 does in a keystore.
     """
 
-    def __init__(self, known: Mapping[str, Mapping[str, str]] | None = None, linked: Path | None = None) -> None:
-        self._disk = _Disk(known or {}, str(linked or ""))
+    def __init__(self, linked: Path | None = None) -> None:
+        self._disk = _Disk(str(linked or ""))
         self._files: dict[str, dict[str, Content]] = {}
         """Planned content by folder and name."""
         self._folders: dict[str, set[str]] = {}
@@ -259,8 +251,6 @@ class Tree:
     def digest(self, path: Path | str) -> str | None:
         """Return the digest of a file (see :func:`keymint.view.stamps.digest`), or None if there is none.
 
-        A file is not read if its status tells that it did not change since its digest was recorded.
-
         Raises:
             KeymintError: as :func:`read_file`.
         """
@@ -271,11 +261,6 @@ class Tree:
         if planned:
             return None if content is None else digest(content)
         return self._disk.digest(path)
-
-    @property
-    def digests(self) -> tuple[Mapping[str, Mapping[str, str]], ...]:
-        """The digests of files that need not be read for them, and of those that were asked for, by folder and name."""
-        return self._disk.known, self._disk.digests
 
     def try_read(self, path: Path | str) -> bytes | None:
         """Return a file's bytes, or None if there is none or it cannot be read."""

@@ -9,7 +9,7 @@ from comarmor.errors import Diagnostic
 from keymint.api import Artifact, AuthorityRole, BuildType, Package, Prover, RevocationReader, SharedDocuments
 from keymint.errors import KeymintError
 from keymint.view.stamps import digest
-from keymint.workspace.session import Session, once
+from keymint.workspace.session import Session, once, once_of_sources
 
 BUILD = "build"
 """Key of the record of built packages."""
@@ -127,12 +127,13 @@ def inputs_digest(session: Session, name: str, build_types: Iterable[str] | None
         stamp = session.state.stamp(BUILD, name)
         build_types = stamp.build_types if stamp is not None else ()
     shared = any(shared_builder(session, each) for each in build_types)
-    places = [str(session.workspace.install)] if shared else []
-    return session.made(
-        ("inputs", name, shared),
-        lambda: digest(session.profile_digest, session.sources_digest(name), session.plugins.versions, *places),
-        of_sources=True,
-    )
+    places = (str(session.workspace.install),) if shared else ()
+    return _inputs_digest(session, session.sources_digest(name), *places)
+
+
+@once_of_sources
+def _inputs_digest(session: Session, sources: str, *places: str) -> str:
+    return digest(session.profile_digest, sources, session.plugins.versions, *places)
 
 
 @once

@@ -60,7 +60,11 @@ def once(make: Callable[[Session, *_Arguments], _T]) -> Callable[[Session, *_Arg
 
 
 def once_of_sources(make: Callable[[Session, *_Arguments], _T]) -> Callable[[Session, *_Arguments], _T]:
-    """Do the same as :func:`once` for results that depend on the profile and the source space only."""
+    """Do the same as :func:`once` for results that depend on the profile and the content of the source space only.
+
+    They are handed on to other sessions until a plan changes that. So what else a result depends on, e.g. the place of
+    another space, is an argument.
+    """
     return _made_once(make, of_sources=True)
 
 
@@ -319,11 +323,14 @@ class Session(Inputs):
             return ()
         return tuple(name for name in self.packages() if self.role(name) is Role.INFRASTRUCTURE)
 
-    @once_of_sources
     def sources_digest(self, name: str) -> str:
         """Return the digest of all that a package is loaded from except the profile, its infrastructure included."""
+        return self._sources_digest(name, self.workspace.install)
+
+    @once_of_sources
+    def _sources_digest(self, name: str, install: Path) -> str:
         infrastructure = self.infrastructure()
-        placed = (str(self.workspace.install),) if infrastructure else ()
+        placed = (str(install),) if infrastructure else ()
         return digest(*placed, self._sources(name)[1], *map(self._named_digest, infrastructure))
 
     def _named_digest(self, name: str) -> str:

@@ -23,6 +23,7 @@ from keymint.store.file_writing import (
     require_regular,
     temporary,
 )
+from keymint.store.group_commit import waiting_name
 
 
 @pytest.fixture
@@ -69,7 +70,7 @@ def test_temporary_names_are_unique_and_recognised() -> None:
     names = {temporary() for _ in range(100)}
     assert len(names) == 100
     assert all(map(is_temporary, names))
-    assert not is_temporary(temporary(".waiting"))
+    assert not is_temporary(waiting_name(temporary()))
     assert not any(map(is_temporary, (".keymint", ".keymint-notes", "x.tmp", "keymint-1-1.tmp")))
 
 

@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from keymint.view.folder_status import NEVER, folder_status, walk
+from keymint.view.folder_status import NEVER, FolderNames, Sight, folder_status, walk
 
 
 def edit_in_place(file: Path) -> None:
@@ -102,3 +103,77 @@ def test_all_folders_are_walked_but_those_of_git(tmp_path: Path) -> None:
         (tmp_path / folder).mkdir(parents=True)
     found = walk([str(tmp_path / "a"), str(tmp_path / "d"), str(tmp_path / "missing")])
     assert set(found) == {str(tmp_path / folder) for folder in ("a", "a/b", "d")}
+
+
+# -- what is there when a run is done --------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def a(tmp_path: Path) -> Path:
+    """Return a folder with two files."""
+    folder = tmp_path / "ws" / "a"
+    folder.mkdir(parents=True)
+    for name in ("file", "other"):
+        (folder / name).write_bytes(b"content")
+    return folder
+
+
+def now(folder: Path) -> int:
+    """Return the clock of the file system, once it has moved on."""
+    time.sleep(0.02)
+    (folder.parents[1] / "lock").write_bytes(b"")
+    time.sleep(0.02)
+    return (folder.parents[1] / "lock").stat().st_ctime_ns
+
+
+def after(folder: Path, during: Callable[[], object], written: str = "", late: Callable[[], object] = int) -> object:
+    """Look, let something happen, write a file beside, let something happen, and return what is there then."""
+    before = Sight.of([str(folder.parent)], now(folder))
+    during()
+    if written:
+        new = folder.parent / written
+        new.parent.mkdir(exist_ok=True)
+        new.write_bytes(b"made")
+    visible = now(folder)
+    late()
+    names = [FolderNames(str(new.parent), {new.name}, ())] if written else []
+    seen = before.after(names, visible, now(folder))
+    assert seen is None or dict(seen.folders) == walk([str(folder.parent)])
+    return seen
+
+
+@pytest.mark.parametrize("written", ["", "a/made", "b/made"])
+def test_what_a_run_leaves_is_what_was_there_and_what_it_wrote(a: Path, written: str) -> None:
+    assert after(a, lambda: None, written) is not None
+
+
+def test_what_a_run_removes_is_gone(a: Path) -> None:
+    before = Sight.of([str(a.parent)], now(a))
+    (a / "other").unlink()
+    moment = now(a)
+    seen = before.after([FolderNames(str(a), (), ("other",))], moment, moment)
+    assert seen is not None
+    assert seen.folders[str(a)].files == ("file",)
+
+
+@pytest.mark.parametrize(
+    "touch",
+    [
+        lambda folder: (folder / "file").write_bytes(b"CONTENT"),
+        lambda folder: (folder / "new").write_bytes(b""),
+        lambda folder: (folder / "file").unlink(),
+    ],
+    ids=["edits", "adds", "removes"],
+)
+def test_what_another_program_does_beside_what_a_run_writes_is_in_doubt(
+    a: Path, touch: Callable[[Path], object]
+) -> None:
+    assert after(a, lambda: touch(a), "a/made") is None
+
+
+def test_what_another_program_does_to_a_new_file_is_in_doubt(a: Path) -> None:
+    assert after(a, int, "b/made", lambda: (a.parent / "b/made").write_bytes(b"MADE")) is None
+
+
+def test_a_folder_that_is_as_new_as_the_clock_is_in_doubt(a: Path) -> None:
+    assert Sight.of([str(a.parent)], 0).after((), 1, 1) is None

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,7 +12,11 @@ import pytest
 from comarmor.errors import Origin
 from keymint.api import Layout
 from keymint.errors import KeymintError
+from keymint.store.changes import Action, File, FolderChange, Plan, Step
+from keymint.workspace.package_build_types import inputs_digest
 from keymint.workspace.session import Session
+from tests.conftest import Outcome
+from tests.keymint.stages.sessions import session_of
 
 DEEP, TOP = Layout("enclaves"), Layout("", ("enclaves",))
 
@@ -45,3 +50,58 @@ def test_a_layout_that_no_build_type_has_is_an_error_of_the_profile() -> None:
     assert (said.code, said.where) == ("layout-unknown", Origin("profile/keymint_profile.xml"))
     assert "no build type of the workspace has a layout 'dep'" in said.message
     assert "'deep'" in said.help
+
+
+# -- what a session knows about its sources --------------------------------------------------------------------------
+
+
+@pytest.fixture
+def ws(keymint: Callable[..., Outcome], tmp_path: Path, policy: Path) -> Path:
+    """Return a workspace whose packages need one of infrastructure, the router of Zenoh."""
+    assert keymint("provision", policy, "-w", "ws", "--transport", "zenoh", "--no-prove").code == 0
+    return tmp_path / "ws"
+
+
+def known(session: Session) -> tuple[object, ...]:
+    """Return what a session knows about a package."""
+    return (
+        session.packages(), session.infrastructure(), session.issuance("talker"), dict(session.file_digests("talker")),
+        session.sources_digest("talker"), inputs_digest(session, "talker"),
+    )  # fmt: skip
+
+
+def plan(folder: Path, name: str, content: bytes | None, session: Session) -> Plan:
+    files, removed = ({}, (name,)) if content is None else ({name: File(content)}, ())
+    return Plan((Step("create", "", Action.UPDATED, (FolderChange(folder, files, removed),)),), session.state)
+
+
+def test_what_is_known_of_the_sources_is_never_that_of_another_place_of_the_enclaves(ws: Path) -> None:
+    session = session_of(ws)
+    known(session)
+    elsewhere = replace(session.workspace, install=session.workspace.next_install)
+    assert known(replace(session, workspace=elsewhere)) == known(replace(session_of(ws), workspace=elsewhere))
+    assert session.sources_digest("talker") != replace(session, workspace=elsewhere).sources_digest("talker")
+
+
+@pytest.mark.parametrize("name", ["permissions.xml", "package.defaults/more.xml", "keymint_package.xml"])
+@pytest.mark.parametrize("package", ["talker", "zenoh_router"])
+def test_what_is_known_of_the_sources_changes_with_a_plan(ws: Path, name: str, package: str) -> None:
+    session = session_of(ws)
+    before = known(session)
+    path = session.workspace.src / package / name
+    content = b"<x/>" if name != "keymint_package.xml" else None
+    changed = plan(path.parent, path.name, content, session)
+    after = known(session.after(changed))
+    assert after == known(replace(session_of(ws), tree=session.tree.overlaid(changed.overlay())))
+    assert after != before
+    assert known(session) == before
+
+
+def test_what_is_known_of_the_sources_outlives_a_plan_that_leaves_them(
+    ws: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = session_of(ws)
+    before = known(session)
+    after = session.after(plan(session.workspace.build / "talker", "x", b"", session))
+    monkeypatch.setattr("keymint.workspace.session.packages", lambda *_: pytest.fail("read again"))
+    assert known(after) == before
