@@ -36,7 +36,7 @@ STARTERS = {
     "keymint/commands/tool/completion.py",
 }
 """Run probes of the vendors, git, or the shell that the completion script is for."""
-READERS = ("keymint/check/", "keymint/plan/", "keymint/verify/", "keymint/stages/package_status.py")
+READERS = ("keymint/examine/", "keymint/stages/proof/", "keymint/verify/", "keymint/stages/package_status.py")
 
 POLICY = "ws/profile/comarmor.d"
 WRITING_VERBS = (

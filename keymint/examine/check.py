@@ -17,13 +17,13 @@ from comarmor.errors import Diagnostic
 from comarmor.regex import lazy_regex
 from keymint.api import Inspection
 from keymint.api.plugin_loader import Plugins
-from keymint.check.authorities import authorities, in_defect
-from keymint.check.enclaves import Examined, LoadedEnclave, examine, load
-from keymint.check.file_status import file_status
-from keymint.check.git_exposure import git_exposure
-from keymint.check.install_space import outside_enclaves
 from keymint.errors import KeymintError
 from keymint.examine import keys
+from keymint.examine.authorities import authorities, in_defect
+from keymint.examine.enclaves import Examined, LoadedEnclave, examine, load
+from keymint.examine.file_status import file_status
+from keymint.examine.git_exposure import git_exposure
+from keymint.examine.install_space import outside_enclaves
 from keymint.examine.keystore import deciding, staged
 from keymint.executors import Pool
 from keymint.stages import identity_keys

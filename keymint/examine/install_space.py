@@ -8,8 +8,8 @@ from datetime import timedelta
 
 from comarmor.errors import Diagnostic
 from keymint.api import Artifact, BuildOptions, SharedInspection
-from keymint.check.file_status import as_installed
 from keymint.errors import KeymintError
+from keymint.examine.file_status import as_installed
 from keymint.life.workspace_register import withdrawn
 from keymint.names import ROOT
 from keymint.stages import environment_scripts

@@ -11,8 +11,8 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, BuildType, Inspection, Package
 from keymint.authority.authority_files import trusted_chains
-from keymint.check.file_status import CHANGED, link, linked_twice, modes
 from keymint.errors import KeymintError
+from keymint.examine.file_status import CHANGED, link, linked_twice, modes
 from keymint.life.workspace_register import withdrawn
 from keymint.names import subject_of
 from keymint.pki import key_files, keys

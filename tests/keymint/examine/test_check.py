@@ -13,9 +13,9 @@ import pytest
 from keymint_ros import permissions
 from keymint_ros2_dds import DdsSecurity
 
+from keymint.examine import enclaves
 from keymint.executors.pool import divided
 from keymint.executors.processes import Processes
-from keymint.stages import build
 from tests.conftest import NOW, snapshot
 
 DAY = 86_400
@@ -176,7 +176,7 @@ CHANGES = [
 def test_what_is_recorded_is_as_if_it_were_built(keymint, provisioned: Path, change: Callable[[Path], None]) -> None:
     change(provisioned)
     outcome = keymint("check", "--json", cwd=provisioned)
-    with mock.patch.object(build, "is_current", return_value=False) as recorded:
+    with mock.patch.object(enclaves, "is_build_current", return_value=False) as recorded:
         built = keymint("check", "--json", cwd=provisioned)
     assert recorded.called
     assert (outcome.code, outcome.out, outcome.err) == (built.code, built.out, built.err)
