@@ -16,8 +16,7 @@ from keymint.robots import bundle
 from keymint.robots.bundle_making import MadeBundle, plan_bundles
 from keymint.robots.certification_request import Request
 from tests.conftest import NOW
-
-from .sessions import session_of
+from tests.keymint.stages.sessions import session_of
 
 
 def made(ws: Path, request: Request | None = None) -> MadeBundle:

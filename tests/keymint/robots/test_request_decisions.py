@@ -14,8 +14,7 @@ from keymint.pki import keys
 from keymint.robots import certification_request
 from keymint.robots.request_decisions import Given, current_fingerprint, plan_requests
 from keymint.workspace.session import Session
-
-from .sessions import session_of
+from tests.keymint.stages.sessions import session_of
 
 NONCE = "0123456789abcdef" * 2
 KEY = ec.derive_private_key(20_261_122, ec.SECP256R1())

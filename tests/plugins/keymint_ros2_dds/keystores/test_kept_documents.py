@@ -13,8 +13,7 @@ from comarmor.errors import Origin
 from comarmor.rules import Effect
 from keymint.api import BuildOptions, Package
 from keymint.ir import Rule
-
-from .packages import package
+from tests.plugins.keymint_ros2_dds.packages import package
 
 XML = "permissions.xml"
 
