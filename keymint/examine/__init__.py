@@ -2,16 +2,16 @@
 """Judge what lies in a keystore: each rule once, each code raised in one place.
 
 The doors are :func:`check.check` (``keymint check``), :func:`keystore.proven_keystore` with :func:`keystore.deciding`
-(``prove``) and :func:`not_examined.not_examined` (what the user may not read). docs/verification.md says which verb
-reads what. All that judges installed files:
+(``prove``) and :func:`keystore.not_examined` (what the user may not read). docs/verification.md says which verb reads
+what. All that judges installed files:
 
 ============================================  =======================================================================
 here
-``check``                                     all findings of a keystore, and of a second one beside it
+``check``, ``keystore``                       all findings of a keystore, and of a second one beside it
 ``enclaves``                                  one enclave: its key, modes, record and strays; its build type asks more
 ``authorities``                               certificates and keys of authorities, their dates and drift
 ``keys``                                      private keys: where they are, plain, exposed
-``issued``, ``lists``                         the register and the revocation lists against what is installed
+``issued``                                    the register, and revocation lists, against what is installed
 ``rights``                                    what every certificate in force may present, against the policy
 ``file_status``, ``git_exposure``             modes, owners, links and kinds; keys that git tracks
 ``install_space``                             the install space outside of the enclaves

@@ -12,11 +12,12 @@ from comarmor.values import dataclass
 from keymint.api import BuildOptions, BuildType, Inspection, Package
 from keymint.authority.authority_files import trusted_chains
 from keymint.errors import KeymintError
-from keymint.examine.file_status import CHANGED, link, linked_twice, modes
+from keymint.examine.file_status import changed, link, linked_twice, modes, unexpected, unrecorded
 from keymint.life.workspace_register import withdrawn
 from keymint.names import subject_of
 from keymint.pki import key_files, keys
 from keymint.stages import build, identity_keys, install
+from keymint.stages.proof.trust_anchors import differences
 from keymint.store.changes import file_mode
 from keymint.view.stamps import digest
 from keymint.workspace.installed_enclaves import KEY, enclave_files, files_in, not_installed
@@ -83,7 +84,7 @@ def load(session: Session, name: str, within: timedelta) -> LoadedEnclave:
 
 
 def examine(session: Session, loaded: LoadedEnclave, keyring: identity_keys.Keyring) -> Examined:
-    """Check one enclave.
+    """Check one enclave, and what of it the authorities of the workspace do not vouch for.
 
     Args:
         session: the workspace and its profile.
@@ -103,7 +104,12 @@ def examine(session: Session, loaded: LoadedEnclave, keyring: identity_keys.Keyr
         *_unexpected(session, loaded),
         *(each for each in defects if each.code != "file-missing" or each.where not in unread_places),
     )
-    return Examined(package.name, fingerprint, found)
+    known = {(each.code, each.where) for each in found}
+    try:
+        unvouched = [each for each in differences(session, [package.name]) if (each.code, each.where) not in known]
+    except KeymintError:  # the package has defects, which are reported
+        unvouched = []
+    return Examined(package.name, fingerprint, (*found, *unvouched))
 
 
 def _absent(session: Session, name: str) -> Diagnostic:
@@ -168,9 +174,8 @@ def _unexpected(session: Session, loaded: LoadedEnclave) -> Iterator[Diagnostic]
     """Yield a finding for each file of an enclave that belongs to none of the package's build types."""
     known = frozenset[str]().union(*(own.files for _, own in loaded.seen.values()))
     for file in sorted(loaded.files.keys() - known):
-        where = session.workspace.origin(session.enclave(loaded.package.name) / file)
         message = f"does not belong to the layout {session.profile.layout!r}"
-        yield Diagnostic.warning("file-unexpected", message, where, "remove it", loaded.package.subject)
+        yield unexpected(session, session.enclave(loaded.package.name) / file, message, loaded.package.subject)
 
 
 def _identity_key(
@@ -230,10 +235,8 @@ def _on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterato
         if file in secret:
             yield from linked_twice(session, path, subject)
     if stamp is None:
-        message, help_ = f"there is no record of what was installed as {subject}", "'keymint install' makes one"
-        yield Diagnostic.note("record-missing", message, None, help_, subject)
+        yield unrecorded(f"what was installed as {subject}", subject)
         return
     for file, value in stamp.outputs.items():
         if file in files and session.tree.digest(f"{folder}/{file}") != value:
-            where, help_ = session.workspace.origin(f"{folder}/{file}"), f"'keymint install {name}' restores it"
-            yield Diagnostic.error("file-changed", CHANGED, where, help_, subject)
+            yield changed(session, f"{folder}/{file}", f"'keymint install {name}' restores it", subject)

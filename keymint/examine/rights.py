@@ -33,11 +33,10 @@ from keymint.api import (
 from keymint.authority import authority_files
 from keymint.authority.authority_files import chains_digest
 from keymint.errors import KeymintError
-from keymint.examine.not_examined import has_register
 from keymint.ir import DeferredRules, Rule, SubjectRules
 from keymint.life import earlier_rights, register_database
 from keymint.life.issued_certificates import SignedRights
-from keymint.life.workspace_register import issuer_of, register_of
+from keymint.life.workspace_register import has_register, issuer_of, register_of
 from keymint.names import ROOT, package_name, subject_of
 from keymint.pki import certificates, distinguished_names, smime
 from keymint.pki.distinguished_names import to_text

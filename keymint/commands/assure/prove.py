@@ -22,10 +22,9 @@ from keymint.command_line.options import (
 )
 from keymint.command_line.verb import verb
 from keymint.errors import ExitCode, KeymintError
-from keymint.examine.keystore import SHOWN_NOTES, UNKNOWN_HISTORY, deciding, proven_keystore, staged
-from keymint.examine.not_examined import has_register, not_examined
+from keymint.examine.keystore import SHOWN_NOTES, UNKNOWN_HISTORY, deciding, not_examined, proven_keystore, staged
 from keymint.life import terms
-from keymint.life.workspace_register import with_enclaves
+from keymint.life.workspace_register import has_register, with_enclaves
 from keymint.output.json import line_json
 from keymint.output.report import Report, findings_exit, findings_if
 from keymint.run.run import Run
