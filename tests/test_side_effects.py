@@ -161,8 +161,6 @@ OPENERS = {
     "keymint/view/file_reading.py", "keymint/view/folder_status.py", "keymint/view/tree.py",
     # It reads keystores of other tools, which are no workspace; the bytes by a reader that stays in a folder.
     "keymint/adoption/keystore_files.py", "comarmor/xml/sandboxed_paths.py",
-    # What judges installed files as a vendor does reads them itself.
-    "keymint/api/installed_enclaves.py", "keymint/verify/copies.py",
 }  # fmt: skip
 """The modules that open or list installed files, beside those that write them."""
 

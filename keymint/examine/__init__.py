@@ -10,10 +10,10 @@ here
 ``check``, ``keystore``                       all findings of a keystore, and of a second one beside it
 ``enclaves``                                  one enclave: its key, modes, record and strays; its build type asks more
 ``authorities``                               certificates and keys of authorities, their dates and drift
-``keys``                                      private keys: where they are, plain, exposed
+``keys``                                      private keys: where they are, plain, exposed, in a repository
 ``issued``                                    the register, and revocation lists, against what is installed
 ``rights``                                    what every certificate in force may present, against the policy
-``file_status``, ``git_exposure``             modes, owners, links and kinds; keys that git tracks
+``file_status``                               modes, owners, links and kinds of files
 ``install_space``                             the install space outside of the enclaves
 ``nodes``                                     what the rules keep from starting
 below, since stages and the life of keys ask

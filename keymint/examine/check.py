@@ -22,7 +22,6 @@ from keymint.examine import keys
 from keymint.examine.authorities import authorities, in_defect
 from keymint.examine.enclaves import Examined, LoadedEnclave, examine, load
 from keymint.examine.file_status import file_status
-from keymint.examine.git_exposure import git_exposure
 from keymint.examine.install_space import outside_enclaves
 from keymint.examine.keystore import deciding, staged
 from keymint.executors import Pool
@@ -50,7 +49,7 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
     first = tuple(_examined(session, keyring, loaded[:1]))  # processes have then what all enclaves need
     parts = pool.parts(loaded[1:], LEAST)
     tasks: list[Callable[[], Iterable[Any]]] = [
-        partial(outside_enclaves, session, within), partial(file_status, session), partial(git_exposure, session),
+        partial(outside_enclaves, session, within), partial(file_status, session), partial(keys.git_exposure, session),
         partial(_deciding, session),
     ]  # fmt: skip
     tasks += (partial(_examined, session, keyring, part) for part in parts)

@@ -13,13 +13,10 @@ from datetime import datetime, timedelta
 from functools import cached_property
 from typing import Generic, TypeVar
 
-from cryptography import x509
-
 from comarmor.errors import Defects, Diagnostic
 from comarmor.values import dataclass
 from keymint.api import TrustAnchors
 from keymint.errors import KeymintError
-from keymint.names import name_of
 from keymint.pki import certificates, keys, revocation_lists, smime
 from keymint.pki.identity_check import IdentityCheck, When, anchor_defects, shown
 from keymint.pki.mime import SignedDocument
@@ -125,14 +122,8 @@ class EnclaveRules(IdentityCheck):
     ) -> None:
         super().__init__(files, folder, restore, subject)
         self._chains = chains
-        self._renew = f"keymint renew {name_of(subject)}"
 
     # -- facts ---------------------------------------------------------------------------------------------------
-
-    @cached_property
-    def certificate(self) -> x509.Certificate | None:
-        """The identity certificate; None if it is missing or damaged."""
-        return certificates.readable(self._files.get(CERTIFICATE))
 
     @cached_property
     def permissions(self) -> SignedFact[PermissionsDocument]:
@@ -232,9 +223,7 @@ class EnclaveRules(IdentityCheck):
 
     def periods(self, when: When) -> Iterator[Diagnostic]:
         """Yield the findings on the dates of the certificate and of the revocation list."""
-        if self.certificate is not None:
-            of_certificate = certificates.period(self.certificate)
-            yield from self._period("certificate", CERTIFICATE, of_certificate, when, self._renew, _DROPPED)
+        yield from self.certificate_period(when, _DROPPED)
         if period := revocation_period(self._files.get(CRL, b"")):
             yield from self._period("revocation list", CRL, period, when, "keymint crl --refresh", _NONE_STARTS)
 
