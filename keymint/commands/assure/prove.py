@@ -22,6 +22,7 @@ from keymint.command_line.options import (
 )
 from keymint.command_line.verb import verb
 from keymint.errors import ExitCode, KeymintError
+from keymint.examine.enclaves import differences
 from keymint.examine.keystore import SHOWN_NOTES, UNKNOWN_HISTORY, deciding, not_examined, proven_keystore, staged
 from keymint.life import terms
 from keymint.life.workspace_register import has_register, with_enclaves
@@ -32,7 +33,6 @@ from keymint.stages.policy_drift import uncreated
 from keymint.stages.proof.proof_diagnostics import STATES, effort_of, proof_findings
 from keymint.stages.proof.proof_results import EnclaveProof, ProofResults
 from keymint.stages.proof.prove import NO_PROVER, STAGE
-from keymint.stages.proof.trust_anchors import differences
 from keymint.store.changes import Action, Step
 from keymint.workspace.installed_enclaves import unaccounted
 from keymint.workspace.policy_loading import lazy_policy
