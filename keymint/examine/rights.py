@@ -18,7 +18,6 @@ from cryptography import x509
 from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint import __version__
-from keymint.adoption import hardening
 from keymint.api import (
     Claim,
     Holder,
@@ -33,6 +32,7 @@ from keymint.api import (
 from keymint.authority import authority_files
 from keymint.authority.authority_files import chains_digest
 from keymint.errors import KeymintError
+from keymint.examine.weaknesses import signing_issuers
 from keymint.ir import DeferredRules, Rule, SubjectRules
 from keymint.life import earlier_rights, register_database
 from keymint.life.issued_certificates import SignedRights
@@ -360,7 +360,7 @@ def _is_issued(certificate: x509.Certificate, authority: x509.Certificate) -> bo
 
 def _signers(session: Session, packages: Iterable[Package]) -> Iterator[str]:
     """Yield an exception if there are identities that can sign documents as older releases verify them."""
-    both = hardening.signing_issuers(session)
+    both = signing_issuers(session)
     for package in packages if both else ():
         own, name = installed_certificate(session, package.name), package.identity.issuer
         if name in both and own and certificates.can_sign_documents(own) is None:
