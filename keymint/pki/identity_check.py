@@ -55,6 +55,13 @@ class IdentityCheck:
         """Return a warning about a file."""
         return Diagnostic.warning(code, message, self._where(name), help_, self._subject)
 
+    @cached_property
+    def own_key(self) -> tuple[keys.PublicKey | None, tuple[Diagnostic, ...]]:
+        """The public half of the private key in the enclave, if it has one, and why that cannot be read."""
+        pem, unread = self._files.get(KEY), Defects()
+        own = None if pem is None else unread.attempt(lambda: keys.public_of(pem, None, self._where(KEY)))
+        return own, tuple(map(self._for_subject, unread.found))
+
     def inventory(self, needed: Iterable[str]) -> Iterator[Diagnostic]:
         """Yield an error for each file that is not there."""
         for name in needed:
@@ -105,12 +112,8 @@ class IdentityCheck:
         """
         if public_key and public_keys.from_pem(public_key) != certificate.public_key():
             yield self._error("key-mismatch", CERTIFICATE, "is for another public key than the package has")
-        pem = self._files.get(KEY)
-        if pem is None:
-            return
-        unread = Defects()
-        own = unread.attempt(lambda: keys.public_of(pem, None, self._where(KEY)))
-        yield from map(self._for_subject, unread.found)
+        own, unread = self.own_key
+        yield from unread
         if own is not None and not keys.matches(own, certificate):
             yield self._error("key-mismatch", KEY, "is not the key of the certificate beside it")
 

@@ -210,13 +210,10 @@ class _Enclave(EnclaveRules):
         """Return whether the private key is that of the certificate, as a report says it."""
         if KEY not in self._files:
             return "elsewhere"
-        try:
-            public = keys.public_of(self._files[KEY], None)
-        except KeymintError:
+        own, _ = self.own_key
+        if own is None or self.certificate is None:
             return "unknown"
-        if self.certificate is None:
-            return "unknown"
-        return "matches" if keys.matches(public, self.certificate) else "differs"
+        return "matches" if keys.matches(own, self.certificate) else "differs"
 
     def _grants(self) -> Sequence[DocumentGrant]:
         return self.permissions.document.grants if self.permissions.document else ()
