@@ -9,7 +9,11 @@ from comarmor.errors import ComArmorError as KeymintError
 from comarmor.errors import ExitCode, Origin
 from comarmor.text import did_you_mean
 
-__all__ = ["ExitCode", "KeymintError", "known_authority", "process_ended", "usage_error"]
+__all__ = ["ExitCode", "KeymintError", "UnsayableError", "known_authority", "process_ended", "usage_error"]
+
+
+class UnsayableError(ValueError):
+    """A format cannot say a rule; the message has the reason, and the exporter makes a finding of it."""
 
 
 def usage_error(message: str, help_: str) -> KeymintError:

@@ -4,7 +4,11 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable
 from pathlib import Path
+
+from keymint.api import PolicySource
+from keymint.errors import KeymintError
 
 
 def file_fingerprint(path: Path) -> bytes:
@@ -13,3 +17,19 @@ def file_fingerprint(path: Path) -> bytes:
         return hashlib.sha256(path.read_bytes()).digest()
     except OSError:
         return b""
+
+
+def require_policies(sources: Iterable[PolicySource], what: str) -> None:
+    """Check that policies are there.
+
+    Args:
+        sources: the policies.
+        what: what they may be, as part of a sentence.
+
+    Raises:
+        KeymintError: one is not, at the place that names it.
+    """
+    for source in sources:
+        if not source.path.exists():
+            message, help_ = f"the policy '{source.path}' does not exist", f"name {what}"
+            raise KeymintError(message, where=source.origin, help=help_, code="policy-missing")

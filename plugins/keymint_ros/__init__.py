@@ -38,8 +38,8 @@ class RosProfileType:
     with_policy = lazy("keymint_ros.profile_reader:with_policy")
     settings = lazy("keymint_ros.profile_reader:settings")
     with_own_signer = lazy("keymint_ros.hardening:with_own_signer")
-    with_authority_issuance = lazy("keymint_ros.authority_issuance:with_authority_issuance")
-    with_packages = lazy("keymint_ros.packages_lock:with_packages")
+    with_authority_issuance = lazy("keymint_ros.decisions:with_authority_issuance")
+    with_packages = lazy("keymint_ros.decisions:with_packages")
 
 
 class RosPackageType:
@@ -64,8 +64,8 @@ class RosPackageType:
     with_validity = lazy("keymint_ros.package_writer:with_validity")
     with_unique_name = lazy("keymint_ros.hardening:with_unique_name")
     adopted_sources = lazy("keymint_ros.adopted:adopted_sources")
-    issuance = lazy("keymint_ros.issuance_document:issuance")
-    with_issuance = lazy("keymint_ros.issuance_document:with_issuance")
+    issuance = lazy("keymint_ros.decisions:issuance")
+    with_issuance = lazy("keymint_ros.decisions:with_issuance")
 
 
 profile_type = RosProfileType()

@@ -5,11 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from keymint.api import AdoptedSources, DomainRange, KeySpec, Validity, WorkspaceProfile
-from keymint_ros import bootstrap, permissions_writer
+from keymint.api import AdoptedSources, DomainRange, KeySpec, WorkspaceProfile
+from keymint_ros import bootstrap, permissions_writer, validity
 from keymint_ros.profile_reader import base_of
 from keymint_ros.templates import filled
-from keymint_ros.validity import written
 
 PREFIX = "adopted."
 """Prefix of the files of a package that are documents which another tool signed: ``adopted.permissions.xml``."""
@@ -25,19 +24,14 @@ def adopted_sources(profile: WorkspaceProfile, sources: AdoptedSources) -> Mappi
     """Return the files of a package: see :meth:`keymint.api.AdoptingPackageType.adopted_sources`."""
     domains = [_domains(sources.domains)] if sources.domains else []
     name = [f"<subject_name>{sources.subject_name.translate(_SPECIAL)}</subject_name>"] if sources.subject_name else []
-    cert = (*name, _validity(sources.validity))
-    overrides = (*domains, *name, _validity(sources.grant_validity))
+    cert = (*name, validity.element(sources.validity))
+    overrides = (*domains, *name, validity.element(sources.grant_validity))
     return {
         **bootstrap.package(profile.build_types),
         "identities.xml": filled("package/identities.adopted.xml", cert=cert, key=_key(sources.key)),
         "permissions.xml": permissions_writer.render(sources.rules, base_of(profile), overrides=overrides),
         **{f"{PREFIX}{name}": content for name, content in sources.documents.items()},
     }
-
-
-def _validity(validity: Validity) -> str:
-    begin, end = written(validity.not_before), written(validity.not_after)
-    return f"<validity><not_before>{begin}</not_before><not_after>{end}</not_after></validity>"
 
 
 def _domains(ranges: Sequence[DomainRange]) -> str:

@@ -3,15 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import timedelta
 from functools import lru_cache
 from pathlib import PurePosixPath
 
 from comarmor.data import locate
-from comarmor.text import did_you_mean
 from keymint.api import Bootstrap, Role, Validity
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import KeymintError
 from keymint_ros import distros, validity
 from keymint_ros.manifest import BUILD_TYPE, MARKER
 from keymint_ros.templates import escaped, filled
@@ -47,8 +46,8 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
     """Return the files of a new profile: see :meth:`keymint.api.ProfileType.bootstrap`."""
     distros.check(request.distro)
     layout = request.layout or distros.layout(request.distro)
-    _check_choice("layout", layout, _LAYOUTS)
-    _check_choice("subject format", request.subject_format, SUBJECT_NAMES)
+    distros.check_choice("layout", layout, _LAYOUTS, "layout-unknown")
+    distros.check_choice("subject format", request.subject_format, SUBJECT_NAMES, "subject-format-unknown")
     if not 0 <= request.domain <= _MAX_DOMAIN:
         raise KeymintError(
             f"{request.domain} is not a DDS domain id from 0 to {_MAX_DOMAIN}",
@@ -152,8 +151,7 @@ def authority(name: str, period: Validity | None = None) -> tuple[str, ...]:
     """Return the lines of a new authority, which is self-signed; its period is that of the defaults, or another one."""
     dates: tuple[str, ...] = ()
     if period:
-        begin, end = map(validity.written, (period.not_before, period.not_after))
-        dates = (f"    <validity><not_before>{begin}</not_before><not_after>{end}</not_after></validity>",)
+        dates = (f"    {validity.element(period)}",)
     cert = ("  <cert>", *dates, "    <issuer_name></issuer_name>", "  </cert>")
     return (f'<authority name="{escaped(name)}">', *cert, "</authority>")
 
@@ -163,16 +161,6 @@ def _grant(subject_name: str, period: Iterable[str]) -> tuple[str, ...]:
     why = "<!-- Must be the subject name of the identity: DDS selects the grant by it. -->"
     name = f"<subject_name>{escaped(subject_name)}</subject_name>"
     return why, name, "<validity>", *(f"  {line}" for line in period), "</validity>"
-
-
-def _check_choice(option: str, value: str, known: Collection[str]) -> None:
-    if value not in known:
-        raise KeymintError(
-            f"unknown {option} {value!r}",
-            help=did_you_mean(value, known, f"known are {', '.join(known)}"),
-            code=f"{option.replace(' ', '-')}-unknown",
-            exit_code=ExitCode.USAGE,
-        )
 
 
 def _check_line(noun: str, value: str) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Certificates and keys in profile and package documents, completed by their defaults."""
+"""What profile and package documents say of certificates, keys and grants, completed by their defaults."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from comarmor.errors import Origin
 from comarmor.values import dataclass
 from comarmor.xml.reader import line
-from keymint.api import CertificateSpec, Extension, KeySpec, Validity
-from keymint.api.source_documents import incomplete, place, require_new, text
+from keymint.api import CertificateSpec, DomainRange, Extension, KeySpec, Validity
+from keymint.api.source_documents import domains, incomplete, place, require_new, text
 from keymint.errors import KeymintError
 from keymint_ros import placeholders, validity
 
@@ -30,12 +30,13 @@ _DEFAULT_HASH = "SHA256"
 
 
 @dataclass(frozen=True, slots=True)
-class CertificateElement:
-    """An ``<identity>``, ``<authority>`` or ``<defaults>`` element; None for each part that it leaves out.
+class IssuedElement:
+    """An ``<identity>``, ``<authority>``, ``<grant>`` or ``<defaults>`` element; None for each part that it leaves out.
 
     Attributes:
         line: line of the element.
-        file: its document, for messages; empty until the caller of the reader sets it.
+        file: its document, for messages; empty until :meth:`in_file` sets it, as in the places of its parts.
+        domains: those of a grant; empty if it leaves them out.
         serial: 0 for a random one, which an empty element or a number that is not positive requests.
         issuer: name of the issuing authority; empty if self-signed.
         issuer_line: line of the issuer's element.
@@ -43,6 +44,7 @@ class CertificateElement:
 
     line: int
     file: str = ""
+    domains: tuple[DomainRange, ...] = ()
     subject_name: str | None = None
     validity: Validity | None = None
     serial: int | None = None
@@ -60,25 +62,44 @@ class CertificateElement:
     @property
     def is_empty(self) -> bool:
         """Whether the element sets nothing, so that everything comes from the defaults."""
-        return self == CertificateElement(self.line, self.file)
+        return self == IssuedElement(self.line, self.file)
+
+    def in_file(self, file: str) -> IssuedElement:
+        """Return the element of a document, which is read without a look at its path.
+
+        Args:
+            file: the path as the user would type it.
+        """
+        period, extensions = self.validity, self.extensions
+        return replace(
+            self,
+            file=file,
+            validity=period and replace(period, origin=_in_file(period.origin, file)),
+            extensions=extensions and tuple(replace(each, origin=_in_file(each.origin, file)) for each in extensions),
+        )
 
 
-def read(element: etree._Element, known: Collection[str]) -> CertificateElement:
-    """Read an ``<identity>``, ``<authority>`` or ``<defaults>`` element.
+def _in_file(where: Origin | None, file: str) -> Origin:
+    return Origin(file, where.line if where else 0)
+
+
+def read(element: etree._Element, known: Collection[str]) -> IssuedElement:
+    """Read an ``<identity>``, ``<authority>``, ``<grant>`` or ``<defaults>`` element.
 
     Args:
-        element: contains ``<cert>`` and ``<key>``, or directly the parts of both.
+        element: contains ``<cert>`` and ``<key>``, or directly the parts of both, or those of a grant.
         known: the placeholders allowed in its subject name.
 
     Raises:
         KeymintError: with the line of the first defect.
     """
-    cert = element if element.tag == "defaults" else element.find("cert")
+    cert = element if element.tag in {"defaults", "grant"} else element.find("cert")
     parts = {} if cert is None else {part.tag: part for part in cert}
     serial, issuer_name = parts.get("serial_number"), parts.get("issuer_name")
     extensions, key = parts.get("extensions"), element.find("key")
-    return CertificateElement(
+    return IssuedElement(
         line=line(element),
+        domains=domains(parts.get("domains")),
         subject_name=placeholders.read(parts.get("subject_name"), known),
         validity=validity.read(parts.get("validity")),
         serial=None if serial is None else _serial(serial),
@@ -90,7 +111,7 @@ def read(element: etree._Element, known: Collection[str]) -> CertificateElement:
     )
 
 
-def complete(own: CertificateElement, defaults: CertificateElement, values: Mapping[str, str]) -> CertificateSpec:
+def complete(own: IssuedElement, defaults: IssuedElement, values: Mapping[str, str]) -> CertificateSpec:
     """Return the certificate that an element and its defaults describe together.
 
     Args:
@@ -102,10 +123,9 @@ def complete(own: CertificateElement, defaults: CertificateElement, values: Mapp
         KeymintError: neither of them has a subject name or a validity.
     """
     subject_name = own.subject_name or defaults.subject_name
-    period = validity.placed(own.validity, own.file) or validity.placed(defaults.validity, defaults.file)
+    period = own.validity or defaults.validity
     if subject_name is None or period is None:
         raise incomplete("certificate", "subject_name" if subject_name is None else "validity", defaults.origin)
-    with_extensions = defaults if own.extensions is None else own
     return CertificateSpec(
         subject_name=placeholders.expand(subject_name, values) if values else subject_name,
         validity=period,
@@ -113,15 +133,12 @@ def complete(own: CertificateElement, defaults: CertificateElement, values: Mapp
         issuer=issuer(own, defaults)[0],
         hash_algorithm=own.hash_algorithm or defaults.hash_algorithm or _DEFAULT_HASH,
         key=_complete_key(own.key or defaults.key or _DEFAULT_KEY, defaults.key),
-        extensions=tuple(
-            replace(extension, origin=Origin(with_extensions.file, extension.origin.line))
-            for extension in with_extensions.extensions or ()
-        ),
+        extensions=(defaults.extensions if own.extensions is None else own.extensions) or (),
         origin=defaults.origin if own.is_empty else own.origin,
     )
 
 
-def issuer(own: CertificateElement, defaults: CertificateElement) -> tuple[str, Origin]:
+def issuer(own: IssuedElement, defaults: IssuedElement) -> tuple[str, Origin]:
     """Return the name of the issuing authority (empty if none is given) and the place that gives it."""
     for element in (own, defaults):
         if element.issuer is not None:

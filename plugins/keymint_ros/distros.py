@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 from comarmor.data import locate
@@ -33,14 +34,30 @@ def check(distro: str, where: Origin | None = None) -> str:
     Raises:
         KeymintError: the distribution is not known; a usage error if ``where`` is None.
     """
-    if distro in DISTROS:
-        return distro
+    return check_choice("ROS 2 distro", distro, DISTROS, "distro-unknown", where)
+
+
+def check_choice(noun: str, value: str, known: Collection[str], code: str, where: Origin | None = None) -> str:
+    """Return a value that is one of several.
+
+    Args:
+        noun: what it is, for the message.
+        value: the value.
+        known: the values that there are.
+        code: code of the error.
+        where: the place in a document that gives it; None if an option or the environment does.
+
+    Raises:
+        KeymintError: it is another one; a usage error if ``where`` is None.
+    """
+    if value in known:
+        return value
     raise KeymintError(
-        f"unknown ROS 2 distro {distro!r}",
+        f"unknown {noun} {value!r}",
         where=where,
-        help=did_you_mean(distro, DISTROS, f"known are {', '.join(DISTROS)}"),
-        code="distro-unknown",
-        exit_code=ExitCode.FAILURE if where else ExitCode.USAGE,  # without a file, an option or $ROS_DISTRO names it
+        help=did_you_mean(value, known, f"known are {', '.join(known)}"),
+        code=code,
+        exit_code=ExitCode.FAILURE if where else ExitCode.USAGE,
     )
 
 

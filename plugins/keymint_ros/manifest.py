@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 MARKER = "keymint_package.xml"
 ISSUANCE = "issuance.xml"
-"""What an authority decided about the certificate of the package; see :mod:`keymint_ros.issuance_document`."""
+"""What an authority decided about the certificate of the package; see :mod:`keymint_ros.decisions`."""
 BUILD_TYPE = "keymint_ros2_dds"
 SIGNER = "permissions_ca"
 """Name of the authority that signs documents, where one alone does; packages of 2018 and new profiles name it."""

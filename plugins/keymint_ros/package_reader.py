@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, TypeVar
 from comarmor.errors import Defects, Origin
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
-from comarmor.xml.reader import line
 from keymint.api import (
     Authority,
     BuildType,
@@ -29,11 +28,9 @@ from keymint.api import (
 from keymint.api.source_documents import (
     DEFAULT_DOMAINS,
     Reader,
-    domains,
     file_in,
     normal_path,
     signer,
-    text,
 )
 from keymint.errors import KeymintError, known_authority
 from keymint.ir import DeferredRules, Rule, SubjectRules
@@ -41,71 +38,52 @@ from keymint.names import subject_of
 from keymint_ros import (
     adopted,
     certificate,
-    issuance_document,
+    decisions,
     manifest,
     permissions,
     permissions_writer,
     placeholders,
     validity,
 )
+from keymint_ros.certificate import IssuedElement
 from keymint_ros.manifest import MARKER, SIGNER, PackageManifest, PackagePart
 from keymint_ros.profile_reader import base_of
 
 if TYPE_CHECKING:
     from lxml import etree
 
-    from keymint.api import DomainRange, Validity
 
 _Issued = TypeVar("_Issued", CertificateSpec, Grant)
 
 
-@dataclass(frozen=True, slots=True)
-class _GrantDefaults:
-    line: int
-    issuer: str
-    domains: tuple[DomainRange, ...]
-    subject_name: str | None
-    validity: Validity | None
-
-
-def _identity(root: etree._Element) -> tuple[str, certificate.CertificateElement]:
+def _identity(root: etree._Element) -> tuple[str, IssuedElement]:
     (element,) = root.iterfind("identities/identity")
     return element.get("name", "").strip(), certificate.read(element, placeholders.SUBJECT)
-
-
-def _grant_defaults(root: etree._Element) -> _GrantDefaults:
-    return _GrantDefaults(
-        line=line(root),
-        issuer=text(root.find("issuer_name")) or "",
-        domains=domains(root.find("domains")),
-        subject_name=placeholders.read(root.find("subject_name"), placeholders.SUBJECT),
-        validity=validity.read(root.find("validity")),
-    )
 
 
 _read_identity = Reader("keymint_ros", "identities", _identity)
 _read_identity_defaults = Reader(
     "keymint_ros", "defaults_identities", lambda root: certificate.read(root, placeholders.SUBJECT)
 )
-_read_grant_defaults = Reader("keymint_ros", "defaults_permissions", _grant_defaults)
+_read_grant_defaults = Reader(
+    "keymint_ros", "defaults_permissions", lambda root: certificate.read(root, placeholders.SUBJECT)
+)
 
 
 @lru_cache(maxsize=64)
-def _default_identity(content: bytes, file: str) -> tuple[certificate.CertificateElement, CertificateSpec | None]:
+def _default_identity(content: bytes, file: str) -> tuple[IssuedElement, CertificateSpec | None]:
     """Return the defaults of identities, and the certificate that they describe alone, with placeholders in its name.
 
     There is none if they do not describe one.
     """
-    defaults = replace(_read_identity_defaults(content, file), file=file)
+    defaults = _read_identity_defaults(content, file).in_file(file)
     alone = defaults.subject_name is not None and defaults.validity is not None
     return defaults, certificate.complete(defaults, defaults, {}) if alone else None
 
 
 @lru_cache(maxsize=64)
-def _default_grant(content: bytes, file: str) -> _GrantDefaults:
-    """Return the defaults of grants, whose validity has its place in this file."""
-    defaults = _read_grant_defaults(content, file)
-    return replace(defaults, validity=validity.placed(defaults.validity, file))
+def _default_grant(content: bytes, file: str) -> IssuedElement:
+    return _read_grant_defaults(content, file).in_file(file)
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,10 +157,10 @@ class _PackageLoader:
         file, content = self.own(part)
         defaults_file, defaults_content = self.defaults(part)
         defaults, alone = _default_identity(defaults_content, defaults_file)
-        own = certificate.CertificateElement(defaults.line, defaults_file)
+        own = IssuedElement(defaults.line, defaults_file)
         if content is not None:
             name, element = _read_identity(content, file)
-            own = replace(element, file=file)
+            own = element.in_file(file)
             if not manifest.is_name_of(name, self.name):
                 raise KeymintError(
                     f"the identity is named {name!r}, but the package {self.name!r}",
@@ -213,47 +191,37 @@ class _PackageLoader:
             else permissions_writer.rendered(content, self.base)
         )
         if rules is not None:
-            return self._grant_of(rules, Origin(file, permissions_writer.GRANT_LINE))
+            return self._grant_of(rules, IssuedElement(permissions_writer.GRANT_LINE, file))
         grant = permissions.read(content, file, subject)
-        base = self._grant_of(permissions.to_ir(grant, subject, file, self.base), Origin(file, grant.line))
-        return replace(
-            base,
-            name=grant.name,
-            subject_name=placeholders.expand(grant.subject_name, self.values)
-            if grant.subject_name
-            else base.subject_name,
-            validity=validity.placed(grant.validity, file) or base.validity,
-            domains=grant.domains or base.domains,
-            domains_origin=None if grant.domains else base.domains_origin,
-            edited=grant.edited,
-        )
+        rules = permissions.to_ir(grant, subject, file, self.base)
+        return replace(self._grant_of(rules, grant.own.in_file(file)), name=grant.name, edited=grant.edited)
 
     def _rules(self, content: bytes, file: str) -> tuple[Rule, ...]:
         subject = subject_of(self.name)
         return permissions.to_ir(permissions.read(content, file, subject), subject, file, self.base).rules
 
-    def _grant_of(self, rules: SubjectRules, written: Origin | None = None) -> Grant:
-        """Return the grant that the defaults give for some rules.
+    def _grant_of(self, rules: SubjectRules, written: IssuedElement | None = None) -> Grant:
+        """Return the grant that its document and the defaults give for some rules.
 
         Args:
             rules: the rules.
-            written: the place of the grant in its document, if there is one.
+            written: what the document says beside the rules, if there is one.
         """
         part = self.manifest.part("permissions")
         file, content = self.defaults(part)
         defaults = _default_grant(content, file)
-        origin = Origin(file, defaults.line)
+        own = written or defaults
         issuer = defaults.issuer or (SIGNER if SIGNER in self.authorities else "")
         return Grant(
-            issuer=signer(part.issuer, self.place(part), issuer, origin, self.authorities),
+            issuer=signer(part.issuer, self.place(part), issuer, defaults.origin, self.authorities),
             name=rules.subject,
-            subject_name=placeholders.expand(defaults.subject_name or "", self.values),
-            validity=defaults.validity,
-            domains=defaults.domains or DEFAULT_DOMAINS,
+            subject_name=placeholders.expand(own.subject_name or defaults.subject_name or "", self.values),
+            validity=own.validity or defaults.validity,
+            domains=own.domains or defaults.domains or DEFAULT_DOMAINS,
             rules=rules,
-            origin=written or origin,
-            domains_origin=origin if written else None,
-            defaults_origin=origin,
+            origin=own.origin,
+            domains_origin=defaults.origin if written and not written.domains else None,
+            defaults_origin=defaults.origin,
         )
 
     def part(self, name: str) -> SourcePart:
@@ -288,7 +256,7 @@ def load(
     subject = subject_of(name)
     plugins = {each: build_types(each, Origin(file)) for each in package_manifest.build_types}
     defects = Defects()
-    issued = defects.attempt(partial(issuance_document.issuance, folder, files)) or Issuance()
+    issued = defects.attempt(partial(decisions.issuance, folder, files)) or Issuance()
     in_common_name = any(isinstance(each, CommonNameIdentity) for each in plugins.values())
     values = placeholders.of_subject(subject, issued.generation, in_common_name=in_common_name)
     authorities = tuple(authority.name for authority in profile.authorities)

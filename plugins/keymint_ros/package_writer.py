@@ -14,7 +14,7 @@ from keymint.ir import SubjectRules
 from keymint.names import name_of
 from keymint_ros import bootstrap, manifest, permissions, permissions_of_2018, permissions_writer, validity
 from keymint_ros.manifest import MARKER
-from keymint_ros.permissions import Grant
+from keymint_ros.permissions import WrittenGrant
 from keymint_ros.profile_reader import base_of
 
 FORMER = ".2018"
@@ -95,7 +95,7 @@ def _permissions(
     return {path: permissions_writer.render(rules, base, name=grant.name, overrides=grant.overrides)}
 
 
-def _keeps_edit(grant: Grant, now: str, file: str) -> bool:
+def _keeps_edit(grant: WrittenGrant, now: str, file: str) -> bool:
     """Tell whether a document was edited by hand and is kept, since the policy's rules (digest ``now``) did not change.
 
     Raises:
@@ -107,7 +107,7 @@ def _keeps_edit(grant: Grant, now: str, file: str) -> bool:
         return True
     raise KeymintError(
         "these permissions were edited by hand, and the policy changed too",
-        where=Origin(file, grant.line),
+        where=Origin(file, grant.own.line),
         help="move the edits into the policy, then replace the file with --force",
         code="hand-edited",
     )

@@ -13,7 +13,6 @@ import posixpath
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
 from urllib.parse import unquote
 
 from lxml import etree
@@ -27,14 +26,12 @@ from comarmor.values import dataclass
 from comarmor.xml import reader
 from comarmor.xml.includes import PACKAGE
 from comarmor.xml.reader import line
-from keymint.api.source_documents import Reader, domains, place
+from keymint.api.source_documents import Reader, place
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
 from keymint.names import name_of
-from keymint_ros import placeholders, validity
-
-if TYPE_CHECKING:
-    from keymint.api import DomainRange, Validity
+from keymint_ros import certificate, placeholders
+from keymint_ros.certificate import IssuedElement
 
 OLD_FORMAT = "permissions-format"
 """Code of the error for a document in the format of 2018."""
@@ -44,15 +41,12 @@ _OVERRIDES = ("domains", "subject_name", "validity")
 
 
 @dataclass(frozen=True, slots=True)
-class Grant:
+class WrittenGrant:
     """The grant of a package.
 
     Attributes:
-        line: line of the grant.
         name: the grant's label.
-        domains: empty where the defaults apply.
-        subject_name: distinguished name, with placeholders; None where the default applies, as for the validity.
-        validity: period of the grant.
+        own: what it says beside its rules, in place of the defaults.
         rules: the rules in order, with the origin that the document states, or their place in the document.
         places: the place of each rule in the document.
         base: digest of the policy's rules when the document was written; empty if it is not known.
@@ -60,11 +54,8 @@ class Grant:
         overrides: the XML elements that a person set to override the defaults.
     """
 
-    line: int
     name: str
-    domains: tuple[DomainRange, ...]
-    subject_name: str | None
-    validity: Validity | None
+    own: IssuedElement
     rules: tuple[Rule, ...]
     places: tuple[Origin, ...]
     base: str
@@ -106,7 +97,7 @@ def _old(content: bytes, name: str) -> Origin | None:
     return None
 
 
-def read(content: bytes, name: str, subject: str) -> Grant:
+def read(content: bytes, name: str, subject: str) -> WrittenGrant:
     """Return the grant of a ``permissions.xml``.
 
     Args:
@@ -131,25 +122,22 @@ def read(content: bytes, name: str, subject: str) -> Grant:
     )
 
 
-def _grant(root: etree._Element) -> Grant:
+def _grant(root: etree._Element) -> WrittenGrant:
     (grant,) = root.iterfind("permissions/grant")
-    own = {part.tag: part for part in grant if part.tag in _OVERRIDES}
+    overrides = [part for part in grant if part.tag in _OVERRIDES]
     elements = [part for part in grant if part.tag not in _OVERRIDES]
     rules = tuple(map(_rule, elements))
     base, current = root.get("digest", "").strip(), digest(rules)
     if base != current:
         _check_edited(grant)
-    return Grant(
-        line=line(grant),
+    return WrittenGrant(
         name=grant.get("name", "").strip(),
-        domains=domains(own.get("domains")),
-        subject_name=placeholders.read(own.get("subject_name"), placeholders.SUBJECT),
-        validity=validity.read(own.get("validity")),
+        own=certificate.read(grant, placeholders.SUBJECT),
         rules=rules,
         places=tuple(map(place, elements)),
         base=base,
         current=current,
-        overrides=tuple(etree.tostring(part, encoding="unicode", with_tail=False) for part in own.values()),
+        overrides=tuple(etree.tostring(part, encoding="unicode", with_tail=False) for part in overrides),
     )
 
 
@@ -202,7 +190,7 @@ def _check_edited(grant: etree._Element) -> None:
                 ) from None
 
 
-def has_rules(grant: Grant, rules: SubjectRules) -> bool:
+def has_rules(grant: WrittenGrant, rules: SubjectRules) -> bool:
     """Tell whether a document has exactly these rules in this order.
 
     Of their origins only the names of files count: folders depend on the current folder, and lines move with each
@@ -221,7 +209,7 @@ def _files(origin: Origin) -> list[str]:
     return [posixpath.basename(each.file) for each in (origin, *origin.chain)]
 
 
-def to_ir(grant: Grant, subject: str, file: str, base: str) -> SubjectRules:
+def to_ir(grant: WrittenGrant, subject: str, file: str, base: str) -> SubjectRules:
     """Return the rules of a document.
 
     The origin of a rule is its place in the policy, or in the document if the document was edited.

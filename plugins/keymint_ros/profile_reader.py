@@ -16,17 +16,8 @@ from comarmor.xml.reader import line
 from keymint.api import Authority, PolicySource, WorkspaceProfile
 from keymint.api.source_documents import Reader, domains, file_in, place, require_new, text
 from keymint.errors import KeymintError, known_authority
-from keymint_ros import (
-    authority_issuance,
-    bootstrap,
-    certificate,
-    distros,
-    manifest,
-    packages_lock,
-    placeholders,
-    validity,
-)
-from keymint_ros.certificate import CertificateElement
+from keymint_ros import bootstrap, certificate, decisions, distros, manifest, placeholders, validity
+from keymint_ros.certificate import IssuedElement
 from keymint_ros.manifest import BUILD_TYPE
 
 if TYPE_CHECKING:
@@ -51,18 +42,17 @@ class _PathElement:
 
 @dataclass(frozen=True, slots=True)
 class _ProfileManifest:
-    """The content of ``keymint_profile.xml``; ``authorities`` has pairs of a document and its defaults."""
+    """The content of ``keymint_profile.xml``.
 
-    name: str
+    Attributes:
+        profile: the profile without what its other documents say.
+        authorities: pairs of a document and its defaults.
+        policies: lists of policies.
+    """
+
+    profile: WorkspaceProfile
     authorities: tuple[tuple[_PathElement, _PathElement], ...]
     policies: tuple[_PathElement, ...]
-    policy_type: str
-    package_type: str
-    build_types: tuple[str, ...]
-    layout: str
-    distro: str
-    accepts: frozenset[str]
-    revoke_superseded: bool
 
 
 def _path(parent: etree._Element, tag: str, usual: str) -> _PathElement:
@@ -73,22 +63,30 @@ def _path(parent: etree._Element, tag: str, usual: str) -> _PathElement:
 def _manifest(root: etree._Element) -> _ProfileManifest:
     exports = _exports(root)
     distro = root.find("export/distro")
-    return _ProfileManifest(
+    build_types = manifest.build_types(root.findall("export/build_type")) or (BUILD_TYPE,)
+    named = exports.get("distro", "") and distros.check(exports["distro"], place(root if distro is None else distro))
+    profile = WorkspaceProfile(
         name=text(root.find("name")) or "",
-        authorities=tuple(
-            (_path(item, "authority_path", "authorities.xml"), _path(item, "defaults_path", _AUTHORITY_DEFAULTS))
-            for item in root.iterfind("authorities/authority")
-        ),
-        policies=tuple(_path(item, "policy_path", "policies.xml") for item in root.iterfind("policies/policy")),
+        profile_type=NAME,
         policy_type=exports.get("policy_type") or bootstrap.POLICY_TYPE,
         package_type=exports.get("package_type") or NAME,
-        build_types=manifest.build_types(root.findall("export/build_type")) or (BUILD_TYPE,),
+        policies=(),
+        library=None,
+        authorities=(),
+        build_types=build_types,
         layout=exports.get("layout", ""),
-        distro=exports.get("distro", "")
-        and distros.check(exports["distro"], place(root if distro is None else distro)),
+        distro=named or distros.DEFAULT,
+        files={},
         accepts=frozenset(str(part.tag) for part in root.iterfind("accept/*")),
         revoke_superseded=root.find("revoke_superseded") is not None,
+        distro_named=bool(named),
     )
+    authorities = (
+        (_path(item, "authority_path", "authorities.xml"), _path(item, "defaults_path", _AUTHORITY_DEFAULTS))
+        for item in root.iterfind("authorities/authority")
+    )
+    policies = (_path(item, "policy_path", "policies.xml") for item in root.iterfind("policies/policy"))
+    return _ProfileManifest(profile, tuple(authorities), tuple(policies))
 
 
 def _exports(root: etree._Element) -> Mapping[str, str]:
@@ -106,7 +104,7 @@ def _exports(root: etree._Element) -> Mapping[str, str]:
     return exports
 
 
-def _authorities(root: etree._Element) -> tuple[tuple[str, CertificateElement], ...]:
+def _authorities(root: etree._Element) -> tuple[tuple[str, IssuedElement], ...]:
     return tuple(
         (element.get("name", "").strip(), certificate.read(element, placeholders.AUTHORITY))
         for element in root.iterfind("authorities/authority")
@@ -178,33 +176,25 @@ def load(root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
         for authority, where, issuer_named_at in _load_authorities(root, files, path, defaults_path):
             _check_unique(authority.name, authorities, where)
             authorities[authority.name], issuers[authority.name] = authority, issuer_named_at
-    for each, issuance in authority_issuance.read(files, str(root), authorities).items():
-        spec = authority_issuance.applied(authorities[each].certificate, issuance)
+    for each, issuance in decisions.authority_issuance(files, str(root), authorities).items():
+        spec = decisions.applied(authorities[each].certificate, issuance)
         authorities[each] = Authority(each, spec, issuance)
     _check_hierarchy(authorities, issuers)
-    return WorkspaceProfile(
-        name=own.name,
-        profile_type=NAME,
-        policy_type=own.policy_type,
-        package_type=own.package_type,
+    return replace(
+        own.profile,
         policies=tuple(source for path in own.policies for source in _load_policies(root, files, path)),
         library=root / LIBRARY,
         authorities=tuple(authorities.values()),
-        build_types=own.build_types,
-        layout=own.layout or "sros2",
-        distro=own.distro or distros.DEFAULT,
-        distro_named=bool(own.distro),
+        layout=own.profile.layout or "sros2",
         files=files,
-        accepts=own.accepts,
-        revoke_superseded=own.revoke_superseded,
-        packages=packages_lock.read(files, str(root)),
-        package_copies=root / packages_lock.COPIES,
+        packages=decisions.accepted_packages(files, str(root)),
+        package_copies=root / decisions.COPIES,
     )
 
 
 def with_distro(profile: WorkspaceProfile, distro: str) -> WorkspaceProfile:
     """Return a profile with a distribution: see :meth:`keymint.api.ProfileType.with_distro`."""
-    layout = _read_manifest(profile.files[MANIFEST], MANIFEST).layout
+    layout = _read_manifest(profile.files[MANIFEST], MANIFEST).profile.layout
     # What no node of the distribution could read stays where it would be without one.
     is_readable = len(profile.authorities) == 1 or not distros.has_one_authority(distro, distros.layout(distro))
     return replace(profile, distro=distro, layout=layout or (distros.layout(distro) if is_readable else profile.layout))
@@ -221,9 +211,9 @@ def _load_authorities(
     """Yield the authorities of one document, each with its place and the one that names its issuer."""
     content, file = _document(root, files, path)
     defaults_content, defaults_file = _document(root, files, defaults_path)
-    defaults = replace(_read_authority_defaults(defaults_content, defaults_file), file=defaults_file)
+    defaults = _read_authority_defaults(defaults_content, defaults_file).in_file(defaults_file)
     for name, element in _read_authorities(content, file):
-        own = replace(element, file=file)
+        own = element.in_file(file)
         spec = certificate.complete(own, defaults, {"name": name})
         issuer = "" if spec.issuer == name else spec.issuer
         yield Authority(name, replace(spec, issuer=issuer)), own.origin, certificate.issuer(own, defaults)[1]

@@ -45,16 +45,6 @@ def read(element: etree._Element | None) -> Validity | None:
     return Validity(not_before, not_after, place(end))
 
 
-def placed(period: Validity | None, file: str) -> Validity | None:
-    """Return a period, if there is one, with its place in a file.
-
-    Args:
-        period: the period; its place has a line only.
-        file: path of the document that gives it, as the user would type it.
-    """
-    return period and replace(period, origin=Origin(file, period.origin.line if period.origin else 0))
-
-
 def renewed(period: Validity, start: datetime | None) -> Validity:
     """Return a period that begins at a later date, and is as long as before; itself if the date is not later.
 
@@ -87,6 +77,12 @@ def starting(duration: str, now: datetime) -> str:
 def written(moment: datetime) -> str:
     """Return a date as documents have it: in UTC, without a zone."""
     return f"{moment.astimezone(UTC):%Y-%m-%dT%H:%M:%S}"
+
+
+def element(period: Validity) -> str:
+    """Return the element of a period, as :func:`read` reads it."""
+    begin, end = written(period.not_before), written(period.not_after)
+    return f"<validity><not_before>{begin}</not_before><not_after>{end}</not_after></validity>"
 
 
 def length(root: etree._Element) -> str:

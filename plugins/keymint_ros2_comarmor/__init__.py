@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from keymint_comarmor import require_policies
+
 import comarmor
 from comarmor.xml.package_folders import PackageFolders
 from keymint.api import API_VERSION, PolicySource
 from keymint.api.lazy import lazy
-from keymint.errors import KeymintError
 
 if TYPE_CHECKING:
     from keymint_comarmor.loaded import ComArmorPolicy
@@ -38,14 +39,7 @@ class ComArmorPolicyType:
         packages: PackageFolders | None,
     ) -> ComArmorPolicy:
         """See :meth:`keymint.api.PackageIncludes.load_with_packages`; without packages none of their files is found."""
-        for source in sources:
-            if not source.path.exists():
-                raise KeymintError(
-                    f"the policy '{source.path}' does not exist",
-                    where=source.origin,
-                    help="name a ComArmor file, or a directory of *.xml files",
-                    code="policy-missing",
-                )
+        require_policies(sources, "a ComArmor file, or a directory of *.xml files")
         from keymint_comarmor.loaded import ComArmorPolicy  # noqa: PLC0415 - a run without changes loads no policy
 
         paths = [source.path for source in sources]

@@ -18,14 +18,16 @@ from keymint.names import name_of
 from keymint_ros2_sros2.common_files import Atom, atoms, common_files
 from keymint_ros2_sros2.names import as_read, expression
 from keymint_ros2_sros2.rules import GRAPH_TOPIC, rules_of
-from keymint_ros2_sros2.syntax import KINDS, Enclave, Node, RuleList
+from keymint_ros2_sros2.syntax import KINDS, RosNode, RuleList, Sros2Enclave
 
 _INCLUDE = f"{{{XINCLUDE}}}include"
 _GRAPH: frozenset[Atom] = frozenset((Effect.ALLOW, "topic", each, GRAPH_TOPIC) for each in ("publish", "subscribe"))
 """What SROS2 allows by itself."""
 
 
-def document(enclaves: Iterable[Sequence[Enclave]], closing: Iterable[str], library: Path, *, graph: bool) -> bytes:
+def document(
+    enclaves: Iterable[Sequence[Sros2Enclave]], closing: Iterable[str], library: Path, *, graph: bool
+) -> bytes:
     """Return a policy as a ComArmor document.
 
     Args:
@@ -44,7 +46,7 @@ def document(enclaves: Iterable[Sequence[Enclave]], closing: Iterable[str], libr
     return formatted(content, "the new policy") or content  # comments have the indentation of the old policy
 
 
-def _profile(enclaves: Sequence[Enclave], library: Path, *, graph: bool) -> etree._Element:
+def _profile(enclaves: Sequence[Sros2Enclave], library: Path, *, graph: bool) -> etree._Element:
     path = enclaves[0].path
     profile = etree.Element("profile", name=name_of(path))
     etree.SubElement(profile, "attachment").text = escape(path)
@@ -67,7 +69,7 @@ def _profile(enclaves: Sequence[Enclave], library: Path, *, graph: bool) -> etre
     return profile
 
 
-def _node(profile: etree._Element, node: Node, written: set[Atom]) -> None:
+def _node(profile: etree._Element, node: RosNode, written: set[Atom]) -> None:
     """Add the rules of a node; what the profile has of included files is not written twice."""
     _comment(profile, [*node.comments, f" the node {node.name} in the namespace {node.ns or '/'} "])
     for rules in node.lists:
@@ -80,7 +82,7 @@ def _node(profile: etree._Element, node: Node, written: set[Atom]) -> None:
     _comment(profile, node.closing)
 
 
-def _rules(node: Node, rules: RuleList, written: set[Atom]) -> Iterator[etree._Element]:
+def _rules(node: RosNode, rules: RuleList, written: set[Atom]) -> Iterator[etree._Element]:
     """Yield the rules of a list: one for each effect, and for each set of permissions that names still need."""
     kind = KINDS[rules.tag]
     names = [(expression(as_read(node, entry.text), entry), entry.comments) for entry in rules.entries]

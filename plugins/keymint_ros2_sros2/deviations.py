@@ -10,7 +10,7 @@ from comarmor.errors import ComArmorError, Diagnostic
 from comarmor.ros_names import is_subject
 from comarmor.text import quoted
 from keymint_ros2_sros2.names import as_read, enforced, expression
-from keymint_ros2_sros2.syntax import Enclave, Entry, Node, SourcePolicy
+from keymint_ros2_sros2.syntax import Entry, RosNode, SourcePolicy, Sros2Enclave
 
 _LONGEST_PATH = 1024
 _LONGEST_SEGMENT = 255
@@ -41,7 +41,7 @@ def deviations(policy: SourcePolicy) -> tuple[Diagnostic, ...]:
 
 
 def _doubled(policy: SourcePolicy) -> Iterator[Diagnostic]:
-    first: dict[str, Enclave] = {}
+    first: dict[str, Sros2Enclave] = {}
     for enclave in policy.enclaves:
         before = first.setdefault(enclave.path, enclave)
         if before is not enclave:
@@ -53,7 +53,7 @@ def _doubled(policy: SourcePolicy) -> Iterator[Diagnostic]:
             yield Diagnostic.error("sros2-path-twice", message, enclave.where, help_, enclave.path)
 
 
-def _of_path(enclave: Enclave) -> Iterator[Diagnostic]:
+def _of_path(enclave: Sros2Enclave) -> Iterator[Diagnostic]:
     path = enclave.path
     if is_subject(path) and len(path) <= _LONGEST_PATH and max(map(len, path.split("/"))) <= _LONGEST_SEGMENT:
         return
@@ -65,7 +65,7 @@ def _of_path(enclave: Enclave) -> Iterator[Diagnostic]:
     yield Diagnostic.error("sros2-path", message, enclave.where, help_, enclave.path)
 
 
-def _of_groups(enclave: Enclave) -> Iterator[Diagnostic]:
+def _of_groups(enclave: Sros2Enclave) -> Iterator[Diagnostic]:
     if len(enclave.groups) > 1:
         message = (
             f"the enclave {quoted(enclave.path)} has {len(enclave.groups)} <profiles>: SROS2 writes a grant for each,"
@@ -75,7 +75,7 @@ def _of_groups(enclave: Enclave) -> Iterator[Diagnostic]:
         yield Diagnostic.error("sros2-two-profiles", message, enclave.groups[1].where, help_, enclave.path)
 
 
-def _of_node(enclave: Enclave, node: Node) -> Iterator[Diagnostic]:
+def _of_node(enclave: Sros2Enclave, node: RosNode) -> Iterator[Diagnostic]:
     if node.ns and not node.ns.startswith("/"):
         message = f"the namespace {quoted(node.ns)} does not begin with '/': SROS2 writes topics that no node has"
         help_ = f"write ns={quoted('/' + node.ns.strip())}; --accept reads it so"
@@ -86,7 +86,7 @@ def _of_node(enclave: Enclave, node: Node) -> Iterator[Diagnostic]:
             yield Diagnostic.error("sros2-padded", message, node.where, "remove it; --accept reads it so", enclave.path)
 
 
-def _of_entry(enclave: Enclave, node: Node, entry: Entry) -> Iterator[Diagnostic]:
+def _of_entry(enclave: Sros2Enclave, node: RosNode, entry: Entry) -> Iterator[Diagnostic]:
     text, trimmed = entry.text, entry.text.strip()
     if not trimmed:
         help_ = "write a name, or remove the element"
@@ -110,5 +110,5 @@ def _of_entry(enclave: Enclave, node: Node, entry: Entry) -> Iterator[Diagnostic
         yield Diagnostic.error("sros2-backslash", message, entry.where, help_, enclave.path)
 
 
-def _names(node: Node, text: str) -> str:
+def _names(node: RosNode, text: str) -> str:
     return f"SROS2 enforces {quoted(enforced(node, text))}, not {quoted(as_read(node, text))}"

@@ -16,11 +16,11 @@ from comarmor.rules import Effect, Rule
 from comarmor.text import quoted
 from comarmor.values import dataclass
 from keymint.api import ExportedPolicy, ImportedSubject
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, UnsayableError
 from keymint.ir import SubjectRules
 from keymint_ros2_sros2 import permissions
-from keymint_ros2_sros2.sayable import Said, UnsayableError, is_graph, is_raw, said, services
-from keymint_ros2_sros2.syntax import NEW, PERMISSIONS, Enclave, Entry, Node, NodeGroup, RuleList
+from keymint_ros2_sros2.sayable import Said, is_graph, is_raw, said, services
+from keymint_ros2_sros2.syntax import NEW, PERMISSIONS, Entry, NodeGroup, RosNode, RuleList, Sros2Enclave
 
 _LONGEST = 64
 """Characters of a common name (RFC 5280, ub-common-name); SROS2 puts the path there."""
@@ -67,7 +67,7 @@ class _Exporter:
     kept: dict[str, SubjectRules] = field(default_factory=dict)
     graph: set[str] = field(default_factory=set)
 
-    def enclave(self, subject: SubjectRules) -> Enclave:
+    def enclave(self, subject: SubjectRules) -> Sros2Enclave:
         """Return the enclave of a subject, with one node of the same name, and with full names."""
         path = subject.subject
         where = subject.rules[0].origin if subject.rules else Origin("policy.xml")
@@ -103,8 +103,8 @@ class _Exporter:
             self.warnings.append(Diagnostic.warning("sros2-graph", message, where, help_, path))
         self.kept[path] = SubjectRules(path, tuple(kept))
         parent, _, name = path.rpartition("/")
-        node = Node(parent or "/", name or _ROOT_NODE, tuple(lists), where)
-        return Enclave(path, (NodeGroup((node,), where),), where)
+        node = RosNode(parent or "/", name or _ROOT_NODE, tuple(lists), where)
+        return Sros2Enclave(path, (NodeGroup((node,), where),), where)
 
     def _audit(self, rule: Rule, path: str) -> None:
         if rule.audit:
@@ -143,7 +143,7 @@ def _lists(rule: Rule, names: dict[Said, None]) -> list[RuleList]:
     ]  # fmt: skip
 
 
-def _document(enclaves: Iterable[Enclave]) -> bytes:
+def _document(enclaves: Iterable[Sros2Enclave]) -> bytes:
     root = etree.Element("policy", version=NEW)
     parent = etree.SubElement(root, "enclaves")
     for enclave in enclaves:

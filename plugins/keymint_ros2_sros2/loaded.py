@@ -17,7 +17,7 @@ from keymint.errors import KeymintError
 from keymint_ros2_sros2.deviations import deviations
 from keymint_ros2_sros2.parse import parse
 from keymint_ros2_sros2.rules import rules_of
-from keymint_ros2_sros2.syntax import Enclave
+from keymint_ros2_sros2.syntax import Sros2Enclave
 
 
 def load(
@@ -46,7 +46,7 @@ def load(
     return ComArmorPolicy(comarmor.Policy(tuple(profiles.values()), seen=MappingProxyType(seen)))
 
 
-def _profile(enclave: Enclave, *, graph: bool) -> Profile:
+def _profile(enclave: Sros2Enclave, *, graph: bool) -> Profile:
     rules = (
         ProfileRule(
             rule.effect, rule.kind, rule.permissions,

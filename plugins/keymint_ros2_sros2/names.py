@@ -14,18 +14,18 @@ from comarmor.patterns.printing import canonical
 from comarmor.patterns.tokens import COMARMOR, tokenize
 from comarmor.regex import lazy_regex
 from comarmor.text import quoted
-from keymint_ros2_sros2.syntax import Entry, Node
+from keymint_ros2_sros2.syntax import Entry, RosNode
 
 _PLAIN = lazy_regex(r"[\w/~.]*")
 """Names in which no character has a meaning: most names."""
 
 
-def enforced(node: Node, text: str) -> str:
+def enforced(node: RosNode, text: str) -> str:
     """Return a name as SROS2's stylesheet resolves it in a node."""
     return _resolved(node.ns, node.name, text)
 
 
-def as_read(node: Node, text: str) -> str:
+def as_read(node: RosNode, text: str) -> str:
     """Return a name as it reads: trimmed, ``~x`` as ``~/x``, in a namespace that begins with ``/``."""
     text, ns = text.strip(), node.ns.strip()
     if text.startswith("~") and text[1:2] not in ("", "/"):

@@ -14,7 +14,7 @@ from comarmor.rules import Effect
 from comarmor.text import quoted
 from comarmor.values import dataclass
 from keymint_ros2_sros2.policy_files import Placed, read
-from keymint_ros2_sros2.syntax import NEW, PERMISSIONS, Enclave, Entry, Node, NodeGroup, RuleList, SourcePolicy
+from keymint_ros2_sros2.syntax import NEW, PERMISSIONS, Entry, NodeGroup, RosNode, RuleList, SourcePolicy, Sros2Enclave
 
 
 def parse(path: Path) -> SourcePolicy:
@@ -50,7 +50,7 @@ class _Parser:
             raise _misplaced(root, "as the root", ("policy",))
         self.version = version = root.element.get("version", "")
         inner = "enclaves" if version == NEW else "profiles"
-        enclaves: list[Enclave] = []
+        enclaves: list[Sros2Enclave] = []
         comments: list[str] = [*root.before]
         for child in self.children(root, (inner,), f"in a policy of version {version}"):
             comments += child.comments
@@ -67,18 +67,18 @@ class _Parser:
         closing = (*comments, *root.closing)
         return SourcePolicy(version, tuple(enclaves), self.seen, tuple(self.lost), closing)
 
-    def enclaves(self, item: Placed) -> Iterator[Enclave]:
+    def enclaves(self, item: Placed) -> Iterator[Sros2Enclave]:
         """Yield the enclaves of an ``<enclaves>`` element."""
         for child in self.children(item, ("enclave",), "in <enclaves>"):
             groups = tuple(self.group(each) for each in self.children(child, ("profiles",), "in <enclave>"))
-            yield Enclave(child.element.get("path", ""), groups, child.where, child.comments, child.closing)
+            yield Sros2Enclave(child.element.get("path", ""), groups, child.where, child.comments, child.closing)
 
-    def nodes_of_old(self, item: Placed) -> Iterator[Enclave]:
+    def nodes_of_old(self, item: Placed) -> Iterator[Sros2Enclave]:
         """Yield an enclave for each node: up to Eloquent a node had a key of its own, named like the node."""
         group = self.group(item)
         for node in group.nodes:
             path = f"{'' if node.ns in ('', '/') else node.ns.removesuffix('/')}/{node.name}"
-            yield Enclave(path, (NodeGroup((node,), item.where),), node.where)
+            yield Sros2Enclave(path, (NodeGroup((node,), item.where),), node.where)
 
     def group(self, item: Placed) -> NodeGroup:
         """Return the nodes of a ``<profiles>`` element."""
@@ -88,7 +88,7 @@ class _Parser:
         nodes = tuple(self.node(child) for child in children)
         return NodeGroup(nodes, item.where, item.comments, item.closing)
 
-    def node(self, item: Placed) -> Node:
+    def node(self, item: Placed) -> RosNode:
         """Return the node of a ``<profile>`` element."""
         names = [item.element.get(attribute) for attribute in ("ns", "node")]
         if names[0] is None or not names[1]:
@@ -97,7 +97,7 @@ class _Parser:
                 help='to include its rules alone: xpointer="xpointer(/profile/*)"' if item.chain else "",
             )  # fmt: skip
         lists = tuple(self.rules(child) for child in self.children(item, tuple(PERMISSIONS), "in <profile>"))
-        return Node(names[0], names[1], lists, item.where, item.comments, item.closing)
+        return RosNode(names[0], names[1], lists, item.where, item.comments, item.closing)
 
     def rules(self, item: Placed) -> RuleList:
         """Return the list of a ``<topics>``, ``<services>`` or ``<actions>`` element."""

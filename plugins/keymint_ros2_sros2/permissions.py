@@ -15,7 +15,7 @@ from lxml import etree
 from comarmor.rules import Effect
 from keymint_ros2_sros2.names import enforced
 from keymint_ros2_sros2.rules import GRAPH_TOPIC
-from keymint_ros2_sros2.syntax import Enclave, Node, NodeGroup, RuleList
+from keymint_ros2_sros2.syntax import NodeGroup, RosNode, RuleList, Sros2Enclave
 
 _XSI = "http://www.w3.org/2001/XMLSchema-instance"
 _SCHEMA = "http://www.omg.org/spec/DDS-SECURITY/20170901/omg_shared_ca_permissions.xsd"
@@ -29,12 +29,12 @@ _Topic = tuple[str, str]
 """What may be done, and the DDS topic."""
 
 
-def subject_name(enclave: Enclave) -> str:
+def subject_name(enclave: Sros2Enclave) -> str:
     """Return the subject name of an enclave's certificate and grants."""
     return f"CN={enclave.path}"
 
 
-def document(enclave: Enclave, *, graph: bool) -> bytes:
+def document(enclave: Sros2Enclave, *, graph: bool) -> bytes:
     """Return the permissions document that SROS2 writes for an enclave, for domain 0.
 
     Args:
@@ -50,7 +50,7 @@ def document(enclave: Enclave, *, graph: bool) -> bytes:
     return etree.tostring(root, encoding="UTF-8", xml_declaration=True)
 
 
-def _grant(enclave: Enclave, group: NodeGroup, *, graph: bool) -> etree._Element:
+def _grant(enclave: Sros2Enclave, group: NodeGroup, *, graph: bool) -> etree._Element:
     grant = etree.Element("grant", name=enclave.path)
     etree.SubElement(grant, "subject_name").text = subject_name(enclave)
     validity = etree.SubElement(grant, "validity")
@@ -87,7 +87,7 @@ def _topics(group: NodeGroup, effect: Effect) -> Iterator[_Topic]:
                     yield from _of_list(node, rules, permission)
 
 
-def _of_list(node: Node, rules: RuleList, permission: str) -> Iterator[_Topic]:
+def _of_list(node: RosNode, rules: RuleList, permission: str) -> Iterator[_Topic]:
     for entry in rules.entries:
         name = enforced(node, entry.text)
         if permission in {"ros_publish", "ros_subscribe"}:

@@ -7,13 +7,13 @@ from collections.abc import Iterable, Iterator
 
 from comarmor.rules import Effect, Rule
 from keymint_ros2_sros2.names import as_read, expression
-from keymint_ros2_sros2.syntax import KINDS, Enclave, Node, RuleList
+from keymint_ros2_sros2.syntax import KINDS, RosNode, RuleList, Sros2Enclave
 
 GRAPH_TOPIC = "ros_discovery_info"
 """The topic by which participants tell each other their nodes. From Foxy on SROS2 allows it to every enclave."""
 
 
-def rules_of(enclaves: Iterable[Enclave], *, graph: bool) -> tuple[Rule, ...]:
+def rules_of(enclaves: Iterable[Sros2Enclave], *, graph: bool) -> tuple[Rule, ...]:
     """Return the rules of the enclaves of one path.
 
     Args:
@@ -33,7 +33,7 @@ def rules_of(enclaves: Iterable[Enclave], *, graph: bool) -> tuple[Rule, ...]:
     return tuple(found)
 
 
-def _of_list(node: Node, rules: RuleList) -> Iterator[Rule]:
+def _of_list(node: RosNode, rules: RuleList) -> Iterator[Rule]:
     names = tuple(dict.fromkeys(expression(as_read(node, entry.text), entry) for entry in rules.entries))
     for effect in Effect:
         permissions = tuple(permission for permission, given in rules.effects.items() if given is effect)

@@ -14,6 +14,7 @@ from comarmor.patterns.printing import exact
 from comarmor.regex import lazy_regex
 from comarmor.rules import PARTS, Effect, Rule
 from comarmor.values import dataclass
+from keymint.errors import UnsayableError
 from keymint_ros2_sros2.rules import GRAPH_TOPIC
 from keymint_ros2_sros2.syntax import KINDS, PERMISSIONS
 
@@ -27,10 +28,6 @@ _REQUEST = lazy_regex(r"rq(/.*)Request", re.DOTALL)
 _MEMBERS = " \"#$%&'()*+,-./:;<=>?@_`{|}~"
 """Members of a set that need no escape."""
 _SPECIAL = "*?["
-
-
-class UnsayableError(Exception):
-    """A policy of SROS2 cannot say it; the message has the reason."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,7 +63,7 @@ class RuleList:
 
 
 @dataclass(frozen=True, slots=True)
-class Node:
+class RosNode:
     """A ``<profile>``: the rules of a node, whose names are relative to its namespace ``ns``."""
 
     ns: str
@@ -78,14 +78,14 @@ class Node:
 class NodeGroup:
     """A ``<profiles>``, for which SROS2 writes one grant."""
 
-    nodes: tuple[Node, ...]
+    nodes: tuple[RosNode, ...]
     where: Origin
     comments: tuple[str, ...] = ()
     closing: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
-class Enclave:
+class Sros2Enclave:
     """An ``<enclave>``; in version 0.1.0 a node, which had an enclave of its own.
 
     Attributes:
@@ -102,7 +102,7 @@ class Enclave:
     comments: tuple[str, ...] = ()
     closing: tuple[str, ...] = ()
 
-    def nodes(self) -> Iterator[Node]:
+    def nodes(self) -> Iterator[RosNode]:
         """Yield its nodes."""
         for group in self.groups:
             yield from group.nodes
@@ -121,7 +121,7 @@ class SourcePolicy:
     """
 
     version: str
-    enclaves: tuple[Enclave, ...]
+    enclaves: tuple[Sros2Enclave, ...]
     seen: Mapping[Path, bytes]
     lost: tuple[Diagnostic, ...]
     closing: tuple[str, ...]

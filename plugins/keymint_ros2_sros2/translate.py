@@ -16,7 +16,7 @@ from keymint_ros2_sros2 import comarmor_document, permissions
 from keymint_ros2_sros2.deviations import ACCEPTABLE, deviations
 from keymint_ros2_sros2.names import as_read
 from keymint_ros2_sros2.parse import parse
-from keymint_ros2_sros2.syntax import Enclave, SourcePolicy
+from keymint_ros2_sros2.syntax import SourcePolicy, Sros2Enclave
 
 
 def translated(request: ImportRequest) -> ImportedPolicy:
@@ -49,8 +49,8 @@ def translated(request: ImportRequest) -> ImportedPolicy:
     return ImportedPolicy(document, subjects, (*accepted, *_notes(policy)))
 
 
-def _by_path(policy: SourcePolicy) -> Mapping[str, list[Enclave]]:
-    found: dict[str, list[Enclave]] = {}
+def _by_path(policy: SourcePolicy) -> Mapping[str, list[Sros2Enclave]]:
+    found: dict[str, list[Sros2Enclave]] = {}
     for enclave in policy.enclaves:
         found.setdefault(enclave.path, []).append(enclave)
     return found

@@ -10,7 +10,7 @@ from pathlib import Path
 from comarmor.errors import ComArmorError, Origin
 from comarmor.xml.sandboxed_paths import path_text, read_bounded, unreadable
 from keymint_ros2_table import csv_rows, sqlite_rows
-from keymint_ros2_table.rows import Row
+from keymint_ros2_table.rows import TableRow
 
 _MOST_CSV, _MOST_SQLITE = 16 * 2**20, 32 * 2**20
 """Bytes of a file."""
@@ -22,7 +22,7 @@ _INACTIVE = b"\0" * 8
 """What a journal begins with that was kept after its transaction ended."""
 
 
-def read(path: Path) -> tuple[Iterator[Row | ComArmorError], Mapping[Path, bytes]]:
+def read(path: Path) -> tuple[Iterator[TableRow | ComArmorError], Mapping[Path, bytes]]:
     """Return the rows of a table, with errors in place of defect ones, and the fingerprints of all its files.
 
     Args:

@@ -8,6 +8,7 @@ from dataclasses import field, replace
 from pathlib import Path
 from types import MappingProxyType
 
+from keymint_comarmor import require_policies
 from keymint_comarmor.loaded import ComArmorPolicy
 
 import comarmor
@@ -24,7 +25,7 @@ from comarmor.values import dataclass
 from keymint.api import PolicySource
 from keymint.errors import KeymintError
 from keymint_ros2_table.files import read
-from keymint_ros2_table.rows import Row
+from keymint_ros2_table.rows import TableRow
 
 INCLUDE = "include"
 """The kind of a row whose object is a file of the policy library; its rules are those of the subjects."""
@@ -45,11 +46,7 @@ def load(
     """
     maker = _PolicyMaker(library, library_shown)
     for source in sources:
-        if not source.path.exists():
-            raise KeymintError(
-                f"the policy '{source.path}' does not exist", where=source.origin,
-                help="name a CSV file or an SQLite database", code="policy-missing",
-            )  # fmt: skip
+        require_policies([source], "a CSV file or an SQLite database")
         maker.add(source.path)
     return ComArmorPolicy(maker.policy())
 
@@ -88,7 +85,7 @@ class _PolicyMaker:
         except ComArmorError as error:
             self.diagnostics += error.diagnostics
 
-    def _collect(self, row: Row | ComArmorError) -> None:
+    def _collect(self, row: TableRow | ComArmorError) -> None:
         """Collect the rules of a row, or its defects.
 
         Raises:
@@ -121,7 +118,7 @@ class _PolicyMaker:
         )
         return comarmor.Policy(tuple(profiles), seen=MappingProxyType(self.seen))
 
-    def _subject(self, row: Row) -> str:
+    def _subject(self, row: TableRow) -> str:
         """Return the expression of a row's subjects."""
         if row.subject not in self.subjects:
             subject = self._expression("subject", row.subject, row.where)
@@ -139,7 +136,7 @@ class _PolicyMaker:
             self.subjects[row.subject] = replace(subject, where=row.origin)
         return row.subject
 
-    def _of(self, row: Row) -> tuple[_Part, ...]:
+    def _of(self, row: TableRow) -> tuple[_Part, ...]:
         """Return the rules of a row."""
         if row.kind == INCLUDE:
             return self._include(row)
@@ -180,7 +177,7 @@ class _PolicyMaker:
             )  # fmt: skip
         return Attachment.of(value, where)
 
-    def _include(self, row: Row) -> tuple[_Part, ...]:
+    def _include(self, row: TableRow) -> tuple[_Part, ...]:
         """Return the rules of a file of the library, which the row includes."""
         if row.permission or row.qualifier or _AUDIT.get(row.audit.lower(), True):
             raise ComArmorError(
@@ -191,7 +188,7 @@ class _PolicyMaker:
             self.included[row.object] = self._of_library(row)
         return tuple(_moved(part, row.origin) for part in self.included[row.object])
 
-    def _of_library(self, row: Row) -> tuple[_Part, ...]:
+    def _of_library(self, row: TableRow) -> tuple[_Part, ...]:
         if self.library is None:
             raise ComArmorError("there is no policy library to include from", where=row.where, code="include-missing")
         try:

@@ -18,7 +18,7 @@ _LONGEST_SOURCE = 500
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class TableRow:
     """A row of a table, as it is written.
 
     Attributes:
@@ -43,7 +43,7 @@ class Row:
     origin: Origin
 
     @classmethod
-    def of(cls, texts: Sequence[str], where: Origin, origin: Origin | None = None) -> Row:
+    def of(cls, texts: Sequence[str], where: Origin, origin: Origin | None = None) -> TableRow:
         """Return the row with the texts of all columns but the source, in the order of :data:`COLUMNS`."""
         subject, kind, permission, object_, qualifier, audit = texts
         return cls(subject, kind, permission, object_, qualifier, audit, where, origin or where)

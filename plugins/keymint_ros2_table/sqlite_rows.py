@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from comarmor.errors import ComArmorError, Origin
 from comarmor.language.attachments import strip
 from comarmor.text import did_you_mean, quoted
-from keymint_ros2_table.rows import COLUMNS, MOST_ROWS, REQUIRED, Row, column_order, placed
+from keymint_ros2_table.rows import COLUMNS, MOST_ROWS, REQUIRED, TableRow, column_order, placed
 
 NAME = "rule"
 MAGIC = b"SQLite format 3\0"
@@ -43,7 +43,7 @@ _TYPES = {type(None): "NULL", int: "INTEGER", float: "REAL", bytes: "BLOB", str:
 _READING = frozenset((sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE))
 
 
-def rows_of(content: bytes, file: str) -> Iterator[Row | ComArmorError]:
+def rows_of(content: bytes, file: str) -> Iterator[TableRow | ComArmorError]:
     """Yield the rows; the error of a row in place of it.
 
     Args:
@@ -150,7 +150,7 @@ def _missing(database: sqlite3.Connection, where: Origin) -> ComArmorError:
     )  # fmt: skip
 
 
-def _row(values: Sequence[object], file: str, number: int) -> Row | ComArmorError:
+def _row(values: Sequence[object], file: str, number: int) -> TableRow | ComArmorError:
     *required, audit, source = values
     try:
         where = placed(file, number, strip(source) if isinstance(source, str) else "")
@@ -167,7 +167,7 @@ def _row(values: Sequence[object], file: str, number: int) -> Row | ComArmorErro
         return error
     # The column tells rows of one source apart where a line would; it is not shown.
     origin = Origin(where.file, 0, (), number) if source else where
-    return Row.of([*texts, "" if audit is None else strip(str(audit))], where, origin)
+    return TableRow.of([*texts, "" if audit is None else strip(str(audit))], where, origin)
 
 
 def _type_error(column: str, value: object, where: Origin) -> ComArmorError:

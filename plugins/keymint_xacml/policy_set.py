@@ -22,11 +22,11 @@ from comarmor.rules import Effect, Rule, parts
 from comarmor.text import printable, quoted
 from comarmor.values import dataclass
 from keymint.api import WrittenPolicy
-from keymint.errors import KeymintError
+from keymint.errors import KeymintError, UnsayableError
 from keymint.ir import SubjectRules
 from keymint_xacml import identifiers as ids
 from keymint_xacml.identifiers import Attribute
-from keymint_xacml.regular_expressions import TextMatch, UnsayableError, text_match
+from keymint_xacml.regular_expressions import TextMatch, text_match
 
 _DESCRIPTION = (
     "Ask with one value of each attribute; that of the partition is empty for the default one. An object that has "

@@ -11,16 +11,13 @@ from __future__ import annotations
 from comarmor.patterns.glob import literal, parse
 from comarmor.patterns.tokens import ANY, COMARMOR, MAX_CODE, Charset, Star, Token
 from comarmor.values import dataclass
+from keymint.errors import UnsayableError
 
 _XML = Charset(((9, 10), (13, 13), (32, 0xD7FF), (0xE000, 0xFFFD), (0x10000, MAX_CODE)))
 """The characters of XML 1.0 (2.2): a policy and a request have no others."""
 _ANY = r"[\s\S]"
 _SPECIAL = {ord(char): f"\\{char}" for char in r"\|.-^?*+{}()[]$"} | {9: r"\t", 10: r"\n", 13: r"\r"}
 """Escapes of single characters (XML Schema Part 2, F.1.1; XPath 2.0 Functions, 7.6.1, has the one of ``$``)."""
-
-
-class UnsayableError(ValueError):
-    """No name that XML can contain matches, or the expression itself has a character that XML cannot contain."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +41,7 @@ def text_match(expression: str, suffix: str = "") -> TextMatch:
         suffix: follows what it matches.
 
     Raises:
-        UnsayableError: the expression matches no text that XML can contain.
+        UnsayableError: the expression matches no text that XML can contain, or has a character that XML cannot contain.
         PatternError: it is not an expression.
     """
     glob = parse(expression, COMARMOR)

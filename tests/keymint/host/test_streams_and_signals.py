@@ -89,7 +89,7 @@ def test_no_other_file_takes_the_place_of_a_missing_stream() -> None:
 
 SIGNALLED = """
     import os, signal, sys
-    from keymint import process
+    from keymint.host import streams_and_signals as process
     process.stop_on_signals()
     try:
         os.kill(os.getpid(), signal.{name})
@@ -111,7 +111,7 @@ def test_a_signal_is_raised_once_and_the_second_one_ends_the_process(name: str) 
 def test_a_signal_waits_while_signals_are_held() -> None:
     done = ran("""
         import os, signal
-        from keymint import process
+        from keymint.host import streams_and_signals as process
         process.stop_on_signals()
         try:
             with process.held_signals():
@@ -126,7 +126,7 @@ def test_a_signal_waits_while_signals_are_held() -> None:
 def test_an_ignored_signal_stays_ignored_and_none_interrupts_the_end() -> None:
     done = ran("""
         import os, signal
-        from keymint import process
+        from keymint.host import streams_and_signals as process
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         process.stop_on_signals()
         os.kill(os.getpid(), signal.SIGINT)

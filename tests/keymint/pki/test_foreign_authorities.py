@@ -12,7 +12,7 @@ from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from comarmor.errors import Origin
 from keymint.api import Validity
 from keymint.errors import KeymintError
-from keymint.pki import certificates, foreign_authorities, keys
+from keymint.pki import certificate_forms, certificates, foreign_authorities, keys
 from tests.keymint.commands.life.test_authority import outside
 from tests.keymint.pki.conftest import make_spec
 
@@ -88,7 +88,7 @@ def test_what_must_not_issue_is_refused() -> None:
     builder = builder.not_valid_before(VALIDITY.not_before).not_valid_after(VALIDITY.not_after)
     odd = builder.public_key(key.public_key()).add_extension(x509.BasicConstraints(True, None), critical=True)
     signer = ec.generate_private_key(ec.SECP256R1())
-    pem = certificates.to_pem(odd.sign(signer, certificates.forms.HASHES["SHA256"]))
+    pem = certificates.to_pem(odd.sign(signer, certificate_forms.HASHES["SHA256"]))
     with pytest.raises(KeymintError, match="secp256k1, which is not supported"):
         foreign_authorities.require_authority(pem, WHERE)
     with pytest.raises(KeymintError, match="basicConstraints lack CA:TRUE"):

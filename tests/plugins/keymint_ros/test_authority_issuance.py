@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 import xmlschema
 from keymint_ros import profile_type
-from keymint_ros.authority_issuance import FILE
+from keymint_ros.decisions import AUTHORITY_ISSUANCE as FILE
 
 from comarmor.data import locate
 from keymint.api import Authority, AuthorityIssuance, AuthorityIssuanceFiles, Phase, Rollover

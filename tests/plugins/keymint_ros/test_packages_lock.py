@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import xmlschema
 from keymint_ros import profile_type
-from keymint_ros.packages_lock import FILE
+from keymint_ros.decisions import PACKAGES_LOCK as FILE
 
 from comarmor.data import locate
 from keymint.api import AcceptedPackage, AcceptedPackageFiles

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 from keymint_ros2_sros2.names import as_read, enforced, expression
-from keymint_ros2_sros2.syntax import Entry, Node
+from keymint_ros2_sros2.syntax import Entry, RosNode
 
 from comarmor.errors import ComArmorError, Origin
 from comarmor.patterns.expression import matches
@@ -13,8 +13,8 @@ from comarmor.patterns.expression import matches
 HERE = Origin("policy.xml", 3)
 
 
-def node(ns: str = "/ns", name: str = "n") -> Node:
-    return Node(ns, name, (), HERE)
+def node(ns: str = "/ns", name: str = "n") -> RosNode:
+    return RosNode(ns, name, (), HERE)
 
 
 @pytest.mark.parametrize(

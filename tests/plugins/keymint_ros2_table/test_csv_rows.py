@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import pytest
 from keymint_ros2_table import csv_rows
-from keymint_ros2_table.rows import Row
+from keymint_ros2_table.rows import TableRow
 
 from comarmor.errors import ComArmorError
 from tests.plugins.keymint_ros2_table.tables import HEADER
 
 
-def rows(text: str | bytes) -> list[Row | ComArmorError]:
+def rows(text: str | bytes) -> list[TableRow | ComArmorError]:
     return list(csv_rows.rows_of(text if isinstance(text, bytes) else text.encode(), "t.csv"))
 
 
@@ -24,7 +24,7 @@ def message(text: str | bytes) -> str:
 def test_columns_in_any_order_blanks_quotes_and_empty_lines() -> None:
     found = rows('source,object,subject,qualifier,permission,kind\n\n"a, ""b""\nc", /x ,/s,ALLOW,p,k\r\n')
     (row,) = found
-    assert isinstance(row, Row)
+    assert isinstance(row, TableRow)
     assert (row.subject, row.kind, row.permission, row.object, row.qualifier, row.audit) == (
         "/s", "k", "p", "/x", "ALLOW", ""
     )  # fmt: skip
@@ -38,7 +38,7 @@ def test_a_byte_order_mark_is_no_part_of_the_header() -> None:
 
 def test_an_escaped_blank_at_the_end_stays() -> None:
     (row,) = rows(HEADER + "/s,k,p, /x\\  ,ALLOW,,\n")
-    assert isinstance(row, Row)
+    assert isinstance(row, TableRow)
     assert row.object == "/x\\ "
 
 
@@ -63,7 +63,7 @@ def test_a_row_with_other_fields_and_one_with_a_forged_source_are_errors_of_the_
     library = "/x/templates/keymint_ros/comarmor.d/iron/common/node.xml"
     found = rows(f"{HEADER}/s,k,p\n/s,k,p,/x,ALLOW,,{library}\n/s,k,p,/x,ALLOW,,{'a' * 501}\n/s,k,p,/x,ALLOW,,ok\n")
     *errors, row = found
-    assert isinstance(row, Row)
+    assert isinstance(row, TableRow)
     assert [str(each).partition(" (")[0] for each in errors] == [
         "t.csv:2: the row has 3 fields, expected 7 as in the header",
         "t.csv:3: the source names a file of the policy library, which this row is not from",

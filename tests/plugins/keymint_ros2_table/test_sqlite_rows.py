@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from keymint_ros2_table import sqlite_rows
-from keymint_ros2_table.rows import Row
+from keymint_ros2_table.rows import TableRow
 
 from comarmor.errors import ComArmorError
 from tests.plugins.keymint_ros2_table.tables import database
@@ -19,7 +19,7 @@ from tests.plugins.keymint_ros2_table.tables import database
 SELECT = "SELECT '/s', 'ros_topic', 'ros_publish', {}, 'ALLOW', 0, ''"
 
 
-def rows(path: Path) -> list[Row | ComArmorError]:
+def rows(path: Path) -> list[TableRow | ComArmorError]:
     return list(sqlite_rows.rows_of(path.read_bytes(), "t.db"))
 
 
@@ -32,15 +32,15 @@ def message(path: Path) -> str:
 def test_rows_of_a_view(tmp_path: Path) -> None:
     select = "SELECT '/s', 'k', 'p', ' /x ', 'ALLOW', 1, 'a' UNION ALL SELECT '/t', 'k', 'p', '/y', 'DENY', NULL, NULL"
     first, second = rows(database(tmp_path, select))
-    assert isinstance(first, Row)
-    assert isinstance(second, Row)
+    assert isinstance(first, TableRow)
+    assert isinstance(second, TableRow)
     assert (first.object, first.audit, second.audit) == ("/x", "1", "")
     assert (str(first.where), str(first.origin), str(second.where)) == ("a [t.db]:1", "a [t.db]", "t.db:2")
 
 
 def test_rows_of_one_source_are_different_places(tmp_path: Path) -> None:
     select = "SELECT '/s', 'k', 'p', value, 'ALLOW', 0, 'a' FROM json_each('[\"/x\", \"/y\"]')"
-    first, second = (row for row in rows(database(tmp_path, select)) if isinstance(row, Row))
+    first, second = (row for row in rows(database(tmp_path, select)) if isinstance(row, TableRow))
     assert str(first.origin) == str(second.origin)
     assert first.origin.spot != second.origin.spot
 
@@ -54,7 +54,7 @@ def test_a_table_with_columns_in_another_order_and_a_computed_one(tmp_path: Path
             "INSERT INTO rule (qualifier, kind, permission, subject) VALUES ('DENY', 'k', 'p', '/s')"
         )
     (row,) = rows(path)
-    assert isinstance(row, Row)
+    assert isinstance(row, TableRow)
     assert (row.subject, row.kind, row.permission, row.object, row.qualifier) == ("/s", "k", "p", "/k", "DENY")
 
 
@@ -152,5 +152,5 @@ def test_a_view_may_not_make_a_large_value(tmp_path: Path, value: str) -> None:
 def test_a_large_value_that_no_row_shows_is_none_of_ours(tmp_path: Path) -> None:
     made = "CREATE TABLE t (x, pad); INSERT INTO t VALUES ('/x', zeroblob(1000000))"
     (row,) = rows(database(tmp_path, f"{SELECT.format('x')} FROM t ORDER BY 4", made))
-    assert isinstance(row, Row)
+    assert isinstance(row, TableRow)
     assert row.object == "/x"

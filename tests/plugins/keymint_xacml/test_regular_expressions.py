@@ -6,9 +6,10 @@ from __future__ import annotations
 import re
 
 import pytest
-from keymint_xacml.regular_expressions import TextMatch, UnsayableError, text_match
+from keymint_xacml.regular_expressions import TextMatch, text_match
 
 from comarmor.patterns.expression import matches
+from keymint.errors import UnsayableError
 
 _CHARS = ("", *"abcxyz019_/.-^$|?*+()[]{}\\ \n\t\r~é\U0001f916")
 

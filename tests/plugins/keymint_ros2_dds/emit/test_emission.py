@@ -18,9 +18,17 @@ from keymint.api import BuildOptions, Claim, DomainRange, Hint, Proof
 from keymint.api.graph import Edge, Object
 from keymint.errors import KeymintError
 from tests.effort import tries
+from tests.plugins.keymint_ros2_dds.compiling.test_grant_compiler import (
+    ASKED,
+    DENIED,
+    FEW,
+    PARTITIONS,
+    ROS,
+    TOPICS,
+    differences,
+    rules,
+)
 from tests.plugins.keymint_ros2_dds.packages import domain_rule, governed, package, rule
-
-from .compiling.test_compile import ASKED, DENIED, FEW, PARTITIONS, ROS, TOPICS, differences, rules
 
 USUAL, PLAIN = BuildOptions(), BuildOptions(optimise=False)
 TOPIC = ("ros_topic", "ros_publish")
