@@ -57,16 +57,8 @@ _SIGNED, _CERTIFICATE = b"pkcs7-", b"-----BEGIN CERTIFICATE-----"
 _ACTION = "use of any signed document"
 
 
-@dataclass(frozen=True, slots=True)
-class _Outliving:
-    """An earlier document of a package that permits somebody more than the policy: in words, and until when."""
-
-    name: str
-    subject: str
-    excess: str
-    until: datetime
-
-
+_Outliving = tuple[str, str, str, datetime]
+"""An earlier document that permits more than the policy: its package, whom, what, in words, and until when."""
 _Answer = tuple[tuple[Claim, ...], tuple[_Outliving, ...]]
 
 
@@ -90,10 +82,10 @@ def presented_rights(session: Session, state: State, policy: LoadedPolicy, effor
             continue
         question = _Question(session, policy, effort, build_type, packages)
         claims, found, state = question.recorded(state, f"{FOLDER}/presented/{name}")
-        for each in found:
-            if each.until >= session.now:
-                note = earlier_rights.outliving(session, each.name, each.subject, each.excess, each.until)
-                outliving.setdefault(each.name, note)
+        for package, subject, excess, until in found:
+            if until >= session.now:
+                note = earlier_rights.outliving(session, package, subject, excess, until)
+                outliving.setdefault(package, note)
         proofs.append(EnclaveProof("", "", claims, build_types=(name,)))
     is_whole = not proofs or (has_register(session) and register_of(session).is_whole)
     return ProofResults((), tuple(proofs), state, {}, frozenset(), {}, session.now, tuple(outliving.values()), is_whole)
@@ -164,7 +156,7 @@ class _Question:
             elif failing and known.accepted is None:
                 subject, found = each.holder.subject, failing[0]
                 excess = earlier_rights.excess_of(subject, found.counterexample, found.reason)
-                outliving.append(_Outliving(known.name, subject, excess, each.until))
+                outliving.append((known.name, subject, excess, each.until))
         failed = {claim.model for claim in claims}
         excepted = dict.fromkeys(build_type.trusting_any_signer(), tuple(_signers(session, self.packages.values())))
         universe = _universe(holders, documents)
@@ -186,7 +178,7 @@ def _earlier(session: Session) -> Mapping[bytes, SignedRights]:
 
 
 def _dump(now: datetime, outliving: Iterable[_Outliving]) -> str:
-    rows = [(each.name, each.subject, each.excess, each.until.isoformat()) for each in outliving]
+    rows = [(name, subject, excess, until.isoformat()) for name, subject, excess, until in outliving]
     return json.dumps([now.isoformat(), rows])
 
 
@@ -195,8 +187,7 @@ def _load(stamp: Stamp) -> tuple[datetime, _Answer] | None:
     try:
         at, rows = json.loads(stamp.outputs["outliving"])
         found = tuple(
-            _Outliving(str(name), str(subject), str(excess), datetime.fromisoformat(end))
-            for name, subject, excess, end in rows
+            (str(name), str(subject), str(excess), datetime.fromisoformat(end)) for name, subject, excess, end in rows
         )
         return datetime.fromisoformat(at), (load_claims(stamp.outputs["claims"]), found)
     except (ValueError, TypeError, KeyError, IndexError):
