@@ -123,8 +123,8 @@ def values(expression: ast.expr, tree: ast.Module, known: Mapping[str, set[str]]
     return set()
 
 
-def codes_in(sources: Mapping[str, str]) -> dict[str, str]:
-    """Return the codes of some files, by name and content; each with one of its files."""
+def codes_in(sources: Mapping[str, str]) -> dict[str, set[str]]:
+    """Return the codes of some files, by name and content; each with its files."""
     trees = {name: ast.parse(content) for name, content in sources.items()}
     elsewhere: dict[str, set[int]] = defaultdict(set)
     known: dict[str, set[str]] = defaultdict(set)
@@ -133,20 +133,25 @@ def codes_in(sources: Mapping[str, str]) -> dict[str, str]:
             elsewhere[name].update(places)
         for name, value in constants(tree):
             known[name].add(value)
-    return {
-        code: name
-        for name, tree in trees.items()
-        for expression in given(tree, elsewhere)
-        for code in values(expression, tree, known) - NO_CODES
-    }
+    found: dict[str, set[str]] = defaultdict(set)
+    for name, tree in trees.items():
+        for expression in given(tree, elsewhere):
+            for code in values(expression, tree, known) - NO_CODES:
+                found[code].add(name)
+    return found
+
+
+def all_codes() -> dict[str, set[str]]:
+    """Return all codes of the project, each with its files."""
+    return codes_in({path.relative_to(CHECKOUT).as_posix(): path.read_text() for path in SOURCES})
 
 
 def test_every_code_is_listed_and_every_listed_code_exists() -> None:
-    found = codes_in({path.relative_to(CHECKOUT).as_posix(): path.read_text() for path in SOURCES})
+    found = all_codes()
     listed = LISTED.read_text().splitlines()
     removed = set(REMOVED.read_text().splitlines())
     assert listed == sorted(set(listed))
-    new = {code: file for code, file in found.items() if code not in listed}
+    new = {code: files for code, files in found.items() if code not in listed}
     assert new == {}, f"add new codes to {LISTED.name}: scripts rely on those that exist"
     gone = set(listed) - set(found)
     assert gone == set(), f"a removed or renamed code moves to {REMOVED.name}, and CHANGELOG.md says why"

@@ -30,14 +30,7 @@ STARTERS = {
     "keymint/commands/tool/completion.py",
 }
 """Run probes of the vendors, git, or the shell that the completion script is for."""
-READERS = (
-    "keymint/check/",
-    "keymint/examine/",
-    "keymint/stages/",
-    "keymint/life/",
-    "keymint/authority/",
-    "keymint/verify/",
-)
+READERS = ("keymint/examine/", "keymint/stages/", "keymint/life/", "keymint/authority/", "keymint/verify/")
 
 POLICY = "ws/profile/comarmor.d"
 WRITING_VERBS = (
@@ -160,6 +153,27 @@ def test_only_git_and_the_vendors_start_programs(run: tuple[list[int], list[Even
     starters = {event.module for event in run[1] if event.kind == "start"}
     assert {module for module in starters if not module.startswith(VENDORS)} <= STARTERS
     assert starters & STARTERS
+
+
+KEYSTORES = ("ws/install/", "ws/private/", "ws/public/", "robot/")
+"""Where installed files lie, below the folder of the run."""
+OPENERS = {
+    "keymint/view/file_reading.py", "keymint/view/folder_status.py", "keymint/view/tree.py",
+    # It reads keystores of other tools, which are no workspace; the bytes by a reader that stays in a folder.
+    "keymint/adoption/keystore_files.py", "comarmor/xml/sandboxed_paths.py",
+}  # fmt: skip
+"""The modules that open or list installed files, beside those that write them."""
+
+
+def test_only_the_view_opens_installed_files(run: tuple[list[int], list[Event]]) -> None:
+    opened = {
+        event.module
+        for event in run[1]
+        if event.kind in {"read", "list"} and any(f"/{each}" in f"{event.path}/" for each in KEYSTORES)
+    }
+    openers = {module for module in opened if not module.startswith(("keymint/store/", VENDORS))}
+    assert openers - OPENERS == set()
+    assert {"keymint/view/file_reading.py", "keymint/view/tree.py"} <= openers
 
 
 def test_verbs_that_read_see_only_their_snapshot(run: tuple[list[int], list[Event]]) -> None:

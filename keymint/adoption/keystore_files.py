@@ -1,17 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read a keystore that another tool made. No link leads out of it, whatever its files say."""
+"""Read a keystore that another tool made, by the build type that knows its files.
+
+No link leads out of it, whatever its files say.
+"""
 
 from __future__ import annotations
 
 import os
 import stat
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.xml.sandboxed_paths import read_bounded
-from keymint.api import KeystoreFile, KeystoreFiles
+from keymint.api import FoundKeystore, KeystoreFile, KeystoreFiles, KeystoreReader
+from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError
 from keymint.view.tree import MAX_FILE, unreadable
 
@@ -19,6 +24,31 @@ MOST_FILES = 100_000
 """Files of a keystore; one of ten thousand enclaves has seven for each."""
 MOST_BYTES = 1 << 30
 """Bytes of all files together."""
+
+
+def found_in(plugins: Plugins, folder: Path, typed: str, now: datetime) -> tuple[str, KeystoreFiles, FoundKeystore]:
+    """Return the build type that reads a keystore, the files of the keystore, and what it has.
+
+    Files that cannot be read are findings.
+
+    Args:
+        plugins: the plugins.
+        folder: the folder of the keystore.
+        typed: the same as the user typed it.
+        now: the clock, UTC.
+
+    Raises:
+        KeymintError: there is no such folder, it has no enclave, or no plugin reads keystores.
+    """
+    files, problems = read_keystore(folder, typed, now)
+    for name in plugins.names("keymint.build_types"):
+        build_type: object = plugins.build_type(name)
+        if isinstance(build_type, KeystoreReader):
+            found = build_type.found(files)
+            return name, files, replace(found, diagnostics=(*problems, *found.diagnostics))
+    raise KeymintError(
+        "no installed build type reads keystores", help="'keymint plugins' lists them", code="adopt-unsupported"
+    )
 
 
 def read_keystore(folder: Path, typed: str, now: datetime) -> tuple[KeystoreFiles, tuple[Diagnostic, ...]]:
@@ -32,16 +62,15 @@ def read_keystore(folder: Path, typed: str, now: datetime) -> tuple[KeystoreFile
     Raises:
         KeymintError: there is no such folder, or it is far larger than any keystore.
     """
+    root, problem = folder, ""
     try:
         root = folder.resolve(strict=True)
-    except (OSError, RuntimeError) as error:
-        raise KeymintError(
-            "no such folder", where=Origin(typed), help="name the folder of a keystore", code="keystore-missing"
-        ) from error
-    if not root.is_dir():
-        raise KeymintError(
-            "is not a folder", where=Origin(typed), help="name the folder of a keystore", code="keystore-missing"
-        )
+        problem = "" if root.is_dir() else "is not a folder"
+    except (OSError, RuntimeError):
+        problem = "no such folder"
+    if problem:
+        help_ = "name the folder of a keystore"
+        raise KeymintError(problem, where=Origin(typed), help=help_, code="keystore-missing")
     files: dict[str, KeystoreFile] = {}
     problems: list[Diagnostic] = []
     size = 0

@@ -1,9 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Judge the bytes of a keystore: each rule once, each code raised in one place.
+"""Judge what lies in a keystore: each rule once, each code raised in one place.
 
-``rights`` compares what every certificate in force may present with the policy; ``lists`` judges revocation lists;
-``issued`` compares installed certificates with the register; ``keys`` judges private keys; ``not_examined`` tells what
-the user may not read; ``keystore`` asks all of them, also about a second
-keystore that lies beside the one in force.
-The views are ``keymint check``, ``prove`` and ``status``; docs/verification.md says which of them reads what.
+The doors are :func:`check.check` (``keymint check``), :func:`keystore.proven_keystore` with :func:`keystore.deciding`
+(``prove``) and :func:`keystore.not_examined` (what the user may not read). docs/verification.md says which verb reads
+what. All that judges installed files:
+
+============================================  =======================================================================
+here
+``check``, ``keystore``                       all findings of a keystore, and of a second one beside it
+``enclaves``                                  one enclave: its key, modes, record and strays; its build type asks more
+``authorities``                               certificates and keys of authorities, their dates and drift
+``keys``                                      private keys: where they are, plain, exposed, in a repository
+``issued``                                    the register, and revocation lists, against what is installed
+``rights``                                    what every certificate in force may present, against the policy
+``file_status``                               modes, owners, links and kinds of files
+``install_space``                             the install space outside of the enclaves
+``weaknesses``                                what Keymint would have made otherwise: ``keymint harden``
+``nodes``                                     what the rules keep from starting
+below, since stages and the life of keys ask
+``keymint.pki.identity_check``                certificate, key and authority of an enclave, and its dates
+``keymint.pki.certification_path``            the path of a certificate (RFC 5280)
+``keymint.pki.foreign_authorities``           what the certificate of an authority lacks
+``keymint.authority.authority_files``         evidence for an authority's key: ``require_*``
+``keymint.stages.proof.trust_anchors``        what an enclave must rest on, and what contradicts it
+``keymint.stages.identity_keys``              a key has one owner
+``keymint.life.terms``                        what is over, to come, or ends soon
+``keymint.life.revocation_lists_in_force``    the list that an enclave must have
+``keymint.robots.bundle_acceptance``          may a robot take a bundle
+``keymint.adoption``                          reads keystores of other tools, and compares them with a policy
+a transport's own
+``keymint_ros2_dds.examine``                  the rules about the files of a DDS enclave; views: ``check``,
+                                              ``proving``, ``keystores`` (``keymint adopt``)
+``keymint_ros2_zenoh.configuration_requirements``  those about its configurations; views: ``check``, ``proving``
+============================================  =======================================================================
 """

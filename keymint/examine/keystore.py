@@ -11,8 +11,7 @@ from comarmor.text import first_few
 from keymint.api import LoadedPolicy, Phase
 from keymint.authority.rollover import staged_session
 from keymint.errors import KeymintError
-from keymint.examine.issued import registered
-from keymint.examine.lists import lists_in_force, of_enclaves
+from keymint.examine.issued import lists_in_force, of_enclaves, registered
 from keymint.examine.rights import presented_rights
 from keymint.executors import Pool
 from keymint.life.earlier_rights import RIGHTS_OUTLIVE
@@ -21,10 +20,12 @@ from keymint.stages.proof.proof_results import ProofEffort, ProofResults
 from keymint.stages.proof.prove import ProofStage
 from keymint.store import journal
 from keymint.workspace.installed_enclaves import INSTALLED, with_sources
-from keymint.workspace.session import Session, once
+from keymint.workspace.session import Inputs, Session, once
 
 SHOWN_NOTES = frozenset({RIGHTS_OUTLIVE, "authority-key-missing", "not-examined"})
 """Codes of notes that are shown in any case: an owner must know of them."""
+_REGISTER = "which certificates were issued and revoked is not known"
+_KEYS = "no private key here is compared with its certificate"
 UNKNOWN_HISTORY = "nothing wider was signed before the register began to keep signed documents"
 
 
@@ -112,3 +113,12 @@ def staged(session: Session) -> Session | None:
         return None
     ahead = staged_session(session, name)
     return replace(ahead, state=ahead.state.updated(INSTALLED, {}, tuple(ahead.state.stamps.get(INSTALLED, ()))))
+
+
+def not_examined(inputs: Inputs) -> Iterator[Diagnostic]:
+    """Yield a note for each entry of the private space that was left out, or has something in it that was."""
+    private, register = inputs.workspace.private, inputs.workspace.register
+    reasons = {str(private): f"{_KEYS}, and {_REGISTER}", str(register): _REGISTER}
+    for path in dict.fromkeys("/".join(each.split("/")[: len(private.parts) + 1]) for each in inputs.tree.left_out):
+        message, where = f"not examined: {reasons.get(path, _KEYS)}", inputs.workspace.origin(path)
+        yield Diagnostic.note("not-examined", message, where, "a user who may read it examines it as well")

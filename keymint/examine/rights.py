@@ -18,7 +18,6 @@ from cryptography import x509
 from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint import __version__
-from keymint.adoption import hardening
 from keymint.api import (
     Claim,
     Holder,
@@ -33,11 +32,11 @@ from keymint.api import (
 from keymint.authority import authority_files
 from keymint.authority.authority_files import chains_digest
 from keymint.errors import KeymintError
-from keymint.examine.not_examined import has_register
+from keymint.examine.weaknesses import signing_issuers
 from keymint.ir import DeferredRules, Rule, SubjectRules
 from keymint.life import earlier_rights, register_database
 from keymint.life.issued_certificates import SignedRights
-from keymint.life.workspace_register import issuer_of, register_of
+from keymint.life.workspace_register import has_register, issuer_of, register_of
 from keymint.names import ROOT, package_name, subject_of
 from keymint.pki import certificates, distinguished_names, smime
 from keymint.pki.distinguished_names import to_text
@@ -58,16 +57,8 @@ _SIGNED, _CERTIFICATE = b"pkcs7-", b"-----BEGIN CERTIFICATE-----"
 _ACTION = "use of any signed document"
 
 
-@dataclass(frozen=True, slots=True)
-class _Outliving:
-    """An earlier document of a package that permits somebody more than the policy: in words, and until when."""
-
-    name: str
-    subject: str
-    excess: str
-    until: datetime
-
-
+_Outliving = tuple[str, str, str, datetime]
+"""An earlier document that permits more than the policy: its package, whom, what, in words, and until when."""
 _Answer = tuple[tuple[Claim, ...], tuple[_Outliving, ...]]
 
 
@@ -91,10 +82,10 @@ def presented_rights(session: Session, state: State, policy: LoadedPolicy, effor
             continue
         question = _Question(session, policy, effort, build_type, packages)
         claims, found, state = question.recorded(state, f"{FOLDER}/presented/{name}")
-        for each in found:
-            if each.until >= session.now:
-                note = earlier_rights.outliving(session, each.name, each.subject, each.excess, each.until)
-                outliving.setdefault(each.name, note)
+        for package, subject, excess, until in found:
+            if until >= session.now:
+                note = earlier_rights.outliving(session, package, subject, excess, until)
+                outliving.setdefault(package, note)
         proofs.append(EnclaveProof("", "", claims, build_types=(name,)))
     is_whole = not proofs or (has_register(session) and register_of(session).is_whole)
     return ProofResults((), tuple(proofs), state, {}, frozenset(), {}, session.now, tuple(outliving.values()), is_whole)
@@ -165,7 +156,7 @@ class _Question:
             elif failing and known.accepted is None:
                 subject, found = each.holder.subject, failing[0]
                 excess = earlier_rights.excess_of(subject, found.counterexample, found.reason)
-                outliving.append(_Outliving(known.name, subject, excess, each.until))
+                outliving.append((known.name, subject, excess, each.until))
         failed = {claim.model for claim in claims}
         excepted = dict.fromkeys(build_type.trusting_any_signer(), tuple(_signers(session, self.packages.values())))
         universe = _universe(holders, documents)
@@ -187,7 +178,7 @@ def _earlier(session: Session) -> Mapping[bytes, SignedRights]:
 
 
 def _dump(now: datetime, outliving: Iterable[_Outliving]) -> str:
-    rows = [(each.name, each.subject, each.excess, each.until.isoformat()) for each in outliving]
+    rows = [(name, subject, excess, until.isoformat()) for name, subject, excess, until in outliving]
     return json.dumps([now.isoformat(), rows])
 
 
@@ -196,8 +187,7 @@ def _load(stamp: Stamp) -> tuple[datetime, _Answer] | None:
     try:
         at, rows = json.loads(stamp.outputs["outliving"])
         found = tuple(
-            _Outliving(str(name), str(subject), str(excess), datetime.fromisoformat(end))
-            for name, subject, excess, end in rows
+            (str(name), str(subject), str(excess), datetime.fromisoformat(end)) for name, subject, excess, end in rows
         )
         return datetime.fromisoformat(at), (load_claims(stamp.outputs["claims"]), found)
     except (ValueError, TypeError, KeyError, IndexError):
@@ -361,7 +351,7 @@ def _is_issued(certificate: x509.Certificate, authority: x509.Certificate) -> bo
 
 def _signers(session: Session, packages: Iterable[Package]) -> Iterator[str]:
     """Yield an exception if there are identities that can sign documents as older releases verify them."""
-    both = hardening.signing_issuers(session)
+    both = signing_issuers(session)
     for package in packages if both else ():
         own, name = installed_certificate(session, package.name), package.identity.issuer
         if name in both and own and certificates.can_sign_documents(own) is None:

@@ -21,7 +21,7 @@ from keymint.pki.distinguished_names import to_text
 from keymint.store.changes import FolderChange, secret_file
 from keymint.workspace.installed_enclaves import enclave_files, installed, installed_certificate
 from keymint.workspace.package_build_types import build_types_of, revocation_files
-from keymint.workspace.session import Session, once
+from keymint.workspace.session import Inputs, Session, once
 
 
 @once
@@ -40,6 +40,12 @@ def register_of(session: Session) -> Register:
 @lru_cache(maxsize=2)
 def _load(content: bytes, shown: str) -> Register:
     return register_database.load(content, Origin(shown))
+
+
+def has_register(inputs: Inputs) -> bool:
+    """Tell whether the register is here and was read: without it, revocations are not known."""
+    path = inputs.workspace.register
+    return inputs.tree.has_file(path) and not inputs.tree.is_left_out(path)
 
 
 @once

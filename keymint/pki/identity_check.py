@@ -6,13 +6,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 from cryptography import x509
 
 from comarmor.errors import Defects, Diagnostic, Origin
 from keymint.api import TrustAnchor, TrustAnchors, ValidityTerm
 from keymint.errors import KeymintError
+from keymint.names import name_of
 from keymint.pki import certificates, certification_path, distinguished_names, keys, public_keys
 from keymint.pki.distinguished_names import to_text
 
@@ -36,6 +37,12 @@ class IdentityCheck:
         self._folder = folder
         self._restore = restore
         self._subject = subject
+        self._renew = f"keymint renew {name_of(subject)}"
+
+    @cached_property
+    def certificate(self) -> x509.Certificate | None:
+        """The identity certificate; None if it is missing or damaged, which is reported with its path."""
+        return certificates.readable(self._files.get(CERTIFICATE))
 
     def _where(self, name: str) -> Origin:
         return Origin(f"{self._folder}/{name}")
@@ -47,6 +54,13 @@ class IdentityCheck:
     def _warning(self, code: str, name: str, message: str, help_: str) -> Diagnostic:
         """Return a warning about a file."""
         return Diagnostic.warning(code, message, self._where(name), help_, self._subject)
+
+    @cached_property
+    def own_key(self) -> tuple[keys.PublicKey | None, tuple[Diagnostic, ...]]:
+        """The public half of the private key in the enclave, if it has one, and why that cannot be read."""
+        pem, unread = self._files.get(KEY), Defects()
+        own = None if pem is None else unread.attempt(lambda: keys.public_of(pem, None, self._where(KEY)))
+        return own, tuple(map(self._for_subject, unread.found))
 
     def inventory(self, needed: Iterable[str]) -> Iterator[Diagnostic]:
         """Yield an error for each file that is not there."""
@@ -98,16 +112,18 @@ class IdentityCheck:
         """
         if public_key and public_keys.from_pem(public_key) != certificate.public_key():
             yield self._error("key-mismatch", CERTIFICATE, "is for another public key than the package has")
-        pem = self._files.get(KEY)
-        if pem is None:
-            return
-        unread = Defects()
-        own = unread.attempt(lambda: keys.public_of(pem, None, self._where(KEY)))
-        yield from map(self._for_subject, unread.found)
+        own, unread = self.own_key
+        yield from unread
         if own is not None and not keys.matches(own, certificate):
             yield self._error("key-mismatch", KEY, "is not the key of the certificate beside it")
 
     # -- dates ---------------------------------------------------------------------------------------------------
+
+    def certificate_period(self, when: When, at_the_end: str = "") -> Iterator[Diagnostic]:
+        """Yield the finding on the dates of the certificate; arguments as for :meth:`_period`."""
+        if self.certificate is not None:
+            period = certificates.period(self.certificate)
+            yield from self._period("certificate", CERTIFICATE, period, when, self._renew, at_the_end)
 
     def _period(
         self, what: str, name: str, period: tuple[datetime, datetime], when: When, again: str, at_the_end: str = ""

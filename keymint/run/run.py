@@ -201,7 +201,7 @@ class Run:
 
         Args:
             auditing: what the user may not read of the private space counts as absent; the verb reports
-                :func:`keymint.examine.not_examined.not_examined`.
+                :func:`keymint.examine.keystore.not_examined`.
         """
         return self.snapshot(self.workspace(), auditing=auditing).session()
 

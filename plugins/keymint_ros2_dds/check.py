@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import timedelta
 
@@ -31,11 +31,11 @@ from keymint_ros2_dds.enclave_layout import (
     enclave_files,
     has_one_authority,
 )
-from keymint_ros2_dds.examine import Document, EnclaveRules
+from keymint_ros2_dds.examine import Document, EnclaveRules, SignedFact
 from keymint_ros2_dds.keystores.kept_documents import not_kept
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance, cuts
 from keymint_ros2_dds.proving.protection import STRICT, Weaker, weaker
-from keymint_ros2_dds.reading import signed_governance, signed_permissions
+from keymint_ros2_dds.reading import signed_permissions
 
 
 def check(inspection: Inspection) -> tuple[Diagnostic, ...]:
@@ -71,11 +71,10 @@ class _InstalledEnclave(EnclaveRules):
             yield from map(self._of_another_tool, self.encoding(name))
         yield from self.name()
         yield from self.periods(when)
-        permissions = yield from self._sound(PERMISSIONS, signed_permissions.read)
-        governance = yield from self._sound(GOVERNANCE, signed_governance.read)
-        if permissions is not None:
-            yield from self.documents(permissions, governance, when)
-        if governance is not None:
+        yield from self._document(PERMISSIONS, self.permissions)
+        yield from self._document(GOVERNANCE, self.governance)
+        yield from self.documents(self.permissions.sound, self.governance.sound, when)
+        if self.governance.sound:
             yield from self._governance()
         if PERMISSIONS_XML in names:
             yield from self.plain_text(self._unverified())
@@ -101,26 +100,22 @@ class _InstalledEnclave(EnclaveRules):
         except KeymintError:
             return None
 
-    def _sound(
-        self, kind: str, reader: Callable[[bytes, str, int], Document]
-    ) -> Generator[Diagnostic, None, Document | None]:
-        """Check a signed document; the generator returns it if it is verified and valid, else None."""
+    def _document(self, kind: str, fact: SignedFact[Document]) -> Iterator[Diagnostic]:
+        """Yield what vendors cannot read of a signed document, and that it is not the one of the sources."""
         name, package = f"{kind}.p7s", self._inspection.package
-        if (signed := self.signed(name)) is None:
-            return None  # reported with the trust anchors
+        if fact.signed is None:
+            return  # reported with the trust anchors
+        content = fact.signed.content
         yield from map(self._for_subject, vendor_limits.check_size(len(self._files[name]), kind, package))
-        if not self._as_built(kind, signed.content):
+        if not self._as_built(kind, content):
             message = f"the sources build another {kind} document: they changed, or the built one was edited by hand"
             again = f"'keymint build -f {package.name}' and 'keymint install {package.name}'"
             yield self._warning("drift", name, message, f"{again} write the document of the sources")
-        document = yield from self.read(name, reader)
-        if document is None or document.defects:
-            return None
+        yield from fact.defects
         # What Keymint writes is known to have none.
-        plain = kind == PERMISSIONS and signed_permissions.is_plain(signed.content)
-        for hazard in () if plain else dds_xml.hazards(signed.content):
+        plain = kind == PERMISSIONS and signed_permissions.is_plain(content)
+        for hazard in () if plain or not fact.sound else dds_xml.hazards(content):
             yield self._warning("document-hazard", name, hazard, f"build it instead of editing it; {self._restore}")
-        return document
 
     def _governance(self) -> Iterator[Diagnostic]:
         """Yield findings on what the sources leave open, and on what the signed governance protects less."""
@@ -128,7 +123,7 @@ class _InstalledEnclave(EnclaveRules):
         for finding in governance_warnings.findings(package):
             if finding.severity is Severity.WARNING and finding.code != governance_warnings.UNPROTECTED:
                 yield finding
-        if signed := self.signed(GOVERNANCE_P7S):
+        if signed := self.governance.signed:
             place = self._where(GOVERNANCE_P7S).file, signed.lines_before
             governing = EnclaveGovernance(signed.content, place, package)
             if governing.differs:

@@ -8,17 +8,15 @@ keystore of another tool with the authorities that it has itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import datetime, timedelta
 from functools import cached_property
-from typing import TypeVar
-
-from cryptography import x509
+from typing import Generic, TypeVar
 
 from comarmor.errors import Defects, Diagnostic
+from comarmor.values import dataclass
 from keymint.api import TrustAnchors
 from keymint.errors import KeymintError
-from keymint.names import name_of
 from keymint.pki import certificates, keys, revocation_lists, smime
 from keymint.pki.identity_check import IdentityCheck, When, anchor_defects, shown
 from keymint.pki.mime import SignedDocument
@@ -39,6 +37,7 @@ from keymint_ros2_dds.enclave_layout import (
     PERMISSIONS_XML,
     enclave_files,
 )
+from keymint_ros2_dds.reading import signed_governance, signed_permissions
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, PermissionsDocument, as_ranges
 
@@ -86,6 +85,26 @@ def differences(
     return tuple(each for each in found if each.code != "key-password")
 
 
+@dataclass(frozen=True, slots=True)
+class SignedFact(Generic[Document]):
+    """A signed document of an enclave, read once for all rules and views.
+
+    Attributes:
+        signed: what is signed; None if the file is missing, or its signature does not verify.
+        document: what it says; None if it cannot be read.
+        defects: why it cannot be read, or what its schema does not allow.
+    """
+
+    signed: SignedDocument | None = None
+    document: Document | None = None
+    defects: tuple[Diagnostic, ...] = ()
+
+    @property
+    def sound(self) -> Document | None:
+        """What it says, if its schema allows that."""
+        return None if self.defects else self.document
+
+
 class EnclaveRules(IdentityCheck):
     """The rules about the files of one enclave.
 
@@ -103,21 +122,28 @@ class EnclaveRules(IdentityCheck):
     ) -> None:
         super().__init__(files, folder, restore, subject)
         self._chains = chains
-        self._renew = f"keymint renew {name_of(subject)}"
 
     # -- facts ---------------------------------------------------------------------------------------------------
 
     @cached_property
-    def certificate(self) -> x509.Certificate | None:
-        """The identity certificate; None if it is missing or damaged."""
-        return certificates.readable(self._files.get(CERTIFICATE))
+    def permissions(self) -> SignedFact[PermissionsDocument]:
+        """The permissions."""
+        return self._signed(PERMISSIONS_P7S, signed_permissions.read)
 
-    def signed(self, name: str) -> SignedDocument | None:
-        """Return a signed document; None if it is missing, or its signature does not verify."""
+    @cached_property
+    def governance(self) -> SignedFact[GovernanceDocument]:
+        """The governance."""
+        return self._signed(GOVERNANCE_P7S, signed_governance.read)
+
+    def _signed(self, name: str, reader: Callable[[bytes, str, int], Document]) -> SignedFact[Document]:
         try:
-            return smime.read(self._files.get(name, b""), self._chains[roles.PERMISSIONS])
+            signed = smime.read(self._files.get(name, b""), self._chains[roles.PERMISSIONS])
         except KeymintError:
-            return None
+            return SignedFact()  # reported with the authorities
+        unread, file = Defects(), self._where(name).file
+        document = unread.attempt(lambda: reader(signed.content, file, signed.lines_before))
+        defects = document.defects if document else unread.found
+        return SignedFact(signed, document, tuple(map(self._for_subject, defects)))
 
     @cached_property
     def _list_problem(self) -> str:
@@ -197,38 +223,22 @@ class EnclaveRules(IdentityCheck):
 
     def periods(self, when: When) -> Iterator[Diagnostic]:
         """Yield the findings on the dates of the certificate and of the revocation list."""
-        if self.certificate is not None:
-            of_certificate = certificates.period(self.certificate)
-            yield from self._period("certificate", CERTIFICATE, of_certificate, when, self._renew, _DROPPED)
+        yield from self.certificate_period(when, _DROPPED)
         if period := revocation_period(self._files.get(CRL, b"")):
             yield from self._period("revocation list", CRL, period, when, "keymint crl --refresh", _NONE_STARTS)
 
-    def read(
-        self, name: str, reader: Callable[[bytes, str, int], Document]
-    ) -> Generator[Diagnostic, None, Document | None]:
-        """Read a signed document; the generator returns it if it can be read, also if its schema does not allow it.
-
-        Args:
-            name: its file.
-            reader: reads what is signed, with the file and the number of lines before it there.
-        """
-        if (signed := self.signed(name)) is None:
-            return None  # reported with the authorities
-        unread, file = Defects(), self._where(name).file
-        document = unread.attempt(lambda: reader(signed.content, file, signed.lines_before))
-        yield from map(self._for_subject, document.defects if document else unread.found)
-        return document
-
     def documents(
-        self, permissions: PermissionsDocument, governance: GovernanceDocument | None, when: When
+        self, permissions: PermissionsDocument | None, governance: GovernanceDocument | None, when: When
     ) -> Iterator[Diagnostic]:
         """Yield the findings on what the signed documents say.
 
         Args:
-            permissions: the signed permissions.
+            permissions: the signed permissions, if they can be read.
             governance: the signed governance, if it can be read.
             when: the clock, and within which time an end is reported.
         """
+        if permissions is None:
+            return
         if len(permissions.grants) != 1:
             message = f"has {len(permissions.grants)} grants; vendors choose among several in different ways"
             yield self._warning("grant-count", PERMISSIONS_P7S, message, "keep one grant")

@@ -16,7 +16,7 @@ from comarmor.text import quoted
 from keymint.api import Inspection, SharedInspection
 from keymint.errors import KeymintError
 from keymint.names import name_of
-from keymint.pki import certificates, extensions
+from keymint.pki import extensions
 from keymint.pki.identity_check import IdentityCheck
 from keymint_ros2_zenoh import configuration_requirements
 from keymint_ros2_zenoh.decision.admission import first_common_name, lacking_usage, names_host
@@ -113,12 +113,9 @@ class _EnclaveCheck(IdentityCheck):
         if self._is_router and SESSION in self._files:
             message = "is the configuration of a session, but this enclave is the router's"
             yield self._warning("file-unexpected", SESSION, message, "remove it")
-        certificate = certificates.readable(self._files.get(CERTIFICATE))
-        if certificate is not None:  # else it is reported with the chain
-            when = self._inspection.now, timedelta(days=self._inspection.within_days)
-            period, renew = certificates.period(certificate), f"keymint renew {self._package.name}"
-            yield from self._period("certificate", CERTIFICATE, period, when, renew)
-            yield from self._usage(certificate)
+        yield from self.certificate_period((self._inspection.now, timedelta(days=self._inspection.within_days)))
+        if self.certificate is not None:
+            yield from self._usage(self.certificate)
         yield from self._session()
 
     def _usage(self, certificate: x509.Certificate) -> Iterator[Diagnostic]:

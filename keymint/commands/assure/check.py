@@ -12,16 +12,15 @@ import click
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted
-from keymint.check import check as find
 from keymint.command_line.durations import period
 from keymint.command_line.named_files import write_outputs
 from keymint.command_line.options import FILE, packages_argument, standard_only_option, strict_option
 from keymint.command_line.vendor_versions import advisories, vendors_option
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError
-from keymint.examine.keystore import SHOWN_NOTES, proven_keystore
+from keymint.examine.check import check as find
+from keymint.examine.keystore import SHOWN_NOTES, not_examined, proven_keystore
 from keymint.examine.nodes import NODE_NOTES, of_packages
-from keymint.examine.not_examined import not_examined
 from keymint.executors import Pool
 from keymint.life.earlier_rights import RIGHTS_OUTLIVE
 from keymint.life.workspace_register import with_enclaves

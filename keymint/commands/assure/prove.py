@@ -22,10 +22,10 @@ from keymint.command_line.options import (
 )
 from keymint.command_line.verb import verb
 from keymint.errors import ExitCode, KeymintError
-from keymint.examine.keystore import SHOWN_NOTES, UNKNOWN_HISTORY, deciding, proven_keystore, staged
-from keymint.examine.not_examined import has_register, not_examined
+from keymint.examine.enclaves import differences
+from keymint.examine.keystore import SHOWN_NOTES, UNKNOWN_HISTORY, deciding, not_examined, proven_keystore, staged
 from keymint.life import terms
-from keymint.life.workspace_register import with_enclaves
+from keymint.life.workspace_register import has_register, with_enclaves
 from keymint.output.json import line_json
 from keymint.output.report import Report, findings_exit, findings_if
 from keymint.run.run import Run
@@ -33,7 +33,6 @@ from keymint.stages.policy_drift import uncreated
 from keymint.stages.proof.proof_diagnostics import STATES, effort_of, proof_findings
 from keymint.stages.proof.proof_results import EnclaveProof, ProofResults
 from keymint.stages.proof.prove import NO_PROVER, STAGE
-from keymint.stages.proof.trust_anchors import differences
 from keymint.store.changes import Action, Step
 from keymint.workspace.installed_enclaves import unaccounted
 from keymint.workspace.policy_loading import lazy_policy

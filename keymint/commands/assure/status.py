@@ -16,7 +16,7 @@ from keymint.command_line.options import strict_option
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError
 from keymint.examine import keys
-from keymint.examine.not_examined import not_examined
+from keymint.examine.keystore import not_examined
 from keymint.examine.rights import has_earlier, presented_rights
 from keymint.life.terms import days_left
 from keymint.output.expiry_metrics import gauges

@@ -12,8 +12,8 @@ import click
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.adoption.adopted_workspace import Adoption, plan_adoption
+from keymint.adoption.keystore_files import found_in
 from keymint.adoption.keystore_policy import AdoptedPolicy, Compared, compared
-from keymint.adoption.reading import found_in
 from keymint.api import Bootstrap, DocumentComparer, FoundKeystore, KeystoreFiles
 from keymint.command_line.options import (
     DEFAULT_DISTRO,

@@ -34,8 +34,8 @@ def from_keystore(
         KeymintError: a signature does not verify, no policy can say what a document grants, or the proof fails; with
             its place.
     """
+    from keymint.adoption.keystore_files import found_in  # noqa: PLC0415
     from keymint.adoption.keystore_learning import Learning, learned_from  # noqa: PLC0415 - graphs need none of it
-    from keymint.adoption.reading import found_in  # noqa: PLC0415
 
     policies = Policies(run, policy_options)
     policies.shipped()  # an unknown distribution is wrong usage, whatever the keystore is

@@ -12,10 +12,10 @@ import click
 
 from comarmor.errors import Diagnostic
 from comarmor.text import counted
-from keymint.adoption.hardening import lacks
 from keymint.authority.authority_issuance import authority_named
 from keymint.command_line.options import complete_authority
 from keymint.command_line.verb import verb
+from keymint.examine.weaknesses import lacks
 from keymint.life.authority_status import AuthorityStatus, CertificateStatus, statuses
 from keymint.life.terms import days_left
 from keymint.output.report import Report

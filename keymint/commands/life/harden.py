@@ -9,12 +9,13 @@ from dataclasses import asdict, replace
 import click
 
 from comarmor.text import first_few
-from keymint.adoption.hardening import Weakness, open_steps, plan_authority, plan_names
+from keymint.adoption.hardening import plan_authority, plan_names
 from keymint.authority.authority_renewal import plan_renewal
 from keymint.command_line.authority_change import issued_again
 from keymint.command_line.options import flag_day_option, packages_argument
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError
+from keymint.examine.weaknesses import Weakness, open_steps
 from keymint.output.report import Report
 from keymint.run.run import Run
 from keymint.stages.reissue import reissued, reissued_by_profile

@@ -20,7 +20,7 @@ from keymint.command_line.bundle_files import bundle_output_option, require_outp
 from keymint.command_line.options import complete_package
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError
-from keymint.examine.lists import of_enclaves
+from keymint.examine.issued import of_enclaves
 from keymint.life.workspace_register import withdrawn
 from keymint.names import package_name, subject_of
 from keymint.output.report import Report

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trust anchors: the workspace's authorities that an enclave must rest on, and where it does not.
+"""Trust anchors: the workspace's authorities that an enclave must rest on, and what speaks against them.
 
 Proofs rest on the certificates in ``public/``. The workspace has other evidence of what these should be: the private
 key beside each, the record of keys in use, and the profile. If that contradicts the certificate, or the file contains
@@ -8,9 +8,8 @@ more than one certificate, nothing that rests on it is claimed. Enclaves are no 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import replace
 
 from comarmor.errors import Defects, Diagnostic
 from keymint.api import BuildType, Package, TrustAnchor, TrustAnchors
@@ -19,10 +18,9 @@ from keymint.authority.authority_files import AuthorityFiles, trusted_chains
 from keymint.errors import KeymintError
 from keymint.pki import certificates
 from keymint.pki.keys import PublicKey
-from keymint.stages.proof.shared_proof import installed_documents
 from keymint.stages.shared_install import shared_roles
-from keymint.workspace.installed_enclaves import INSTALLED, enclave_files
-from keymint.workspace.package_build_types import build_types_of, is_build_current, issuers_of, prover_of, suffixes_read
+from keymint.workspace.installed_enclaves import INSTALLED
+from keymint.workspace.package_build_types import is_build_current, issuers_of, suffixes_read
 from keymint.workspace.session import Inputs, Session, once
 
 
@@ -71,35 +69,6 @@ def unread_of(session: Session, package: Package, unread: Iterable[Diagnostic]) 
     named = ((each.where.file.rpartition("/")[2] if each.where else "", each) for each in unread)
     own = {*stamp.outputs, ""} if stamp else {""}
     return tuple(each for file, each in named if file in own or file.endswith(suffixes))
-
-
-def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...]:
-    """Return the findings on enclaves that do not rest on the workspace's authorities.
-
-    Enclaves that are not installed, or whose build type cannot tell, have none.
-
-    Raises:
-        KeymintError: a package has defects.
-    """
-    findings: list[Diagnostic] = []
-    for name in names:
-        files, unread = enclave_files(session, name)
-        if not (files or unread):
-            continue
-        package = session.package(name, built=is_build_current(session, name))
-        findings += unread_of(session, package, unread)
-        if not files:
-            continue
-        findings += contradictions_for(session, name)
-        folder = session.workspace.shown(session.enclave_folder(name))
-        for build_type, plugin in build_types_of(session, package).items():
-            if prover := prover_of(session, build_type):
-                anchors = anchors_of(session, package, plugin)
-                shared = installed_documents(session, build_type)
-                shown = session.workspace.shown(session.workspace.install)
-                found = prover.differences(files, folder, anchors, shared, shown)
-                findings += (replace(each, subject=package.subject) for each in found)
-    return tuple(dict.fromkeys(findings))
 
 
 # -- what speaks against an anchor -------------------------------------------------------------------------------------

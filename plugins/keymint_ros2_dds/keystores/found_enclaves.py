@@ -37,9 +37,7 @@ from keymint_ros2_dds.enclave_layout import (
 from keymint_ros2_dds.examine import AUTHORITY_FILES, EnclaveRules
 from keymint_ros2_dds.keystores.enclave_places import EnclavePlace
 from keymint_ros2_dds.keystores.file_contents import Contents
-from keymint_ros2_dds.reading import signed_governance, signed_permissions
-from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
-from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, PermissionsDocument, as_ranges
+from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, as_ranges
 
 _ISSUE = "issue it again with the tool that made it, here and on the robots"
 _REMOVE = "take it out of the keystore; a new one for this name: 'keymint create', build and install afterwards"
@@ -115,8 +113,6 @@ class _Enclave(EnclaveRules):
             PERMISSIONS_P7S,
             GOVERNANCE_P7S,
         ]
-        self._permissions: PermissionsDocument | None = None
-        self._governance: GovernanceDocument | None = None
 
     def _where(self, name: str) -> Origin:
         return self._contents.place(self._enclave.files.get(name) or f"{self._folder}/{name}")
@@ -130,11 +126,9 @@ class _Enclave(EnclaveRules):
         yield from self.encoding(CERTIFICATE)
         yield from self.name()
         yield from self.periods(when)
-        self._permissions = yield from self.read(PERMISSIONS_P7S, signed_permissions.read)
-        self._governance = yield from self.read(GOVERNANCE_P7S, signed_governance.read)
-        if self._permissions is not None:
-            yield from self.documents(self._permissions, self._governance, when)
-        if signed := self.signed(PERMISSIONS_P7S):
+        yield from (*self.permissions.defects, *self.governance.defects)
+        yield from self.documents(self.permissions.document, self.governance.document, when)
+        if signed := self.permissions.signed:
             yield from self.plain_text(signed.content)
 
     def viewed(self, finding: Diagnostic) -> Diagnostic:
@@ -216,20 +210,20 @@ class _Enclave(EnclaveRules):
         """Return whether the private key is that of the certificate, as a report says it."""
         if KEY not in self._files:
             return "elsewhere"
-        try:
-            public = keys.public_of(self._files[KEY], None)
-        except KeymintError:
+        own, _ = self.own_key
+        if own is None or self.certificate is None:
             return "unknown"
-        if self.certificate is None:
-            return "unknown"
-        return "matches" if keys.matches(public, self.certificate) else "differs"
+        return "matches" if keys.matches(own, self.certificate) else "differs"
+
+    def _grants(self) -> Sequence[DocumentGrant]:
+        return self.permissions.document.grants if self.permissions.document else ()
 
     def _only_grant(self) -> DocumentGrant | None:
-        grants = self._permissions.grants if self._permissions else ()
+        grants = self._grants()
         return grants[0] if len(grants) == 1 else None
 
     def _rights(self) -> FoundGrant | None:
-        grant, signed = self._only_grant(), self.signed(PERMISSIONS_P7S)
+        grant, signed = self._only_grant(), self.permissions.signed
         if grant is None or signed is None:
             return None
         return FoundGrant(signed.content, self._where(PERMISSIONS_P7S).file, signed.lines_before, grant.subject_name)
@@ -248,10 +242,8 @@ class _Enclave(EnclaveRules):
     def found(self) -> FoundEnclave:
         """Return what the enclave has."""
         certificate, has_key = self.certificate, self._key_state() == "matches"
-        signed = {name: self.signed(name) for name in (PERMISSIONS_P7S, GOVERNANCE_P7S)}
-        documents = {f"{name.removesuffix('.p7s')}.xml": each.content for name, each in signed.items() if each}
-        if self._governance is None:
-            documents.pop(GOVERNANCE_XML, None)
+        permissions, governance = self.permissions.signed, self.governance.signed if self.governance.document else None
+        signed = {PERMISSIONS_XML: permissions, GOVERNANCE_XML: governance}
         return FoundEnclave(
             subject=self._subject,
             files=self._enclave.files,
@@ -262,7 +254,7 @@ class _Enclave(EnclaveRules):
             validity=Validity(*certificates.period(certificate)) if certificate else None,
             grant_validity=self._grant_validity(),
             domains=self._domains(),
-            documents=documents,
+            documents={name: each.content for name, each in signed.items() if each},
             grant=self._rights(),
             facts=self._facts(),
             exposed=has_key and is_exposed(self._contents, self._enclave.files[KEY]),
@@ -272,8 +264,8 @@ class _Enclave(EnclaveRules):
         """Return what a report says; values are those of JSON."""
         certificate, issuer = self.certificate, self._chains[IDENTITY]
         files = {name: self._contents.keystore.files[path] for name, path in sorted(self._enclave.files.items())}
-        signed, plain = self.signed(PERMISSIONS_P7S), self._files.get(PERMISSIONS_XML)
-        governance = self._governance.domain_rules if self._governance else ()
+        signed, plain = self.permissions.signed, self._files.get(PERMISSIONS_XML)
+        governance = self.governance.document.domain_rules if self.governance.document else ()
         return {
             "place": self._folder,
             "links": sum(bool(file.link) for file in files.values()),
@@ -285,9 +277,9 @@ class _Enclave(EnclaveRules):
             "named_like_path": self._is_named_like_path(),
             **({"certificate": dates_of(certificate)} if certificate else {}),
             "key": self._key_state(),
-            "signatures": {kind: self.signed(f"{kind}.p7s") is not None for kind in (PERMISSIONS, GOVERNANCE)},
+            "signatures": {PERMISSIONS: signed is not None, GOVERNANCE: self.governance.signed is not None},
             "same_text": plain == signed.content if plain and signed else None,
-            "grants": [_grant_facts(each) for each in (self._permissions.grants if self._permissions else ())],
+            "grants": [_grant_facts(each) for each in self._grants()],
             "domains": _as_json(self._domains()),
             "governance_domains": _as_json(merged(as_ranges(each for rule in governance for each in rule.domains))),
         }

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from comarmor.errors import Diagnostic, Severity
+from keymint.adoption.keystore_files import found_in
 from keymint.adoption.keystore_learning import Learning, learned_from
-from keymint.adoption.reading import found_in
 from keymint.api import DocumentComparison, FoundKeystore, KeystoreFiles, Relation
 from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError

@@ -24,9 +24,9 @@ from keymint.workspace.session import Inputs
 
 _GROUP, _OTHERS = stat.S_IWGRP, stat.S_IWOTH
 _PEM = ".pem"
-
-
 CHANGED = "was changed after it was installed"
+
+
 _Entry = tuple[str, FileStatus]
 """The path of a file or folder of a space, and its status (of a link: of the link itself)."""
 
@@ -82,13 +82,28 @@ def as_installed(
         message: what is wrong with one that was changed.
         secret: it is for its owner only.
     """
-    where = inputs.workspace.origin(path)
     if inputs.tree.status(path) is None:
-        yield Diagnostic.error("file-missing", "is missing", where, help_)
+        yield Diagnostic.error("file-missing", "is missing", inputs.workspace.origin(path), help_)
         return
     yield from modes(inputs, path, file_mode(secret=secret), "")
     if value and inputs.tree.has_file(path) and digest(inputs.tree.try_read(path) or b"") != value:
-        yield Diagnostic.error("file-changed", message, where, help_)
+        yield changed(inputs, path, help_, message=message)
+
+
+def changed(inputs: Inputs, path: Path | str, help_: str, subject: str = "", message: str = CHANGED) -> Diagnostic:
+    """Return the finding on a file that is not what was installed."""
+    return Diagnostic.error("file-changed", message, inputs.workspace.origin(path), help_, subject)
+
+
+def unrecorded(what: str, subject: str = "") -> Diagnostic:
+    """Return the note that nothing tells what was installed, so that a change is not seen."""
+    message, help_ = f"there is no record of {what}", "'keymint install' makes one"
+    return Diagnostic.note("record-missing", message, None, help_, subject)
+
+
+def unexpected(inputs: Inputs, path: Path | str, message: str, subject: str = "") -> Diagnostic:
+    """Return the finding on a file that belongs to nothing."""
+    return Diagnostic.warning("file-unexpected", message, inputs.workspace.origin(path), "remove it", subject)
 
 
 def link(inputs: Inputs, path: Path | str, subject: str) -> Diagnostic:

@@ -17,18 +17,16 @@ from comarmor.errors import Diagnostic
 from comarmor.regex import lazy_regex
 from keymint.api import Inspection
 from keymint.api.plugin_loader import Plugins
-from keymint.check.authorities import authorities, in_defect
-from keymint.check.enclaves import Examined, LoadedEnclave, examine, load
-from keymint.check.file_status import file_status
-from keymint.check.git_exposure import git_exposure
-from keymint.check.install_space import outside_enclaves
 from keymint.errors import KeymintError
 from keymint.examine import keys
+from keymint.examine.authorities import authorities, in_defect
+from keymint.examine.enclaves import Examined, LoadedEnclave, examine, load
+from keymint.examine.file_status import file_status
+from keymint.examine.install_space import outside_enclaves
 from keymint.examine.keystore import deciding, staged
 from keymint.executors import Pool
 from keymint.stages import identity_keys
 from keymint.stages.identity_keys import Keyring
-from keymint.stages.proof.trust_anchors import differences
 from keymint.workspace.installed_enclaves import unaccounted, with_sources
 from keymint.workspace.session import Session
 
@@ -48,13 +46,16 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
     of_authorities = tuple(authorities(session, within))
     keyring = Keyring(session)
     loaded = _loaded(session, names, within)
-    first = _examined(session, keyring, loaded[:1])  # processes have then what all enclaves need
+    first = tuple(_examined(session, keyring, loaded[:1]))  # processes have then what all enclaves need
     parts = pool.parts(loaded[1:], LEAST)
-    tasks: list[Callable[[], Any]] = [
-        partial(_around, session, within), partial(_of_files, session), partial(_deciding, session),
+    tasks: list[Callable[[], Iterable[Any]]] = [
+        partial(outside_enclaves, session, within), partial(file_status, session), partial(keys.git_exposure, session),
+        partial(_deciding, session),
     ]  # fmt: skip
     tasks += (partial(_examined, session, keyring, part) for part in parts)
-    around, of_files, decides, *examined = pool.map(_carry_out, tasks) if len(parts) > 1 else (task() for task in tasks)
+    alone = len(parts) <= 1
+    found = (tuple(task()) for task in tasks) if alone else pool.map(_carry_out, tasks)
+    around, of_files, of_git, decides, *examined = found
     enclaves: list[Examined] = [each for part in (first, *examined) for each in part]
     findings = [finding for each in enclaves for finding in each.findings]
     findings += _of_several(session, [each for each in loaded if isinstance(each, LoadedEnclave)])
@@ -65,7 +66,7 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
     findings += (*keys.elsewhere(session), *keys.encryption(session), *keys.exposed(session))
     findings += around
     later = _without_install_hints(findings, in_defect(of_authorities))
-    return (*of_authorities, *of_files, *later, *_of_second_keystore(session, names, within, pool))
+    return (*of_authorities, *of_files, *of_git, *later, *_of_second_keystore(session, names, within, pool))
 
 
 def _deciding(session: Session) -> tuple[Diagnostic, ...]:
@@ -94,16 +95,8 @@ _OF_RECORD = frozenset({"record-missing", "key-missing"})
 """Codes of findings on what nobody records, or has, of a second keystore."""
 
 
-def _carry_out(_plugins: Plugins, task: Callable[[], Any]) -> Any:
-    return task()
-
-
-def _around(session: Session, within: timedelta) -> tuple[Diagnostic, ...]:
-    return tuple(outside_enclaves(session, within))
-
-
-def _of_files(session: Session) -> tuple[Diagnostic, ...]:
-    return (*file_status(session), *git_exposure(session))
+def _carry_out(_plugins: Plugins, task: Callable[[], Iterable[Any]]) -> tuple[Any, ...]:
+    return tuple(task())
 
 
 def _loaded(session: Session, names: Sequence[str], within: timedelta) -> list[LoadedEnclave | Examined]:
@@ -117,19 +110,9 @@ def _loaded(session: Session, names: Sequence[str], within: timedelta) -> list[L
     return loaded
 
 
-def _examined(session: Session, keyring: Keyring, part: Sequence[LoadedEnclave | Examined]) -> list[Examined]:
-    found = (each if isinstance(each, Examined) else examine(session, each, keyring) for each in part)
-    return [_with_anchors(session, each) for each in found]
-
-
-def _with_anchors(session: Session, examined: Examined) -> Examined:
-    """Return the findings on an enclave with those on what the authorities of the workspace do not vouch for."""
-    known = {(each.code, each.where) for each in examined.findings}
-    try:
-        more = tuple(each for each in differences(session, [examined.name]) if (each.code, each.where) not in known)
-    except KeymintError:  # a package has defects, which are reported
-        more = ()
-    return replace(examined, findings=(*examined.findings, *more))
+def _examined(session: Session, keyring: Keyring, part: Sequence[LoadedEnclave | Examined]) -> Iterator[Examined]:
+    for each in part:
+        yield each if isinstance(each, Examined) else examine(session, each, keyring)
 
 
 def _of_several(session: Session, loaded: Iterable[LoadedEnclave]) -> Iterator[Diagnostic]:

@@ -13,7 +13,7 @@ import pytest
 from keymint_ros import permissions
 from keymint_ros2_dds import DdsSecurity
 
-from keymint.check import enclaves
+from keymint.examine import enclaves
 from keymint.executors.pool import divided
 from keymint.executors.processes import Processes
 from tests.conftest import NOW, snapshot

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field, replace
 from datetime import timedelta
 
@@ -11,16 +11,18 @@ from comarmor.errors import Diagnostic, Severity
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, BuildType, Inspection, Package
 from keymint.authority.authority_files import trusted_chains
-from keymint.check.file_status import CHANGED, link, linked_twice, modes
 from keymint.errors import KeymintError
+from keymint.examine.file_status import changed, link, linked_twice, modes, unexpected, unrecorded
 from keymint.life.workspace_register import withdrawn
 from keymint.names import subject_of
 from keymint.pki import key_files, keys
 from keymint.stages import build, identity_keys, install
+from keymint.stages.proof.shared_proof import installed_documents
+from keymint.stages.proof.trust_anchors import anchors_of, contradictions_for, unread_of
 from keymint.store.changes import file_mode
 from keymint.view.stamps import digest
 from keymint.workspace.installed_enclaves import KEY, enclave_files, files_in, not_installed
-from keymint.workspace.package_build_types import build_types_of, is_build_current
+from keymint.workspace.package_build_types import build_types_of, is_build_current, prover_of
 from keymint.workspace.session import Session
 from keymint.workspace.stored_keys import key_defects
 
@@ -83,27 +85,63 @@ def load(session: Session, name: str, within: timedelta) -> LoadedEnclave:
 
 
 def examine(session: Session, loaded: LoadedEnclave, keyring: identity_keys.Keyring) -> Examined:
-    """Check one enclave.
+    """Check one enclave, and what of it the authorities of the workspace do not vouch for.
 
     Args:
         session: the workspace and its profile.
         loaded: the enclave.
         keyring: the known keys of all subjects and authorities.
     """
-    package, files = loaded.package, loaded.files
+    package = loaded.package
     fingerprint, findings = _identity_key(session, package, keyring)
-    if loaded.is_absent:
-        return Examined(package.name, fingerprint, (*findings, _absent(session, package.name)))
-    unread_places = {each.where for each in loaded.unread}
-    defects = dict.fromkeys(each for build_type, own in loaded.seen.values() for each in build_type.check(own))
-    found = (
-        *findings,
-        *loaded.unread,
-        *_on_disk(session, package.name, files),
-        *_unexpected(session, loaded),
-        *(each for each in defects if each.code != "file-missing" or each.where not in unread_places),
-    )
-    return Examined(package.name, fingerprint, found)
+    found = (*findings, *([_absent(session, package.name)] if loaded.is_absent else _of_files(session, loaded)))
+    known = {(each.code, each.where) for each in found}
+    try:
+        more = dict.fromkeys(_unvouched(session, package))
+        unvouched = tuple(each for each in more if (each.code, each.where) not in known)
+    except KeymintError:  # of documents of several packages, which are reported
+        unvouched = ()
+    return Examined(package.name, fingerprint, (*found, *unvouched))
+
+
+def _of_files(session: Session, loaded: LoadedEnclave) -> Iterator[Diagnostic]:
+    """Yield the findings on the files of an enclave, and those of its build types."""
+    yield from loaded.unread
+    yield from _on_disk(session, loaded.package.name, loaded.files)
+    yield from _unexpected(session, loaded)
+    unread = {each.where for each in loaded.unread}
+    for each in dict.fromkeys(each for build_type, own in loaded.seen.values() for each in build_type.check(own)):
+        if each.code != "file-missing" or each.where not in unread:
+            yield each
+
+
+def differences(session: Session, names: Sequence[str]) -> tuple[Diagnostic, ...]:
+    """Return the findings on enclaves that do not rest on the workspace's authorities.
+
+    Enclaves that are not installed, or whose build type cannot tell, have none.
+
+    Raises:
+        KeymintError: a package has defects.
+    """
+    there = [name for name in names if any(enclave_files(session, name))]
+    packages = (session.package(name, built=is_build_current(session, name)) for name in there)
+    return tuple(dict.fromkeys(each for package in packages for each in _unvouched(session, package)))
+
+
+def _unvouched(session: Session, package: Package) -> Iterator[Diagnostic]:
+    """Yield the findings on an enclave, of which some file is there, that does not rest on the authorities."""
+    files, unread = enclave_files(session, package.name)
+    yield from unread_of(session, package, unread)
+    if not files:
+        return
+    yield from contradictions_for(session, package.name)
+    workspace = session.workspace
+    folder, install = workspace.shown(session.enclave_folder(package.name)), workspace.shown(workspace.install)
+    for build_type, plugin in build_types_of(session, package).items():
+        if prover := prover_of(session, build_type):
+            anchors, shared = anchors_of(session, package, plugin), installed_documents(session, build_type)
+            found = prover.differences(files, folder, anchors, shared, install)
+            yield from (replace(each, subject=package.subject) for each in found)
 
 
 def _absent(session: Session, name: str) -> Diagnostic:
@@ -158,19 +196,15 @@ def _built(build_type: BuildType, package: Package) -> Mapping[str, bytes]:
     Raises:
         KeymintError: the package has defects.
     """
-    try:
-        return build_type.build(package, BuildOptions()).documents
-    except KeymintError:
-        return build_type.build(package, BuildOptions(allow_vendor_specific=True)).documents
+    return build_type.build(package, BuildOptions(allow_vendor_specific=True)).documents
 
 
 def _unexpected(session: Session, loaded: LoadedEnclave) -> Iterator[Diagnostic]:
     """Yield a finding for each file of an enclave that belongs to none of the package's build types."""
     known = frozenset[str]().union(*(own.files for _, own in loaded.seen.values()))
     for file in sorted(loaded.files.keys() - known):
-        where = session.workspace.origin(session.enclave(loaded.package.name) / file)
         message = f"does not belong to the layout {session.profile.layout!r}"
-        yield Diagnostic.warning("file-unexpected", message, where, "remove it", loaded.package.subject)
+        yield unexpected(session, session.enclave(loaded.package.name) / file, message, loaded.package.subject)
 
 
 def _identity_key(
@@ -230,10 +264,8 @@ def _on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterato
         if file in secret:
             yield from linked_twice(session, path, subject)
     if stamp is None:
-        message, help_ = f"there is no record of what was installed as {subject}", "'keymint install' makes one"
-        yield Diagnostic.note("record-missing", message, None, help_, subject)
+        yield unrecorded(f"what was installed as {subject}", subject)
         return
     for file, value in stamp.outputs.items():
         if file in files and session.tree.digest(f"{folder}/{file}") != value:
-            where, help_ = session.workspace.origin(f"{folder}/{file}"), f"'keymint install {name}' restores it"
-            yield Diagnostic.error("file-changed", CHANGED, where, help_, subject)
+            yield changed(session, f"{folder}/{file}", f"'keymint install {name}' restores it", subject)
