@@ -289,6 +289,23 @@ def is_current(session: Session, name: str) -> bool:
     return stamp is not None and stamp.inputs == inputs_of(session, name) and has_outputs(session, folder, stamp)
 
 
+def would_stay(session: Session, name: str, authorities: Mapping[str, MintedAuthority]) -> bool:
+    """Tell whether installing an enclave again would change nothing, e.g. as a list changed that it does not have.
+
+    Args:
+        session: the workspace and its profile, with these authorities.
+        name: the package.
+        authorities: the authorities that issue and sign, by name.
+
+    Raises:
+        KeymintError: it cannot be installed.
+    """
+    planned = InstallStage(session, authorities, prune=False).package(name)
+    if planned.errors:
+        raise KeymintError.of(planned.errors)
+    return planned.step is not None and planned.step.action is Action.UNCHANGED and not planned.outdated
+
+
 def inputs_of(session: Session, name: str) -> str | None:
     """Return the digest of all that the enclave of a package is made from, or None if that is not built."""
     documents = build.document_digests(session, name)

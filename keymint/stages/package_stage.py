@@ -12,7 +12,7 @@ from typing import Any, Protocol, TypeVar
 
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
-from keymint.api import Artifact
+from keymint.api import Artifact, BuildOptions
 from keymint.errors import KeymintError
 from keymint.life.issued_certificates import IssuedCertificate, SignedRights
 from keymint.life.terms import Term
@@ -87,10 +87,17 @@ class Crew:
     Attributes:
         planned: returns what a stage plans for some packages; several processes may share the work.
         monotonic: returns seconds.
+        start: lets processes begin with the stages, given by what makes each, for some packages of a workspace.
+        close: ends these processes.
+        compile_elsewhere: lets a cluster compile what the build of some packages needs, with these options, and tells
+            whether that will be proven; None if there is no cluster.
     """
 
     planned: Callable[[PackageStage[Any], Sequence[str]], list[Any]]
     monotonic: Callable[[], float]
+    start: Callable[[Session, Sequence[str], Sequence[Callable[[Session], PackageStage[Any]]]], None]
+    close: Callable[[], None]
+    compile_elsewhere: Callable[[Session, Sequence[str], BuildOptions, bool], None] | None = None
 
 
 def steps_of(planned: Sequence[PackagePlan]) -> tuple[Step, ...]:

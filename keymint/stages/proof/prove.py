@@ -53,6 +53,43 @@ def policy_digest(policy: LoadedPolicy) -> str:
     return digest(*(f"{path} {value.hex()}" for path, value in sorted(policy.seen.items())))
 
 
+def proofs(
+    session: Session,
+    policy: LoadedPolicy,
+    effort: ProofEffort,
+    names: Sequence[str],
+    on_enclave: Callable[[str], None],
+    pool: Pool,
+) -> ProofResults:
+    """Prove or refute the claims about the installed enclaves of some packages, and those across subjects.
+
+    Args:
+        session: the workspace and its profile.
+        policy: the policy that the enclaves are compared with.
+        effort: what to claim, and limits of the search.
+        names: names of packages.
+        on_enclave: called with each name after its proof.
+        pool: where else to prove.
+
+    Raises:
+        KeymintError: a package has defects, or the pool is lost.
+    """
+    stage = ProofStage(session, policy, effort)
+    proven: list[EnclaveProof] = []
+    parts: Iterable[Sequence[str]] = ([name] for name in names)
+    results: Iterable[list[EnclaveProof]] = ([stage.package(name)] for name in names)
+    if not pool.shares_memory:
+        stage.ask(pool, names)
+    elif len(divided := pool.parts(names, LEAST)) > 1:
+        parts = divided
+        results = pool.map(lambda _plugins, part: [stage.package(name) for name in part], parts)
+    for part, own in zip(parts, results, strict=True):
+        proven += own
+        for name in part:
+            on_enclave(name)
+    return stage.results(proven)
+
+
 class ProofStage:
     """The stage ``prove``: proves enclaves one by one, and then the claims across them.
 
@@ -110,31 +147,6 @@ class ProofStage:
             for part, answers in zip(parts, pool.map(prover.proving(), parts), strict=True):
                 for question, claims in zip(part, answers, strict=False):
                     prover.know(question, claims)
-
-    def all(self, names: Sequence[str], on_enclave: Callable[[str], None], pool: Pool) -> ProofResults:
-        """Prove or refute the claims about the enclaves of some packages, and those across subjects.
-
-        Args:
-            names: names of packages.
-            on_enclave: called with each name after its proof.
-            pool: where else to prove.
-
-        Raises:
-            KeymintError: a package has defects, or the pool is lost.
-        """
-        proven: list[EnclaveProof] = []
-        parts: Iterable[Sequence[str]] = ([name] for name in names)
-        results: Iterable[list[EnclaveProof]] = ([self.package(name)] for name in names)
-        if not pool.shares_memory:
-            self.ask(pool, names)
-        elif len(divided := pool.parts(names, LEAST)) > 1:
-            parts = divided
-            results = pool.map(lambda _plugins, part: [self.package(name) for name in part], parts)
-        for part, proofs in zip(parts, results, strict=True):
-            proven += proofs
-            for name in part:
-                on_enclave(name)
-        return self.results(proven)
 
     def package(self, name: str) -> EnclaveProof:
         """Prove the claims about one enclave, unless the proof is cached."""

@@ -35,14 +35,14 @@ PROFILE = """<profile name="p{n}">
 """
 MAIN = """
 import sys
-from keymint import workers
+from keymint.run import workers
 from keymint.cli import main
 workers.MIN_PACKAGES = 10
 sys.exit(main(sys.argv[1:]))
 """
 SPY = """
 import multiprocessing.connection, os, sys
-from keymint import workers
+from keymint.run import workers
 from keymint.cli import main
 workers.MIN_PACKAGES = 10
 whole = multiprocessing.connection.Connection._send_bytes
@@ -55,7 +55,7 @@ sys.exit(main(sys.argv[1:]))
 """
 ENDED = """
 import os, signal, sys
-from keymint import workers
+from keymint.run import workers
 from keymint.cli import main
 workers.MIN_PACKAGES = 10
 from keymint.stages.{module} import {stage}
@@ -158,7 +158,7 @@ def test_a_refused_proof_is_explained_as_by_one_process(keymint: Keymint, tmp_pa
 
 ENDED_BEFORE_STAGING = """
 import os, signal, sys
-from keymint import workers
+from keymint.run import workers
 from keymint.cli import main
 from keymint.run.workers import Workers
 workers.MIN_PACKAGES = 10
@@ -189,7 +189,7 @@ def test_a_process_that_is_ended_between_planning_and_staging(keymint: Keymint, 
     [
         ("create", "CreateStage", "robot17/talker"),
         ("install", "InstallStage", "robot3/talker"),
-        ("prove", "ProofStage", "robot9/talker"),
+        ("proof.prove", "ProofStage", "robot9/talker"),
     ],
 )
 def test_a_process_that_is_ended(keymint: Keymint, tmp_path: Path, module: str, stage: str, name: str) -> None:

@@ -11,8 +11,8 @@ from cryptography import x509
 
 from tests.conftest import NOW
 
-from .test_adopt import POLICY, made, snapshot
-from .test_adopt_apply import complete, files
+from tests.keymint.commands.exchange.test_adopt import POLICY, made, snapshot
+from tests.keymint.commands.exchange.test_adopt_apply import complete, files
 
 
 @pytest.fixture
