@@ -10,7 +10,6 @@ import pytest
 from cryptography import x509
 
 from tests.conftest import NOW
-
 from tests.keymint.commands.exchange.test_adopt import POLICY, made, snapshot
 from tests.keymint.commands.exchange.test_adopt_apply import complete, files
 
