@@ -81,12 +81,12 @@ class BuildStage:
             shared = shared_documents.plan_shared_build(built, options, force=self._force)
         except KeymintError as error:
             raise KeymintError.of(self._places.in_policy(error.diagnostics)) from error
-        diagnostics |= dict.fromkeys(self._places.in_policy(shared.diagnostics))
+        diagnostics |= dict.fromkeys(self._places.in_policy(each for plan in shared for each in plan.diagnostics))
         if steps and not (own := session.profile).distro_named:
             message = f"no distribution is named; as far as installed documents tell, the robots have {own.distro}"
             help_ = f"write <layout>{own.layout}</layout><distro>{own.distro}</distro> into <export>, or what they have"
             diagnostics[Diagnostic.warning("distro-unnamed", message, session.profile_marker(), help_)] = None
-        return Plan((*steps, *shared.steps), shared.state, tuple(diagnostics))
+        return Plan((*steps, *steps_of(shared)), recorded(built.state, STAGE, shared), tuple(diagnostics))
 
 
 def options_as_built(session: Session, name: str) -> BuildOptions:

@@ -104,13 +104,13 @@ class InstallStage:
         changes = EnclaveChanges(changed, frozenset((*removed, *withdrawn)))
         scripts, foreign = plan_scripts(session, build_types_in_use(session, changes))
         copies = shared_copies(session, changes)
-        steps = [*shared.steps, *shared_steps(session, copies), *scripts, *steps_of(planned)]
+        steps = [*steps_of(shared), *shared_steps(session, copies), *scripts, *steps_of(planned)]
         diagnostics = [*(diagnostic for each in planned for diagnostic in each.diagnostics), *foreign]
         diagnostics += _outdated(session, [each.name for each in planned if each.outdated])
-        diagnostics += shared.diagnostics
+        diagnostics += (diagnostic for each in shared for diagnostic in each.diagnostics)
         diagnostics += terms.of_sources({each.name: each.lifetimes for each in planned}, session)
         diagnostics += [each for each in unaccounted(session) if not prune or each.code != "enclave-orphaned"]
-        state = recorded(shared.state, STAGE, planned, (*removed, *withdrawn))
+        state = recorded(session.state, STAGE, [*shared, *planned], (*removed, *withdrawn))
         steps += [withdraw(session, name, reason, changes) for name, reason in withdrawn.items()]
         if prune:
             require_sources(session)

@@ -16,7 +16,7 @@ from keymint.api import Artifact, BuildOptions
 from keymint.errors import KeymintError
 from keymint.life.issued_certificates import IssuedCertificate, SignedRights
 from keymint.life.terms import Term
-from keymint.store.changes import Plan, Step
+from keymint.store.changes import Action, Plan, Step
 from keymint.view.stamps import Stamp, State
 from keymint.workspace import key_record
 from keymint.workspace.session import Session
@@ -29,7 +29,7 @@ class PackagePlan:
     """What a stage plans for one package, or the errors that prevent it.
 
     Attributes:
-        name: the package.
+        name: the package, or the key of the record of the documents over all packages of a build type.
         step: what is written.
         stamp: the record of it; None if nothing changes.
         diagnostics: warnings about the package.
@@ -69,17 +69,6 @@ class PackageStage(Protocol[_T_co]):
         """Return the result for a package; it depends on no other package."""
 
 
-class PlanStage(PackageStage[PackagePlan], Protocol):
-    """A stage whose result is a plan."""
-
-    def plan(self, planned: Sequence[PackagePlan]) -> Plan:
-        """Put the plans for some packages together.
-
-        Raises:
-            KeymintError: the errors of all packages.
-        """
-
-
 @dataclass(frozen=True, slots=True)
 class Crew:
     """Who plans packages, and the clock that limits proofs.
@@ -112,7 +101,8 @@ def steps_of(planned: Sequence[PackagePlan]) -> tuple[Step, ...]:
 
 
 def recorded(state: State, stage: str, planned: Sequence[PackagePlan], removed: Iterable[str] = ()) -> State:
-    """Return the state with the stamps and the keys of some plans, and without the stamps of removed packages."""
+    """Return the state with the stamps and the keys of some plans, and without the stamps of what is removed."""
+    removed = {*removed, *(each.name for each in planned if each.step and each.step.action is Action.REMOVED)}
     state = state.updated(stage, {each.name: each.stamp for each in planned if each.stamp}, removed)
     fingerprints = {each.name: each.fingerprint for each in planned if each.fingerprint}
     return key_record.record(state, key_record.IDENTITIES, fingerprints)

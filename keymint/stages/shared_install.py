@@ -8,6 +8,7 @@ a removed subject end before anything else changes.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import cast
 
 from comarmor.errors import Diagnostic
@@ -17,7 +18,7 @@ from keymint.authority.authority_files import chains_digest, trusted_chains
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.stages.built_documents import OUTDATED, edits
-from keymint.stages.package_stage import PackagePlan, recorded, steps_of
+from keymint.stages.package_stage import PackagePlan
 from keymint.stages.shared_documents import (
     built_shared,
     is_current,
@@ -32,7 +33,7 @@ from keymint.stages.shared_documents import (
 )
 from keymint.stages.signers import Signers
 from keymint.stages.signing import authority_of
-from keymint.store.changes import Action, File, Plan, Step
+from keymint.store.changes import Action, File, Step
 from keymint.view.stamps import Stamp, digest, digest_files
 from keymint.workspace.installed_enclaves import INSTALLED, differing, has_outputs
 from keymint.workspace.session import Session
@@ -44,8 +45,8 @@ def plan_shared_install(
     chosen: Collection[str],
     authorities: Mapping[str, MintedAuthority],
     orphans: Sequence[str],
-) -> Plan:
-    """Plan the installed shared documents of all build types.
+) -> list[PackagePlan]:
+    """Return the plans for the installed shared documents of all build types.
 
     Args:
         session: the workspace and its profile.
@@ -57,7 +58,6 @@ def plan_shared_install(
         KeymintError: the documents were not built or cannot be signed, or are stale although enclaves are removed.
     """
     planned: list[PackagePlan] = []
-    diagnostics: list[Diagnostic] = []
     for name, names in users(session).items():
         documents = built_shared(session, name)
         if documents is None:
@@ -69,24 +69,34 @@ def plan_shared_install(
                     code="not-built",
                 )
             continue
-        if not is_current(session, name):
-            where = next((session.workspace.origin(shared_folder(session) / path) for path in documents), None)
-            if orphans:
-                raise KeymintError(
-                    f"is stale, and may still have the rights of {subject_of(orphans[0])}, whose enclave is to be "
-                    "removed",
-                    where=where,
-                    help="run 'keymint build' first",
-                    code=OUTDATED,
-                )
-            message, help_ = "is stale; signing the existing build", "'keymint build' rebuilds it"
-            diagnostics.append(Diagnostic.warning(OUTDATED, message, where, help_))
-        if not is_installed(session, name, documents):
-            planned.append(_plan_documents(session, name, documents, authorities))
-            diagnostics += edits(session, record_key(name), shared_folder(session), documents)
-    gone = obsolete(session, INSTALLED, session.workspace.install)
-    state = recorded(session.state, INSTALLED, planned, gone)
-    return Plan((*steps_of(planned), *gone.values()), state, tuple(diagnostics))
+        stale = _stale(session, name, documents, orphans)
+        if is_installed(session, name, documents):
+            planned.append(PackagePlan(record_key(name), diagnostics=stale))
+        else:
+            plan = _plan_documents(session, name, documents, authorities)
+            edited = edits(session, record_key(name), shared_folder(session), documents)
+            planned.append(replace(plan, diagnostics=(*stale, *edited)))
+    return [*planned, *obsolete(session, INSTALLED, session.workspace.install)]
+
+
+def _stale(session: Session, name: str, documents: Iterable[str], orphans: Sequence[str]) -> tuple[Diagnostic, ...]:
+    """Return a warning if the documents of a build type are stale.
+
+    Raises:
+        KeymintError: they are, although enclaves are removed.
+    """
+    if is_current(session, name):
+        return ()
+    where = next((session.workspace.origin(shared_folder(session) / path) for path in documents), None)
+    if orphans:
+        raise KeymintError(
+            f"is stale, and may still have the rights of {subject_of(orphans[0])}, whose enclave is to be removed",
+            where=where,
+            help="run 'keymint build' first",
+            code=OUTDATED,
+        )
+    message, help_ = "is stale; signing the existing build", "'keymint build' rebuilds it"
+    return (Diagnostic.warning(OUTDATED, message, where, help_),)
 
 
 def is_installed(session: Session, name: str, documents: Mapping[str, bytes]) -> bool:
