@@ -17,7 +17,7 @@ from keymint.stages.package_stage import Crew
 from keymint.stages.proof.proof_diagnostics import dated_of, diagnostics_of, effort_of, merged_packages
 from keymint.stages.proof.proof_results import EnclaveProof
 from keymint.stages.proof.prove import NO_PROVER, STAGE, ProofStage
-from keymint.stages.proof.shared_proof import affected
+from keymint.stages.shared_install import affected
 from keymint.stages.work import Work
 from keymint.store.changes import Action, Plan
 from keymint.workspace.installed_enclaves import INSTALLED

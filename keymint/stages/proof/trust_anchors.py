@@ -19,8 +19,7 @@ from keymint.authority.authority_files import AuthorityFiles, trusted_chains
 from keymint.errors import KeymintError
 from keymint.pki import certificates
 from keymint.pki.keys import PublicKey
-from keymint.stages.proof.shared_proof import installed_documents
-from keymint.stages.shared_install import shared_roles
+from keymint.stages.shared_install import installed_documents, shared_roles
 from keymint.workspace.installed_enclaves import INSTALLED, enclave_files
 from keymint.workspace.package_build_types import build_types_of, is_build_current, issuers_of, prover_of, suffixes_read
 from keymint.workspace.session import Inputs, Session, once
