@@ -103,13 +103,13 @@ def conduct(work: Work, request: Request, crew: Crew) -> Work:
 
 def _conducted(start: Work, request: Request, crew: Crew) -> Work:
     """Return the work of :func:`conduct` that begins with a workspace as it is."""
-    options, names = request.options, tuple(request.names)
+    names = tuple(request.names)
     changed = start.then(request.change) if request.change else start
     work, authorities = _with_authorities(changed, request) if INSTALL in request.stages else (changed, {})
     if request.change and request.change.writes() and BUILD not in request.stages:
         # What the change concerns is built for it, before everything else is installed as it was built.
         concerned = _with_followers(start.session, work, [step.package for step in request.change.steps])
-        work = _through(work, partial(BuildStage, options=options.build), concerned, request, crew)
+        work = _through(work, partial(BuildStage, options=request.options.build), concerned, request, crew)
         names = tuple(dict.fromkeys((*names, *concerned)))
     stages = _stages(request, authorities, crew)
     subjects = stages[CREATE](work.session).subjects(names) if CREATE in stages else names
@@ -135,7 +135,27 @@ def _conducted(start: Work, request: Request, crew: Crew) -> Work:
     work = work.noting(*request.notes(work))
     if not _proves(request) or (request.follow and not issued):  # a revocation does not wait for a proof of others
         return work
-    if BUILD in stages and not options.build:
+    return _proved(work, unsigned, names, issued, request, crew)
+
+
+def _proved(
+    work: Work, unsigned: Session, names: Sequence[str], issued: Sequence[str], request: Request, crew: Crew
+) -> Work:
+    """Return the work with the proof of all that it signs.
+
+    Args:
+        work: what will be done.
+        unsigned: the workspace before the installation.
+        names: the packages to install.
+        issued: those of them that are not withdrawn.
+        request: what is asked for.
+        crew: who plans packages.
+
+    Raises:
+        KeymintError: a claim about an enclave is refuted or unknown; exit code 3.
+    """
+    options = request.options
+    if BUILD in request.stages and not options.build:
         of_vendors = any(options_as_built(unsigned, name).allow_vendor_specific for name in issued)
         options = replace(options, allow_vendor_specific=options.allow_vendor_specific or of_vendors)
     policy, warnings = (request.policy, ()) if request.policy else policy_in_force(unsigned)
