@@ -32,10 +32,11 @@ from keymint.names import package_name, subject_of
 from keymint.output.console import Streams
 from keymint.output.report import Report
 from keymint.run.run import Run
-from keymint.stages.create import CreateStage
 from keymint.stages.install_request import InstallRequest
-from keymint.stages.reissue import reissued
+from keymint.stages.pipeline import CREATE, INSTALL, Request, conduct
+from keymint.stages.work import Work
 from keymint.store.changes import Plan
+from keymint.workspace.package_build_types import BUILD
 from keymint.workspace.policy_loading import load_policy, locations_digest
 from keymint.workspace.session import Inputs, Session
 
@@ -94,12 +95,9 @@ class Client:
 
         def make_plan(inputs: Inputs) -> Plan:
             session = inputs.session()
-            policy = self._loaded(session)
-            create = CreateStage(session, policy)
-            names = create.subjects((name,))
-            created = create.plan([create.package(each) for each in names])
-            needed = tuple(dict.fromkeys((*names, *session.after(created).infrastructure())))
-            return reissued(run.crew, session, created, needed, request=InstallRequest(prove=prove), policy=policy)
+            asked, policy = InstallRequest(prove=prove), self._loaded(session)
+            request = Request((name,), (CREATE, BUILD, INSTALL), asked, policy=policy, late=True)
+            return conduct(Work(session), request, run.crew).plan
 
         run = self._run("provision", name)
         enclave = self._enclave(run.carry_out(self._workspace, make_plan), name)

@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pytest
@@ -60,6 +61,44 @@ def test_packages_and_policies_are_read_without_modules_for_networks() -> None:
 
 def _environment() -> Mapping[str, str]:
     return {"PYTHONPATH": str(CHECKOUT), "PATH": "/usr/bin:/bin"}
+
+
+# -- one conductor -------------------------------------------------------------------------------------------------
+
+STAGES = {"CreateStage", "BuildStage", "InstallStage", "ProofStage"}
+
+
+def modules() -> Iterator[tuple[str, ast.Module]]:
+    """Yield the modules of the packages, each with its path."""
+    for path in sorted([*CHECKOUT.glob("keymint/**/*.py"), *CHECKOUT.glob("plugins/**/*.py")]):
+        yield str(path.relative_to(CHECKOUT)), ast.parse(path.read_text())
+
+
+def named(tree: ast.AST) -> set[str]:
+    return {
+        each.id if isinstance(each, ast.Name) else each.attr
+        for each in ast.walk(tree)
+        if isinstance(each, ast.Name | ast.Attribute)
+    }
+
+
+def test_one_module_knows_the_order_of_the_stages() -> None:
+    using = {path: STAGES & named(tree) for path, tree in modules()}
+    assert [path for path, stages in using.items() if stages and not path.startswith("keymint/stages/")] == []
+    assert [path for path, stages in using.items() if len(stages) > 1] == ["keymint/stages/pipeline.py"]
+
+
+def test_one_module_adds_a_plan_and_takes_it_into_account() -> None:
+    """Elsewhere one of the two could be forgotten."""
+
+    def given(tree: ast.AST, method: str) -> set[str]:
+        calls = (each for each in ast.walk(tree) if isinstance(each, ast.Call) and isinstance(each.func, ast.Attribute))
+        return {ast.unparse(each.args[0]) for each in calls if each.func.attr == method and len(each.args) == 1}
+
+    functions = (
+        (path, each) for path, tree in modules() for each in ast.walk(tree) if isinstance(each, ast.FunctionDef)
+    )
+    assert [f"{path}: {each.name}" for path, each in functions if given(each, "then") & given(each, "after")] == []
 
 
 # -- the project's files ------------------------------------------------------------------------------------------

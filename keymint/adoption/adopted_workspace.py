@@ -11,6 +11,7 @@ import posixpath
 import stat
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
@@ -28,7 +29,6 @@ from keymint.api import (
     KeystoreFile,
     KeystoreFiles,
 )
-from keymint.authority.authorities import plan_authorities
 from keymint.authority.authority_renewal import plan_import
 from keymint.authority.given_authority import GivenAuthority
 from keymint.errors import KeymintError
@@ -36,11 +36,14 @@ from keymint.ir import SubjectRules
 from keymint.life.workspace_register import complete_register, register_change
 from keymint.names import package_name
 from keymint.pki import certificates, key_files, public_keys
-from keymint.stages.build import BuildStage
 from keymint.stages.create import marker_last
-from keymint.stages.install import InstallStage
+from keymint.stages.install_request import InstallRequest
+from keymint.stages.package_stage import Crew
+from keymint.stages.pipeline import INSTALL, Request, conduct
+from keymint.stages.work import Work
 from keymint.stages.workspace_start import plan_init, refuse_unsupported
 from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed_below, secret_file
+from keymint.workspace.package_build_types import BUILD
 from keymint.workspace.policy_loading import record_unread
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.workspace import DEFAULTS
@@ -69,45 +72,37 @@ class Adoption:
     request: Bootstrap
 
 
-def plan_adoption(inputs: Inputs, adoption: Adoption) -> Plan:
+def plan_adoption(inputs: Inputs, adoption: Adoption, crew: Crew) -> Plan:
     """Plan the workspace, its build and its installation.
 
     Args:
         inputs: a workspace that does not exist yet.
         adoption: what becomes of it.
+        crew: who plans packages.
 
     Raises:
         KeymintError: something cannot be taken over as it is; with all reasons.
     """
-    plan = _profile(inputs, adoption)
-    session = inputs.after(plan).session()
-    refuse_unsupported(session)
+    work = Work.after(inputs, _profile(inputs, adoption))
+    refuse_unsupported(work.session)
     for authority in adoption.found.authorities:
         place = Origin(f"{adoption.files.folder}/{authority.file}")
         key_place = Origin(f"{adoption.files.folder}/{next(iter(authority.key_files), '')}")
         given = GivenAuthority(authority.certificate, place, authority.key, key_place, authority.exposed)
-        plan = plan.then(plan_import(session, authority.name, given))
-        session = inputs.after(plan).session()  # whose profile has the certificate
-
-    def go_on(step: Plan) -> None:
-        nonlocal plan, session
-        plan, session = plan.then(step), session.after(step)
-
+        work = work.then(plan_import(work.session, authority.name, given))
     for planned in (_sources, _keystore, _lists, _register):
-        go_on(planned(session, adoption))
-    names = [package_name(each.subject) for each in adoption.found.enclaves]
-    build = BuildStage(session, BuildOptions())
-    built = build.plan([build.package(name) for name in names])
-    _require_kept(session, adoption, built)
-    go_on(built)
-    minted, authorities = plan_authorities(session)
-    go_on(minted)
-    install = InstallStage(session, authorities, prune=False)
-    installed = install.plan([install.package(name) for name in names])
-    _require_unchanged(session, adoption, installed)
-    plan = plan.then(installed)
+        work = work.then(planned(work.session, adoption))
+    request = Request(
+        [package_name(each.subject) for each in adoption.found.enclaves],
+        options=InstallRequest(prove=False, build=BuildOptions()),
+        follow=False,
+        late=True,
+        adopts=True,
+        checks={BUILD: partial(_require_kept, adoption), INSTALL: partial(_require_unchanged, adoption)},
+    )
+    work = conduct(work, request, crew)
     # From now on, each stage compares the packages with the policy.
-    return replace(plan, state=record_unread(session.after(installed), adoption.policy.subjects))
+    return work.recording(record_unread(work.session, adoption.policy.subjects)).plan
 
 
 def _profile(inputs: Inputs, adoption: Adoption) -> Plan:
@@ -237,21 +232,23 @@ def _copies(session: Session, adoption: Adoption) -> Mapping[Path, str]:
     }
 
 
-def _require_kept(session: Session, adoption: Adoption, built: Plan) -> None:
+def _require_kept(adoption: Adoption, built: Work) -> None:
     """Require that the build gives the documents that are signed.
 
     Raises:
         KeymintError: it does not; says why.
     """
+    session = built.session
     build_type: object = session.plugins.build_type(adoption.build_type)
     errors: list[Diagnostic] = []
-    after = session.after(built)
     for enclave in adoption.found.enclaves:
         name = package_name(enclave.subject)
         for document, content in enclave.documents.items():
-            if after.tree.read(session.workspace.build / name / document) == content:
+            if session.tree.read(session.workspace.build / name / document) == content:
                 continue
-            why = isinstance(build_type, KeptDocuments) and build_type.not_kept(after.package(name), document, content)
+            why = isinstance(build_type, KeptDocuments) and build_type.not_kept(
+                session.package(name), document, content
+            )
             message = f"cannot be kept as it is signed: {why or 'its rules cannot be written in the same way'}"
             place = f"{adoption.files.folder}/{enclave.facts['place']}/{document}"
             help_ = "sign it again with the tool that made it, without what is in the way"
@@ -260,20 +257,20 @@ def _require_kept(session: Session, adoption: Adoption, built: Plan) -> None:
         raise KeymintError.of(errors)
 
 
-def _require_unchanged(session: Session, adoption: Adoption, installed: Plan) -> None:
+def _require_unchanged(adoption: Adoption, installed: Work) -> None:
     """Require that the installation changes no file that the robots have.
 
     Raises:
         KeymintError: it would; names each such file.
     """
-    copies = {str(target): path for target, path in _copies(session, adoption).items()}
+    copies = {str(target): path for target, path in _copies(installed.session, adoption).items()}
     errors = [
         Diagnostic.error(
             "adopt-not-kept", "would be changed by 'keymint install', so it is not taken over",
             Origin(f"{adoption.files.folder}/{copies[path]}"),
             "make it what the other enclaves have, or leave the file out if nothing reads it"
         )
-        for path in _changed(installed)
+        for path in _changed(installed.of(INSTALL))
         if path in copies
     ]  # fmt: skip
     if errors:

@@ -10,15 +10,13 @@ import click
 from comarmor.errors import Diagnostic
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
-from keymint.api import LoadedPolicy
 from keymint.command_line.options import option_group
 from keymint.errors import KeymintError, usage_error
 from keymint.output.report import Report
 from keymint.run.run import Run
-from keymint.store.changes import Plan
+from keymint.stages.work import Work
 from keymint.workspace.policy_loading import plan_acceptance
-from keymint.workspace.session import Inputs, Session
-from keymint.workspace.shipped_profiles import UnacceptedPackagesError, plan_release
+from keymint.workspace.shipped_profiles import UnacceptedPackagesError
 
 _DIGEST = lazy_regex("[0-9a-f]{64}")
 
@@ -67,33 +65,17 @@ acceptance_options = option_group(
 )
 
 
-def accept(session: Session, options: AcceptanceOptions) -> Plan:
-    """Plan to accept the packages that the command line names; nothing if it names none.
+def accept(work: Work, options: AcceptanceOptions) -> Work:
+    """Return the work followed by the acceptance of the packages that the command line names, if it names any.
 
     Raises:
         KeymintError: the policy includes nothing of a package, or has defects, or links are to be followed in none.
     """
     if options.accept_package:
-        return plan_acceptance(session, options.accept_package, trust_links=options.trust_links)
+        return work.then(plan_acceptance(work.session, options.accept_package, trust_links=options.trust_links))
     if options.trust_links:
         raise usage_error("--trust-links needs --accept-package", "name the package whose links are to be followed")
-    return Plan((), session.state)
-
-
-def release(inputs: Inputs, plan: Plan, session: Session, policy: LoadedPolicy) -> tuple[Plan, Session]:
-    """Return a plan, and the session after it, with the acceptance dropped of what the policy does not include.
-
-    Args:
-        inputs: the workspace.
-        plan: what is planned so far.
-        session: the workspace after that.
-        policy: its policy.
-    """
-    released = plan_release(session, policy)
-    if not released.steps:
-        return plan, session
-    plan = plan.then(released)
-    return plan, inputs.after(plan).session()
+    return work
 
 
 def unaccepted(run: Run, error: UnacceptedPackagesError) -> Report:

@@ -14,7 +14,8 @@ from keymint.command_line.named_files import read_input
 from keymint.errors import KeymintError
 from keymint.life.revocation_lists_in_force import list_of
 from keymint.run.run import Run
-from keymint.stages.reissue import reissued
+from keymint.stages.pipeline import Request, conduct
+from keymint.stages.work import Work
 from keymint.store.changes import Plan
 from keymint.workspace.installed_enclaves import installed, with_sources
 from keymint.workspace.session import Session
@@ -66,14 +67,14 @@ def issued_again(run: Run, session: Session, first: Plan, name: str, *, flag_day
     """
     if first.writes() and not flag_day:
         _require_flag_day(session, name)
-    changed = session.after(first).session()
-    names = with_sources(changed)
-    if not names:
-        minted, _ = plan_authorities(changed)
-        return _told(first.then(minted), changed, name)
-    refresh = _lists_to_refresh(session, changed, name)
-    again = reissued(run.crew, changed, Plan((), changed.state), names, refresh=refresh)
-    return _told(first.then(again), changed, name)
+    work = Work(session).then(first)
+    changed = work.session
+    if names := with_sources(changed):
+        refresh = _lists_to_refresh(session, changed, name)
+        work = conduct(work, Request(names, refresh=refresh), run.crew)
+    else:
+        work = work.then(plan_authorities(changed)[0])
+    return _told(work.plan, changed, name)
 
 
 def _lists_to_refresh(session: Session, changed: Session, name: str) -> tuple[str, ...]:

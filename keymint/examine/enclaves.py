@@ -17,8 +17,8 @@ from keymint.life.workspace_register import withdrawn
 from keymint.names import subject_of
 from keymint.pki import key_files, keys
 from keymint.stages import build, identity_keys, install
-from keymint.stages.proof.shared_proof import installed_documents
 from keymint.stages.proof.trust_anchors import anchors_of, contradictions_for, unread_of
+from keymint.stages.shared_install import installed_documents
 from keymint.store.changes import file_mode
 from keymint.view.stamps import digest
 from keymint.workspace.installed_enclaves import KEY, enclave_files, files_in, not_installed

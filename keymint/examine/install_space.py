@@ -13,10 +13,9 @@ from keymint.examine.file_status import as_installed, unexpected, unrecorded
 from keymint.life.workspace_register import withdrawn
 from keymint.names import ROOT
 from keymint.stages import environment_scripts
-from keymint.stages.proof.shared_proof import enclaves_of
 from keymint.stages.proof.trust_anchors import shared_anchors
 from keymint.stages.shared_documents import build_shared, load_packages, record_key, users
-from keymint.stages.shared_install import installed_shared
+from keymint.stages.shared_install import enclaves_of, installed_shared
 from keymint.view.stamps import Stamp, digest
 from keymint.workspace import gitignore
 from keymint.workspace.enclave_changes import EnclaveChanges, build_types_in_use, copies_of, shared_copies

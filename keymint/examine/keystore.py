@@ -17,7 +17,7 @@ from keymint.executors import Pool
 from keymint.life.earlier_rights import RIGHTS_OUTLIVE
 from keymint.names import subject_of
 from keymint.stages.proof.proof_results import ProofEffort, ProofResults
-from keymint.stages.proof.prove import ProofStage
+from keymint.stages.proof.prove import proofs
 from keymint.store import journal
 from keymint.workspace.installed_enclaves import INSTALLED, with_sources
 from keymint.workspace.session import Inputs, Session, once
@@ -50,12 +50,12 @@ def proven_keystore(
     Raises:
         KeymintError: a package has defects, or the pool is lost.
     """
-    results = ProofStage(session, policy, effort).all(names, on_enclave, pool)
+    results = proofs(session, policy, effort, names, on_enclave, pool)
     presented = presented_rights(session, results.state, policy, effort)
     shared, enclaves = (*results.shared, *presented.shared), results.enclaves
     if (ahead := staged(session)) is not None:
         ready = tuple(name for name in with_sources(ahead) if name in names)
-        second = ProofStage(ahead, policy, effort).all(ready, lambda _: None, pool)
+        second = proofs(ahead, policy, effort, ready, lambda _: None, pool)
         enclaves, shared = (*enclaves, *second.enclaves), (*shared, *second.shared)
     outliving, is_whole = presented.outliving, presented.is_whole
     return replace(

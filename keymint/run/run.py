@@ -29,7 +29,7 @@ from keymint.pki.tokens.token_sessions import Tokens
 from keymint.run.answer_recording import remember
 from keymint.run.execution import RECORD, execute, open_store, require_register
 from keymint.run.workers import Workers
-from keymint.stages.package_stage import Crew, PlanStage
+from keymint.stages.package_stage import Crew
 from keymint.store.changes import File, Plan, Step
 from keymint.store.journal import Intent, Journal, intent_of
 from keymint.store.workspace_lock import LOCK, clock, folder_lock, read_lock
@@ -112,7 +112,7 @@ class Run:
         self._trusted: bool = options.get("trust_executor", False)
         self._executor: str = options.get("executor", PROCESSES)
         self.has_cluster = self._executor != PROCESSES
-        self.workers = Workers(self.jobs, open_store)
+        self.workers = Workers(self.jobs if "jobs" in options else 1, open_store)
         self.tokens = Tokens(setting.environment, Pins(setting.environment, setting.ask).pin)
         self._named: Path | None = options.get("workspace")
         self._spaces: dict[str, Path] = {
@@ -226,22 +226,12 @@ class Run:
 
     # -- computing elsewhere -------------------------------------------------------------------------------------
 
-    def compile_elsewhere(
-        self, session: Session, names: Sequence[str], options: BuildOptions, *, prove: bool = True
-    ) -> None:
-        """Let the cluster compile what the build of some packages needs, if the user named one.
-
-        Args:
-            session: the workspace and its profile.
-            names: the packages.
-            options: options of the build.
-            prove: nothing will be signed that is not proven.
+    def _compile_elsewhere(self, session: Session, names: Sequence[str], options: BuildOptions, prove: bool) -> None:
+        """Let the cluster compile what the build of some packages needs.
 
         Raises:
             KeymintError: the cluster cannot be used, or is not trusted although its documents would not be proven.
         """
-        if not self.has_cluster:
-            return
         if not prove and not self._trusted:
             raise usage_error(
                 "--no-prove would sign what a cluster compiled and nobody proved",
@@ -400,15 +390,8 @@ class Run:
     @property
     def crew(self) -> Crew:
         """Who plans packages for the conductor of the stages."""
-        return Crew(self.workers.planned, self.setting.monotonic)
-
-    def planned(self, stage: PlanStage, names: Sequence[str]) -> Plan:
-        """Return the plan of a stage for some packages; processes that were started make their parts of it.
-
-        Raises:
-            KeymintError: the errors of all packages.
-        """
-        return stage.plan(self.workers.planned(stage, names))
+        workers, elsewhere = self.workers, self._compile_elsewhere if self.has_cluster else None
+        return Crew(workers.planned, self.setting.monotonic, workers.start, workers.close, elsewhere)
 
     def keep(self, inputs: Inputs, state: State) -> tuple[Diagnostic, ...]:
         """Save the results of a verb that does not write, unless the workspace changed meanwhile.

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 from comarmor.errors import Defects, Diagnostic
@@ -28,9 +28,10 @@ class BuildStage:
 
     Args:
         session: the workspace and its profile.
-        options: options of the build types.
+        options: options of the build types; None for those that each package was built with last.
         force: rebuild, and overwrite documents that were edited by hand.
         renew: replace the private keys of the subjects.
+        followers: packages that keep their keys in any case.
         policy: the policy, which knows where the rules of packages are now; loaded when needed if it is not given.
     """
 
@@ -39,28 +40,34 @@ class BuildStage:
     def __init__(
         self,
         session: Session,
-        options: BuildOptions,
+        options: BuildOptions | None,
         *,
         force: bool = False,
         renew: bool = False,
+        followers: Collection[str] = (),
         policy: LoadedPolicy | None = None,
     ) -> None:
         self._session = session
         self._options = options
         self._force = force
         self._renew = renew
+        self._followers = followers
         self._places = RulePlaces(session, policy)
 
     def package(self, name: str) -> PackagePlan:
         """Return the plan for a package."""
         subject = subject_of(name)
         try:
-            plan = _plan_package(self._session, name, self._options, force=self._force, renew=self._renew)
+            renew = self._renew and name not in self._followers
+            plan = _plan_package(self._session, name, self._options_of(name), force=self._force, renew=renew)
         except KeymintError as error:
             return PackagePlan(name, errors=self._places.in_policy(error.diagnostics, subject))
         if not plan.diagnostics:
             return plan
         return replace(plan, diagnostics=self._places.in_policy(plan.diagnostics, subject))
+
+    def _options_of(self, name: str) -> BuildOptions:
+        return self._options or options_as_built(self._session, name)
 
     def plan(self, planned: Sequence[PackagePlan]) -> Plan:
         """Put the plans for some packages together, and add the shared documents."""
@@ -70,15 +77,16 @@ class BuildStage:
         diagnostics |= dict.fromkeys(terms.of_sources({each.name: each.lifetimes for each in planned}, session))
         built = replace(session, state=recorded(session.state, STAGE, planned))
         try:
-            shared = shared_documents.plan_shared_build(built, self._options, force=self._force)
+            options = self._options_of(planned[0].name) if planned else self._options or BuildOptions()
+            shared = shared_documents.plan_shared_build(built, options, force=self._force)
         except KeymintError as error:
             raise KeymintError.of(self._places.in_policy(error.diagnostics)) from error
-        diagnostics |= dict.fromkeys(self._places.in_policy(shared.diagnostics))
+        diagnostics |= dict.fromkeys(self._places.in_policy(each for plan in shared for each in plan.diagnostics))
         if steps and not (own := session.profile).distro_named:
             message = f"no distribution is named; as far as installed documents tell, the robots have {own.distro}"
             help_ = f"write <layout>{own.layout}</layout><distro>{own.distro}</distro> into <export>, or what they have"
             diagnostics[Diagnostic.warning("distro-unnamed", message, session.profile_marker(), help_)] = None
-        return Plan((*steps, *shared.steps), shared.state, tuple(diagnostics))
+        return Plan((*steps, *steps_of(shared)), recorded(built.state, STAGE, shared), tuple(diagnostics))
 
 
 def options_as_built(session: Session, name: str) -> BuildOptions:

@@ -104,13 +104,13 @@ class InstallStage:
         changes = EnclaveChanges(changed, frozenset((*removed, *withdrawn)))
         scripts, foreign = plan_scripts(session, build_types_in_use(session, changes))
         copies = shared_copies(session, changes)
-        steps = [*shared.steps, *shared_steps(session, copies), *scripts, *steps_of(planned)]
+        steps = [*steps_of(shared), *shared_steps(session, copies), *scripts, *steps_of(planned)]
         diagnostics = [*(diagnostic for each in planned for diagnostic in each.diagnostics), *foreign]
         diagnostics += _outdated(session, [each.name for each in planned if each.outdated])
-        diagnostics += shared.diagnostics
+        diagnostics += (diagnostic for each in shared for diagnostic in each.diagnostics)
         diagnostics += terms.of_sources({each.name: each.lifetimes for each in planned}, session)
         diagnostics += [each for each in unaccounted(session) if not prune or each.code != "enclave-orphaned"]
-        state = recorded(shared.state, STAGE, planned, (*removed, *withdrawn))
+        state = recorded(session.state, STAGE, [*shared, *planned], (*removed, *withdrawn))
         steps += [withdraw(session, name, reason, changes) for name, reason in withdrawn.items()]
         if prune:
             require_sources(session)
@@ -287,6 +287,23 @@ def is_current(session: Session, name: str) -> bool:
     """Tell whether installing a package again would change no byte and no mode of its enclave."""
     stamp, folder = session.state.stamp(STAGE, name), session.enclave_folder(name)
     return stamp is not None and stamp.inputs == inputs_of(session, name) and has_outputs(session, folder, stamp)
+
+
+def would_stay(session: Session, name: str, authorities: Mapping[str, MintedAuthority]) -> bool:
+    """Tell whether installing an enclave again would change nothing, e.g. as a list changed that it does not have.
+
+    Args:
+        session: the workspace and its profile, with these authorities.
+        name: the package.
+        authorities: the authorities that issue and sign, by name.
+
+    Raises:
+        KeymintError: it cannot be installed.
+    """
+    planned = InstallStage(session, authorities, prune=False).package(name)
+    if planned.errors:
+        raise KeymintError.of(planned.errors)
+    return planned.step is not None and planned.step.action is Action.UNCHANGED and not planned.outdated
 
 
 def inputs_of(session: Session, name: str) -> str | None:

@@ -12,11 +12,11 @@ from typing import Any, Protocol, TypeVar
 
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
-from keymint.api import Artifact
+from keymint.api import Artifact, BuildOptions
 from keymint.errors import KeymintError
 from keymint.life.issued_certificates import IssuedCertificate, SignedRights
 from keymint.life.terms import Term
-from keymint.store.changes import Plan, Step
+from keymint.store.changes import Action, Plan, Step
 from keymint.view.stamps import Stamp, State
 from keymint.workspace import key_record
 from keymint.workspace.session import Session
@@ -29,7 +29,7 @@ class PackagePlan:
     """What a stage plans for one package, or the errors that prevent it.
 
     Attributes:
-        name: the package.
+        name: the package, or the key of the record of the documents over all packages of a build type.
         step: what is written.
         stamp: the record of it; None if nothing changes.
         diagnostics: warnings about the package.
@@ -69,17 +69,6 @@ class PackageStage(Protocol[_T_co]):
         """Return the result for a package; it depends on no other package."""
 
 
-class PlanStage(PackageStage[PackagePlan], Protocol):
-    """A stage whose result is a plan."""
-
-    def plan(self, planned: Sequence[PackagePlan]) -> Plan:
-        """Put the plans for some packages together.
-
-        Raises:
-            KeymintError: the errors of all packages.
-        """
-
-
 @dataclass(frozen=True, slots=True)
 class Crew:
     """Who plans packages, and the clock that limits proofs.
@@ -87,10 +76,17 @@ class Crew:
     Attributes:
         planned: returns what a stage plans for some packages; several processes may share the work.
         monotonic: returns seconds.
+        start: lets processes begin with the stages, given by what makes each, for some packages of a workspace.
+        close: ends these processes.
+        compile_elsewhere: lets a cluster compile what the build of some packages needs, with these options, and tells
+            whether that will be proven; None if there is no cluster.
     """
 
     planned: Callable[[PackageStage[Any], Sequence[str]], list[Any]]
     monotonic: Callable[[], float]
+    start: Callable[[Session, Sequence[str], Sequence[Callable[[Session], PackageStage[Any]]]], None]
+    close: Callable[[], None]
+    compile_elsewhere: Callable[[Session, Sequence[str], BuildOptions, bool], None] | None = None
 
 
 def steps_of(planned: Sequence[PackagePlan]) -> tuple[Step, ...]:
@@ -105,7 +101,8 @@ def steps_of(planned: Sequence[PackagePlan]) -> tuple[Step, ...]:
 
 
 def recorded(state: State, stage: str, planned: Sequence[PackagePlan], removed: Iterable[str] = ()) -> State:
-    """Return the state with the stamps and the keys of some plans, and without the stamps of removed packages."""
+    """Return the state with the stamps and the keys of some plans, and without the stamps of what is removed."""
+    removed = {*removed, *(each.name for each in planned if each.step and each.step.action is Action.REMOVED)}
     state = state.updated(stage, {each.name: each.stamp for each in planned if each.stamp}, removed)
     fingerprints = {each.name: each.fingerprint for each in planned if each.fingerprint}
     return key_record.record(state, key_record.IDENTITIES, fingerprints)

@@ -19,8 +19,9 @@ from keymint.names import subject_of
 from keymint.pki import certificates
 from keymint.stages import install
 from keymint.stages.package_stage import Crew
-from keymint.stages.reissue import reissued, reissued_by_profile
+from keymint.stages.pipeline import Request, conduct
 from keymint.stages.second_keystore import dropped_keystore, exchanged_keystore, staged_keystore
+from keymint.stages.work import Work
 from keymint.store.changes import Plan
 from keymint.workspace.installed_enclaves import with_sources
 from keymint.workspace.session import Session
@@ -30,7 +31,7 @@ _NEXT = {Phase.DISTRIBUTE: Phase.REISSUE, Phase.REISSUE: Phase.END, Phase.STAGE:
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class PhaseRequest:
     """What the user asks for.
 
     Attributes:
@@ -46,7 +47,7 @@ class Request:
     given: GivenAuthority | None = None
 
 
-def planned(crew: Crew, session: Session, name: str, request: Request) -> Plan:
+def planned(crew: Crew, session: Session, name: str, request: PhaseRequest) -> Plan:
     """Return the plan of a phase; of one that was reached already, what is missing.
 
     Raises:
@@ -65,7 +66,7 @@ def planned(crew: Crew, session: Session, name: str, request: Request) -> Plan:
     if rollover.is_interrupted(session, name) and request.phase in {None, following}:
         return _went_on(crew, session, name, names)
     if request.phase in {None, phase}:
-        return _completed(crew, session, name, names, phase)
+        return _completed(crew, Work(session), name, names, phase)
     if request.phase is not following:
         raise usage_error(
             f"the key of the authority {name!r} is in the phase {phase}: {request.phase} does not follow it",
@@ -96,7 +97,7 @@ def _names(session: Session, name: str) -> Sequence[str]:
     return names
 
 
-def _require_same_begin(session: Session, name: str, phase: Phase, request: Request) -> None:
+def _require_same_begin(session: Session, name: str, phase: Phase, request: PhaseRequest) -> None:
     """Require that a request which begins is the one that began: it may be given again after it was killed.
 
     Raises:
@@ -114,7 +115,7 @@ def _require_same_begin(session: Session, name: str, phase: Phase, request: Requ
         )
 
 
-def _begun(crew: Crew, session: Session, name: str, names: Sequence[str], request: Request) -> Plan:
+def _begun(crew: Crew, session: Session, name: str, names: Sequence[str], request: PhaseRequest) -> Plan:
     refused = refusing(session, name, request.vendors, "bundles")
     phase = request.phase or (Phase.STAGE if refused else Phase.DISTRIBUTE)
     if phase is Phase.REISSUE:
@@ -130,17 +131,14 @@ def _begun(crew: Crew, session: Session, name: str, names: Sequence[str], reques
             code="rollover-no-bundle",
         )
     _require_current(session, names, "the present keystore", "'keymint build' and 'keymint install' complete it")
-    first = rollover.plan_begin(session, name, phase, request.given)
-    after = session.after(first).session()
-    return first.then(_completed(crew, after, name, names, phase))
+    work = Work(session).then(rollover.plan_begin(session, name, phase, request.given))
+    return _completed(crew, work, name, names, phase)
 
 
-def _completed(crew: Crew, session: Session, name: str, names: Sequence[str], phase: Phase) -> Plan:
+def _completed(crew: Crew, work: Work, name: str, names: Sequence[str], phase: Phase) -> Plan:
     """Return what is missing of a phase."""
-    present = reissued(crew, session, Plan((), session.state), names)
-    if phase is not Phase.STAGE:
-        return present
-    return present.then(staged_keystore(crew, session.after(present), name, names))
+    work = conduct(work, Request(names), crew)
+    return work.then(staged_keystore(crew, work.session, name, names)).plan if phase is Phase.STAGE else work.plan
 
 
 def _went_on(crew: Crew, session: Session, name: str, names: Sequence[str]) -> Plan:
@@ -149,13 +147,13 @@ def _went_on(crew: Crew, session: Session, name: str, names: Sequence[str]) -> P
     if phase is Phase.STAGE:
         return exchanged_keystore(crew, session, name, names)
     first = rollover.plan_switch(session, name) if phase is Phase.DISTRIBUTE else rollover.plan_end(session, name)
-    return reissued_by_profile(crew, session, first, names)
+    return conduct(Work(session).then(first), Request(names), crew).plan
 
 
 def _ended(crew: Crew, session: Session, name: str, names: Sequence[str]) -> Plan:
     """Return what is missing of an end that a killed run began; nothing is if there was none."""
     first = Plan((*rollover.left_over(session, name), *dropped_keystore(session)), session.state)
-    return reissued_by_profile(crew, session, first, names)
+    return conduct(Work(session).then(first), Request(names), crew).plan
 
 
 def _cancelled(crew: Crew, session: Session, name: str, names: Sequence[str]) -> Plan:
@@ -163,7 +161,7 @@ def _cancelled(crew: Crew, session: Session, name: str, names: Sequence[str]) ->
         return _ended(crew, session, name, names)
     first = rollover.plan_cancel(session, name)
     first = replace(first, steps=(*first.steps, *dropped_keystore(session)))
-    return reissued_by_profile(crew, session, first, names)
+    return conduct(Work(session).then(first), Request(names), crew).plan
 
 
 def _require_current(session: Session, names: Sequence[str], what: str, help_: str) -> None:

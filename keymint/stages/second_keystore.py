@@ -19,11 +19,10 @@ from keymint.authority.authority_files import NEXT
 from keymint.authority.rollover import phase_of, plan_switch, staged_session
 from keymint.errors import KeymintError
 from keymint.life.revocation_lists_in_force import plan_lists
-from keymint.stages.install import InstallStage
 from keymint.stages.install_request import InstallRequest
 from keymint.stages.package_stage import Crew
-from keymint.stages.proof.proof_gate import proof_stage, proven
-from keymint.stages.reissue import rebuilt, reissued_by_profile
+from keymint.stages.pipeline import INSTALL, PROVE, Request, conduct
+from keymint.stages.work import Work
 from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed
 from keymint.workspace.gitignore import NAME as GITIGNORE
 from keymint.workspace.installed_enclaves import with_sources
@@ -46,23 +45,19 @@ def staged_keystore(crew: Crew, session: Session, name: str, names: Sequence[str
     Raises:
         KeymintError: an enclave cannot be built, signed or proven; with all defects.
     """
-    ahead, authorities, listed = session_ahead(session, name)
+    ahead = staged_session(session, name)
     names = tuple(dict.fromkeys((*names, *with_sources(ahead))))  # what was revoked since is withdrawn from it as well
-    request = InstallRequest(prune=True)
-    built, as_built = rebuilt(ahead, names, request)
-    ahead = ahead.after(built)
-    install = InstallStage(ahead, authorities, prune=request.prune)
-    planned = install.plan([install.package(each) for each in names])
-    request = replace(request, allow_vendor_specific=any(each.allow_vendor_specific for each in as_built.values()))
-    proof = proof_stage(crew, lazy_policy(ahead), request)
-    done = proven(crew, ahead, planned, names, proof, planned, request)
-    steps = [replace(step, stage=STAGE) for step in planned.steps]
+    asked = InstallRequest(prune=True)
+    request = Request(names, options=asked, policy=lazy_policy(ahead), follow=False, beside=True)
+    work = conduct(Work(ahead), request, crew)
+    done = work.of(INSTALL, PROVE)
+    steps = [replace(step, stage=STAGE) for step in done.steps]
     own, beside = _lists(session, name)
-    content = ahead.tree.read(own)
+    content = work.session.tree.read(own)
     if content is not None and content != session.tree.read(beside):
         change = FolderChange(beside.parent, {beside.name: File(content)})
         steps.append(Step(STAGE, name, Action.UPDATED, (change,), "revocation list"))
-    return replace(done, steps=tuple(steps), state=session.state, first=(*listed.first, *done.first))
+    return replace(done, steps=tuple(steps), state=session.state, first=work.plan.first)
 
 
 def in_step(crew: Crew, session: Session, plan: Plan) -> Plan:
@@ -75,9 +70,9 @@ def in_step(crew: Crew, session: Session, plan: Plan) -> Plan:
     """
     staged = [each.name for each in session.profile.authorities if phase_of(session, each.name) is Phase.STAGE]
     for name in staged if plan.writes() else ():
-        after = session.after(plan)
+        work = Work(session).then(plan)
         try:
-            plan = plan.then(staged_keystore(crew, after, name, with_sources(after)))
+            plan = work.then(staged_keystore(crew, work.session, name, with_sources(work.session))).plan
         except KeymintError as error:
             found = error.diagnostics[0]
             message = f"the second keystore is deferred: {found.message}"
@@ -86,10 +81,8 @@ def in_step(crew: Crew, session: Session, plan: Plan) -> Plan:
     return plan
 
 
-def session_ahead(session: Session, name: str) -> tuple[Session, Mapping[str, MintedAuthority], Plan]:
+def session_ahead(session: Session, name: str) -> tuple[Session, Mapping[str, MintedAuthority]]:
     """Return the session and the authorities as they will be, with the second keystore as the one in force.
-
-    The third value is the plan of the revocation lists in it.
 
     Args:
         session: the workspace in the phase ``stage`` of an authority's replacement, and its profile.
@@ -98,11 +91,10 @@ def session_ahead(session: Session, name: str) -> tuple[Session, Mapping[str, Mi
     Raises:
         KeymintError: an authority cannot be used; as :func:`keymint.authority.authorities.plan_authorities`.
     """
-    ahead = staged_session(session, name)
-    minted, authorities = plan_authorities(ahead)
-    ahead = ahead.after(minted)
-    listed = plan_lists(ahead, authorities)
-    return ahead.after(listed), authorities, listed
+    work = Work(staged_session(session, name))
+    minted, authorities = plan_authorities(work.session)
+    work = work.then(minted)
+    return work.then(plan_lists(work.session, authorities)).session, authorities
 
 
 def _lists(session: Session, name: str) -> tuple[Path, Path]:
@@ -128,7 +120,7 @@ def exchanged_keystore(crew: Crew, session: Session, name: str, names: Sequence[
     copied = (*_copied(session), *_moved_list(session, name))
     copies = Step("install", "", Action.UPDATED, copied, "the second keystore")
     first = replace(switch, steps=(key, copies, *profile))
-    done = reissued_by_profile(crew, session, first, names)
+    done = conduct(Work(session).then(first), Request(names), crew).plan
     # The profile comes late: until then a run that was killed is recognised by the key, and copies the rest.
     others = done.steps[len(first.steps) :]
     return replace(done, steps=(key, copies, *others, *profile, *dropped_keystore(session)))

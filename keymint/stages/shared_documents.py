@@ -17,8 +17,8 @@ from keymint.api import BuildOptions, BuildResult, BuildType, Package, SharedDoc
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.stages.built_documents import kept, refuse_edits
-from keymint.stages.package_stage import PackagePlan, recorded, steps_of
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, by_folder
+from keymint.stages.package_stage import PackagePlan
+from keymint.store.changes import Action, File, FolderChange, Step, by_folder
 from keymint.view.stamps import Stamp, digest
 from keymint.workspace.package_build_types import BUILD, build_types_of, inputs_digest, shared_builder
 from keymint.workspace.session import Session, once
@@ -150,8 +150,8 @@ def build_shared(session: Session, name: str, loaded: Sequence[Package], options
     return result
 
 
-def plan_shared_build(session: Session, options: BuildOptions, *, force: bool) -> Plan:
-    """Plan the unsigned shared documents of all build types.
+def plan_shared_build(session: Session, options: BuildOptions, *, force: bool) -> list[PackagePlan]:
+    """Return the plans for the unsigned shared documents of all build types.
 
     Args:
         session: the workspace and its profile, with the record of the packages that this run builds.
@@ -162,11 +162,9 @@ def plan_shared_build(session: Session, options: BuildOptions, *, force: bool) -
         KeymintError: a package has defects, or packages contradict each other.
     """
     planned = [_plan_documents(session, name, options, force=force) for name in users(session)]
-    gone = obsolete(session, STAGE, shared_folder(session))
-    state = recorded(session.state, STAGE, planned, gone)
     writers: dict[str, str] = {}
-    for name in users(session):
-        for path in state.stamps[STAGE][record_key(name)].outputs:
+    for name, plan in zip(users(session), planned, strict=True):
+        for path in (plan.stamp or session.state.stamps[STAGE][plan.name]).outputs:
             if writers.setdefault(path, name) != name:
                 raise KeymintError(
                     f"the build types {writers[path]} and {name} both have a shared document {path}",
@@ -174,25 +172,22 @@ def plan_shared_build(session: Session, options: BuildOptions, *, force: bool) -
                     help="use them in different workspaces",
                     code="file-conflict",
                 )
-    diagnostics = dict.fromkeys(each for plan in planned for each in plan.diagnostics)
-    return Plan((*steps_of(planned), *gone.values()), state, tuple(diagnostics))
+    return [*planned, *obsolete(session, STAGE, shared_folder(session))]
 
 
-def obsolete(session: Session, stage: str, folder: Path) -> dict[str, Step]:
-    """Return what removes the documents of build types that no package has any more, by the key of their record.
+def obsolete(session: Session, stage: str, folder: Path) -> Iterator[PackagePlan]:
+    """Yield what removes the documents of build types that no package has any more.
 
     Args:
         session: the workspace and its profile.
         stage: the stage that recorded them.
         folder: the folder that the recorded paths are relative to.
     """
-    gone: dict[str, Step] = {}
     for key, stamp in session.state.stamps.get(stage, {}).items():
         kind, _, build_type = key.partition("/")
         if kind == FOLDER and build_type not in users(session):
             changes = removals(session, folder, stamp.outputs)
-            gone[key] = Step(stage, "", Action.REMOVED, changes, f"shared documents of {build_type}")
-    return gone
+            yield PackagePlan(key, Step(stage, "", Action.REMOVED, changes, f"shared documents of {build_type}"))
 
 
 def removals(session: Session, folder: Path, paths: Iterable[str]) -> tuple[FolderChange, ...]:

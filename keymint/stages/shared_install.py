@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sign and install the documents over all packages of a build type.
+"""Sign and install the documents over all packages of a build type, and read what is installed for their proof.
 
 They are written before any enclave: rights of a new subject admit nobody until its enclave is there, and the rights of
 a removed subject end before anything else changes.
@@ -8,17 +8,20 @@ a removed subject end before anything else changes.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import cast
 
 from comarmor.errors import Diagnostic
-from keymint.api import AuthorityRole, BuildType, Package, SharedCredentials, SharedDocuments
+from keymint import __version__
+from keymint.api import AuthorityRole, BuildOptions, BuildType, Package, SharedCredentials, SharedDocuments
 from keymint.authority.authorities import MintedAuthority
 from keymint.authority.authority_files import chains_digest, trusted_chains
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.stages.built_documents import OUTDATED, edits
-from keymint.stages.package_stage import PackagePlan, recorded, steps_of
+from keymint.stages.package_stage import PackagePlan
 from keymint.stages.shared_documents import (
+    build_shared,
     built_shared,
     is_current,
     load_packages,
@@ -32,10 +35,11 @@ from keymint.stages.shared_documents import (
 )
 from keymint.stages.signers import Signers
 from keymint.stages.signing import authority_of
-from keymint.store.changes import Action, File, Plan, Step
+from keymint.store.changes import Action, File, Step
 from keymint.view.stamps import Stamp, digest, digest_files
-from keymint.workspace.installed_enclaves import INSTALLED, differing, has_outputs
-from keymint.workspace.session import Session
+from keymint.workspace.installed_enclaves import INSTALLED, differing, enclave_files, has_outputs, installed
+from keymint.workspace.package_build_types import BUILD
+from keymint.workspace.session import Session, once
 from keymint.workspace.workspace import placed
 
 
@@ -44,8 +48,8 @@ def plan_shared_install(
     chosen: Collection[str],
     authorities: Mapping[str, MintedAuthority],
     orphans: Sequence[str],
-) -> Plan:
-    """Plan the installed shared documents of all build types.
+) -> list[PackagePlan]:
+    """Return the plans for the installed shared documents of all build types.
 
     Args:
         session: the workspace and its profile.
@@ -57,7 +61,6 @@ def plan_shared_install(
         KeymintError: the documents were not built or cannot be signed, or are stale although enclaves are removed.
     """
     planned: list[PackagePlan] = []
-    diagnostics: list[Diagnostic] = []
     for name, names in users(session).items():
         documents = built_shared(session, name)
         if documents is None:
@@ -69,24 +72,34 @@ def plan_shared_install(
                     code="not-built",
                 )
             continue
-        if not is_current(session, name):
-            where = next((session.workspace.origin(shared_folder(session) / path) for path in documents), None)
-            if orphans:
-                raise KeymintError(
-                    f"is stale, and may still have the rights of {subject_of(orphans[0])}, whose enclave is to be "
-                    "removed",
-                    where=where,
-                    help="run 'keymint build' first",
-                    code=OUTDATED,
-                )
-            message, help_ = "is stale; signing the existing build", "'keymint build' rebuilds it"
-            diagnostics.append(Diagnostic.warning(OUTDATED, message, where, help_))
-        if not is_installed(session, name, documents):
-            planned.append(_plan_documents(session, name, documents, authorities))
-            diagnostics += edits(session, record_key(name), shared_folder(session), documents)
-    gone = obsolete(session, INSTALLED, session.workspace.install)
-    state = recorded(session.state, INSTALLED, planned, gone)
-    return Plan((*steps_of(planned), *gone.values()), state, tuple(diagnostics))
+        stale = _stale(session, name, documents, orphans)
+        if is_installed(session, name, documents):
+            planned.append(PackagePlan(record_key(name), diagnostics=stale))
+        else:
+            plan = _plan_documents(session, name, documents, authorities)
+            edited = edits(session, record_key(name), shared_folder(session), documents)
+            planned.append(replace(plan, diagnostics=(*stale, *edited)))
+    return [*planned, *obsolete(session, INSTALLED, session.workspace.install)]
+
+
+def _stale(session: Session, name: str, documents: Iterable[str], orphans: Sequence[str]) -> tuple[Diagnostic, ...]:
+    """Return a warning if the documents of a build type are stale.
+
+    Raises:
+        KeymintError: they are, although enclaves are removed.
+    """
+    if is_current(session, name):
+        return ()
+    where = next((session.workspace.origin(shared_folder(session) / path) for path in documents), None)
+    if orphans:
+        raise KeymintError(
+            f"is stale, and may still have the rights of {subject_of(orphans[0])}, whose enclave is to be removed",
+            where=where,
+            help="run 'keymint build' first",
+            code=OUTDATED,
+        )
+    message, help_ = "is stale; signing the existing build", "'keymint build' rebuilds it"
+    return (Diagnostic.warning(OUTDATED, message, where, help_),)
 
 
 def is_installed(session: Session, name: str, documents: Mapping[str, bytes]) -> bool:
@@ -198,3 +211,72 @@ def _plan_documents(
 
 def _inputs_digest(session: Session, name: str, documents: Mapping[str, bytes]) -> str:
     return digest(sources_digest(session, name), digest_files(documents), chains_digest(session))
+
+
+# -- what is proven of them ------------------------------------------------------------------------------------------
+
+
+@once
+def installed_documents(session: Session, build_type: str) -> Mapping[str, bytes]:
+    """Return the installed shared documents of a build type, by path; none if it has none.
+
+    Raises:
+        KeymintError: one cannot be read; or there is no record of the documents, and a package has defects.
+    """
+    if build_type not in users(session):
+        return {}
+    if built := session.state.stamp(BUILD, record_key(build_type)):
+        return installed_shared(session, built.outputs)
+    accepting = BuildOptions(allow_vendor_specific=True)
+    made = build_shared(session, build_type, load_packages(session, build_type), accepting)
+    return installed_shared(session, made.documents)
+
+
+@once
+def documents_digest(session: Session, build_type: str) -> str:
+    """Return the digest of the installed shared documents of a build type, or of why they cannot be read."""
+    if build_type not in users(session):
+        return ""
+    try:
+        return digest_files(installed_documents(session, build_type))
+    except KeymintError as error:
+        return digest(repr(error.diagnostics))
+
+
+def enclaves_of(session: Session, build_type: str) -> Mapping[str, Mapping[str, bytes]]:
+    """Return the files of a build type in the installed enclaves, by subject and name."""
+    own = session.plugins.build_type(build_type).files(session.profile.layout)
+    found: dict[str, Mapping[str, bytes]] = {}
+    for name in users(session)[build_type]:
+        files, _ = enclave_files(session, name)  # unreadable ones are findings on the enclave
+        if files:
+            found[subject_of(name)] = {file: content for file, content in files.items() if file in own}
+    return found
+
+
+def claims_digest(session: Session, build_type: str, enclaves: Mapping[str, Mapping[str, bytes]]) -> str:
+    """Return the digest of everything that claims across subjects depend on, except the policy.
+
+    Args:
+        session: the workspace and its profile.
+        build_type: name of the build type.
+        enclaves: files of its enclaves.
+    """
+    of_enclaves = (part for subject, files in enclaves.items() for part in (subject, digest_files(files)))
+    sources = sources_digest(session, build_type)
+    return digest(sources, documents_digest(session, build_type), chains_digest(session), __version__, *of_enclaves)
+
+
+def affected(before: Session, after: Session) -> tuple[str, ...]:
+    """Return the packages with an enclave whose shared documents a plan installs, sorted.
+
+    Args:
+        before: the workspace before the plan.
+        after: the workspace after it.
+    """
+    names: set[str] = set()
+    for build_type, of_type in users(after).items():
+        key = record_key(build_type)
+        if before.state.stamp(INSTALLED, key) != after.state.stamp(INSTALLED, key):
+            names |= set(of_type)
+    return tuple(sorted(names.intersection(installed(after)))) if names else ()

@@ -105,7 +105,7 @@ def adopt(
     notes = [each for each in found.diagnostics if each.severity is not Severity.ERROR]
 
     def make_plan(inputs: Inputs) -> Plan:
-        plan = plan_adoption(inputs, adoption)
+        plan = plan_adoption(inputs, adoption, run.crew)
         return replace(plan, diagnostics=(*notes, *plan.diagnostics, *left))
 
     return replace(run.carry_out(workspace, make_plan), result=result, notes=NODE_NOTES)

@@ -18,7 +18,7 @@ from keymint.command_line.verb import verb
 from keymint.errors import usage_error
 from keymint.output.report import Report
 from keymint.run.run import Run
-from keymint.stages.rollover_phases import Request, planned
+from keymint.stages.rollover_phases import PhaseRequest, planned
 from keymint.store.changes import Plan
 from keymint.workspace.session import Session
 
@@ -64,7 +64,7 @@ def command(
             "give --phase, --cancel, or what begins it (--vendor, --certificate, --key)",
         )
     given = given_authority(run, certificate, key_file) if certificate else None
-    request = Request(Phase(phase) if phase else None, cancel, vendors, given)
+    request = PhaseRequest(Phase(phase) if phase else None, cancel, vendors, given)
     phases: list[str] = []
 
     def make_plan(session: Session) -> Plan:

@@ -17,7 +17,8 @@ from keymint.life.workspace_register import complete_register, register_change
 from keymint.names import subject_of
 from keymint.output.report import Report, members
 from keymint.run.run import Run
-from keymint.stages.reissue import reissued
+from keymint.stages.pipeline import Request, conduct
+from keymint.stages.work import Work
 from keymint.store.changes import Plan
 from keymint.workspace.session import Session
 
@@ -63,7 +64,8 @@ def crl(run: Run, refresh: bool, rebuild: bool, valid_for: timedelta | None) -> 
             register = complete_register(session, lossy=True)
             first = Plan((), session.state, first=register_change(session, register))
         end = None if valid_for is None else session.now + valid_for
-        return reissued(run.crew, session, first, (), refresh=tuple(lists(session)) if refresh else (), list_end=end)
+        again = tuple(lists(session)) if refresh else ()
+        return conduct(Work(session), Request((), change=first, refresh=again, list_end=end), run.crew).plan
 
     report = run.change(make_plan)
     return report if run.dry_run else _shown(run, run.session(), report)

@@ -18,7 +18,8 @@ from keymint.errors import KeymintError
 from keymint.examine.weaknesses import Weakness, open_steps
 from keymint.output.report import Report
 from keymint.run.run import Run
-from keymint.stages.reissue import reissued, reissued_by_profile
+from keymint.stages.pipeline import Request, conduct
+from keymint.stages.work import Work
 from keymint.store.changes import Plan
 from keymint.workspace.installed_enclaves import with_sources
 from keymint.workspace.session import Session
@@ -61,7 +62,7 @@ def harden(run: Run, step: str | None, names: tuple[str, ...], applied: bool, fl
         match step:
             case Weakness.NAMES:
                 only = tuple(name for name in wanted if name in chosen[0].concerns)
-                return reissued(run.crew, session, plan_names(session, only), only)
+                return conduct(Work(session), Request(only, change=plan_names(session, only)), run.crew).plan
             case Weakness.AUTHORITY:
                 if not flag_day:
                     raise KeymintError(
@@ -69,8 +70,8 @@ def harden(run: Run, step: str | None, names: tuple[str, ...], applied: bool, fl
                         help="plan a common restart of all robots and say --flag-day",
                         code="authority-flag-day",
                     )
-                first = plan_authority(session, chosen[0].concerns[0])
-                return reissued_by_profile(run.crew, session, first, with_sources(session))
+                work = Work(session).then(plan_authority(session, chosen[0].concerns[0]))
+                return conduct(work, Request(with_sources(session)), run.crew).plan
             case _:
                 return _identifiers(run, session, chosen[0].concerns, accepted=flag_day)
 
@@ -83,9 +84,8 @@ def _identifiers(run: Run, session: Session, names: Sequence[str], *, accepted: 
     Raises:
         KeymintError: a key is elsewhere, or the user does not accept that all robots restart together.
     """
-    plan = Plan((), session.state)
+    work = Work(session)
     for name in names:
-        renewal = plan_renewal(session, name)
-        plan = plan.then(issued_again(run, session, renewal, name, flag_day=accepted))
-        session = session.after(plan).session()
-    return plan
+        renewal = plan_renewal(work.session, name)
+        work = work.then(issued_again(run, work.session, renewal, name, flag_day=accepted))
+    return work.plan

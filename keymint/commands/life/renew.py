@@ -35,9 +35,10 @@ from keymint.names import listed, subject_of
 from keymint.output.report import Report, findings_if
 from keymint.run.run import Run, exit_code_of
 from keymint.stages.install_request import InstallRequest
-from keymint.stages.reissue import reissued, updated
+from keymint.stages.pipeline import Request, conduct, updated
 from keymint.stages.renewed_packages import chosen, packages_of, refuse_new_authorities
 from keymint.stages.second_keystore import DEFERRED, STAGE, in_step
+from keymint.stages.work import Work
 from keymint.store.changes import Plan
 from keymint.workspace.session import Session
 
@@ -207,11 +208,14 @@ def _issued_again(run: Run, session: Session, due: Schedule, names: Sequence[str
     """Plan new certificates and permissions of some packages, and the revocation lists that are due."""
     first = plan_issuance(session, run.verb, {name: renewed(session, name) for name in names})
     ends = [list_end(session, each) for each in due.lists]
-    plan = reissued(
-        run.crew, session, first, names, rekey=frozenset(names if rekey else ()),
-        request=InstallRequest(prove=prove), refresh=[each.name for each in due.lists],
+    request = Request(
+        names,
+        options=InstallRequest(prove=prove, renew=rekey),
+        change=first,
+        refresh=[each.name for each in due.lists],
         list_end=None if None in ends else max(filter(None, ends), default=None),
-    )  # fmt: skip
+    )
+    plan = conduct(Work(session), request, run.crew).plan
     refuse_new_authorities(session, plan)
     return plan
 

@@ -19,7 +19,8 @@ from keymint.names import listed, package_name, subject_of
 from keymint.output.report import Report, members
 from keymint.run.run import Run
 from keymint.stages.install_request import InstallRequest
-from keymint.stages.reissue import reissued, updated
+from keymint.stages.pipeline import Request, conduct, updated
+from keymint.stages.work import Work
 from keymint.store.changes import Plan
 from keymint.workspace.installed_enclaves import INSTALLED
 from keymint.workspace.session import Session
@@ -49,7 +50,8 @@ def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report
 
     def make_plan(session: Session) -> Plan:
         revoking = plan_revocation(session, () if run.resumes else chosen, reason)
-        plan = reissued(run.crew, session, revoking.plan, revoking.packages, request=InstallRequest(prove=prove))
+        request = Request(revoking.packages, options=InstallRequest(prove=prove), change=revoking.plan)
+        plan = conduct(Work(session), request, run.crew).plan
         if revoking.skipped and not plan.writes():
             raise KeymintError.of([replace(each, severity=Severity.ERROR) for each in revoking.skipped])
         done[:] = [(revoking, plan)]

@@ -26,11 +26,10 @@ from keymint.names import package_name, subject_of
 from keymint.output.report import Report
 from keymint.robots.bundle_making import MadeBundle, plan_bundles
 from keymint.run.run import Run
-from keymint.stages.install import InstallStage, is_current
-from keymint.stages.package_stage import PackagePlan
+from keymint.stages.install import is_current, would_stay
 from keymint.stages.rollover_phases import require_staged
 from keymint.stages.second_keystore import session_ahead
-from keymint.store.changes import Action, Plan
+from keymint.store.changes import Plan
 from keymint.workspace.installed_enclaves import installed
 from keymint.workspace.session import Session
 
@@ -71,7 +70,6 @@ def _in_force(session: Session, names: Collection[str]) -> Mapping[str, MintedAu
     """
     plan, authorities = plan_authorities(session)
     after = session.after(plan)
-    install = InstallStage(after, authorities, prune=False)
     for name in names:
         if reason := withdrawn(session).get(name):
             raise KeymintError(
@@ -79,7 +77,7 @@ def _in_force(session: Session, names: Collection[str]) -> Mapping[str, MintedAu
                 help=f"'keymint renew --rekey {name}' makes a new key, or 'keymint sign' certifies one of its robot",
                 code="identity-revoked",
             )
-        if plan.writes() or not (is_current(after, name) or _would_stay(install.package(name))):
+        if plan.writes() or not (is_current(after, name) or would_stay(after, name, authorities)):
             raise KeymintError(
                 f"the enclave {subject_of(name)} is not installed as its sources and authorities are now",
                 where=session.workspace.origin(session.enclave_folder(name)),
@@ -89,17 +87,6 @@ def _in_force(session: Session, names: Collection[str]) -> Mapping[str, MintedAu
     if found := [each for each in of_enclaves(after) if each.subject in set(map(subject_of, names))]:
         raise KeymintError.of(found)
     return authorities
-
-
-def _would_stay(planned: PackagePlan) -> bool:
-    """Tell whether installing an enclave again would change nothing, e.g. as a list changed that it does not have.
-
-    Raises:
-        KeymintError: it cannot be installed.
-    """
-    if planned.errors:
-        raise KeymintError.of(planned.errors)
-    return planned.step is not None and planned.step.action is Action.UNCHANGED and not planned.outdated
 
 
 def _second_keystore(run: Run, session: Session) -> tuple[Session, Mapping[str, MintedAuthority]]:
@@ -117,7 +104,7 @@ def _second_keystore(run: Run, session: Session) -> tuple[Session, Mapping[str, 
             code="rollover-none",
         )
     require_staged(run.crew, session, replaced[0])
-    return session_ahead(session, replaced[0])[:2]
+    return session_ahead(session, replaced[0])
 
 
 def _chosen(session: Session, given: tuple[str, ...]) -> dict[str, None]:

@@ -24,7 +24,8 @@ from keymint.robots.bundle_making import MadeBundle, plan_bundles
 from keymint.robots.request_decisions import Given, plan_requests
 from keymint.run.run import Run
 from keymint.stages.install_request import InstallRequest
-from keymint.stages.reissue import reissued
+from keymint.stages.pipeline import Request, conduct
+from keymint.stages.work import Work
 from keymint.store.changes import Plan
 from keymint.workspace.session import Session
 
@@ -56,12 +57,12 @@ def sign(run: Run, files: tuple[Path, ...], typed: tuple[str, ...], output: Path
     made: list[MadeBundle] = []
 
     def make_plan(session: Session) -> Plan:
-        plan, chosen = plan_requests(session, given, fingerprints)
-        plan = reissued(run.crew, session, plan, list(chosen), request=InstallRequest(prove=prove))
-        after = session.after(plan)
-        _, authorities = plan_authorities(after)
-        numbered, made[:] = plan_bundles(after, chosen, authorities)
-        return plan.then(numbered)
+        decided, chosen = plan_requests(session, given, fingerprints)
+        request = Request(list(chosen), options=InstallRequest(prove=prove), change=decided)
+        work = conduct(Work(session), request, run.crew)
+        _, authorities = plan_authorities(work.session)
+        numbered, made[:] = plan_bundles(work.session, chosen, authorities)
+        return work.then(numbered).plan
 
     report = run.change(make_plan)
     return replace(report, result={"bundles": write_bundles(run, output, made)})

@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import click
@@ -26,9 +25,12 @@ from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.output.report import Report
 from keymint.run.run import Run
-from keymint.stages.build import BuildStage
+from keymint.stages.install_request import InstallRequest
+from keymint.stages.pipeline import Request, conduct
 from keymint.stages.policy_drift import policy_changed
+from keymint.stages.work import Work
 from keymint.store.changes import Action, Plan, Step
+from keymint.workspace.package_build_types import BUILD
 from keymint.workspace.policy_loading import load_policy
 from keymint.workspace.session import Session
 
@@ -55,14 +57,14 @@ def build(
 
     def make_plan(session: Session) -> Plan:
         chosen = run.names(session, names)
-        run.compile_elsewhere(session, chosen, options)
-        build = partial(BuildStage, options=options, force=force, renew=renew and not run.resumes)
-        run.workers.start(session, chosen, (build,))
-        plan = run.planned(build(session), chosen)
-        warnings = policy_changed(session) if chosen else (no_packages(session),)
-        slips = policy_slips(session, plan.steps)
-        unknown = unknown_hints(options, document_options.hints, run.names(session, ()))
-        return plan.noting(*warnings, *slips, *unknown)
+
+        def notes(work: Work) -> Iterator[Diagnostic]:
+            yield from policy_changed(session) if chosen else (no_packages(session),)
+            yield from policy_slips(session, work.plan.steps)
+            yield from unknown_hints(options, document_options.hints, run.names(session, ()))
+
+        asked = InstallRequest(force=force, renew=renew and not run.resumes, build=options)
+        return conduct(Work(session), Request(chosen, (BUILD,), asked, notes=notes), run.crew).plan
 
     return run.change(make_plan)
 

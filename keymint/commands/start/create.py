@@ -3,21 +3,23 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import click
 
-from keymint.command_line.accepted_packages import AcceptanceOptions, accept, acceptance_options, release
+from keymint.command_line.accepted_packages import AcceptanceOptions, accept, acceptance_options
 from keymint.command_line.options import valid_for_option
 from keymint.command_line.verb import verb
 from keymint.errors import usage_error
 from keymint.names import no_subject, package_name
 from keymint.output.report import Report
 from keymint.run.run import Run
-from keymint.stages.create import CreateStage, packages_to_create
+from keymint.stages.create import packages_to_create
+from keymint.stages.install_request import InstallRequest
+from keymint.stages.pipeline import CREATE, Request, conduct
+from keymint.stages.work import Work
 from keymint.store.changes import Plan
 from keymint.workspace.policy_loading import lazy_policy
-from keymint.workspace.session import Inputs
+from keymint.workspace.session import Session
+from keymint.workspace.shipped_profiles import plan_release
 
 
 @verb(jobs=True, dry_run=True)
@@ -45,22 +47,20 @@ def create(
     """
     if not names and not all_subjects and not acceptance.accept_package:
         raise usage_error("no subject is named", "name some, or use --all")
-    workspace = run.workspace()
+    run.workspace()
     named = [package_name(name) for name in names]
 
-    def make_plan(inputs: Inputs) -> Plan:
-        accepted = accept(inputs.session(), acceptance)
+    def make_plan(session: Session) -> Plan:
+        work = accept(Work(session), acceptance)
         if not names and not all_subjects:
-            return accepted
-        session = inputs.after(accepted).session()
-        policy = lazy_policy(session)
-        accepted, session = release(inputs, accepted, session, policy)
-        subjects = dict.fromkeys([*named, *(packages_to_create(session, policy) if all_subjects else ())])
+            return work.plan
+        policy = lazy_policy(work.session)
+        work = work.then(plan_release(work.session, policy))
+        subjects = dict.fromkeys([*named, *(packages_to_create(work.session, policy) if all_subjects else ())])
         if not subjects:
             raise no_subject("name the subjects: keymint create /robot1/talker")
-        create = partial(CreateStage, policy=policy, force=force, valid_for=valid_for or "")
-        wanted = create(session).subjects(tuple(subjects))
-        run.workers.start(session, wanted, (create,))
-        return accepted.then(run.planned(create(session), wanted))
+        asked = InstallRequest(force=force)
+        request = Request(tuple(subjects), (CREATE,), asked, policy=policy, valid_for=valid_for or "")
+        return conduct(work, request, run.crew).plan
 
-    return run.carry_out(workspace, make_plan)
+    return run.change(make_plan)

@@ -27,6 +27,7 @@ from keymint.command_line.verb import verb
 from keymint.errors import KeymintError
 from keymint.output.report import Report
 from keymint.run.run import Run
+from keymint.stages.work import Work
 from keymint.stages.workspace_start import plan_init, policy_path, refuse_unsupported
 from keymint.store.changes import Action, Plan, Step
 from keymint.workspace.policy_types import foreign_policy
@@ -110,10 +111,9 @@ def init(
         raise foreign.refusal(run.typed(str(foreign.path)))
 
     def make_plan(inputs: Inputs) -> Plan:
-        plan = plan_init(inputs, profile.profile_type or DEFAULT_PROFILE_TYPE, request)
-        session = inputs.after(plan).session()
-        refuse_unsupported(session)
-        return plan.then(plan_authorities(session)[0])
+        work = Work.after(inputs, plan_init(inputs, profile.profile_type or DEFAULT_PROFILE_TYPE, request))
+        refuse_unsupported(work.session)
+        return work.then(plan_authorities(work.session)[0]).plan
 
     return run.carry_out(workspace, make_plan)
 

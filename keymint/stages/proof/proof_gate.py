@@ -16,9 +16,11 @@ from keymint.stages.install_request import InstallRequest
 from keymint.stages.package_stage import Crew
 from keymint.stages.proof.proof_diagnostics import dated_of, diagnostics_of, effort_of, merged_packages
 from keymint.stages.proof.proof_results import EnclaveProof
-from keymint.stages.proof.prove import NO_PROVER, ProofStage
-from keymint.stages.proof.shared_proof import affected
+from keymint.stages.proof.prove import NO_PROVER, STAGE, ProofStage
+from keymint.stages.shared_install import affected
+from keymint.stages.work import Work
 from keymint.store.changes import Action, Plan
+from keymint.workspace.installed_enclaves import INSTALLED
 from keymint.workspace.session import Session
 
 
@@ -36,30 +38,29 @@ def proof_stage(crew: Crew, policy: LoadedPolicy, request: InstallRequest) -> Ca
 
 def proven(
     crew: Crew,
-    session: Session,
-    installed: Plan,
+    unsigned: Session,
+    work: Work,
     names: Sequence[str],
     proof: Callable[[Session], ProofStage],
-    plan: Plan,
     request: InstallRequest,
-) -> Plan:
-    """Prove the enclaves of a plan, and return the plan with the cached proofs.
+) -> Work:
+    """Prove the enclaves that some work installs, and return the work with the cached proofs.
 
     Args:
         crew: who plans packages.
-        session: the workspace before the installation, and its profile.
-        installed: the plan of the installation.
+        unsigned: the workspace before the installation, and its profile.
+        work: what will be done.
         names: the packages to install.
         proof: makes the stage that proves.
-        plan: what will be done.
         request: what the user asks for.
 
     Raises:
         KeymintError: a claim about an enclave is refuted or unknown; exit code 3.
     """
-    before, session, kept = session, session.after(installed), installed.of_action(Action.KEPT, Action.REMOVED)
+    session, plan = work.session, work.plan
+    kept = work.of(INSTALLED).of_action(Action.KEPT, Action.REMOVED)
     # New shared documents decide about enclaves that stay as they are, too.
-    names = [name for name in sorted({*names, *affected(before, session)}) if name not in kept]
+    names = [name for name in sorted({*names, *affected(unsigned, session)}) if name not in kept]
     stage = proof(session)
     results = stage.results(crew.planned(stage, names))
     diagnostics = diagnostics_of(results, strict=request.strict)
@@ -84,7 +85,7 @@ def proven(
     known = {each.code for each in plan.diagnostics}  # what the dates of the sources say already
     validity = [each for each in dated_of(results) if each.code not in known]
     warnings = [replace(each, severity=Severity.WARNING) for each in (*diagnostics, *merged_packages(validity, shown))]
-    return replace(plan, state=results.state).noting(*warnings)
+    return work.recording(results.state).noting(*warnings, part=STAGE)
 
 
 def _refused_edits(session: Session, plan: Plan, subjects: Collection[str]) -> list[Diagnostic]:

@@ -32,7 +32,8 @@ from keymint.executors import Pool
 from keymint.ir import SubjectRules
 from keymint.life import terms
 from keymint.names import name_of, subject_of
-from keymint.stages.proof import proof_record, shared_proof
+from keymint.stages import shared_install
+from keymint.stages.proof import proof_record
 from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, ProofResults, costliest
 from keymint.stages.proof.trust_anchors import anchors_of, contradictions_for, shared_anchors, unread_of
 from keymint.stages.shared_documents import load_packages, record_key, shared_folder, users
@@ -51,6 +52,43 @@ NO_PROVER = "proof-unsupported"
 def policy_digest(policy: LoadedPolicy) -> str:
     """Return the digest of the files that a policy was read from."""
     return digest(*(f"{path} {value.hex()}" for path, value in sorted(policy.seen.items())))
+
+
+def proofs(
+    session: Session,
+    policy: LoadedPolicy,
+    effort: ProofEffort,
+    names: Sequence[str],
+    on_enclave: Callable[[str], None],
+    pool: Pool,
+) -> ProofResults:
+    """Prove or refute the claims about the installed enclaves of some packages, and those across subjects.
+
+    Args:
+        session: the workspace and its profile.
+        policy: the policy that the enclaves are compared with.
+        effort: what to claim, and limits of the search.
+        names: names of packages.
+        on_enclave: called with each name after its proof.
+        pool: where else to prove.
+
+    Raises:
+        KeymintError: a package has defects, or the pool is lost.
+    """
+    stage = ProofStage(session, policy, effort)
+    proven: list[EnclaveProof] = []
+    parts: Iterable[Sequence[str]] = ([name] for name in names)
+    results: Iterable[list[EnclaveProof]] = ([stage.package(name)] for name in names)
+    if not pool.shares_memory:
+        stage.ask(pool, names)
+    elif len(divided := pool.parts(names, LEAST)) > 1:
+        parts = divided
+        results = pool.map(lambda _plugins, part: [stage.package(name) for name in part], parts)
+    for part, own in zip(parts, results, strict=True):
+        proven += own
+        for name in part:
+            on_enclave(name)
+    return stage.results(proven)
 
 
 class ProofStage:
@@ -111,31 +149,6 @@ class ProofStage:
                 for question, claims in zip(part, answers, strict=False):
                     prover.know(question, claims)
 
-    def all(self, names: Sequence[str], on_enclave: Callable[[str], None], pool: Pool) -> ProofResults:
-        """Prove or refute the claims about the enclaves of some packages, and those across subjects.
-
-        Args:
-            names: names of packages.
-            on_enclave: called with each name after its proof.
-            pool: where else to prove.
-
-        Raises:
-            KeymintError: a package has defects, or the pool is lost.
-        """
-        proven: list[EnclaveProof] = []
-        parts: Iterable[Sequence[str]] = ([name] for name in names)
-        results: Iterable[list[EnclaveProof]] = ([self.package(name)] for name in names)
-        if not pool.shares_memory:
-            self.ask(pool, names)
-        elif len(divided := pool.parts(names, LEAST)) > 1:
-            parts = divided
-            results = pool.map(lambda _plugins, part: [self.package(name) for name in part], parts)
-        for part, proofs in zip(parts, results, strict=True):
-            proven += proofs
-            for name in part:
-                on_enclave(name)
-        return self.results(proven)
-
     def package(self, name: str) -> EnclaveProof:
         """Prove the claims about one enclave, unless the proof is cached."""
         session = self._session
@@ -173,8 +186,8 @@ class ProofStage:
 
     def _prove_across(self, name: str, names: Sequence[str], prover: SharedProver) -> EnclaveProof:
         session, key, folder = self._session, record_key(name), self._shared_folder
-        enclaves = shared_proof.enclaves_of(session, name)
-        inputs = shared_proof.inputs_digest(session, name, enclaves)
+        enclaves = shared_install.enclaves_of(session, name)
+        inputs = shared_install.claims_digest(session, name, enclaves)
         stamp, subjects = session.state.stamp(STAGE, key), [subject_of(each) for each in names]
         cached = proof_record.load(stamp, folder) if stamp and stamp.inputs == inputs else None
         if stamp and cached and self._same_rules(stamp, subjects):
@@ -188,7 +201,7 @@ class ProofStage:
                 rules,
                 enclaves,
                 session.workspace.shown(session.workspace.build if self._unsigned else session.enclaves),
-                shared_proof.installed_documents(session, name),
+                shared_install.installed_documents(session, name),
                 folder,
                 shared_anchors(session, packages, session.plugins.build_type(name)),
                 self._effort.states,
@@ -264,7 +277,7 @@ class ProofStage:
                     self._effort.deadline(),
                     self._effort.standard_only,
                     self._unsigned,
-                    shared_proof.installed_documents(self._session, name),
+                    shared_install.installed_documents(self._session, name),
                     self._shared_folder,
                 )
                 own = _with_rules(self._claims(prover, task), (rules,))
@@ -295,7 +308,7 @@ class ProofStage:
 
     def _inputs_digest(self, name: str, digests: Mapping[str, str], build_types: Iterable[str]) -> str:
         """Return the digest of everything that a proof depends on, except the policy."""
-        shared = (shared_proof.documents_digest(self._session, each) for each in build_types)
+        shared = (shared_install.documents_digest(self._session, each) for each in build_types)
         files = (part for item in sorted(digests.items()) for part in item)
         of_vendors = filter(None, [self._session.vendors_of])
         built = inputs_digest(self._session, name)

@@ -8,7 +8,7 @@ from itertools import groupby
 
 from keymint.api import Availability, Enclave, Tier, Verdict
 from keymint.api.graph import Edge
-from keymint.api.vendor_transports import VendorTransport
+from keymint.host.vendor_transports import VendorTransport
 from keymint_ros2_zenoh.transports.delivery import exchange
 from keymint_ros2_zenoh.transports.enclave_model import InstalledModels
 from keymint_ros2_zenoh.transports.logged_decisions import logged_decisions

@@ -1,0 +1,278 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The order create, build, install, prove, which nothing else knows: verbs say what is different for them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import field, replace
+from datetime import datetime
+from functools import partial
+from typing import Any, cast
+
+from comarmor.errors import Diagnostic
+from comarmor.values import dataclass
+from keymint.api import BuildOptions, LoadedPolicy, Role
+from keymint.authority.authorities import MintedAuthority, plan_authorities
+from keymint.authority.authority_files import bundled
+from keymint.life.earlier_rights import RIGHTS_OUTLIVE
+from keymint.life.issued_certificates import SUPERSEDED
+from keymint.life.revocation_lists_in_force import plan_lists
+from keymint.life.revoking import plan_revocation
+from keymint.life.workspace_register import complete_register
+from keymint.names import name_of
+from keymint.stages.build import BuildStage, options_as_built
+from keymint.stages.create import CreateStage
+from keymint.stages.distribution import plan_distribution
+from keymint.stages.install import InstallStage
+from keymint.stages.install_request import InstallRequest
+from keymint.stages.package_stage import Crew
+from keymint.stages.proof.proof_gate import proof_stage, proven
+from keymint.stages.proof.prove import ProofStage
+from keymint.stages.work import Work
+from keymint.store.changes import Action, Plan
+from keymint.workspace.installed_enclaves import INSTALLED, with_sources
+from keymint.workspace.package_build_types import BUILD, is_build_current
+from keymint.workspace.policy_loading import policy_in_force
+from keymint.workspace.session import Session
+
+CREATE, INSTALL, PROVE = CreateStage.NAME, InstallStage.NAME, ProofStage.NAME
+AUTHORITIES, LISTS = "authorities", "lists"
+"""Parts of the work beside the stages: the keys and certificates of authorities, and their revocation lists."""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What is different between the runs that go through the stages.
+
+    Attributes:
+        names: the packages.
+        stages: the names of the stages to go through; an installation is proven, unless the options say otherwise.
+        options: what the user asks for.
+        policy: what is created and proven; only what is not created can do without: then it is proven against the
+            policy of the workspace, with what ROS packages ship as it was accepted.
+        change: what comes first: it changes the sources, the register or the authorities.
+        follow: what depends on the change is issued again as well, and all other enclaves get the revocation lists.
+        refresh: authorities whose revocation list is issued again in any case.
+        list_end: nextUpdate of new revocation lists, UTC; the end of the authority's certificate by default.
+        valid_for: length of validity that packages get in their own documents, an ISO 8601 duration.
+        late: the authorities are written after the documents that they will sign.
+        adopts: the keystore is that of another tool: its revocation lists stay as they are.
+        beside: the keystore is not in force: nothing is revoked for it.
+        checks: what is required of the work after a stage, by its name.
+        notes: returns what the user is told of the work before it is proven.
+    """
+
+    names: Sequence[str]
+    stages: tuple[str, ...] = (BUILD, INSTALL)
+    options: InstallRequest = field(default_factory=InstallRequest)
+    policy: LoadedPolicy | None = None
+    change: Plan | None = None
+    follow: bool = True
+    refresh: Collection[str] = ()
+    list_end: datetime | None = None
+    valid_for: str = ""
+    late: bool = False
+    adopts: bool = False
+    beside: bool = False
+    checks: Mapping[str, Callable[[Work], None]] = field(default_factory=dict)
+    notes: Callable[[Work], Iterable[Diagnostic]] = lambda _: ()
+
+    def preceded_by(self, change: Plan) -> Request:
+        """Return the same request with one more change in front, which the other enclaves follow."""
+        return replace(self, change=self.change.then(change) if self.change else change, follow=True)
+
+
+def conduct(work: Work, request: Request, crew: Crew) -> Work:
+    """Return some work followed by the stages for some packages, and by what that demands of others.
+
+    Nothing else changes. If rights become narrower and the profile or the user asks to revoke the certificates that had
+    the wider ones, all is planned once more after that.
+
+    Args:
+        work: what comes before.
+        request: what is asked for.
+        crew: who plans packages.
+
+    Raises:
+        KeymintError: a package cannot be created, built, signed or proven, or an authority cannot sign; with all
+            defects of the first stage that has any.
+    """
+    done = _conducted(Work(work.session), request, crew)
+    return replace(done, parts=(*work.parts, *done.parts))
+
+
+def _conducted(start: Work, request: Request, crew: Crew) -> Work:
+    """Return the work of :func:`conduct` that begins with a workspace as it is."""
+    names = tuple(request.names)
+    changed = start.then(request.change) if request.change else start
+    work, authorities = _with_authorities(changed, request) if INSTALL in request.stages else (changed, {})
+    if request.change and request.change.writes() and BUILD not in request.stages:
+        # What the change concerns is built for it, before everything else is installed as it was built.
+        concerned = _with_followers(start.session, work, [step.package for step in request.change.steps])
+        work = _through(work, partial(BuildStage, options=request.options.build), concerned, request, crew)
+        names = tuple(dict.fromkeys((*names, *concerned)))
+    stages = _stages(request, authorities, crew)
+    subjects = stages[CREATE](work.session).subjects(names) if CREATE in stages else names
+    _share(work.session, subjects, stages, request, crew)
+    if CREATE in stages:
+        work = _through(work, stages[CREATE], subjects, request, crew)
+        names = tuple(dict.fromkeys((*names, *work.session.infrastructure())))
+    if BUILD in stages:
+        asked, names = names, _with_followers(start.session, work, names) if request.follow else names
+        build = partial(stages[BUILD], followers=frozenset(names).difference(asked))
+        work = _through(work, build, names, request, crew)
+    unsigned = work.session
+    if INSTALL in stages:
+        stage = stages[INSTALL](unsigned)
+        planned = crew.planned(stage, names)
+        work = _checked(work.then(stage.plan(planned), INSTALL), INSTALL, request)
+        if narrower := _superseding(changed.session, work.of(INSTALL), request):
+            crew.close()
+            return _conducted(start, request.preceded_by(narrower), crew)
+        issued = [each.name for each in planned if not each.withdrawn]
+        if request.follow:
+            work = work.then(plan_distribution(start.session, work.session, names), INSTALL)
+    work = work.noting(*request.notes(work))
+    if not _proves(request) or (request.follow and not issued):  # a revocation does not wait for a proof of others
+        return work
+    return _proved(work, unsigned, names, issued, request, crew)
+
+
+def _proved(
+    work: Work, unsigned: Session, names: Sequence[str], issued: Sequence[str], request: Request, crew: Crew
+) -> Work:
+    """Return the work with the proof of all that it signs.
+
+    Args:
+        work: what will be done.
+        unsigned: the workspace before the installation.
+        names: the packages to install.
+        issued: those of them that are not withdrawn.
+        request: what is asked for.
+        crew: who plans packages.
+
+    Raises:
+        KeymintError: a claim about an enclave is refuted or unknown; exit code 3.
+    """
+    options = request.options
+    if BUILD in request.stages and not options.build:
+        of_vendors = any(options_as_built(unsigned, name).allow_vendor_specific for name in issued)
+        options = replace(options, allow_vendor_specific=options.allow_vendor_specific or of_vendors)
+    policy, warnings = (request.policy, ()) if request.policy else policy_in_force(unsigned)
+    return proven(crew, unsigned, work.noting(*warnings), names, proof_stage(crew, policy, options), options)
+
+
+def _proves(request: Request) -> bool:
+    return INSTALL in request.stages and request.options.prove
+
+
+def _with_authorities(work: Work, request: Request) -> tuple[Work, Mapping[str, MintedAuthority]]:
+    """Return the work with the authorities and their revocation lists, and the authorities by name."""
+    minted, authorities = plan_authorities(work.session, request.options.new_authority)
+    work = work.then(minted, AUTHORITIES)
+    if request.adopts:
+        return work, authorities
+    register = complete_register(work.session) if request.follow else None
+    listed = plan_lists(
+        work.session, authorities, register=register, refresh=request.refresh, end=request.list_end
+    )  # fmt: skip
+    return work.then(listed, LISTS), authorities
+
+
+def _stages(
+    request: Request, authorities: Mapping[str, MintedAuthority], crew: Crew
+) -> Mapping[str, Callable[..., Any]]:
+    """Return what makes each stage of a request for a workspace; that of the proof if its policy is known already."""
+    options, policy = request.options, request.policy
+    stages: dict[str, Callable[..., Any]] = {}
+    if CREATE in request.stages:
+        acquired = cast("LoadedPolicy", policy)
+        stages[CREATE] = partial(CreateStage, policy=acquired, force=options.force, valid_for=request.valid_for)
+    if BUILD in request.stages:
+        stages[BUILD] = partial(
+            BuildStage, options=options.build, force=options.force, renew=options.renew, policy=policy
+        )
+    if INSTALL in request.stages:
+        stages[INSTALL] = partial(InstallStage, authorities=authorities, prune=options.prune)
+    if policy and _proves(request):
+        stages[PROVE] = proof_stage(crew, policy, options)
+    return stages
+
+
+def _share(
+    session: Session, names: Sequence[str], stages: Mapping[str, Callable[..., Any]], request: Request, crew: Crew
+) -> None:
+    """Let a cluster compile the rules of some packages, and processes plan them; these begin at once."""
+    options = request.options
+    if crew.compile_elsewhere and BUILD in stages:
+        ahead = session
+        if CREATE in stages:
+            create = stages[CREATE](session)
+            ahead = session.after(create.plan([create.package(name) for name in names]))
+        # Processes begin with what the cluster compiled.
+        crew.compile_elsewhere(ahead, names, options.build or BuildOptions(), options.prove)
+    if PROVE in stages or not _proves(request):
+        crew.start(session, names, tuple(stages.values()))
+
+
+def _through(work: Work, make: Callable[[Session], Any], names: Sequence[str], request: Request, crew: Crew) -> Work:
+    """Return the work followed by a stage before the installation."""
+    stage = make(work.session)
+    plan = stage.plan(crew.planned(stage, names))
+    return _checked(work.then(plan, stage.NAME, before=AUTHORITIES if request.late else ""), stage.NAME, request)
+
+
+def _checked(work: Work, stage: str, request: Request) -> Work:
+    if stage in request.checks:
+        request.checks[stage](work)
+    return work
+
+
+def _with_followers(before: Session, work: Work, names: Sequence[str]) -> tuple[str, ...]:
+    """Return packages that are issued again, and those that must follow them.
+
+    Args:
+        before: the workspace before the sources changed.
+        work: the changed sources, and the revocation lists.
+        names: the packages.
+    """
+    session = work.session
+    if any(session.role(name) is Role.INFRASTRUCTURE for name in names):
+        # All others name it, so they follow its generation; those whose own sources changed wait for their build.
+        built_of = [
+            name
+            for name in session.packages()
+            if is_build_current(before, name) and not is_build_current(session, name)
+        ]
+        names = (*names, *built_of)
+    if work.of(LISTS).writes() and any(map(bundled, session.profile.authorities)):
+        names = (*names, *with_sources(session))  # their authorities' file has the lists
+    return tuple(dict.fromkeys(names))
+
+
+def updated(plan: Plan) -> list[str]:
+    """Return the packages whose enclave a plan writes."""
+    changing = {Action.UPDATED, Action.CREATED}
+    steps = (step for step in plan.steps if step.stage == INSTALLED and step.action in changing)
+    return [step.package for step in steps if step.package]
+
+
+def _superseding(session: Session, installed: Plan, request: Request) -> Plan | None:
+    """Return the plan that revokes the certificates of packages whose new signed rights are narrower, or None.
+
+    What is planned so far is then planned again after it: each package gets a certificate of a new generation.
+
+    Args:
+        session: the workspace before its authorities and the stages; its profile may ask for it.
+        installed: the plan of an installation.
+        request: the user may ask for it.
+
+    Raises:
+        KeymintError: the register is missing and cannot be restored.
+    """
+    asked = request.options.revoke_superseded or session.profile.revoke_superseded
+    found = dict.fromkeys(name_of(each.subject) for each in installed.diagnostics if each.code == RIGHTS_OUTLIVE)
+    if not asked or not found or request.beside:
+        return None
+    revoking = plan_revocation(session, tuple(found), SUPERSEDED)
+    return revoking.plan.noting(*revoking.diagnostics) if revoking.plan.writes() else None
