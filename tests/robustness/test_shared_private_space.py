@@ -21,7 +21,8 @@ Keymint = Callable[..., Any]
 VAULT = "vault"
 PAUSED = """
 import contextlib, importlib, sys
-from keymint import cli, store
+from keymint import cli
+from keymint.store import store
 module, _, names = sys.argv[1].partition(":")
 *path, name = names.split(".")
 where = importlib.import_module(module)
