@@ -13,7 +13,7 @@ from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.api.graph import Edge
-from keymint.api.installed_enclaves import EnclavesBySubject
+from keymint.api.transports import EnclavesBySubject
 from keymint.pki import certificates
 from keymint_ros2_zenoh.decision import admission
 from keymint_ros2_zenoh.decision.message_access import AccessDecision, Link
