@@ -14,11 +14,11 @@ from comarmor.errors import ComArmorError, Origin
 from comarmor.language.attachments import strip
 from comarmor.rules import PERMISSIONS
 from comarmor.xml import schema
-from comarmor.xml.layout import Layout, laid_out, markup, nodes
+from comarmor.xml.layout import DocumentLayout, laid_out, markup, nodes
 from comarmor.xml.reader import parse
 from comarmor.xml.sandboxed_paths import path_text, unreadable
 
-LAYOUT = Layout(
+LAYOUT = DocumentLayout(
     text=frozenset(("attachment", "value", "partition")),
     inline=frozenset(("permissions",)),
     order=("name", "qualifier", "modifier", "href", "parse", "subject", "permission", "object", "partition"),

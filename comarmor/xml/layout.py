@@ -23,7 +23,7 @@ _UNSEEN = frozenset(("Cc", "Cf", "Zl", "Zp", "Zs"))
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class DocumentLayout:
     """The layout of a format.
 
     Attributes:
@@ -75,7 +75,7 @@ class Element:
     end_gap: int = 0
 
 
-def nodes(content: bytes, layout: Layout) -> Element:
+def nodes(content: bytes, layout: DocumentLayout) -> Element:
     """Return what a document contains, in an element without a name.
 
     Args:
@@ -94,7 +94,7 @@ def markup(element: Element) -> Iterator[Markup]:
             yield from markup(child)
 
 
-def laid_out(document: Element, layout: Layout) -> str:
+def laid_out(document: Element, layout: DocumentLayout) -> str:
     """Return a document in its layout, without an XML declaration; each line ends with a line feed.
 
     Args:
@@ -114,7 +114,7 @@ class _Builder:
         layout: its layout.
     """
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: DocumentLayout) -> None:
         self.layout = layout
         self.open = [Element("", {}, 0)]
         self.has_mark = False
@@ -172,7 +172,7 @@ class _Printer:
         layout: their layout.
     """
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: DocumentLayout) -> None:
         self.layout = layout
         self.lines: list[str] = []
 

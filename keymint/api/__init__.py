@@ -21,9 +21,8 @@ group                        protocol
 from __future__ import annotations
 
 from comarmor.rules import Expectation as Expectation
-from keymint.api.authority_changes import AuthorityChanges as AuthorityChanges
-from keymint.api.authority_changes import Implementation as Implementation
 from keymint.api.building import Artifact as Artifact
+from keymint.api.building import AuthorityChanges as AuthorityChanges
 from keymint.api.building import AuthorityRole as AuthorityRole
 from keymint.api.building import BuildOptions as BuildOptions
 from keymint.api.building import BuildResult as BuildResult
@@ -31,6 +30,7 @@ from keymint.api.building import BuildType as BuildType
 from keymint.api.building import EnclaveCredentials as EnclaveCredentials
 from keymint.api.building import EnvironmentVariable as EnvironmentVariable
 from keymint.api.building import Hint as Hint
+from keymint.api.building import Implementation as Implementation
 from keymint.api.building import Inspection as Inspection
 from keymint.api.building import Layout as Layout
 from keymint.api.building import SharedCredentials as SharedCredentials
@@ -55,22 +55,22 @@ from keymint.api.certificates import KeySpec as KeySpec
 from keymint.api.certificates import Phase as Phase
 from keymint.api.certificates import Rollover as Rollover
 from keymint.api.certificates import Validity as Validity
-from keymint.api.comparisons import ComparisonTask as ComparisonTask
-from keymint.api.comparisons import DocumentComparer as DocumentComparer
-from keymint.api.comparisons import DocumentComparison as DocumentComparison
-from keymint.api.comparisons import Relation as Relation
 from keymint.api.foreign_keystores import AdoptedSources as AdoptedSources
 from keymint.api.foreign_keystores import AdoptingPackageType as AdoptingPackageType
 from keymint.api.foreign_keystores import FoundAuthority as FoundAuthority
 from keymint.api.foreign_keystores import FoundEnclave as FoundEnclave
 from keymint.api.foreign_keystores import FoundGrant as FoundGrant
 from keymint.api.foreign_keystores import FoundKeystore as FoundKeystore
+from keymint.api.foreign_keystores import GrantedRules as GrantedRules
+from keymint.api.foreign_keystores import GrantReader as GrantReader
 from keymint.api.foreign_keystores import HardenedPackageType as HardenedPackageType
 from keymint.api.foreign_keystores import HardenedProfileType as HardenedProfileType
 from keymint.api.foreign_keystores import KeptDocuments as KeptDocuments
 from keymint.api.foreign_keystores import KeystoreFile as KeystoreFile
 from keymint.api.foreign_keystores import KeystoreFiles as KeystoreFiles
 from keymint.api.foreign_keystores import KeystoreReader as KeystoreReader
+from keymint.api.foreign_keystores import PolicyOfRules as PolicyOfRules
+from keymint.api.foreign_keystores import PolicyWriter as PolicyWriter
 from keymint.api.foreign_policies import Comparison as Comparison
 from keymint.api.foreign_policies import ExportedPolicy as ExportedPolicy
 from keymint.api.foreign_policies import ForeignDocuments as ForeignDocuments
@@ -86,10 +86,6 @@ from keymint.api.graph_sources import DiscoveredGraph as DiscoveredGraph
 from keymint.api.graph_sources import GraphSource as GraphSource
 from keymint.api.graph_sources import LearnedPolicy as LearnedPolicy
 from keymint.api.graph_sources import PolicyLearner as PolicyLearner
-from keymint.api.learning import GrantedRules as GrantedRules
-from keymint.api.learning import GrantReader as GrantReader
-from keymint.api.learning import PolicyOfRules as PolicyOfRules
-from keymint.api.learning import PolicyWriter as PolicyWriter
 from keymint.api.packages import DomainRange as DomainRange
 from keymint.api.packages import Grant as Grant
 from keymint.api.packages import Issuance as Issuance
@@ -131,7 +127,10 @@ from keymint.api.profiles import ProfileType as ProfileType
 from keymint.api.profiles import RuleLocator as RuleLocator
 from keymint.api.profiles import WorkspaceProfile as WorkspaceProfile
 from keymint.api.proving import Claim as Claim
+from keymint.api.proving import ComparisonTask as ComparisonTask
 from keymint.api.proving import Counterexample as Counterexample
+from keymint.api.proving import DocumentComparer as DocumentComparer
+from keymint.api.proving import DocumentComparison as DocumentComparison
 from keymint.api.proving import ExcessRights as ExcessRights
 from keymint.api.proving import Holder as Holder
 from keymint.api.proving import InstalledDistro as InstalledDistro
@@ -141,6 +140,7 @@ from keymint.api.proving import PresentationTask as PresentationTask
 from keymint.api.proving import Proof as Proof
 from keymint.api.proving import ProofTask as ProofTask
 from keymint.api.proving import Prover as Prover
+from keymint.api.proving import Relation as Relation
 from keymint.api.proving import RemoteProver as RemoteProver
 from keymint.api.proving import SharedProofTask as SharedProofTask
 from keymint.api.proving import SharedProver as SharedProver

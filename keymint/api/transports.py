@@ -8,7 +8,7 @@ from dataclasses import field
 from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import NoReturn, Protocol, runtime_checkable
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
@@ -225,3 +225,30 @@ class ActionMapping(Protocol):
         Raises:
             KeymintError: the distribution or the permission is not known.
         """
+
+
+# -- installed enclaves and their files, as transports look for them --------------------------------------------------
+
+
+class EnclavesBySubject(dict[str, Enclave]):
+    """The enclaves that a transport decides about; to ask for another one is a :class:`KeymintError`."""
+
+    def __missing__(self, subject: str) -> NoReturn:
+        raise KeymintError(f"{subject} has no installed enclave", help="run 'keymint install'", code="enclave-missing")
+
+
+def installed_file(file: Path) -> bytes:
+    """Return an installed file.
+
+    Raises:
+        KeymintError: it cannot be read.
+    """
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise KeymintError(
+            f"{file.name} cannot be read: {error.strerror}",
+            where=Origin(str(file)),
+            help="run 'keymint install'",
+            code="enclave-file",
+        ) from None

@@ -13,7 +13,7 @@ from keymint.api import PolicyDecision, Verdict
 from keymint.api.graph import Edge
 from keymint.output.mismatches import request_text
 from keymint.output.report import members
-from keymint.verify.mismatch import Comparison, Mismatch
+from keymint.verify.mismatch import EdgeComparison, Mismatch
 
 Typed = Callable[[str], str]
 """Returns a path as the user would type it."""
@@ -84,7 +84,7 @@ def verdict_json(verdict: Verdict, reason: str, document: Origin | None, model: 
 
 
 def comparisons_json(
-    comparisons: Sequence[Comparison], subjects: Sequence[str], edges: int, typed: Typed
+    comparisons: Sequence[EdgeComparison], subjects: Sequence[str], edges: int, typed: Typed
 ) -> dict[str, Any]:
     """Return the result of ``keymint verify``.
 

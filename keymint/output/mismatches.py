@@ -12,7 +12,7 @@ from keymint.ir import Rule
 from keymint.names import name_of
 from keymint.output.junit import JUnitCase, JUnitFailure, JUnitSuite
 from keymint.output.sarif import SarifResult
-from keymint.verify.mismatch import Comparison, Mismatch
+from keymint.verify.mismatch import EdgeComparison, Mismatch
 
 SARIF_RULES = {
     str(EdgeOutcome.FALSE_POSITIVE): "A transport allows what the policy does not.",
@@ -102,7 +102,7 @@ def finding(transports: Sequence[str], mismatches: Sequence[Mismatch]) -> Diagno
     )
 
 
-def diagnostics(comparisons: Sequence[Comparison]) -> Iterator[Diagnostic]:
+def diagnostics(comparisons: Sequence[EdgeComparison]) -> Iterator[Diagnostic]:
     """Yield one diagnostic for each cause: for all edges and transports that the same rules explain."""
     merged: dict[tuple[object, ...], tuple[list[str], list[Mismatch]]] = {}
     for comparison in comparisons:
@@ -137,7 +137,7 @@ def _by_cause(mismatches: Sequence[Mismatch]) -> dict[tuple[object, ...], list[M
 # -- for SARIF and JUnit ---------------------------------------------------------------------------------------------
 
 
-def sarif_results(comparisons: Sequence[Comparison]) -> list[SarifResult]:
+def sarif_results(comparisons: Sequence[EdgeComparison]) -> list[SarifResult]:
     """Return a result for each mismatch: its place is the policy's rule, the document's rule is related."""
     return [
         SarifResult(
@@ -153,7 +153,7 @@ def sarif_results(comparisons: Sequence[Comparison]) -> list[SarifResult]:
     ]
 
 
-def junit_suites(comparisons: Iterable[tuple[Comparison, Sequence[str]]]) -> list[JUnitSuite]:
+def junit_suites(comparisons: Iterable[tuple[EdgeComparison, Sequence[str]]]) -> list[JUnitSuite]:
     """Return a test suite for each transport, with a test case for each subject that lists its mismatches.
 
     Args:
@@ -171,7 +171,7 @@ def junit_suites(comparisons: Iterable[tuple[Comparison, Sequence[str]]]) -> lis
     ]
 
 
-def _failure(comparison: Comparison, subject: str) -> JUnitFailure | None:
+def _failure(comparison: EdgeComparison, subject: str) -> JUnitFailure | None:
     count = comparison.wrong.get(subject, 0)
     if not count:
         return None

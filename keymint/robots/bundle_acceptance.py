@@ -18,7 +18,7 @@ from keymint.pki import certificates, certification_path, keys
 from keymint.pki import revocation_lists as crl
 from keymint.robots.bundle import CERTIFICATE, KEY, Bundle, number_of, revocation_lists
 from keymint.robots.bundle_manifest import Manifest, load
-from keymint.robots.certification_request import Request
+from keymint.robots.certification_request import CertificationRequest
 
 RECORD = "bundle.json"
 """The file of an enclave that has the manifest of the bundle it came from."""
@@ -32,7 +32,7 @@ _AUTHORITY = ".cert"
 class Pending:
     """A request that waits for its answer: the request, and its private key (PEM) unless the enclave has it."""
 
-    request: Request
+    request: CertificationRequest
     key: bytes = field(default=b"", repr=False)
 
 

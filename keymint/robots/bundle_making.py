@@ -21,7 +21,7 @@ from keymint.pki import certificates, revocation_lists
 from keymint.robots import bundle as bundles
 from keymint.robots.bundle import CERTIFICATE, KEY
 from keymint.robots.bundle_manifest import Manifest
-from keymint.robots.certification_request import Request
+from keymint.robots.certification_request import CertificationRequest
 from keymint.store.changes import Plan
 from keymint.workspace.installed_enclaves import INSTALLED
 from keymint.workspace.package_build_types import build_types_of
@@ -39,7 +39,7 @@ class MadeBundle:
 
 def plan_bundles(
     session: Session,
-    names: Mapping[str, Request | None],
+    names: Mapping[str, CertificationRequest | None],
     authorities: Mapping[str, MintedAuthority],
     source: Session | None = None,
 ) -> tuple[Plan, tuple[MadeBundle, ...]]:
@@ -90,7 +90,7 @@ def _staged_files(session: Session, name: str) -> Iterable[str]:
 def _bundle(
     session: Session,
     name: str,
-    request: Request | None,
+    request: CertificationRequest | None,
     names: Iterable[str],
     number: int,
     authorities: Mapping[str, MintedAuthority],

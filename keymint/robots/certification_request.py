@@ -39,7 +39,7 @@ _UNREADABLE = (ValueError, TypeError, UnsupportedAlgorithm, x509.InvalidVersion,
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class CertificationRequest:
     """A request whose signatures were verified.
 
     Attributes:
@@ -79,7 +79,7 @@ def make(common_name: str, key: keys.PrivateKey, nonce: str, current: certificat
     return pem + b"-----BEGIN CMS-----\n" + signature + b"-----END CMS-----\n"
 
 
-def read(content: bytes, where: Origin) -> Request:
+def read(content: bytes, where: Origin) -> CertificationRequest:
     """Return a request, after verifying its signatures.
 
     Args:
@@ -112,7 +112,7 @@ def read(content: bytes, where: Origin) -> Request:
     if not signed:
         raise _unsigned("is not signed by the key that it asks a certificate for", where)
     pem = public_keys.to_pem(public)
-    return Request(name, pem, keys.fingerprint(public), nonce, _signer(signature, block, where))
+    return CertificationRequest(name, pem, keys.fingerprint(public), nonce, _signer(signature, block, where))
 
 
 def _usable(key: object, where: Origin) -> keys.PublicKey:

@@ -20,7 +20,7 @@ from keymint.life.workspace_register import register_of
 from keymint.names import subject_of
 from keymint.pki import keys, public_keys
 from keymint.pki.distinguished_names import common_name
-from keymint.robots.certification_request import Request
+from keymint.robots.certification_request import CertificationRequest
 from keymint.stages.identity_keys import Keyring, known_fingerprint
 from keymint.store.changes import Plan
 from keymint.workspace.session import Session
@@ -32,13 +32,13 @@ STAGE = "sign"
 class Given:
     """A request and the file that it was read from."""
 
-    request: Request
+    request: CertificationRequest
     where: Origin
 
 
 def plan_requests(
     session: Session, given: Sequence[Given], fingerprints: Mapping[str, str]
-) -> tuple[Plan, Mapping[str, Request]]:
+) -> tuple[Plan, Mapping[str, CertificationRequest]]:
     """Plan to certify the keys of some requests.
 
     Args:
@@ -64,7 +64,7 @@ def plan_requests(
                 help=did_you_mean(name, known, f"'keymint create {name}' makes it"),
                 code="package-unknown",
             )
-    requests: dict[str, Request] = {}
+    requests: dict[str, CertificationRequest] = {}
     owners: dict[str, str] = {}
     defects, keyring = Defects(), Keyring(session)
     for each in given:
@@ -127,7 +127,7 @@ def _package(session: Session, given: Given, fingerprints: Mapping[str, str]) ->
     return own[0]
 
 
-def _vouches(session: Session, name: str, request: Request) -> bool:
+def _vouches(session: Session, name: str, request: CertificationRequest) -> bool:
     """Tell whether the key that a package has signed a request, for itself or for another key."""
     current, vouching = current_fingerprint(session, name), {request.fingerprint, request.signer}
     return bool(current) and current in vouching and not register_of(session).barred(current)
@@ -140,7 +140,7 @@ def current_fingerprint(session: Session, name: str) -> str:
     return known_fingerprint(session, name)
 
 
-def _is_kept_here(session: Session, name: str, request: Request) -> bool:
+def _is_kept_here(session: Session, name: str, request: CertificationRequest) -> bool:
     """Tell whether the workspace has the private key itself, as that of a robot that was provisioned from here."""
     return not session.issuance(name).public_key and known_fingerprint(session, name) == request.fingerprint
 

@@ -3,21 +3,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import functools
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from comarmor.errors import Defects, Diagnostic
+from comarmor.errors import Defects, Diagnostic, Origin
 from keymint.api import BuildOptions, BuildResult, LoadedPolicy, Package
 from keymint.errors import KeymintError
 from keymint.life import terms
-from keymint.names import subject_of
+from keymint.names import name_of, subject_of
 from keymint.stages import identity_keys, shared_documents
 from keymint.stages.built_documents import kept, refuse_edits
 from keymint.stages.package_stage import PackagePlan, recorded, steps_of
-from keymint.stages.rule_places import RulePlaces
 from keymint.store.changes import Action, DocumentSize, File, FolderChange, Plan, Step
 from keymint.view.stamps import Stamp, digest
 from keymint.workspace.package_build_types import BUILD, build_types_of, inputs_digest, is_build_current, two_writers
+from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Inputs, Session
 
 STAGE = BUILD
@@ -215,3 +216,49 @@ def _smaller(size: DocumentSize) -> str:
     if size.bytes == size.plain_bytes:
         return f"{size.file} {size.bytes:,} bytes"
     return f"{size.file} {size.bytes:,} bytes, plain {size.plain_bytes:,}"
+
+
+class RulePlaces:
+    """The places of the rules of packages in the policy as it is now.
+
+    Args:
+        session: the workspace and its profile.
+        policy: its policy; loaded at the first diagnostic about a rule if it is not given.
+    """
+
+    def __init__(self, session: Session, policy: LoadedPolicy | None = None) -> None:
+        self._session = session
+        self._policy = policy
+        self._moved = functools.cache(self._moves)
+
+    def in_policy(self, diagnostics: Iterable[Diagnostic], subject: str = "") -> tuple[Diagnostic, ...]:
+        """Return diagnostics about built packages with the places that their rules have now.
+
+        Args:
+            diagnostics: the diagnostics, which cite the places that the sources of the packages state.
+            subject: whose diagnostics these are; if empty, each names its own.
+        """
+        return tuple(self._now(each, subject or each.subject) for each in diagnostics)
+
+    def _now(self, diagnostic: Diagnostic, subject: str) -> Diagnostic:
+        where = diagnostic.where
+        if where is None or not subject:
+            return diagnostic
+        place = self._moved(subject).get(where)
+        return replace(diagnostic, where=place) if place else diagnostic
+
+    def _moves(self, subject: str) -> Mapping[Origin, Origin]:
+        """Return the rules that moved: their places in the policy by those that the sources state."""
+        try:
+            stated = self._session.package(name_of(subject)).grant.rules.rules
+            if self._policy is None:
+                self._policy = lazy_policy(self._session)
+            present = self._policy.rules(subject)
+        except KeymintError:  # another stage says what is wrong with the package or the policy
+            return {}
+        now = present.rules if present else ()
+        pairs = list(zip(stated, now, strict=False))
+        if len(stated) != len(now) or any(old != replace(new, origin=old.origin) for old, new in pairs):
+            return {}  # the sources have other rules than the policy
+        moved = [(old.origin, new.origin) for old, new in pairs if old.origin != new.origin]
+        return {old.alone(): new.alone() for old, new in moved} | dict(moved)  # some diagnostics leave out the includes

@@ -33,8 +33,7 @@ from keymint.stages.shared_documents import (
     users,
     written,
 )
-from keymint.stages.signers import Signers
-from keymint.stages.signing import authority_of
+from keymint.stages.signing import Signers, authority_of
 from keymint.store.changes import Action, File, Step
 from keymint.view.stamps import Stamp, digest, digest_files
 from keymint.workspace.installed_enclaves import INSTALLED, differing, enclave_files, has_outputs, installed

@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from cryptography import x509
 
 from comarmor.errors import Diagnostic, Origin
-from keymint.api import Artifact, EnclaveCredentials, Package
+from keymint.api import Artifact, EnclaveCredentials, Package, SigningAuthority
 from keymint.authority.authorities import MintedAuthority
 from keymint.authority.authority_files import trusted_chains
 from keymint.errors import KeymintError, known_authority
@@ -18,7 +18,6 @@ from keymint.life.package_issuance import place_of
 from keymint.life.revocation_lists_in_force import enclave_lists
 from keymint.life.workspace_register import entry_of, issuer_of, register_of
 from keymint.pki import certificates, keys
-from keymint.stages.signers import Signers
 from keymint.view.stamps import digest_files
 from keymint.workspace.installed_enclaves import CERTIFICATE
 from keymint.workspace.package_build_types import build_types_of, roles_of, two_writers
@@ -147,3 +146,26 @@ def authority_of(authorities: Mapping[str, MintedAuthority], name: str, origin: 
         KeymintError: there is none of this name.
     """
     return authorities[known_authority(name, authorities, origin, "signs this")]
+
+
+# -- the authorities that sign, each asked for its key only when something must be signed -----------------------------
+
+
+class Signers(Mapping[str, SigningAuthority]):
+    """Signing authorities by role; access to one whose key is elsewhere raises a KeymintError that says so.
+
+    Args:
+        authorities: the authorities by role.
+    """
+
+    def __init__(self, authorities: Mapping[str, MintedAuthority]) -> None:
+        self._authorities = authorities
+
+    def __getitem__(self, role: str) -> SigningAuthority:
+        return self._authorities[role].signer
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._authorities)
+
+    def __len__(self) -> int:
+        return len(self._authorities)

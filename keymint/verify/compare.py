@@ -24,7 +24,7 @@ from keymint.api import Enclave, EndpointTransport, Tier, Transport, Verdict
 from keymint.api.graph import ConfusionMatrix, Edge
 from keymint.errors import KeymintError
 from keymint.verify.endpoint_policy import EndpointPolicy
-from keymint.verify.mismatch import Comparison, Mismatch, Tally
+from keymint.verify.mismatch import EdgeComparison, Mismatch, Tally
 from keymint.verify.rows import EdgeRow, MappedColumn, Naming, labelled_rows, mapped
 
 ENCLAVE_REFUSED = "enclave-refused"
@@ -69,10 +69,10 @@ class Asked:
     explain: Explain
     asking: Asking
 
-    def compared(self, confusion: ConfusionMatrix, found: _Found, endpoints: int = 0) -> Comparison:
+    def compared(self, confusion: ConfusionMatrix, found: _Found, endpoints: int = 0) -> EdgeComparison:
         """Return the comparison; the last findings are of single endpoints."""
         version, tier = self.transport.usable().version, self.asking.tier
-        return Comparison(self.name, version, tier, confusion, tuple(found.findings), found.wrong, endpoints)
+        return EdgeComparison(self.name, version, tier, confusion, tuple(found.findings), found.wrong, endpoints)
 
 
 class _Found:
@@ -101,7 +101,7 @@ class _Found:
         self.add(subject, len(wrong), [(edge, replace(verdict, allowed=first[edge])) for edge, verdict in again])
 
 
-def compare(asked: Asked, edges: Iterable[Edge], labels: Iterable[int]) -> Comparison:
+def compare(asked: Asked, edges: Iterable[Edge], labels: Iterable[int]) -> EdgeComparison:
     """Compare a transport with the policy, edge by edge.
 
     Args:
@@ -136,8 +136,8 @@ def compare(asked: Asked, edges: Iterable[Edge], labels: Iterable[int]) -> Compa
 
 
 def with_halves(
-    asked: Asked, outcome: Comparison, rows: Iterable[EdgeRow], labels: bytes | bytearray, policy: EndpointPolicy
-) -> Comparison:
+    asked: Asked, outcome: EdgeComparison, rows: Iterable[EdgeRow], labels: bytes | bytearray, policy: EndpointPolicy
+) -> EdgeComparison:
     """Add the endpoints that are false positives to a comparison edge by edge, each as an edge of its own.
 
     An endpoint is omitted if its edge is a false positive already.
@@ -174,7 +174,7 @@ def compare_endpoints(
     rows: Iterable[EdgeRow],
     labels: bytes | bytearray,
     policy: EndpointPolicy,
-) -> Comparison:
+) -> EdgeComparison:
     """Compare a transport that decides about all endpoints of a subject at once, halves included.
 
     Args:

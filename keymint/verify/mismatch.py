@@ -39,7 +39,7 @@ class Mismatch:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class EdgeComparison:
     """The comparison of one transport with the policy.
 
     Attributes:

@@ -19,7 +19,7 @@ from keymint.verify.compare import Asked, Asking, compare, compare_endpoints, wi
 from keymint.verify.copies import Copies, placed
 from keymint.verify.endpoint_policy import EndpointPolicy, label
 from keymint.verify.explain import Explainer
-from keymint.verify.mismatch import Comparison
+from keymint.verify.mismatch import EdgeComparison
 from keymint.verify.rows import EdgeRows
 from keymint.verify.scope import VerificationScope, common_objects, edges_of_graph, edges_of_policy, selected
 from keymint.verify.usable_transports import models, names_rules
@@ -46,7 +46,7 @@ class Verification:
     rows: EdgeRows = field(repr=False)
     labels: bytearray = field(repr=False)
     decide: Callable[[Edge], PolicyDecision] = field(repr=False)
-    comparisons: tuple[Comparison, ...]
+    comparisons: tuple[EdgeComparison, ...]
 
     def edges(self) -> Iterator[Edge]:
         """Yield the edges, grouped by subject."""
@@ -100,7 +100,7 @@ class VerificationPart:
         labels = label(policy, rows(), lambda subject: asking.on_subject("policy", subject))
         alone = asking.tier is not Tier.EXCHANGE and scope.namings.keys() >= set(subjects)
 
-        def compared(name: str, transport: Transport) -> Comparison:
+        def compared(name: str, transport: Transport) -> EdgeComparison:
             asked = Asked(name, transport, scope.enclaves, explain, asking)
             if alone and isinstance(transport, EndpointTransport):
                 return compare_endpoints(asked, transport, rows(), labels, policy)
@@ -122,7 +122,7 @@ class VerificationPart:
         return replace(part, policy=self.policy.about(subjects), copies=copies, files=copies.public_files())
 
 
-def verify_part(plugins: Plugins, part: VerificationPart) -> tuple[bytes, tuple[Comparison, ...]]:
+def verify_part(plugins: Plugins, part: VerificationPart) -> tuple[bytes, tuple[EdgeComparison, ...]]:
     """Return the labels of the policy, and the comparison of each model.
 
     Raises:
@@ -170,7 +170,7 @@ def verified_in_parts(
     others = {name: each for name, each in transports.items() if name not in modelled}
     compared = {each.transport: each for each in (whole.verified(plugins, others).comparisons if others else ())}
     labels = bytearray()
-    comparisons: list[tuple[Comparison, ...]] = []
+    comparisons: list[tuple[EdgeComparison, ...]] = []
     tasks = (whole.about(each, elsewhere=not pool.shares_memory) for each in divided)
     for each, (own_labels, of_models) in zip(divided, pool.map(verify_part, tasks), strict=True):
         labels += own_labels
@@ -188,7 +188,7 @@ def _unseen(_name: str, _subject: str) -> None:
     """Show no progress: a part is done as a whole."""
 
 
-def _together(comparisons: Sequence[Comparison], limit: int) -> Comparison:
+def _together(comparisons: Sequence[EdgeComparison], limit: int) -> EdgeComparison:
     """Return the comparison of all subjects, given those of the parts in the order of the subjects."""
     ends = [len(each.findings) - each.endpoints for each in comparisons]
     edges = [finding for each, end in zip(comparisons, ends, strict=True) for finding in each.findings[:end]][:limit]

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from keymint_ros2_comarmor import policy_type
 from keymint_ros2_dds import build_type
 from keymint_ros2_dds.settings import BUILD_TYPE, DdsSettings, DomainRule, Governance, TopicProtection
-from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
+from keymint_ros2_dds.vendors.cyclone_access_control import CycloneAccessControl
 from keymint_ros2_dds.vendors.participants import RefusedError, System
 
 from comarmor.errors import Origin
@@ -124,10 +124,10 @@ def compiled(policy: Path, subject: str) -> tuple[str, str]:
 
 
 @contextmanager
-def access(authorities: Authorities, subject: str, documents: tuple[str, str]) -> Iterator[AccessControl]:
+def access(authorities: Authorities, subject: str, documents: tuple[str, str]) -> Iterator[CycloneAccessControl]:
     """Sign the documents and open them with the access-control plugin of Cyclone DDS."""
     permissions, governance = documents
-    with AccessControl(
+    with CycloneAccessControl(
         certificate=authorities.certificate_of(subject),
         permissions_ca=authorities.permissions.pem,
         governance=authorities.permissions.sign(governance),
@@ -153,7 +153,7 @@ def participant(
             yield opened
 
 
-def allowed(opened: AccessControl, permission: str, name: str, partitions: Sequence[str] = ()) -> bool:
+def allowed(opened: CycloneAccessControl, permission: str, name: str, partitions: Sequence[str] = ()) -> bool:
     """Tell whether the plugin allows every endpoint that the permission on the name needs."""
     needed = operations(permission, name)
     return all(opened.allows(each.direction, each.topic, partitions) for each in needed)

@@ -26,7 +26,7 @@ from keymint_ros2_dds.proving import ProofQuestion, prove_document
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
 from keymint_ros2_dds.reading import signed_governance
 from keymint_ros2_dds.transports.enclave_files import subject_name
-from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
+from keymint_ros2_dds.vendors.cyclone_access_control import CycloneAccessControl
 from keymint_ros2_dds.vendors.participants import RefusedError, System, Vendor
 
 from comarmor.errors import Origin
@@ -347,7 +347,7 @@ class Bench:
         authority = self._authorities.permissions
         signed, governance = authority.sign(permissions.decode()), authority.sign(governance_of(case).decode())
         for domain in DOMAINS:
-            with AccessControl(
+            with CycloneAccessControl(
                 certificate=self._certificate,
                 permissions_ca=authority.pem,
                 governance=governance,

@@ -16,7 +16,7 @@ from ctypes import c_char_p, c_int, c_long, c_void_p
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
+from keymint_ros2_dds.vendors.cyclone_access_control import CycloneAccessControl
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError
@@ -133,7 +133,7 @@ class Cyclone:
     def read(self, signed: bytes) -> bytes | None:
         """Return the document that the plugin read, or None."""
         (self.folder / "permissions.p7s").write_bytes(signed)
-        with AccessControl.of_enclave(self.folder) as access:
+        with CycloneAccessControl.of_enclave(self.folder) as access:
             if not access.valid:
                 return None
             permitted = [text for text, topic in self.topics.items() if access.allows("publish", topic)]

@@ -7,7 +7,7 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 import pytest
-from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
+from keymint_ros2_dds.vendors.cyclone_access_control import CycloneAccessControl
 from keymint_ros2_dds.vendors.participants import System, Vendor
 
 from keymint.api import Proof
@@ -85,7 +85,7 @@ def test_the_claims_are_right_about_cyclone_dds(
 ) -> None:
     names = list(islice(NAMES, 0, None, 7))
     for number, case in enumerate((*EXAMPLES, *islice(usual(3), 60))):
-        with AccessControl.of_enclave(enclave(authorities, tmp_path / str(number), case)) as opened:
+        with CycloneAccessControl.of_enclave(enclave(authorities, tmp_path / str(number), case)) as opened:
             assert opened.valid, opened.reason
             hold(case, by_cyclone, "cyclonedds-0.10", lambda text, o=opened: o.allows("publish", text), names)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
+from keymint_ros2_dds.vendors.cyclone_access_control import CycloneAccessControl
 
 import comarmor
 
@@ -63,7 +63,7 @@ def test_given_policy(path: Path, provisioned: Callable[[str | Path], Path]) -> 
     asked |= {each for held, name in product(("publish", "subscribe"), names) for each in operations(held, name)}
     allowed = 0
     for subject in subjects:
-        with AccessControl.of_enclave(enclave(install, subject)) as access:
+        with CycloneAccessControl.of_enclave(enclave(install, subject)) as access:
             assert access.valid, (subject, access.reason)
             for each in asked:
                 said = said_of(policy, subject, each)

@@ -30,7 +30,7 @@ from keymint.run.run import Run
 from keymint.store.changes import Action, Step
 from keymint.verify.compare import Asking
 from keymint.verify.copies import copied
-from keymint.verify.mismatch import Comparison, Tally
+from keymint.verify.mismatch import EdgeComparison, Tally
 from keymint.verify.scope import (
     VerificationScope,
     installed_scopes,
@@ -179,7 +179,7 @@ def _unasked(
             yield Diagnostic.note("edges-unasked", f"{message}: {reason}")
 
 
-def _show(run: Run, outcomes: Sequence[Comparison], subjects: int, edges: int) -> None:
+def _show(run: Run, outcomes: Sequence[EdgeComparison], subjects: int, edges: int) -> None:
     """Show the confusion table."""
     columns = ["TRANSPORT", "VERSION", "TRUE POSITIVE", "FALSE NEGATIVE", "FALSE POSITIVE", "TRUE NEGATIVE"]
     rows = [[outcome.transport, outcome.version or "-", *map(str, astuple(outcome.confusion))] for outcome in outcomes]

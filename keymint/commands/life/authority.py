@@ -20,7 +20,7 @@ VERBS: Mapping[str, str] = {
 }
 
 
-class _Verbs(VerbGroup):
+class _AuthorityVerbs(VerbGroup):
     """The verbs about authorities; one is named like a keyword of Python."""
 
     GROUPS: Mapping[str, Mapping[str, str]] = MappingProxyType({"Verbs": VERBS})
@@ -28,7 +28,7 @@ class _Verbs(VerbGroup):
     NAME = "command"
 
 
-@click.group(cls=_Verbs)
+@click.group(cls=_AuthorityVerbs)
 def authority() -> None:
     """Show, renew, replace, encrypt, import or export the certificate authorities of a workspace.
 

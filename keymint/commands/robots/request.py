@@ -114,7 +114,7 @@ def request(
 
 
 @dataclass(frozen=True, slots=True)
-class _Made:
+class _MadeRequest:
     """A request, and its private key (PEM) unless the enclave or a token has it."""
 
     request: bytes
@@ -129,7 +129,7 @@ def _certified(there: Keystore, keystore: RobotKeystore, name: str) -> str:
     return certificates.fingerprint(certificates.load(content, Origin(f"{keystore.typed}/…/{name}")))
 
 
-def _made(run: Run, there: Keystore, keystore: RobotKeystore, name: str, *, rekey: bool, kind: KeySpec) -> _Made:
+def _made(run: Run, there: Keystore, keystore: RobotKeystore, name: str, *, rekey: bool, kind: KeySpec) -> _MadeRequest:
     """Return a new request of an enclave.
 
     Raises:
@@ -153,15 +153,15 @@ def _made(run: Run, there: Keystore, keystore: RobotKeystore, name: str, *, reke
             code="key-elsewhere",
         )
     if present is not None and token is None and not rekey:
-        return _Made(requests.make(claimed, present, nonce), b"")
+        return _MadeRequest(requests.make(claimed, present, nonce), b"")
     current = None
     if present is not None and CERTIFICATE in files:
         current = certificates.Issuer(certificates.load(files[CERTIFICATE], Origin(f"{place}/{CERTIFICATE}")), present)
     if token is not None:
         own = current is not None and keys.matches(token, current.certificate)
-        return _Made(requests.make(claimed, token, nonce, None if own else current), b"")
+        return _MadeRequest(requests.make(claimed, token, nonce, None if own else current), b"")
     key = keys.generate(kind)
-    return _Made(requests.make(claimed, key, nonce, current), keys.to_pem(key))
+    return _MadeRequest(requests.make(claimed, key, nonce, current), keys.to_pem(key))
 
 
 def _in_token(run: Run, spec: KeySpec) -> keys.PrivateKey:

@@ -83,7 +83,7 @@ def unknown_hints(options: BuildOptions, file: Path | None, names: Sequence[str]
     """Return a warning for each subject of the hints in a file without a package."""
     if not options.hints:
         return ()
-    from keymint.stages.request_counts import unknown_subjects  # noqa: PLC0415 - few builds have hints
+    from keymint.command_line.request_counts import unknown_subjects  # noqa: PLC0415 - few builds have hints
 
     return tuple(unknown_subjects(options.hints, [subject_of(name) for name in names], str(file)))
 
@@ -100,7 +100,7 @@ def build_options(run: Run, given: DocumentOptions) -> BuildOptions:
     plain = BuildOptions(given.allow_vendor_specific, given.optimise)
     if given.hints is None:
         return plain
-    from keymint.stages.request_counts import load_hints  # noqa: PLC0415 - few builds have hints
+    from keymint.command_line.request_counts import load_hints  # noqa: PLC0415 - few builds have hints
 
     return replace(plain, hints=load_hints(read_input(run, given.hints), str(given.hints)))
 

@@ -16,7 +16,7 @@ from keymint_ros2_dds.enclave_layout import reads_revocations
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import enclave_files
 from keymint_ros2_dds.transports.enclave_model import EnclaveModels
-from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
+from keymint_ros2_dds.vendors.cyclone_access_control import CycloneAccessControl
 from keymint_ros2_dds.vendors.participants import CycloneDDS, ProbeParticipant, RefusedError, System, Vendor
 
 
@@ -73,7 +73,7 @@ def participant(vendor: Vendor, models: EnclaveModels, subject: str, domain: int
         yield opened
 
 
-Opener = Callable[[EnclaveModels, str, int], AbstractContextManager[ProbeParticipant | AccessControl | str]]
+Opener = Callable[[EnclaveModels, str, int], AbstractContextManager[ProbeParticipant | CycloneAccessControl | str]]
 """Opens the enclave of a subject in a domain, to ask it about endpoints; a text says why the vendor refuses it."""
 
 
@@ -122,7 +122,7 @@ def admitted(
         return () if isinstance(opened, str) else opened.allow(topics)
 
 
-def asked(vendor: ProbeParticipant | AccessControl, needed: Iterable[Edge]) -> Iterator[tuple[bool, str]]:
+def asked(vendor: ProbeParticipant | CycloneAccessControl, needed: Iterable[Edge]) -> Iterator[tuple[bool, str]]:
     """Yield whether a vendor admits each endpoint, and why not."""
     for endpoint in needed:
         reason, topic = unsayable(endpoint), endpoint.object

@@ -19,7 +19,7 @@ from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.api import Enclave
-from keymint.api.installed_enclaves import installed_file
+from keymint.api.transports import installed_file
 from keymint.pki import certificates, revocation_lists
 from keymint_ros2_dds.decision.semantics import Semantics
 from keymint_ros2_dds.enclave_layout import CA, CERTIFICATE, CRL, IDENTITY_CA, KEY, KEY_URI, reads_revocations

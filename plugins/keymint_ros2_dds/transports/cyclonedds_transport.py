@@ -17,7 +17,7 @@ from keymint_ros2_dds.transports.admission import Opener
 from keymint_ros2_dds.transports.enclave_model import EnclaveModel, EnclaveModels
 from keymint_ros2_dds.transports.participants_transport import ParticipantsTransport
 from keymint_ros2_dds.vendors import probe_builds
-from keymint_ros2_dds.vendors.cyclone_access_control import AccessControl
+from keymint_ros2_dds.vendors.cyclone_access_control import CycloneAccessControl
 from keymint_ros2_dds.vendors.participants import CycloneDDS
 
 
@@ -45,7 +45,7 @@ class CycloneDDSTransport(ParticipantsTransport):
 
 
 @contextmanager
-def _plugin(models: EnclaveModels, subject: str, domain: int) -> Iterator[AccessControl | str]:
+def _plugin(models: EnclaveModels, subject: str, domain: int) -> Iterator[CycloneAccessControl | str]:
     """Yield the plugin with an enclave, or why it is refused.
 
     Some documents crash the process that gives them to Cyclone DDS; they are not given to it. The plugin sees no
@@ -55,7 +55,7 @@ def _plugin(models: EnclaveModels, subject: str, domain: int) -> Iterator[Access
     if refusal := _refusal(folder, enclave_model):
         yield refusal
         return
-    with AccessControl.of_enclave(folder, domain) as access:
+    with CycloneAccessControl.of_enclave(folder, domain) as access:
         joins = access.valid and access.joins()
         yield access if joins else f"Cyclone DDS refuses the enclave: {access.reason}"
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from comarmor.errors import Origin
 from keymint.api import Enclave, Environment
-from keymint.api.installed_enclaves import installed_file
+from keymint.api.transports import installed_file
 from keymint.errors import KeymintError
 from keymint.pki import certificates, mime, smime
 from keymint_ros2_dds import subject_name_text

@@ -11,7 +11,7 @@ from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.api.graph import Column, Edge
-from keymint.api.installed_enclaves import EnclavesBySubject
+from keymint.api.transports import EnclavesBySubject
 from keymint.errors import KeymintError
 from keymint_ros2_dds import decision
 from keymint_ros2_dds.decision import (

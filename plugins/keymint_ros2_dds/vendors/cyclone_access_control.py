@@ -6,7 +6,8 @@ functions (``dds_security_access_control`` in ``dds/security/dds_security_api_ac
 plugin only uses the queue of timed events, and that only after it is enabled, so a zeroed structure is enough. It only
 requires that an authentication plugin is present, and reads the subject from the certificate itself.
 
-A plugin instance keeps one set of local rights while it exists, hence one instance for each :class:`AccessControl`.
+A plugin instance keeps one set of local rights while it exists, hence one instance for each
+:class:`CycloneAccessControl`.
 """
 
 from __future__ import annotations
@@ -134,7 +135,7 @@ def _load_first(names: Iterable[str]) -> ctypes.CDLL:
     raise failure
 
 
-class AccessControl:
+class CycloneAccessControl:
     """Decides what one enclave may do in a domain, by the local checks of the access-control plugin.
 
     Use it as a context manager, or :meth:`close` it: that frees the plugin instance.

@@ -46,22 +46,24 @@ class Operation:
         return self.key, f"{self.key}/{ADVANCED}/{_ADVANCED_IDS}"
 
     @property
-    def requests(self) -> tuple[Request, ...]:
+    def requests(self) -> tuple[OperationRequest, ...]:
         """The messages that it needs, all of them."""
         return self._requests(SLOTS[self.permission])
 
     @property
-    def ways(self) -> tuple[tuple[Request, ...], ...]:
+    def ways(self) -> tuple[tuple[OperationRequest, ...], ...]:
         """The ways in which a session that keeps to no convention can do it, each with the messages that are enough."""
         return tuple(map(self._requests, WAYS[self.permission]))
 
-    def _requests(self, slots: Iterable[Slot]) -> tuple[Request, ...]:
+    def _requests(self, slots: Iterable[Slot]) -> tuple[OperationRequest, ...]:
         plain, beside = self.keys
-        return tuple(Request(slot.message, slot.flow, plain if slot.place is Place.DATA else beside) for slot in slots)
+        return tuple(
+            OperationRequest(slot.message, slot.flow, plain if slot.place is Place.DATA else beside) for slot in slots
+        )
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class OperationRequest:
     """A message on a link of a router, on a literal key; the flow is as the router sees it."""
 
     message: Message

@@ -88,7 +88,7 @@ def parse(content: bytes, name: str) -> Node:
         raise _refused(f"values are nested more than {DEPTH} deep", name, code="json5-limit") from None
     except pyjson5.Json5DecoderException as error:
         raise _syntax(error, text, name) from None
-    root = _Scanner(text, name).root()
+    root = _Json5Scanner(text, name).root()
     own, theirs = (json.dumps(each, ensure_ascii=False) for each in (root.plain(), value))
     if own != theirs:  # compared as texts, since 1 is not true, nor 1.0
         raise _refused("the file is not plain JSON5: readers may understand it differently", name)
@@ -107,7 +107,7 @@ def _syntax(error: pyjson5.Json5DecoderException, text: str, name: str) -> Keymi
     return _refused(f"not well-formed JSON5: {quoted(reason)}", name, line)
 
 
-class _Scanner:
+class _Json5Scanner:
     """Finds the line of each value in a document that a library has accepted.
 
     Args:

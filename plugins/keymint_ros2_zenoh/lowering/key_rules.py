@@ -47,7 +47,7 @@ class KeyRule:
 
 
 @dataclass(frozen=True, slots=True)
-class Lowered:
+class LoweredKeys:
     """The rules of a subject for a router.
 
     Attributes:
@@ -59,7 +59,7 @@ class Lowered:
     diagnostics: tuple[Diagnostic, ...]
 
 
-def lower(rules: SubjectRules, distro: str, domains: Sequence[DomainRange], origin: Origin) -> Lowered:
+def lower(rules: SubjectRules, distro: str, domains: Sequence[DomainRange], origin: Origin) -> LoweredKeys:
     """Return what a router must permit or deny on the link of a subject.
 
     Args:
@@ -74,10 +74,10 @@ def lower(rules: SubjectRules, distro: str, domains: Sequence[DomainRange], orig
     names = name_rules(rules, distro)
     _require_few(domains, origin)
     ids = domain_ids(domains)
-    return Lowered((*_rules(names, ids), *_graph(rules.subject, ids)), tuple(lower_notes(names)))
+    return LoweredKeys((*_rules(names, ids), *_graph(rules.subject, ids)), tuple(lower_notes(names)))
 
 
-def lower_package(package: Package) -> Lowered:
+def lower_package(package: Package) -> LoweredKeys:
     """Return what a router must permit or deny on the link of a package's subject.
 
     Raises:

@@ -21,7 +21,7 @@ from comarmor.values import dataclass
 from keymint.api import Verdict
 from keymint.api.graph import Edge
 from keymint_ros2_zenoh.decision.operations import CALL, OTHER_END, PUBLISH, SUBSCRIBE, Operation
-from keymint_ros2_zenoh.transports.enclave_model import NAMELESS, EnclaveModel, InstalledModels
+from keymint_ros2_zenoh.transports.enclave_model import NAMELESS, InstalledModels, ZenohEnclaveModel
 from keymint_ros2_zenoh.transports.logged_decisions import LoggedSession, in_sessions
 from keymint_ros2_zenoh.transports.loopback_network import Network
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohProcess
@@ -40,7 +40,7 @@ SETTLE_SECONDS = 0.2
 
 
 @dataclass(slots=True)
-class _Trial:
+class _SampleTrial:
     """An operation of the subject under test, with the enclave that does the other end."""
 
     operation: Operation
@@ -65,7 +65,7 @@ def exchange(network: Network, models: InstalledModels, edges: Iterable[Edge]) -
     def verdicts(session: LoggedSession, subject: str, needed: Sequence[Sequence[Operation]]) -> Iterator[Verdict]:
         found = dict.fromkeys(chain.from_iterable(needed))
         session.declare(found)
-        trials = {each: _Trial(each, session.verdict([each]), _peer(models, subject, each)) for each in found}
+        trials = {each: _SampleTrial(each, session.verdict([each]), _peer(models, subject, each)) for each in found}
         _try(network, models, models.of(subject), list(trials.values()))
         return (_verdict([trials[each] for each in own]) for own in needed)
 
@@ -81,9 +81,9 @@ def _peer(models: InstalledModels, subject: str, operation: Operation) -> str:
     return ""
 
 
-def _try(network: Network, models: InstalledModels, model: EnclaveModel, trials: Sequence[_Trial]) -> None:
+def _try(network: Network, models: InstalledModels, model: ZenohEnclaveModel, trials: Sequence[_SampleTrial]) -> None:
     """Try operations of the same permission with the same enclave together."""
-    by_run: dict[tuple[str, str], list[_Trial]] = {}
+    by_run: dict[tuple[str, str], list[_SampleTrial]] = {}
     for trial in trials:
         if trial.peer:
             by_run.setdefault((trial.peer, trial.operation.permission), []).append(trial)
@@ -127,7 +127,13 @@ class _Run:
     """
 
     def __init__(
-        self, network: Network, model: EnclaveModel, other: EnclaveModel, trials: Sequence[_Trial], *, conforming: bool
+        self,
+        network: Network,
+        model: ZenohEnclaveModel,
+        other: ZenohEnclaveModel,
+        trials: Sequence[_SampleTrial],
+        *,
+        conforming: bool,
     ) -> None:
         self._network = network
         self._process: ZenohProcess = network.sessions
@@ -193,22 +199,22 @@ class _Run:
         """The key of each mailbox, in the order of the trials."""
         return {self._name(trial): trial.operation.key for trial in self._trials}
 
-    def _name(self, trial: _Trial) -> str:
+    def _name(self, trial: _SampleTrial) -> str:
         """Return the name of a trial's mailbox."""
         return f"{self._own} {trial.operation.permission} {trial.operation.key}"
 
-    def _text(self, trial: _Trial) -> str:
+    def _text(self, trial: _SampleTrial) -> str:
         """Return the text of a trial's sample, or of the answer to its query."""
         return self._name(trial) if self._is_topic else self._receiver
 
 
-def _verdict(trials: Sequence[_Trial]) -> Verdict:
+def _verdict(trials: Sequence[_SampleTrial]) -> Verdict:
     """Combine the trials of an edge: all must succeed."""
     verdicts = [_single(trial) for trial in trials] or [NAMELESS]
     return next((verdict for verdict in verdicts if not verdict.allowed), verdicts[0])
 
 
-def _single(trial: _Trial) -> Verdict:
+def _single(trial: _SampleTrial) -> Verdict:
     logged, peer = trial.logged, trial.peer
     if not peer:
         reason = f"{logged.reason}; no other enclave may do the other end, so nothing was sent"

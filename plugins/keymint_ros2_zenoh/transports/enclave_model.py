@@ -13,11 +13,11 @@ from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.api.graph import Edge
-from keymint.api.installed_enclaves import EnclavesBySubject
+from keymint.api.transports import EnclavesBySubject
 from keymint.pki import certificates
 from keymint_ros2_zenoh.decision import admission
 from keymint_ros2_zenoh.decision.message_access import AccessDecision, Link
-from keymint_ros2_zenoh.decision.operations import Operation, Request, operations
+from keymint_ros2_zenoh.decision.operations import Operation, OperationRequest, operations
 from keymint_ros2_zenoh.enclave_layout import ROUTER, SESSION
 from keymint_ros2_zenoh.transports import installed_configurations
 from keymint_ros2_zenoh.transports.installed_configurations import InstalledConfiguration
@@ -26,7 +26,7 @@ from keymint_ros2_zenoh.vendors import loopback
 NAMELESS = Verdict(allowed=False, reason="no key of Zenoh can have this name")
 
 
-class EnclaveModel:
+class ZenohEnclaveModel:
     """Decides about the messages of one enclave.
 
     Args:
@@ -55,22 +55,22 @@ class EnclaveModel:
         self.router_access = router.access.on(Link(known, interface="lo", protocol="tls"))
         self.session_access = self.files.access.on(Link(others_name, interface="lo", protocol="tls"))
 
-    def at_router(self, request: Request) -> AccessDecision:
+    def at_router(self, request: OperationRequest) -> AccessDecision:
         """Return what the router decides about a message."""
         return self.router_access.decide(request.message, request.flow, request.key)
 
-    def at_session(self, request: Request) -> AccessDecision:
+    def at_session(self, request: OperationRequest) -> AccessDecision:
         """Return what the session's own access control decides about it."""
         return self.session_access.decide(request.message, request.flow.opposite, request.key)
 
-    def decide(self, request: Request) -> Verdict:
+    def decide(self, request: OperationRequest) -> Verdict:
         """Return the decision on a message, with the place that decided: the router's if both allow."""
         own = self.at_session(request)
         if self.refusal or own.allowed:
             return self.decide_at_router(request)
         return _verdict(request, own, self._session_file)
 
-    def decide_at_router(self, request: Request) -> Verdict:
+    def decide_at_router(self, request: OperationRequest) -> Verdict:
         """Return the decision on a message of a session that ignores its own access control."""
         if self.refusal:
             return Verdict(allowed=False, reason=self.refusal, where=Origin(self._session_file))
@@ -81,7 +81,7 @@ class EnclaveModel:
         return edge_verdict(operations(edge), self.decide, self.decide_at_router)
 
 
-def _verdict(request: Request, decision: AccessDecision, file: str) -> Verdict:
+def _verdict(request: OperationRequest, decision: AccessDecision, file: str) -> Verdict:
     return Verdict(decision.allowed, f"{request}: {decision.reason}", decision.where or Origin(file))
 
 
@@ -100,9 +100,9 @@ class InstalledModels:
         self.enclaves = EnclavesBySubject((enclave.subject, enclave) for enclave in enclaves)
         self._environment = environment
         self._routers: dict[Path, InstalledConfiguration] = {}
-        self._models: dict[str, EnclaveModel] = {}
+        self._models: dict[str, ZenohEnclaveModel] = {}
 
-    def of(self, subject: str) -> EnclaveModel:
+    def of(self, subject: str) -> ZenohEnclaveModel:
         """Return the model of a subject.
 
         Raises:
@@ -110,7 +110,7 @@ class InstalledModels:
         """
         if subject not in self._models:
             enclave = self.enclaves[subject]
-            self._models[subject] = EnclaveModel(enclave, self.router(enclave.install), self._environment)
+            self._models[subject] = ZenohEnclaveModel(enclave, self.router(enclave.install), self._environment)
         return self._models[subject]
 
     def router(self, install: Path) -> InstalledConfiguration:
@@ -147,7 +147,9 @@ def _refusal(session: InstalledConfiguration, router: InstalledConfiguration, en
 
 
 def edge_verdict(
-    operations: Sequence[Operation], decide: Callable[[Request], Verdict], at_router: Callable[[Request], Verdict]
+    operations: Sequence[Operation],
+    decide: Callable[[OperationRequest], Verdict],
+    at_router: Callable[[OperationRequest], Verdict],
 ) -> Verdict:
     """Return the decision on an edge.
 
@@ -161,7 +163,7 @@ def edge_verdict(
         at_router: decides on a message at the router alone.
     """
     first: Verdict | None = None
-    denied: dict[Operation, tuple[Request, Verdict]] = {}
+    denied: dict[Operation, tuple[OperationRequest, Verdict]] = {}
     for operation in operations:
         for request in operation.requests:
             verdict = decide(request)
@@ -184,7 +186,7 @@ def edge_verdict(
 
 
 @dataclass(frozen=True, slots=True)
-class Simulated:
+class SimulatedZenoh:
     """Implements :class:`keymint.api.Transport` with the model of Zenoh 1.6 and later."""
 
     environment: Environment

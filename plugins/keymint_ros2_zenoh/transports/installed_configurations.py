@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import Enclave, Environment
-from keymint.api.installed_enclaves import installed_file
+from keymint.api.transports import installed_file
 from keymint.errors import KeymintError
 from keymint.pki import certificates
 from keymint_ros2_zenoh.decision import admission

@@ -14,9 +14,9 @@ from comarmor.errors import Origin
 from keymint.api import Verdict
 from keymint.api.graph import Edge
 from keymint_ros2_zenoh.decision.message_access import AccessDecision
-from keymint_ros2_zenoh.decision.operations import Operation, Request, operations
+from keymint_ros2_zenoh.decision.operations import Operation, OperationRequest, operations
 from keymint_ros2_zenoh.messages import Flow
-from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel, InstalledModels, edge_verdict
+from keymint_ros2_zenoh.transports.enclave_model import InstalledModels, ZenohEnclaveModel, edge_verdict
 from keymint_ros2_zenoh.transports.loopback_network import ROUTER, Network
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError, ZenohProcess
 
@@ -89,7 +89,7 @@ class LoggedSession:
         ZenohError: it gets no link to the router.
     """
 
-    def __init__(self, network: Network, model: EnclaveModel) -> None:
+    def __init__(self, network: Network, model: ZenohEnclaveModel) -> None:
         self._network = network
         self._model = model
         self._fences = count()
@@ -120,17 +120,17 @@ class LoggedSession:
         """Close the session."""
         self._network.close(self._session)
 
-    def _decide(self, request: Request) -> Verdict:
+    def _decide(self, request: OperationRequest) -> Verdict:
         own = self._at_session.allows(request.message, request.flow.opposite, request.key)
         if not own:
             return self._verdict(own, "the session", request, self._model.at_session(request))
         return self._decide_at_router(request)
 
-    def _decide_at_router(self, request: Request) -> Verdict:
+    def _decide_at_router(self, request: OperationRequest) -> Verdict:
         router = self._at_router.allows(request.message, request.flow, request.key)
         return self._verdict(router, "the router", request, self._model.at_router(request))
 
-    def _verdict(self, allowed: bool, who: str, request: Request, modelled: AccessDecision) -> Verdict:
+    def _verdict(self, allowed: bool, who: str, request: OperationRequest, modelled: AccessDecision) -> Verdict:
         """Return a verdict with the place of the rule by which the model decides the same."""
         where = modelled.where if modelled.allowed == allowed else None
         return Verdict(allowed, f"{who} {'permits' if allowed else 'denies'} {request}", where)

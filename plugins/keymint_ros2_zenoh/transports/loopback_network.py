@@ -9,7 +9,7 @@ from itertools import count
 
 from keymint.errors import KeymintError
 from keymint.host.vendor_process import ProcessFailedError
-from keymint_ros2_zenoh.transports.enclave_model import EnclaveModel
+from keymint_ros2_zenoh.transports.enclave_model import ZenohEnclaveModel
 from keymint_ros2_zenoh.transports.installed_configurations import InstalledConfiguration
 from keymint_ros2_zenoh.vendors import access_log, loopback
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError, ZenohSystem
@@ -53,7 +53,7 @@ class Network:
         self._numbers = count()
         self._open_router(router)
 
-    def open(self, model: EnclaveModel, *, conforming: bool = True) -> str:
+    def open(self, model: ZenohEnclaveModel, *, conforming: bool = True) -> str:
         """Open a session of an enclave and return its name in commands.
 
         Args:

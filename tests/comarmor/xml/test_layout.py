@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import pytest
 
-from comarmor.xml.layout import Layout, laid_out, markup, nodes
+from comarmor.xml.layout import DocumentLayout, laid_out, markup, nodes
 
-LAYOUT = Layout(frozenset(("t",)), frozenset(("row",)), ("id", "b"), str.strip, width=40)
+LAYOUT = DocumentLayout(frozenset(("t",)), frozenset(("row",)), ("id", "b"), str.strip, width=40)
 
 
 def laid(text: str) -> str:

@@ -10,7 +10,7 @@ from keymint.api import PolicyDecision, Tier, Verdict
 from keymint.api.graph import Column, ConfusionMatrix, Edge, Object
 from keymint.command_line.verify_report import labelled_edges
 from keymint.drawing.labelled_graph import Label
-from keymint.verify.mismatch import Comparison, Mismatch
+from keymint.verify.mismatch import EdgeComparison, Mismatch
 from keymint.verify.rows import EdgeRow
 from keymint.verify.verification import Verification
 
@@ -23,11 +23,11 @@ def finding(edge: Edge) -> Mismatch:
     return Mismatch(edge, DENIED, verdict, "allow rule 2", Origin("/ws/permissions.xml", 7), "omg")
 
 
-def outcome(name: str, counts: ConfusionMatrix, *findings: Mismatch) -> Comparison:
-    return Comparison(name, "1", Tier.DECISION, counts, findings, {})
+def outcome(name: str, counts: ConfusionMatrix, *findings: Mismatch) -> EdgeComparison:
+    return EdgeComparison(name, "1", Tier.DECISION, counts, findings, {})
 
 
-def labels(*outcomes: Comparison):
+def labels(*outcomes: EdgeComparison):
     row = EdgeRow("/a", Column(tuple(EDGES)))
     verified = Verification("b", ("/a",), lambda: iter([row]), bytearray(4), lambda _edge: DENIED, outcomes)
     return labelled_edges("t", verified, lambda file: file.removeprefix("/ws/"))

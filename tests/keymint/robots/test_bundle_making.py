@@ -14,12 +14,12 @@ from keymint.errors import KeymintError
 from keymint.life import register_database
 from keymint.robots import bundle
 from keymint.robots.bundle_making import MadeBundle, plan_bundles
-from keymint.robots.certification_request import Request
+from keymint.robots.certification_request import CertificationRequest
 from tests.conftest import NOW
 from tests.keymint.stages.sessions import session_of
 
 
-def made(ws: Path, request: Request | None = None) -> MadeBundle:
+def made(ws: Path, request: CertificationRequest | None = None) -> MadeBundle:
     session = session_of(ws)
     _, authorities = plan_authorities(session)
     _, (only,) = plan_bundles(session, {"talker": request}, authorities)
@@ -40,7 +40,7 @@ def test_the_register_has_the_number_first(ws: Path) -> None:
 def test_an_answer_has_the_nonce_and_no_key(ws: Path) -> None:
     plain = made(ws)
     assert (plain.secret, plain.manifest.nonce) == (True, "")
-    answer = made(ws, Request("/talker", b"", "", "ab" * 16))
+    answer = made(ws, CertificationRequest("/talker", b"", "", "ab" * 16))
     assert (answer.secret, answer.manifest.nonce) == (False, "ab" * 16)
     assert "key.pem" not in bundle.read(answer.content, Origin("b")).files
 

@@ -20,7 +20,7 @@ from keymint.api.graph import Column, Edge, Object
 from keymint.errors import KeymintError
 from keymint.verify.compare import ENCLAVE_REFUSED, Asked, Asking, compare, compare_endpoints, with_halves
 from keymint.verify.endpoint_policy import EndpointPolicy, label
-from keymint.verify.mismatch import Comparison, Mismatch
+from keymint.verify.mismatch import EdgeComparison, Mismatch
 from keymint.verify.rows import EdgeRow, Naming
 
 SUBJECTS = ("/a", "/b", "/c")
@@ -86,7 +86,7 @@ def judge(tmp_path_factory: pytest.TempPathFactory) -> EndpointPolicy:
     return EndpointPolicy(policy, dict.fromkeys(SUBJECTS, NAMING))
 
 
-def both(judge: EndpointPolicy, transport: Transport, rows: Sequence[EdgeRow], limit: int) -> list[Comparison]:
+def both(judge: EndpointPolicy, transport: Transport, rows: Sequence[EdgeRow], limit: int) -> list[EdgeComparison]:
     labels = label(judge, rows)
     asking = Asking(Tier.DECISION, limit, lambda _name, _subject: None)
     asked = Asked("fake", transport, ENCLAVES, explain, asking)

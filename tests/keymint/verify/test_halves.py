@@ -16,7 +16,7 @@ from keymint.api import Availability, Enclave, PolicySource, Tier, Verdict
 from keymint.api.graph import Column, ConfusionMatrix, Edge, EdgeOutcome, Object
 from keymint.verify.compare import Asked, Asking, with_halves
 from keymint.verify.endpoint_policy import EndpointPolicy
-from keymint.verify.mismatch import Comparison, Mismatch
+from keymint.verify.mismatch import EdgeComparison, Mismatch
 from keymint.verify.rows import EdgeRow, Naming
 
 HERE = Origin("permissions.p7s", 1)
@@ -55,7 +55,7 @@ def call(name: str) -> Edge:
     return Edge("/s", "ros_call", Object("ros_service", name))
 
 
-def compared(judge: EndpointPolicy, allowed: set[str], edges: Sequence[Edge], limit: int = 10) -> Comparison:
+def compared(judge: EndpointPolicy, allowed: set[str], edges: Sequence[Edge], limit: int = 10) -> EdgeComparison:
     """Add the endpoints to a comparison without mismatches."""
 
     def explain(name: str, enclave: Enclave, wrong: list[tuple[Edge, Verdict]]) -> list[Mismatch]:
@@ -65,14 +65,14 @@ def compared(judge: EndpointPolicy, allowed: set[str], edges: Sequence[Edge], li
     enclaves = {"/s": Enclave("/s", Path("/nowhere/s"), "humble", Path("/nowhere"))}
     return with_halves(
         Asked("fake", Transport(frozenset(allowed)), enclaves, explain, asking),
-        Comparison("fake", "1", Tier.DECISION, ConfusionMatrix(true_negative=len(edges)), (), {}),
+        EdgeComparison("fake", "1", Tier.DECISION, ConfusionMatrix(true_negative=len(edges)), (), {}),
         [EdgeRow("/s", Column(tuple(edges)))],
         bytes(judge.decide(edge).allowed for edge in edges),
         judge,
     )
 
 
-def names(comparison: Comparison) -> list[str]:
+def names(comparison: EdgeComparison) -> list[str]:
     return [mismatch.edge.object.name for mismatch in comparison.findings]
 
 

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 from hypothesis import given, settings
-from keymint_ros2_zenoh.lowering.key_rules import MAX_DOMAINS, Lowered, lower
+from keymint_ros2_zenoh.lowering.key_rules import MAX_DOMAINS, LoweredKeys, lower
 from keymint_ros2_zenoh.lowering.message_slots import SLOTS, USERS, Slot
 from keymint_ros2_zenoh.lowering.name_keys import Place
 from keymint_ros2_zenoh.messages import Flow, Message
@@ -27,11 +27,11 @@ WHERE = Origin("package.xml", 7)
 IN, OUT = Flow.INGRESS, Flow.EGRESS
 
 
-def lowered(rules: SubjectRules, *domains: DomainRange) -> Lowered:
+def lowered(rules: SubjectRules, *domains: DomainRange) -> LoweredKeys:
     return lower(rules, "jazzy", domains or (DomainRange(0, 0),), WHERE)
 
 
-def permits(result: Lowered, message: Message, flow: Flow, key: str) -> bool:
+def permits(result: LoweredKeys, message: Message, flow: Flow, key: str) -> bool:
     return router_permits(result.rules, message, flow, key)
 
 
@@ -40,7 +40,7 @@ def key(name: str, slot: Slot) -> str:
     return f"0{name}/{TYPED}{beside}"
 
 
-def needed(result: Lowered, permission: str, name: str) -> set[bool]:
+def needed(result: LoweredKeys, permission: str, name: str) -> set[bool]:
     return {permits(result, slot.message, slot.flow, key(name, slot)) for slot in SLOTS[permission]}
 
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from keymint.api import Hint, graph_json
 from keymint.api.graph import Edge, Graph, Object
+from keymint.command_line.request_counts import load_hints, unknown_subjects
 from keymint.errors import KeymintError
-from keymint.stages.request_counts import load_hints, unknown_subjects
 
 HEAD = "subject,permission,object,count\n"
 
