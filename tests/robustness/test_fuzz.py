@@ -30,7 +30,6 @@ from keymint.pki.tokens.token_sessions import Tokens
 from keymint.stages.build import BuildStage
 from keymint.stages.create import CreateStage, packages_to_create
 from keymint.stages.install import InstallStage
-from keymint.stages.package_stage import PlanStage
 from keymint.store.changes import Plan
 from keymint.view.stamps import State
 from keymint.view.tree import Tree
@@ -225,7 +224,7 @@ def test_all_stages_plan_with_a_mutated_document_or_reject_it(workspace: Path) -
     assert outcomes["refused"] > DOCUMENTS // 4, outcomes
 
 
-def _plan(stage: PlanStage, names: Iterable[str]) -> Plan:
+def _plan(stage: CreateStage | BuildStage | InstallStage, names: Iterable[str]) -> Plan:
     return stage.plan([stage.package(name) for name in names])
 
 

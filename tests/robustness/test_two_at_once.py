@@ -128,7 +128,7 @@ def test_a_plan_that_fails_because_another_run_creates_the_workspace_is_made_aga
         raise KeymintError("a file of the workspace is missing")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("keymint.commands.start.provision.plan_authorities", meanwhile)
+        patch.setattr("keymint.stages.pipeline.plan_authorities", meanwhile)
         outcome = keymint("provision", folder / "policy.xml", "-w", folder / "ws")
     assert (outcome.code, outcome.err) == (0, "")
     assert "nothing to do" in outcome.out
