@@ -103,7 +103,7 @@ def read_files(session: Session, authority: Authority, *, deployed: bool = True)
         key=tree.read(key_path),
         content=content,
         certificate=certificates.readable(content),
-        recorded=key_record.recorded(state, key_record.AUTHORITIES, authority.name) if is_trusted else "",
+        recorded=key_record.recorded_key(state, key_record.AUTHORITIES, authority.name) if is_trusted else "",
         deployed=functools.partial(deployed_authorities, session) if deployed else tuple,
     )
 
@@ -421,7 +421,7 @@ def require_own_keys(session: Session, fingerprints: Mapping[str, str]) -> None:
     for name, fingerprint in fingerprints.items():
         other = owners.setdefault(fingerprint, name)
         if other != name:
-            stamped = key_record.recorded(session.state, key_record.AUTHORITIES, other) == fingerprint
+            stamped = key_record.recorded_key(session.state, key_record.AUTHORITIES, other) == fingerprint
             wrong = name if stamped else other
             raise KeymintError(
                 f"the authorities {other!r} and {name!r} have one and the same key",

@@ -15,7 +15,7 @@ from keymint.authority.authority_issuance import STAGE, authority_named, plan_au
 from keymint.authority.given_authority import GivenAuthority, checked
 from keymint.errors import KeymintError
 from keymint.pki import certificates, distinguished_names, foreign_authorities, keys
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed, secret_file
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, folder_changes, secret_file
 from keymint.workspace import key_record
 from keymint.workspace.session import Session
 
@@ -156,7 +156,7 @@ def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
     decided = AuthorityIssuance(adopted=certificates.to_pem(certificate), exposed=exposed)
     plan = plan_authority_issuance(session, name, decided, f"{name} imported from {given.where}")
     path = session.workspace.authority_certificate(name)
-    changes += changed(session.tree, path.parent, {path.name: File(decided.adopted)})
+    changes += folder_changes(session.tree, path.parent, {path.name: File(decided.adopted)})
     files_step = Step(STAGE, name, Action.UPDATED, tuple(changes), "certificate authority")
     fingerprint = keys.fingerprint(public)
     state = key_record.record(session.state, key_record.AUTHORITIES, {name: fingerprint})

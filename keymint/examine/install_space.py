@@ -19,7 +19,7 @@ from keymint.stages.shared_install import enclaves_of, installed_shared
 from keymint.view.stamps import Stamp, digest
 from keymint.workspace import gitignore
 from keymint.workspace.enclave_changes import EnclaveChanges, build_types_in_use, copies_of, shared_copies
-from keymint.workspace.installed_enclaves import INSTALLED, files_in, installed
+from keymint.workspace.installed_enclaves import INSTALLED, enclave_names, files_in
 from keymint.workspace.package_build_types import shared_builder
 from keymint.workspace.session import Session
 
@@ -36,7 +36,7 @@ def outside_enclaves(session: Session, within: timedelta) -> Iterator[Diagnostic
     """
     found, known = _shared(session, within)
     yield from found
-    workspace, names = session.workspace, installed(session)
+    workspace, names = session.workspace, enclave_names(session)
     enclaves = {session.enclave_folder(name) for name in names if name != ROOT}
     own = {f"{session.enclave_folder(ROOT)}/{file}" for file in files_in(session, ROOT)} if ROOT in names else ()
     entries = list(session.tree.walk(workspace.install, skipped=""))

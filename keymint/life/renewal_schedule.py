@@ -20,7 +20,7 @@ from keymint.authority.authority_files import in_order, with_issuers
 from keymint.life.revocation_lists_in_force import list_of
 from keymint.life.terms import DEFAULT, Term, Threshold, recalled
 from keymint.pki import certificate_forms, certificates, periods
-from keymint.workspace.installed_enclaves import INSTALLED, installed, installed_certificate
+from keymint.workspace.installed_enclaves import INSTALLED, enclave_names, installed_certificate
 from keymint.workspace.session import Session, once
 
 CERTIFICATE, PERMISSIONS, LIST = "certificate", "permissions", "revocation list"
@@ -229,7 +229,7 @@ def installed_terms(session: Session, names: Iterable[str]) -> tuple[EnclaveTerm
     Raises:
         KeymintError: packages have defects, and there is no record of their installation; with all defects.
     """
-    there = frozenset(installed(session))
+    there = frozenset(enclave_names(session))
     found: list[EnclaveTerms] = []
     defects = Defects()
     for name in names:

@@ -40,7 +40,7 @@ from keymint.view.stamps import load as load_state
 from keymint.view.tree import HeldError, Tree, read_file
 from keymint.workspace import gitignore
 from keymint.workspace.session import Inputs, Session
-from keymint.workspace.workspace import Workspace, find, packages, shown
+from keymint.workspace.workspace import Workspace, find, packages, shown_path
 
 if TYPE_CHECKING:
     from keymint.executors import Pool
@@ -129,7 +129,7 @@ class Run:
         for folder, name in self.folder_names.items():
             if file.startswith(folder):
                 return name + file.removeprefix(folder)
-        return shown(Path(file), self.setting.cwd) if file.startswith("/") else file
+        return shown_path(Path(file), self.setting.cwd) if file.startswith("/") else file
 
     def place(self, where: Origin | None) -> str:
         """Return a place as the user would type it, ``file:line``, or an empty text."""

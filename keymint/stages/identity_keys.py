@@ -20,7 +20,7 @@ from keymint.pki import certificates, keys, public_keys
 from keymint.store.changes import FolderChange, secret_file
 from keymint.view.stamps import digest
 from keymint.workspace import key_record
-from keymint.workspace.installed_enclaves import INSTALLED, KEY, installed, installed_certificate
+from keymint.workspace.installed_enclaves import INSTALLED, KEY, enclave_names, installed_certificate
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.stored_keys import load_key
 
@@ -181,7 +181,7 @@ def known_fingerprint(session: Session, name: str) -> str:
     That is the recorded key, or if the record was lost the key of the installed certificate. Before anything is
     installed the subject has none: the user may replace the minted key with one of their own.
     """
-    recorded = key_record.recorded(session.state, key_record.IDENTITIES, name)
+    recorded = key_record.recorded_key(session.state, key_record.IDENTITIES, name)
     if recorded and session.state.stamp(INSTALLED, name):
         return recorded
     certificate = installed_certificate(session, name)
@@ -224,7 +224,7 @@ class Keyring:
                 help=_remedy(name),
                 code="key-replaced",
             )
-        if key_record.recorded(state, key_record.IDENTITIES, name) != fingerprint:  # so it may not be its own
+        if key_record.recorded_key(state, key_record.IDENTITIES, name) != fingerprint:  # so it may not be its own
             for other in self._owners.get(fingerprint, ()):
                 if other != name:
                     raise _shared(session, name, subject_of(other))
@@ -259,7 +259,7 @@ class Keyring:
         """Packages by the fingerprints of their keys."""
         recorded = self._session.state.stamps.get(key_record.IDENTITIES, {})
         owners: dict[str, list[str]] = {}
-        for name in sorted({*recorded, *installed(self._session)}):
+        for name in sorted({*recorded, *enclave_names(self._session)}):
             if name in recorded:
                 owners.setdefault(recorded[name].inputs, []).append(name)
             elif certificate := installed_certificate(self._session, name):

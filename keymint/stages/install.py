@@ -31,7 +31,7 @@ from keymint.stages import build, identity_keys
 from keymint.stages.built_documents import OUTDATED, edits
 from keymint.stages.environment_scripts import plan_scripts
 from keymint.stages.identity_keys import Keyring
-from keymint.stages.package_stage import PackagePlan, recorded, steps_of
+from keymint.stages.package_stage import PackagePlan, state_after, steps_of
 from keymint.stages.shared_install import plan_shared_install
 from keymint.stages.signing import sign
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
@@ -49,10 +49,10 @@ from keymint.workspace.enclave_changes import (
 from keymint.workspace.installed_enclaves import (
     CERTIFICATE,
     INSTALLED,
-    differing,
     enclave_files,
+    enclave_names,
     has_outputs,
-    installed,
+    new_files,
     orphans,
     require_sources,
     unaccounted,
@@ -110,7 +110,7 @@ class InstallStage:
         diagnostics += (diagnostic for each in shared for diagnostic in each.diagnostics)
         diagnostics += terms.of_sources({each.name: each.lifetimes for each in planned}, session)
         diagnostics += [each for each in unaccounted(session) if not prune or each.code != "enclave-orphaned"]
-        state = recorded(session.state, STAGE, [*shared, *planned], (*removed, *withdrawn))
+        state = state_after(session.state, STAGE, [*shared, *planned], (*removed, *withdrawn))
         steps += [withdraw(session, name, reason, changes) for name, reason in withdrawn.items()]
         if prune:
             require_sources(session)
@@ -204,7 +204,7 @@ def _plan_enclave(
     files = {
         file: File(artifact.content, secret=artifact.secret, replaces_link=True) for file, artifact in artifacts.items()
     }
-    different = differing(session, folder, existing, files)
+    different = new_files(session, folder, existing, files)
     # The certificate comes last: a node that starts in between fails, and admits nobody.
     ordered = dict(sorted(different.items(), key=lambda item: item[0] == CERTIFICATE))
     issuer = authorities[package.identity.issuer].certificate
@@ -263,7 +263,7 @@ def _obsolete(
 
 def _awaiting(session: Session, package: Package) -> PackagePlan:
     """Return the plan for a package whose robot has not yet told its public key: its enclave stays, unless revoked."""
-    if package.name in installed(session) and (reason := register_of(session).withdrawn(package.name)):
+    if package.name in enclave_names(session) and (reason := register_of(session).withdrawn(package.name)):
         return PackagePlan(package.name, withdrawn=reason)
     kept = Step(STAGE, package.name, Action.KEPT, detail="waits for a request of its robot")
     diagnostics = (identity_keys.awaited(package),)

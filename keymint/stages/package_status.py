@@ -15,7 +15,7 @@ from keymint.life.workspace_register import withdrawn
 from keymint.stages import build, create, install
 from keymint.stages.shared_documents import built_shared, is_current, users
 from keymint.stages.shared_install import installed_shared, is_installed
-from keymint.workspace.installed_enclaves import hidden, installed, installed_certificate, orphans
+from keymint.workspace.installed_enclaves import enclave_names, hidden, installed_certificate, orphans
 from keymint.workspace.package_build_types import is_build_current
 from keymint.workspace.session import Session
 
@@ -67,7 +67,7 @@ def package_rows(session: Session, policy: LoadedPolicy | None) -> tuple[StatusR
         policy: its policy, or None if it cannot be loaded; then packages are not compared with it.
     """
     names = session.packages()
-    enclaves = set(installed(session))
+    enclaves = set(enclave_names(session))
     stale = _differing(session, policy, names)
     rows = [_row(session, stale, name, installed=name in enclaves) for name in names]
     rows += [

@@ -197,7 +197,7 @@ def removals(session: Session, folder: Path, paths: Iterable[str]) -> tuple[Fold
     return tuple(FolderChange(parent, removed=tuple(names)) for parent, names in folders.items())
 
 
-def written(folder: Path, files: Mapping[str, File]) -> tuple[FolderChange, ...]:
+def file_changes(folder: Path, files: Mapping[str, File]) -> tuple[FolderChange, ...]:
     """Return the changes that write files, given by path relative to a folder."""
     return tuple(FolderChange(parent, of_folder) for parent, of_folder in by_folder(folder, files).items())
 
@@ -215,7 +215,7 @@ def _plan_documents(session: Session, name: str, options: BuildOptions, *, force
     different = {path: File(content) for path, content in built.documents.items() if existing[path] != content}
     if not force:
         refuse_edits(session, key, folder, {path: existing[path] for path in (*different, *left_over)})
-    changes = (*removals(session, folder, left_over), *written(folder, different))
+    changes = (*removals(session, folder, left_over), *file_changes(folder, different))
     action = (Action.UPDATED if stamp else Action.CREATED) if changes else Action.UNCHANGED
     shown = ", ".join(f"{path} {len(content):,} bytes" for path, content in built.documents.items())
     outputs = {path: digest(content) for path, content in built.documents.items()}

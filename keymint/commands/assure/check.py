@@ -29,7 +29,7 @@ from keymint.output.report import Report, findings_if, folded
 from keymint.output.sarif import of_diagnostics
 from keymint.output.sarif import sarif as sarif_log
 from keymint.run.run import Run
-from keymint.stages.policy_drift import uncreated
+from keymint.stages.policy_drift import subjects_without_package
 from keymint.stages.proof.proof_diagnostics import effort_of, proof_findings
 from keymint.stages.proof.proof_results import ProofEffort
 from keymint.stages.proof.prove import NO_PROVER, STAGE
@@ -137,6 +137,6 @@ def _of_policy(
     try:
         policy = lazy_policy(session)
         notes, state = of_packages(session, state, policy, names)
-        return (*(uncreated(session, policy, names) if complete else ()), *notes), state
+        return (*(subjects_without_package(session, policy, names) if complete else ()), *notes), state
     except KeymintError as error:
         return error.diagnostics if complete else (), state

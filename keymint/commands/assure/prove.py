@@ -29,7 +29,7 @@ from keymint.life.workspace_register import has_register, with_enclaves
 from keymint.output.json import line_json
 from keymint.output.report import Report, findings_exit, findings_if
 from keymint.run.run import Run
-from keymint.stages.policy_drift import uncreated
+from keymint.stages.policy_drift import subjects_without_package
 from keymint.stages.proof.proof_diagnostics import STATES, effort_of, proof_findings
 from keymint.stages.proof.proof_results import EnclaveProof, ProofResults
 from keymint.stages.proof.prove import NO_PROVER, STAGE
@@ -93,7 +93,7 @@ def prove(
             session, chosen, policy, effort,
             lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), pool,
         )  # fmt: skip
-    unknown = () if names else (*unaccounted(session), *uncreated(session, policy, chosen))
+    unknown = () if names else (*unaccounted(session), *subjects_without_package(session, policy, chosen))
     # What a cluster says, or what holds for another distribution, is a result to show: no later run may rely on it.
     unrecorded = run.keep(session, results.state) if pool.trusted and not session.vendors_of else ()
 

@@ -35,7 +35,7 @@ from keymint.names import listed, subject_of
 from keymint.output.report import Report, findings_if
 from keymint.run.run import Run, exit_code_of
 from keymint.stages.install_request import InstallRequest
-from keymint.stages.pipeline import Request, conduct, updated
+from keymint.stages.pipeline import Request, conduct, updated_packages
 from keymint.stages.renewed_packages import chosen, packages_of, refuse_new_authorities
 from keymint.stages.second_keystore import DEFERRED, STAGE, in_step
 from keymint.stages.work import Work
@@ -169,7 +169,7 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
     done = frozenset(names)
     taken = [each for each in due.enclaves if each.name in done]
     rows = [_Renewed(each, _end(after, each.name), bool(session.issuance(each.name).public_key)) for each in taken]
-    changed = frozenset(updated(plan))
+    changed = frozenset(updated_packages(plan))
     if due.following is not None and due.following.name in changed:  # it was named, and its dates are others now
         due = replace(due, following=None)
     return _Renewal(
@@ -260,7 +260,7 @@ def _lines(run: Run, renewal: _Renewal) -> Sequence[str]:
         f"waits for a signature: the revocation list of {each.name}: {_why(each)}" for each in renewal.waiting_lists
     ]
     own = {each.due.name for each in renewal.renewed}
-    changed = updated(renewal.plan)
+    changed = updated_packages(renewal.plan)
     if ready := [name for name in changed if name in own]:
         lines.append(f"deploy and restart before the old documents end: {listed(ready)}")
     if others := [name for name in changed if name not in own]:

@@ -19,7 +19,7 @@ from keymint.names import listed, package_name, subject_of
 from keymint.output.report import Report, members
 from keymint.run.run import Run
 from keymint.stages.install_request import InstallRequest
-from keymint.stages.pipeline import Request, conduct, updated
+from keymint.stages.pipeline import Request, conduct, updated_packages
 from keymint.stages.work import Work
 from keymint.store.changes import Plan
 from keymint.workspace.installed_enclaves import INSTALLED
@@ -59,8 +59,8 @@ def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report
 
     report = run.change(make_plan)
     ((revoking, plan),) = done
-    peers = [name for name in updated(plan) if name not in chosen]
-    names_again = [name for name in updated(plan) if name in chosen]
+    peers = [name for name in updated_packages(plan) if name not in chosen]
+    names_again = [name for name in updated_packages(plan) if name in chosen]
     say = run.console.line
     for each in revoking.certificates:
         word = "would revoke" if run.dry_run else "revoked  "
