@@ -27,7 +27,7 @@ from keymint.examine.keystore import deciding, staged
 from keymint.executors import Pool
 from keymint.stages import identity_keys
 from keymint.stages.identity_keys import Keyring
-from keymint.workspace.installed_enclaves import unaccounted, with_sources
+from keymint.workspace.installed_enclaves import unaccounted_enclaves, with_sources
 from keymint.workspace.session import Session
 
 LEAST = 64
@@ -59,7 +59,7 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
     enclaves: list[Examined] = [each for part in (first, *examined) for each in part]
     findings = [finding for each in enclaves for finding in each.findings]
     findings += _of_several(session, [each for each in loaded if isinstance(each, LoadedEnclave)])
-    findings += unaccounted(session)
+    findings += unaccounted_enclaves(session)
     findings += (each for each in decides if each not in findings)  # the defects of packages are found above
     fingerprints = {each.name: each.fingerprint for each in enclaves if each.fingerprint}
     findings += identity_keys.shared_keys(session, fingerprints)

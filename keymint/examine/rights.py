@@ -84,7 +84,7 @@ def presented_rights(session: Session, state: State, policy: LoadedPolicy, effor
         claims, found, state = question.recorded(state, f"{FOLDER}/presented/{name}")
         for package, subject, excess, until in found:
             if until >= session.now:
-                note = earlier_rights.outliving(session, package, subject, excess, until)
+                note = earlier_rights.outliving_rights(session, package, subject, excess, until)
                 outliving.setdefault(package, note)
         proofs.append(EnclaveProof("", "", claims, build_types=(name,)))
     is_whole = not proofs or (has_register(session) and register_of(session).is_whole)
@@ -174,7 +174,7 @@ def _earlier(session: Session) -> Mapping[bytes, SignedRights]:
         rights = (each for each in register_of(session).rights if each.not_after >= session.now)
         return {each.content: each for each in rights}
     except ValueError:
-        raise register_database.damaged(session.workspace.origin(session.workspace.register)) from None
+        raise register_database.register_error(session.workspace.origin(session.workspace.register)) from None
 
 
 def _dump(now: datetime, outliving: Iterable[_Outliving]) -> str:

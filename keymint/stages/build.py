@@ -13,7 +13,7 @@ from keymint.errors import KeymintError
 from keymint.life import terms
 from keymint.names import name_of, subject_of
 from keymint.stages import identity_keys, shared_documents
-from keymint.stages.built_documents import kept, refuse_edits
+from keymint.stages.built_documents import kept_documents_step, refuse_edits
 from keymint.stages.package_stage import PackagePlan, state_after, steps_of
 from keymint.store.changes import Action, DocumentSize, File, FolderChange, Plan, Step
 from keymint.view.stamps import Stamp, digest
@@ -137,8 +137,8 @@ def _plan_package(session: Session, name: str, options: BuildOptions, *, force: 
     stamp = session.state.stamp(STAGE, name)
     same = stamp is not None and stamp.context == options_digest and is_build_current(session, name)
     may_stay = stamp and same and not force and not renew and identity_keys.is_there(session, name)
-    if stamp and may_stay and (step := kept(session, stamp, folder, name)):
-        return PackagePlan(name, step, lifetimes=terms.recalled(session, name, stamp))
+    if stamp and may_stay and (step := kept_documents_step(session, stamp, folder, name)):
+        return PackagePlan(name, step, lifetimes=terms.recorded_terms(session, name, stamp))
     package = session.package(name)
     built = _built(session, package, options)
     existing = {file: session.tree.read(f"{folder}/{file}") for file in built.documents}

@@ -76,7 +76,7 @@ def is_awaited(package: Package) -> bool:
     return bool(package.identity.key.uri) and not package.issuance.public_key
 
 
-def awaited(package: Package) -> Diagnostic:
+def unknown_key(package: Package) -> Diagnostic:
     """Return the finding on a package whose public key is not known here."""
     return Diagnostic.warning(
         "key-unknown",
@@ -104,7 +104,7 @@ def public_key(session: Session, package: Package) -> keys.PublicKey:
     if package.issuance.public_key:
         return public_keys.from_pem(package.issuance.public_key, place_of(session, package.name))
     if is_awaited(package):
-        raise KeymintError.of([replace(awaited(package), severity=Severity.ERROR)])
+        raise KeymintError.of([replace(unknown_key(package), severity=Severity.ERROR)])
     pem, place = private_key(session, package), _place(session, package.name)
     _require_plain(session, package, pem)
     return load_key(session, keys.public_of, pem, package.identity, place, _remedy(package.name))

@@ -16,7 +16,7 @@ from keymint.authority.authority_files import chains_digest
 from keymint.errors import KeymintError
 from keymint.life import earlier_rights, revocation_lists_in_force, terms
 from keymint.life.issued_certificates import SignedRights
-from keymint.life.terms import shown
+from keymint.life.terms import iso_time
 from keymint.life.workspace_register import (
     complete_register,
     register_change,
@@ -41,7 +41,7 @@ from keymint.workspace.enclave_changes import (
     EnclaveChanges,
     build_types_in_use,
     obsolete_steps,
-    pruned,
+    removal_step,
     shared_copies,
     shared_steps,
     withdraw,
@@ -55,7 +55,7 @@ from keymint.workspace.installed_enclaves import (
     new_files,
     orphans,
     require_sources,
-    unaccounted,
+    unaccounted_enclaves,
 )
 from keymint.workspace.package_build_types import build_types_of, inputs_digest, is_build_current
 from keymint.workspace.session import Inputs, Session
@@ -109,13 +109,13 @@ class InstallStage:
         diagnostics += _outdated(session, [each.name for each in planned if each.outdated])
         diagnostics += (diagnostic for each in shared for diagnostic in each.diagnostics)
         diagnostics += terms.of_sources({each.name: each.lifetimes for each in planned}, session)
-        diagnostics += [each for each in unaccounted(session) if not prune or each.code != "enclave-orphaned"]
+        diagnostics += [each for each in unaccounted_enclaves(session) if not prune or each.code != "enclave-orphaned"]
         state = state_after(session.state, STAGE, [*shared, *planned], (*removed, *withdrawn))
         steps += [withdraw(session, name, reason, changes) for name, reason in withdrawn.items()]
         if prune:
             require_sources(session)
             diagnostics += _still_good(session, removed)
-            steps += [pruned(session, name, changes) for name in removed]
+            steps += [removal_step(session, name, changes) for name in removed]
             state = key_record.forget(state, key_record.IDENTITIES, removed)
         steps += obsolete_steps(session, copies, steps)
         return Plan(tuple(steps), state, tuple(diagnostics), _register(session, planned))
@@ -129,7 +129,7 @@ def _still_good(session: Session, removed: Sequence[str]) -> Iterator[Diagnostic
         others = f" [{len(ends)} enclaves]" if len(ends) > 1 else ""
         yield Diagnostic.warning(
             "certificate-in-force",
-            f"the certificate of the removed enclave {subject_of(name)} stays good until {shown(end)}{others}",
+            f"the certificate of the removed enclave {subject_of(name)} stays good until {iso_time(end)}{others}",
             None,
             f"'keymint revoke {name} --reason retired' ends it",
             subject_of(name) if len(ends) == 1 else "",
@@ -175,7 +175,7 @@ def _plan_enclave(
         )
     stamp = session.state.stamp(STAGE, name)
     if stamp and stamp.inputs == inputs and has_outputs(session, session.enclave_folder(name), stamp):
-        own = terms.recalled(session, name, stamp)
+        own = terms.recorded_terms(session, name, stamp)
         return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED), lifetimes=own)
     package, folder = session.package(name), session.enclave(name)
     own = terms.lifetimes(package)
@@ -189,7 +189,7 @@ def _plan_enclave(
         return PackagePlan(name, withdrawn=reason)
     artifacts, issued, warnings = sign(session, package, documents, authorities, (key_pem, public), existing)
     new = {file: artifact.content for file, artifact in artifacts.items()}
-    outliving = earlier_rights.replaced(session, package, existing, new)
+    outliving = earlier_rights.replaced_rights(session, package, existing, new)
     in_force = revocation_lists_in_force.enclave_lists(session).get(package.identity.issuer)
     for file, artifact in artifacts.items():
         if in_force and artifact.content == in_force:
@@ -266,7 +266,7 @@ def _awaiting(session: Session, package: Package) -> PackagePlan:
     if package.name in enclave_names(session) and (reason := register_of(session).withdrawn(package.name)):
         return PackagePlan(package.name, withdrawn=reason)
     kept = Step(STAGE, package.name, Action.KEPT, detail="waits for a request of its robot")
-    diagnostics = (identity_keys.awaited(package),)
+    diagnostics = (identity_keys.unknown_key(package),)
     return PackagePlan(package.name, kept, diagnostics=diagnostics, lifetimes=terms.lifetimes(package))
 
 

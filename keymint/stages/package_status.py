@@ -10,7 +10,7 @@ from comarmor.values import dataclass
 from keymint.api import LoadedPolicy, Role
 from keymint.errors import KeymintError
 from keymint.life.renewal_schedule import CERTIFICATE, EnclaveTerms, enclave_terms
-from keymint.life.terms import recalled
+from keymint.life.terms import recorded_terms
 from keymint.life.workspace_register import withdrawn
 from keymint.stages import build, create, install
 from keymint.stages.shared_documents import built_shared, is_current, users
@@ -125,7 +125,7 @@ def _row(session: Session, differing: Mapping[str, str], name: str, *, installed
     permissions_end, current = None, False
     try:
         current = built and is_build_current(session, name)
-        own = recalled(session, name, session.state.stamp(build.STAGE, name) if current else None)
+        own = recorded_terms(session, name, session.state.stamp(build.STAGE, name) if current else None)
         if session.role(name) is Role.SUBJECT:
             permissions_end = next((each.last for each in own if each.what == "grant"), None)
     except KeymintError as error:

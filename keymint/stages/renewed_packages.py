@@ -38,7 +38,7 @@ class Chosen:
     errors: tuple[Diagnostic, ...]
 
 
-def chosen(session: Session, names: Iterable[str], *, rekey: bool) -> Chosen:
+def renewable_packages(session: Session, names: Iterable[str], *, rekey: bool) -> Chosen:
     """Return which of some packages can be renewed.
 
     Args:

@@ -47,7 +47,7 @@ class PhaseRequest:
     given: GivenAuthority | None = None
 
 
-def planned(crew: Crew, session: Session, name: str, request: PhaseRequest) -> Plan:
+def phase_plan(crew: Crew, session: Session, name: str, request: PhaseRequest) -> Plan:
     """Return the plan of a phase; of one that was reached already, what is missing.
 
     Raises:

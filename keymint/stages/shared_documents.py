@@ -16,7 +16,7 @@ from comarmor.regex import lazy_regex
 from keymint.api import BuildOptions, BuildResult, BuildType, Package, SharedDocuments
 from keymint.errors import KeymintError
 from keymint.names import subject_of
-from keymint.stages.built_documents import kept, refuse_edits
+from keymint.stages.built_documents import kept_documents_step, refuse_edits
 from keymint.stages.package_stage import PackagePlan
 from keymint.store.changes import Action, File, FolderChange, Step, by_folder
 from keymint.view.stamps import Stamp, digest
@@ -207,7 +207,7 @@ def _plan_documents(session: Session, name: str, options: BuildOptions, *, force
     stamp = session.state.stamp(STAGE, key)
     inputs, context = sources_digest(session, name), digest(repr(options))
     is_same = stamp is not None and (stamp.inputs, stamp.context) == (inputs, context) and not force
-    if stamp and is_same and (step := kept(session, stamp, folder, "", ", ".join(stamp.outputs))):
+    if stamp and is_same and (step := kept_documents_step(session, stamp, folder, "", ", ".join(stamp.outputs))):
         return PackagePlan(key, step)
     built = build_shared(session, name, load_packages(session, name), options)
     left_over = set(stamp.outputs if stamp else ()) - set(built.documents)

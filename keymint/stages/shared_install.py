@@ -266,7 +266,7 @@ def claims_digest(session: Session, build_type: str, enclaves: Mapping[str, Mapp
     return digest(sources, documents_digest(session, build_type), chains_digest(session), __version__, *of_enclaves)
 
 
-def affected(before: Session, after: Session) -> tuple[str, ...]:
+def affected_packages(before: Session, after: Session) -> tuple[str, ...]:
     """Return the packages with an enclave whose shared documents a plan installs, sorted.
 
     Args:

@@ -154,7 +154,7 @@ def _exchange(
     return Exchange(int(order), place, str(name), staged, bool(file), bool(replaces), dict(changed))
 
 
-def recovered(journal: Journal, roots: Roots) -> Journal:
+def recover(journal: Journal, roots: Roots) -> Journal:
     """Finish a run that became visible in part; of one that did not, nothing is changed.
 
     Args:

@@ -138,12 +138,12 @@ def withdraw(session: Session, name: str, reason: str, changes: EnclaveChanges) 
         changes: what the run does to the enclaves; it removes this one.
     """
     if name in enclave_names(session):
-        return replace(pruned(session, name, changes), detail=f"revoked: {reason}")
+        return replace(removal_step(session, name, changes), detail=f"revoked: {reason}")
     detail = f"revoked: {reason}; 'keymint renew --rekey {name}' makes a new key"
     return Step(INSTALLED, name, Action.KEPT, detail=detail)
 
 
-def pruned(session: Session, name: str, changes: EnclaveChanges) -> Step:
+def removal_step(session: Session, name: str, changes: EnclaveChanges) -> Step:
     """Return the step that removes the enclave of a package."""
     folder = session.enclave(name)
     files = files_in(session, name)

@@ -34,7 +34,7 @@ from keymint.stages.proof.proof_diagnostics import STATES, effort_of, proof_find
 from keymint.stages.proof.proof_results import EnclaveProof, ProofResults
 from keymint.stages.proof.prove import NO_PROVER, STAGE
 from keymint.store.changes import Action, Step
-from keymint.workspace.installed_enclaves import unaccounted
+from keymint.workspace.installed_enclaves import unaccounted_enclaves
 from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Session
 
@@ -93,7 +93,7 @@ def prove(
             session, chosen, policy, effort,
             lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), pool,
         )  # fmt: skip
-    unknown = () if names else (*unaccounted(session), *subjects_without_package(session, policy, chosen))
+    unknown = () if names else (*unaccounted_enclaves(session), *subjects_without_package(session, policy, chosen))
     # What a cluster says, or what holds for another distribution, is a result to show: no later run may rely on it.
     unrecorded = run.keep(session, results.state) if pool.trusted and not session.vendors_of else ()
 
@@ -112,7 +112,7 @@ def prove(
 def _without_policy(run: Run, session: Session, names: Sequence[str], error: KeymintError) -> Report:
     """Return what can be told although the policy cannot be read: what the authorities do not vouch for."""
     run.console.line(f"proved nothing about {counted(len(names), 'enclave')}: the policy cannot be read")
-    found = (*error.diagnostics, *differences(session, names), *deciding(session), *unaccounted(session))
+    found = (*error.diagnostics, *differences(session, names), *deciding(session), *unaccounted_enclaves(session))
     unexamined = tuple(not_examined(session))
     nothing = ProofResults((), (), session.state, {}, frozenset(), {}, session.now)
     result = _result(run, nothing, unexamined, None)
@@ -122,7 +122,7 @@ def _without_policy(run: Run, session: Session, names: Sequence[str], error: Key
 
 def _result(run: Run, results: ProofResults, unexamined: Sequence[Diagnostic], in_force: bool | None) -> dict[str, Any]:
     return {
-        "at": terms.shown(results.now),
+        "at": terms.iso_time(results.now),
         "until": _shown(_until(results)),
         "in_force": in_force,
         "not_examined": len(unexamined),
@@ -170,13 +170,13 @@ def _when(results: ProofResults, *, with_register: bool) -> str:
         known, limit = "in force", ""
         if not with_register:
             known, limit = "valid by their dates", " (whether they were revoked is not known without the register)"
-        return f"; {known} at {terms.shown(results.now)}, until {terms.shown(until)}{limit}"
+        return f"; {known} at {terms.iso_time(results.now)}, until {terms.iso_time(until)}{limit}"
     out = sum(terms.end(enclave.terms, results.now) is None for enclave in results.enclaves if enclave.terms)
-    return f"; {counted(out, 'enclave')} {'is' if out == 1 else 'are'} not in force at {terms.shown(results.now)}"
+    return f"; {counted(out, 'enclave')} {'is' if out == 1 else 'are'} not in force at {terms.iso_time(results.now)}"
 
 
 def _shown(moment: datetime | None) -> str | None:
-    return None if moment is None else terms.shown(moment)
+    return None if moment is None else terms.iso_time(moment)
 
 
 def _excepted(results: ProofResults) -> Iterator[str]:
