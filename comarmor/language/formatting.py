@@ -16,7 +16,7 @@ from comarmor.rules import PERMISSIONS
 from comarmor.xml import schema
 from comarmor.xml.layout import DocumentLayout, laid_out, markup, nodes
 from comarmor.xml.reader import parse
-from comarmor.xml.sandboxed_paths import path_text, unreadable
+from comarmor.xml.sandboxed_paths import path_text, read_failure
 
 LAYOUT = DocumentLayout(
     text=frozenset(("attachment", "value", "partition")),
@@ -84,7 +84,7 @@ def written_files(folder: Path) -> tuple[Path, ...]:
 
     def refuse(error: OSError) -> None:
         raise ComArmorError(
-            unreadable(error, "the folder"), where=Origin(path_text(str(error.filename))), code="unreadable"
+            read_failure(error, "the folder"), where=Origin(path_text(str(error.filename))), code="unreadable"
         ) from None
 
     found: list[Path] = []

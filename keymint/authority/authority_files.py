@@ -102,7 +102,7 @@ def read_files(session: Session, authority: Authority, *, deployed: bool = True)
         certificate_file=workspace.origin(path),
         key=tree.read(key_path),
         content=content,
-        certificate=certificates.readable(content),
+        certificate=certificates.certificate_in(content),
         recorded=key_record.recorded_key(state, key_record.AUTHORITIES, authority.name) if is_trusted else "",
         deployed=functools.partial(deployed_authorities, session) if deployed else tuple,
     )
@@ -179,7 +179,7 @@ def issuers(session: Session) -> Iterator[tuple[str, str, x509.Certificate]]:
     """
     for authority in session.profile.authorities:
         name = authority.name
-        certificate = certificates.readable(session.tree.try_read(session.workspace.authority_certificate(name)))
+        certificate = certificates.certificate_in(session.tree.try_read(session.workspace.authority_certificate(name)))
         if certificate is not None:
             yield name, name, certificate
         if rollover := bundled(authority):

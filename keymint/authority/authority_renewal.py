@@ -59,7 +59,7 @@ def _adopted_again(session: Session, authority: Authority, minted: MintedAuthori
     certificate = minted.certificate
     where = session.workspace.origin(session.workspace.authority_certificate(authority.name))
     is_of_today = certificate.not_valid_after_utc >= _later_end(session, authority, certificate)
-    if is_of_today and not any(foreign_authorities.lacking(certificate, authority.name, where)):
+    if is_of_today and not any(foreign_authorities.defects(certificate, authority.name, where)):
         return certificates.to_pem(certificate)
     return issued_like(session, authority, certificate, minted.issuer.key)
 

@@ -267,7 +267,7 @@ def _signed(content: bytes, signers: Iterable[bytes], *, verify: bool) -> Signed
     """Return a signed document, or None if it has not exactly one reading, or none of the signers signed it."""
     for signer in signers:
         try:
-            return smime.read(content, signer) if verify else smime.unverified(content)
+            return smime.read(content, signer) if verify else smime.unverified_document(content)
         except KeymintError:
             continue
     return None

@@ -42,7 +42,7 @@ class IdentityCheck:
     @cached_property
     def certificate(self) -> x509.Certificate | None:
         """The identity certificate; None if it is missing or damaged, which is reported with its path."""
-        return certificates.readable(self._files.get(CERTIFICATE))
+        return certificates.certificate_in(self._files.get(CERTIFICATE))
 
     def _where(self, name: str) -> Origin:
         return Origin(f"{self._folder}/{name}")

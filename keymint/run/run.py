@@ -23,7 +23,7 @@ from keymint.errors import ExitCode, KeymintError, usage_error
 from keymint.executors import PROCESSES
 from keymint.names import package_name
 from keymint.output.console import Console, Streams
-from keymint.output.report import Report, folded
+from keymint.output.report import Report, merged_diagnostics
 from keymint.pki.tokens.pin_sources import Pins
 from keymint.pki.tokens.token_sessions import Tokens
 from keymint.run.answer_recording import remember
@@ -385,7 +385,7 @@ class Run:
 
     def presented(self, report: Report) -> Report:
         """Return a report with all paths as the user would type them, and equal diagnostics merged."""
-        return replace(report, diagnostics=folded([self.as_typed(diagnostic) for diagnostic in report.diagnostics]))
+        return replace(report, diagnostics=merged_diagnostics([self.as_typed(each) for each in report.diagnostics]))
 
     @property
     def crew(self) -> Crew:

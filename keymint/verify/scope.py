@@ -187,7 +187,7 @@ def selective(scope: VerificationScope, transports: Iterable[Transport]) -> Veri
     return replace(scope, select=select)
 
 
-def selected(rows: EdgeRows, scope: VerificationScope) -> EdgeRows:
+def selected_rows(rows: EdgeRows, scope: VerificationScope) -> EdgeRows:
     """Return a function that yields rows with the edges that the transports of a scope can be asked about."""
     select = scope.select
     if select is None:

@@ -26,7 +26,7 @@ from keymint.api.graph import Edge, Object
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import name_of, typed_permission, typed_subject
 from keymint.verify.compare import label_enclave
-from keymint.verify.copies import copied
+from keymint.verify.copies import enclave_copies
 from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.explain import Explainer
 from keymint.verify.matching import MatchedRule, matching_rules, nearest
@@ -233,7 +233,7 @@ def _labels(
     there = enclave_names(session)
     infrastructure = {each.name for each in package.infrastructure} if package else ()
     labels: dict[str, Mismatch] = {}
-    with copied(
+    with enclave_copies(
         session.tree,
         install,
         {edge.subject: enclave},

@@ -31,7 +31,7 @@ from keymint.life.renewal_schedule import (
 )
 from keymint.life.terms import Threshold, iso_time
 from keymint.life.workspace_register import with_enclaves
-from keymint.names import listed, subject_of
+from keymint.names import subject_list, subject_of
 from keymint.output.report import Report, findings_if
 from keymint.run.run import Run, exit_code_of
 from keymint.stages.install_request import InstallRequest
@@ -262,15 +262,15 @@ def _lines(run: Run, renewal: _Renewal) -> Sequence[str]:
     own = {each.due.name for each in renewal.renewed}
     changed = updated_packages(renewal.plan)
     if ready := [name for name in changed if name in own]:
-        lines.append(f"deploy and restart before the old documents end: {listed(ready)}")
+        lines.append(f"deploy and restart before the old documents end: {subject_list(ready)}")
     if others := [name for name in changed if name not in own]:
-        lines.append(f"deploy the new revocation list and restart before the old one ends: {listed(others)}")
+        lines.append(f"deploy the new revocation list and restart before the old one ends: {subject_list(others)}")
     if staged := [
         step.package for step in renewal.plan.steps if step.stage == STAGE and step.package and step.writes()
     ]:
-        lines.append(f"deploy install.next/ as well, which was staged by 'authority replace': {listed(staged)}")
+        lines.append(f"deploy install.next/ as well, which was staged by 'authority replace': {subject_list(staged)}")
     if elsewhere := [each.due.name for each in renewal.renewed if each.elsewhere]:
-        lines.append(f"the key is not here: 'keymint bundle' carries the new documents to {listed(elsewhere)}")
+        lines.append(f"the key is not here: 'keymint bundle' carries the new documents to {subject_list(elsewhere)}")
     following = renewal.schedule.following
     if following is not None and following.after is not None:
         none = "" if renewal.renewed or renewal.schedule.enclaves else "nothing is due; "
