@@ -29,7 +29,7 @@ _SCHEMAS = dict.fromkeys(("profiles", "profile", *PERMISSIONS), "comarmor.xsd") 
 """The schema of a file by the name of its root element."""
 
 
-def formatted(content: bytes, name: str) -> bytes | None:
+def canonical_form(content: bytes, name: str) -> bytes | None:
     """Return a file in canonical form, or None if its root element is not of this language.
 
     Formatting it again changes nothing. What the file means stays the same, and all its comments and processing

@@ -12,7 +12,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import product
 
-from comarmor.patterns.decision_lists import Unknown, negated
+from comarmor.patterns.decision_lists import Unknown, negate
 from comarmor.patterns.glob import Glob, before, literal, normalise, parse
 from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection, maximal
@@ -188,7 +188,7 @@ class ClassFinder:
         """Return whether a statement of a change is false for a subject."""
         decided = decision_list(rules_of(self.policies[after], subject), key)
         concrete = allow_only(fill_placeholders(objects, *exact_halves(subject)))
-        sought = negated(decided) if allowed else decided
+        sought = negate(decided) if allowed else decided
         return self.budget.verdict(find_permitted(key[0], concrete, sought, budget=self.budget.next_query()))
 
     def _with_placeholders(self, subject: str, change: PermissionChange) -> PermissionChange:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
 from itertools import product
 
-from comarmor.patterns.decision_lists import Block, DecisionList, Equal, Universe, Unknown, negated
+from comarmor.patterns.decision_lists import Block, DecisionList, Equal, Universe, Unknown, negate
 from comarmor.patterns.glob import Glob, after, literal, normalise, parse, words
 from comarmor.patterns.matching import matches
 from comarmor.patterns.proofs import difference
@@ -256,7 +256,7 @@ class _Search:
     def _outside(self, listed: SubjectClass) -> DecisionList:
         """Return the list of the words of the subjects outside of a class."""
         excluded, inside = tuple(self._words(listed.excluded)), tuple(self._words([listed.like]))
-        return negated((Block(False, excluded), Block(True, inside)))
+        return negate((Block(False, excluded), Block(True, inside)))
 
 
 def _text(text: str) -> Glob:

@@ -12,7 +12,7 @@ from keymint.api import Authority, AuthorityIssuance, Validity
 from keymint.authority import authority_files
 from keymint.authority.authorities import MintedAuthority, plan_authorities
 from keymint.authority.authority_issuance import STAGE, authority_named, plan_authority_issuance
-from keymint.authority.given_authority import GivenAuthority, checked
+from keymint.authority.given_authority import GivenAuthority, cert_and_key
 from keymint.errors import KeymintError
 from keymint.pki import certificates, distinguished_names, foreign_authorities, keys
 from keymint.store.changes import Action, File, FolderChange, Plan, Step, folder_changes, secret_file
@@ -135,12 +135,12 @@ def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
     elsewhere, or is here already.
 
     Raises:
-        KeymintError: as :func:`keymint.authority.given_authority.checked`; or installed enclaves trust another key of
-            this authority.
+        KeymintError: as :func:`keymint.authority.given_authority.cert_and_key`; or installed enclaves trust another key
+            of this authority.
     """
     authority = authority_named(session, name)
     require_no_rollover(session, name)
-    certificate, key = checked(session, authority, given)
+    certificate, key = cert_and_key(session, authority, given)
     public = certificates.public_key(certificate, given.where)
     files = authority_files.read_files(session, authority)
     authority_files.require_known(files, public, given.where)

@@ -54,7 +54,7 @@ def keystore_of(run: Run, folder: Path | None) -> RobotKeystore:
 
 
 @contextlib.contextmanager
-def opened(run: Run, keystore: RobotKeystore) -> Iterator[Store]:
+def opened_store(run: Run, keystore: RobotKeystore) -> Iterator[Store]:
     """Yield the writer of a keystore, whose lock is held; what was interrupted is finished or dropped first."""
     records = keystore.read().records
     store = Store({keystore.root: False}, records)

@@ -9,7 +9,7 @@ from datetime import timedelta
 from comarmor.errors import Diagnostic
 from keymint.api import Artifact, BuildOptions, SharedInspection
 from keymint.errors import KeymintError
-from keymint.examine.file_status import as_installed, unexpected, unrecorded
+from keymint.examine.file_status import as_installed, unexpected_file, unrecorded_note
 from keymint.life.workspace_register import withdrawn
 from keymint.names import ROOT
 from keymint.stages import environment_scripts
@@ -63,7 +63,7 @@ def outside_enclaves(session: Session, within: timedelta) -> Iterator[Diagnostic
             help_ = restores if is_ours else "rename it or remove it, and run 'keymint install'"
             yield from as_installed(session, path, digest(own_scripts[relative]), help_, _OTHER_SCRIPT)
         else:
-            yield unexpected(session, path, "is in the install space, but belongs to no enclave")
+            yield unexpected_file(session, path, "is in the install space, but belongs to no enclave")
     for folder in empty:
         message = "is an empty folder in the install space that Keymint did not create"
         yield Diagnostic.warning("folder-unexpected", message, workspace.origin(folder), "remove it")
@@ -142,4 +142,4 @@ def _on_disk(session: Session, name: str, inspection: SharedInspection, stamp: S
         value, help_ = recorded.get(path, ""), "'keymint build' and 'keymint install' write it"
         yield from as_installed(session, session.workspace.install / path, value, help_, secret=secret)
     if stamp is None and inspection.files:
-        yield unrecorded(f"the installed shared documents of {name}")
+        yield unrecorded_note(f"the installed shared documents of {name}")

@@ -37,7 +37,7 @@ def issued_here(session: Session) -> Iterator[tuple[str, x509.Certificate, x509.
             yield name, certificate, issuer
 
 
-def registered(session: Session) -> Iterator[Diagnostic]:
+def register_findings(session: Session) -> Iterator[Diagnostic]:
     """Yield a finding for each installed certificate of our authorities that is not as it was issued.
 
     Without a register nothing is known of what was issued: a finding if something was revoked, unless private files are

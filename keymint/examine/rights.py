@@ -242,7 +242,7 @@ def _documents(
 
     That in the enclave of a package, beside a certificate for the package's name, is verified and proven with it.
     """
-    signers = [certificates.to_pem(each) for each in authority_files.trusted(session)]
+    signers = [certificates.to_pem(each) for each in authority_files.trusted_authorities(session)]
     workspace, in_place = session.workspace, session.enclaves.relative_to(session.workspace.install)
     places = (workspace.install / in_place, workspace.next_install / in_place)
     owners = {
@@ -287,7 +287,7 @@ def _holders(
     """Yield the certificates in force: those among some files, and those of the register that are not here."""
     register, now = register_of(session), session.now
     ends: dict[str, datetime] = {}
-    issuers = [(issuer_of(each), each) for each in authority_files.trusted(session)]
+    issuers = [(issuer_of(each), each) for each in authority_files.trusted_authorities(session)]
     seen: set[tuple[str, int]] = set()
     for certificate in _certificates(found.values()):
         issuer = next((key for key, each in issuers if _is_issued(certificate, each)), None)

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from comarmor.errors import Diagnostic
 from keymint.api import EnvironmentVariable, ProcessEnvironment
 from keymint.errors import KeymintError
-from keymint.host.shells import MARK, SHELLS, resolved, script
+from keymint.host.shells import MARK, SHELLS, script, variable_values
 from keymint.names import subject_of
 from keymint.store.changes import Action, File, Step, folder_changes
 from keymint.workspace.installed_enclaves import INSTALLED, files_in
@@ -86,7 +86,7 @@ def enclave_environment(session: Session, name: str) -> Mapping[str, str]:
         if isinstance(build_type, ProcessEnvironment):
             found = build_type.enclave_variables(distro, layout, subject_of(name), files)
             variables |= {variable.name: variable for variable in found}
-    return resolved(variables.values(), session.workspace.install)
+    return variable_values(variables.values(), session.workspace.install)
 
 
 def _kept(session: Session, name: str, message: str) -> Diagnostic:

@@ -53,9 +53,9 @@ from keymint.workspace.installed_enclaves import (
     enclave_names,
     has_outputs,
     new_files,
+    orphan_findings,
     orphans,
     require_sources,
-    unaccounted_enclaves,
 )
 from keymint.workspace.package_build_types import build_types_of, inputs_digest, is_build_current
 from keymint.workspace.session import Inputs, Session
@@ -109,7 +109,7 @@ class InstallStage:
         diagnostics += _outdated(session, [each.name for each in planned if each.outdated])
         diagnostics += (diagnostic for each in shared for diagnostic in each.diagnostics)
         diagnostics += terms.of_sources({each.name: each.lifetimes for each in planned}, session)
-        diagnostics += [each for each in unaccounted_enclaves(session) if not prune or each.code != "enclave-orphaned"]
+        diagnostics += [each for each in orphan_findings(session) if not prune or each.code != "enclave-orphaned"]
         state = state_after(session.state, STAGE, [*shared, *planned], (*removed, *withdrawn))
         steps += [withdraw(session, name, reason, changes) for name, reason in withdrawn.items()]
         if prune:

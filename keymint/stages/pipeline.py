@@ -14,7 +14,7 @@ from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, LoadedPolicy, Role
 from keymint.authority.authorities import MintedAuthority, plan_authorities
-from keymint.authority.authority_files import bundled, trusted_chains
+from keymint.authority.authority_files import current_rollover, trusted_chains
 from keymint.life.earlier_rights import RIGHTS_OUTLIVE
 from keymint.life.issued_certificates import SUPERSEDED
 from keymint.life.revocation_lists_in_force import enclave_lists, plan_lists, require_nothing_lost
@@ -248,7 +248,7 @@ def _with_followers(before: Session, work: Work, names: Sequence[str]) -> tuple[
             if is_build_current(before, name) and not is_build_current(session, name)
         ]
         names = (*names, *built_of)
-    if work.of(LISTS).writes() and any(map(bundled, session.profile.authorities)):
+    if work.of(LISTS).writes() and any(map(current_rollover, session.profile.authorities)):
         names = (*names, *with_sources(session))  # their authorities' file has the lists
     return tuple(dict.fromkeys(names))
 

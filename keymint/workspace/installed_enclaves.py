@@ -58,7 +58,7 @@ def hidden(session: Session) -> tuple[str, ...]:
     return tuple(name for name, marker in _unknown(session) if marker is not None)
 
 
-def unaccounted_enclaves(session: Session) -> Iterator[Diagnostic]:
+def orphan_findings(session: Session) -> Iterator[Diagnostic]:
     """Yield a finding for each installed enclave without a visible source package."""
     for name, marker in _unknown(session):
         if marker is None:
