@@ -14,7 +14,7 @@ from functools import lru_cache
 from itertools import product
 
 from comarmor.patterns.decision_lists import Block, DecisionList, Equal, Universe, Unknown, negate
-from comarmor.patterns.glob import Glob, after, literal, normalise, parse, words
+from comarmor.patterns.glob import Glob, left_quotient, literal, normalise, parse, words
 from comarmor.patterns.matching import matches
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import TooComplexError, intersection
@@ -83,7 +83,7 @@ def namespace_name_pairs(subjects: Glob) -> tuple[tuple[Glob, Glob], ...]:
     """Return patterns of namespace, without the leading ``/``, and name that together match the same subjects."""
     return tuple(
         dict.fromkeys(
-            (rest, name) for namespace, name in namespace_name_splits(subjects) for rest in after(namespace, "/")
+            (rest, name) for space, name in namespace_name_splits(subjects) for rest in left_quotient(space, "/")
         )
     )
 

@@ -111,7 +111,7 @@ def proven_exact(pattern: Glob, states: int) -> ProofResult:
 @step_counting_cache(1 << 14)
 def _decided(pattern: Glob, states: int) -> ProofResult:
     automaton = Automaton()
-    names = frozenset(automaton.names(0, rest) for rest in glob.after(pattern, "/"))
+    names = frozenset(automaton.names(0, rest) for rest in glob.left_quotient(pattern, "/"))
     keys = frozenset(automaton.key_expr(name_key(0, each)) for each in key_exprs(pattern))
     left, right = (side_of(((nodes, frozenset()),)) for nodes in (names, keys))
     result = difference(automaton, left, right, SearchBudget(states))
