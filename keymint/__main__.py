@@ -21,7 +21,7 @@ def run(arguments: list[str]) -> int:
         streams_and_signals.release_signals()
         code = cli.main(arguments)
     except streams_and_signals.StoppedError as stop:
-        code = cli.stopped(arguments, stop.number)
+        code = cli.report_signal(arguments, stop.number)
     gc.freeze()  # the process ends: nothing is searched for cycles any more
     return code
 

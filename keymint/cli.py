@@ -25,7 +25,7 @@ from comarmor.text import printable, printable_lines
 from keymint import SPACES, __version__
 from keymint.command_line.verb_group import VerbGroup
 from keymint.errors import ExitCode
-from keymint.host.streams_and_signals import Output, OutputError, StoppedError, received, settle
+from keymint.host.streams_and_signals import Output, OutputError, StoppedError, received_signal, settle
 
 if TYPE_CHECKING:
     from keymint.output.console import Streams
@@ -139,7 +139,7 @@ def _run(given: Sequence[str], out: Output, err: Output) -> int:
             code = _carried_out(given) if recalled is None else recalled
             out.flush()
         except StoppedError as stop:
-            code = stopped(given, stop.number)
+            code = report_signal(given, stop.number)
             out.flush()
     except OutputError as error:
         out.give_up()
@@ -163,12 +163,12 @@ def _carried_out(given: Sequence[str]) -> int:
     except click.ClickException as error:
         return _fail(given, "usage", " ".join(error.format_message().split()), ExitCode.USAGE, _usage(error))
     except (KeyboardInterrupt, click.Abort):
-        return stopped(given, signal.SIGINT)
+        return report_signal(given, signal.SIGINT)
     except OutputError:
         raise
     except Exception as error:  # noqa: BLE001 - the user gets one line for our bugs too
-        if received():  # a signal that arrived in C code, which raised another exception
-            return stopped(given, received())
+        if received_signal():  # a signal that arrived in C code, which raised another exception
+            return report_signal(given, received_signal())
         return _failed(given, error)
     return result if isinstance(result, int) else int(ExitCode.DONE)
 
@@ -187,7 +187,7 @@ def _failed(given: Sequence[str], error: Exception) -> int:
     return _fail(given, "internal", message, ExitCode.FAILURE, f"keymint: {message}")
 
 
-def stopped(arguments: Sequence[str], number: int) -> int:
+def report_signal(arguments: Sequence[str], number: int) -> int:
     """Report that a signal ended the run, and return the exit code.
 
     Args:

@@ -81,7 +81,7 @@ def package_name(text: str) -> str:
     return name
 
 
-def listed(names: Sequence[str]) -> str:
+def subject_list(names: Sequence[str]) -> str:
     """Return the subjects of some packages in one line: ``/a, /b``; of many packages the first, and how many more."""
     more = len(names) - _LISTED
     return ", ".join(subject_of(name) for name in names[:_LISTED]) + (f" and {more} more" if more > 0 else "")

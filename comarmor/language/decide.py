@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 
 from comarmor.errors import ComArmorError, Reason
 from comarmor.language.syntax import Decision
-from comarmor.patterns.expression import beginning, literal, matches
+from comarmor.patterns.expression import literal, literal_prefix, matches
 from comarmor.patterns.rule_matching import rule_matches_partition
 from comarmor.rules import PARTS, PERMISSIONS, Effect, Rule, suffixes
 from comarmor.text import did_you_mean, quoted
@@ -123,7 +123,7 @@ class _ElementaryRow(Row):
                     else:
                         exact.setdefault(text + suffix, set()).add(at)
         self._exact = {name: tuple(sorted(positions)) for name, positions in exact.items()}
-        self._beginnings = tuple({beginning(expression) for _, expression, _ in self._wild})
+        self._beginnings = tuple({literal_prefix(expression) for _, expression, _ in self._wild})
         self._rulings: dict[tuple[int, ...], Ruling] = {}
         self._permitted: dict[tuple[int, ...], bool] = {}
 

@@ -16,7 +16,7 @@ from comarmor.rules import PERMISSIONS
 from comarmor.xml import schema
 from comarmor.xml.layout import DocumentLayout, laid_out, markup, nodes
 from comarmor.xml.reader import parse
-from comarmor.xml.sandboxed_paths import path_text, unreadable
+from comarmor.xml.sandboxed_paths import path_text, read_failure
 
 LAYOUT = DocumentLayout(
     text=frozenset(("attachment", "value", "partition")),
@@ -29,7 +29,7 @@ _SCHEMAS = dict.fromkeys(("profiles", "profile", *PERMISSIONS), "comarmor.xsd") 
 """The schema of a file by the name of its root element."""
 
 
-def formatted(content: bytes, name: str) -> bytes | None:
+def canonical_form(content: bytes, name: str) -> bytes | None:
     """Return a file in canonical form, or None if its root element is not of this language.
 
     Formatting it again changes nothing. What the file means stays the same, and all its comments and processing
@@ -84,7 +84,7 @@ def written_files(folder: Path) -> tuple[Path, ...]:
 
     def refuse(error: OSError) -> None:
         raise ComArmorError(
-            unreadable(error, "the folder"), where=Origin(path_text(str(error.filename))), code="unreadable"
+            read_failure(error, "the folder"), where=Origin(path_text(str(error.filename))), code="unreadable"
         ) from None
 
     found: list[Path] = []

@@ -14,7 +14,7 @@ from comarmor.patterns.expression import parse as parse_expression
 from comarmor.rules import Expectation
 from comarmor.xml import schema
 from comarmor.xml.reader import LIMITS, line, parse
-from comarmor.xml.sandboxed_paths import unreadable
+from comarmor.xml.sandboxed_paths import read_failure
 
 
 def expectations(path: Path) -> Mapping[Path, tuple[Expectation, ...]]:
@@ -49,7 +49,7 @@ def _read(file: Path) -> Iterator[Expectation]:
         with file.open("rb") as stream:
             content = stream.read(LIMITS.file_bytes + 1)
     except OSError as error:
-        raise ComArmorError(unreadable(error, "the file"), where=Origin(name), code="unreadable") from None
+        raise ComArmorError(read_failure(error, "the file"), where=Origin(name), code="unreadable") from None
     root = parse(content, name)
     schema.validate(root, locate("comarmor", "schemas") / "tests.xsd", name)
     defects: list[Diagnostic] = []

@@ -29,10 +29,10 @@ from comarmor.xml.sandboxed_paths import (
     SandboxedFolder,
     exists,
     path_text,
+    read_failure,
     read_in,
     resolve,
     similar_file,
-    unreadable,
 )
 
 INCLUDE = f"{{{XINCLUDE}}}include"
@@ -73,7 +73,7 @@ def load_tree(
             folder = SandboxedFolder(real.parent, str(real.parent if path.is_symlink() else path.parent))
             roots = [real.name]
     except (OSError, RuntimeError, ValueError) as error:
-        raise ComArmorError(unreadable(error, "the policy"), where=Origin(shown), code="policy-missing") from None
+        raise ComArmorError(read_failure(error, "the policy"), where=Origin(shown), code="policy-missing") from None
     if not roots:
         raise ComArmorError(
             "the policy directory has no *.xml file",

@@ -31,7 +31,7 @@ DecisionList = tuple[Block, ...]
 """The first block that matches a word decides; a word that no block matches is denied."""
 
 
-def negated(decisions: DecisionList) -> DecisionList:
+def negate(decisions: DecisionList) -> DecisionList:
     """Return the list that permits exactly what another one denies."""
     return (*(Block(not block.allows, block.patterns) for block in decisions), Block(True, (EVERYTHING,)))
 

@@ -48,7 +48,7 @@ def literal(expression: str) -> str | None:
     return "".join(texts) if len(texts) == len(tokens) else None
 
 
-def beginning(expression: str) -> str:
+def literal_prefix(expression: str) -> str:
     """Return the text before the first special character: every name that the expression matches begins with it."""
     special = SPECIAL.search(expression)
     return expression[: special.start()] if special else expression

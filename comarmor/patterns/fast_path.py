@@ -41,7 +41,7 @@ def equal(a: DecisionList, b: Sequence[DecisionList], universe: Universe) -> boo
     return not any(word in universe for word in left.permitted_among(words) ^ permitted)
 
 
-def implied(a: DecisionList, b: DecisionList, universe: Universe) -> bool:
+def implies(a: DecisionList, b: DecisionList, universe: Universe) -> bool:
     """Return whether another list provably permits every word that a list permits; False means unknown."""
     left, right = _split(a), _split(b)
     if not _implies(left, right):

@@ -105,7 +105,7 @@ def units(glob: Glob) -> tuple[Token, ...]:
     return tuple(out)
 
 
-def after(glob: Glob, start: str) -> tuple[Glob, ...]:
+def left_quotient(glob: Glob, start: str) -> tuple[Glob, ...]:
     """Return the partial derivatives of a pattern with respect to the start of names.
 
     Their union matches exactly the names ``n`` for which the pattern matches ``start + n`` (V. Antimirov, "Partial
@@ -127,8 +127,8 @@ def after(glob: Glob, start: str) -> tuple[Glob, ...]:
 
 
 @lru_cache(maxsize=1 << 14)
-def before(glob: Glob, end: str) -> tuple[Glob, ...]:
-    """Return patterns of the names ``n`` for which a pattern matches ``n + end``: :func:`after`, read backwards."""
+def right_quotient(glob: Glob, end: str) -> tuple[Glob, ...]:
+    """Return patterns of the names ``n`` for which a pattern matches ``n + end``: :func:`left_quotient` backwards."""
     if not end:
         return (glob,)
     text = literal(glob)
@@ -141,7 +141,7 @@ def before(glob: Glob, end: str) -> tuple[Glob, ...]:
     if not end.endswith(tail):
         return ()
     backwards = normalise(reversed(units(glob)))
-    return tuple(normalise(reversed(units(left))) for left in after(backwards, end[::-1]))
+    return tuple(normalise(reversed(units(left))) for left in left_quotient(backwards, end[::-1]))
 
 
 def _derive(tokens: tuple[Token, ...], char: str) -> Iterator[tuple[Token, ...]]:

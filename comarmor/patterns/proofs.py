@@ -147,7 +147,7 @@ def _search_cubes(
 def _escape(
     permitting: Sequence[DecisionList], denying: DecisionList, universe: Universe, budget: SearchBudget
 ) -> ProofResult:
-    if len(permitting) == 1 and fast_path.implied(permitting[0], denying, universe):
+    if len(permitting) == 1 and fast_path.implies(permitting[0], denying, universe):
         return Equal()
     derivatives = cache(lambda: Derivatives(_patterns((*permitting, denying)), universe))
     search = CounterexampleSearch(permitting, denying, universe, derivatives, budget.state_counter())

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator
 
 from comarmor.patterns.glob import EVERYTHING, Glob, is_empty, literal, normalise, prefix, suffix, units
 from comarmor.patterns.matching import matcher
-from comarmor.patterns.steps import StepLimitError, cached, spend, step_limit
+from comarmor.patterns.steps import StepLimitError, spend, step_counting_cache, step_limit
 from comarmor.patterns.tokens import ANY, STAR, Charset, Star, Token
 
 MAX_STATES = 2_000
@@ -70,7 +70,7 @@ def _split(globs: Iterable[Glob]) -> tuple[set[str], list[Glob]]:
     return names, wild
 
 
-@cached(1 << 14)
+@step_counting_cache(1 << 14)
 def _disjoint(left: Glob, right: Glob) -> bool:
     """Search the product automaton for a pair of final positions."""
     if is_empty(left) or is_empty(right):
@@ -157,7 +157,7 @@ def union_covers(outers: tuple[Glob, ...], inner: Glob) -> bool:
     return bool(_union_covers(outers, inner))
 
 
-@cached(1 << 14)
+@step_counting_cache(1 << 14)
 def _union_covers(outers: tuple[Glob, ...], inner: Glob) -> bool | None:
     if is_empty(inner):
         return True
@@ -200,7 +200,7 @@ def intersection(left: Glob, right: Glob, limit: int = 64) -> tuple[Glob, ...]:
     return pieces
 
 
-@cached(1 << 12)
+@step_counting_cache(1 << 12)
 def _intersection(left: Glob, right: Glob, limit: int) -> tuple[Glob, ...] | None:
     """Return the patterns of an intersection, or None if it is too complex (so that this is cached as well)."""
     with step_limit(MAX_INTERSECTION_STEPS) as counter:

@@ -5,8 +5,8 @@ A step is one pair of patterns compared, or one state visited. The caller sets t
 algorithms count (:func:`spend`). When the limit is reached, :class:`StepLimitError` is raised. Whoever set the limit
 turns it into an error or into "unknown", never into an answer.
 
-An answer from a cache of this package (:func:`cached`) costs the steps that computing it cost, so that the count of a
-search does not depend on earlier ones. Caches above it, as that of compiled kinds of subjects, save steps.
+An answer from a cache of this package (:func:`step_counting_cache`) costs the steps that computing it cost, so that the
+count of a search does not depend on earlier ones. Caches above it, as that of compiled kinds of subjects, save steps.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ class step_limit:  # noqa: N801 - used like a function
         self._outer.spent += self._counter.spent
 
 
-def cached(maxsize: int) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:
+def step_counting_cache(maxsize: int) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:
     """Return a decorator like :func:`functools.lru_cache` whose hits cost as many steps as the first call.
 
     Args:

@@ -16,7 +16,7 @@ from comarmor.errors import ComArmorError, Origin
 from comarmor.text import counted, did_you_mean, quoted
 from comarmor.values import dataclass
 from comarmor.xml.includes import PACKAGE, is_package_name
-from comarmor.xml.sandboxed_paths import FOLLOW_LINKS, SandboxedFolder, path_text, unreadable
+from comarmor.xml.sandboxed_paths import FOLLOW_LINKS, SandboxedFolder, path_text, read_failure
 
 SEARCH_PATH = "AMENT_PREFIX_PATH"
 """The environment variable that lists the prefixes, the first one first (ament_index, of ROS 2)."""
@@ -140,7 +140,7 @@ class InstalledPackages:
             is_folder = real.is_dir()
         except (OSError, RuntimeError) as error:
             raise ComArmorError(
-                unreadable(error, f"'{path_text(str(place))}'"), where=where, code="unreadable"
+                read_failure(error, f"'{path_text(str(place))}'"), where=where, code="unreadable"
             ) from None
         follows = self.trusted is None or package in self.trusted
         if not follows and not real.is_relative_to(expected):
@@ -191,7 +191,7 @@ class InstalledPackages:
                     return prefix
             except OSError as error:
                 place = f"'{path_text(str(error.filename))}'"
-                raise ComArmorError(unreadable(error, place), where=where, code="unreadable") from None
+                raise ComArmorError(read_failure(error, place), where=where, code="unreadable") from None
         raise ComArmorError(
             f"the package {quoted(package)} is not installed",
             where=where,

@@ -56,7 +56,7 @@ def resolve(folder: SandboxedFolder, relative: str, where: Origin) -> Path:
     try:
         real = (folder.real / relative).resolve()
     except (OSError, RuntimeError, ValueError) as error:
-        raise ComArmorError(unreadable(error, "the file"), where=where, code="unreadable") from None
+        raise ComArmorError(read_failure(error, "the file"), where=where, code="unreadable") from None
     if outside or not (folder.trusts_links or real.is_relative_to(folder.real)):
         raise ComArmorError(
             f"{quoted(relative, 200)} is outside of the policy's folder {quoted(path_text(folder.shown), 200)}",
@@ -78,7 +78,7 @@ def read_in(folder: SandboxedFolder, real: Path, size: int, where: Origin) -> by
     try:
         return read_bounded(real.parent if folder.trusts_links else folder.real, real, size)
     except (OSError, ValueError) as error:
-        raise ComArmorError(unreadable(error, "the file"), where=where, code="unreadable") from None
+        raise ComArmorError(read_failure(error, "the file"), where=where, code="unreadable") from None
 
 
 def exists(folder: SandboxedFolder, relative: str, where: Origin) -> bool:
@@ -92,7 +92,7 @@ def exists(folder: SandboxedFolder, relative: str, where: Origin) -> bool:
     except (FileNotFoundError, NotADirectoryError):
         return False
     except OSError as error:
-        raise ComArmorError(unreadable(error, "the file"), where=where, code="unreadable") from None
+        raise ComArmorError(read_failure(error, "the file"), where=where, code="unreadable") from None
     return True
 
 
@@ -139,7 +139,7 @@ def similar_file(folder: SandboxedFolder, relative: str, including: str = "") ->
     return did_you_mean(missing, names)
 
 
-def unreadable(error: Exception, what: str) -> str:
+def read_failure(error: Exception, what: str) -> str:
     """Return a message why a file or folder cannot be read."""
     if isinstance(error, FileNotFoundError):
         return f"{what} does not exist"

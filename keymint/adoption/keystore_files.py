@@ -18,7 +18,7 @@ from comarmor.xml.sandboxed_paths import read_bounded
 from keymint.api import FoundKeystore, KeystoreFile, KeystoreFiles, KeystoreReader
 from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError
-from keymint.view.tree import MAX_FILE, unreadable
+from keymint.view.tree import MAX_FILE, read_error
 
 MOST_FILES = 100_000
 """Files of a keystore; one of ten thousand enclaves has seven for each."""
@@ -92,7 +92,7 @@ def read_keystore(folder: Path, typed: str, now: datetime) -> tuple[KeystoreFile
 
 
 def _problems(error: KeymintError | OSError, place: str) -> Sequence[Diagnostic]:
-    return (unreadable(place, error) if isinstance(error, OSError) else error.at(Origin(place))).diagnostics
+    return (read_error(place, error) if isinstance(error, OSError) else error.at(Origin(place))).diagnostics
 
 
 def _paths(root: Path, folder: str, problems: list[Diagnostic], typed: str) -> Iterator[str]:

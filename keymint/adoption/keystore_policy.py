@@ -90,7 +90,7 @@ class Compared:
         return Diagnostic.error("adopt-policy", message, Origin(self.file), help_, self.subject)
 
 
-def compared(
+def document_comparisons(
     comparer: DocumentComparer,
     enclaves: Iterable[FoundEnclave],
     rules: Mapping[str, SubjectRules],

@@ -9,7 +9,7 @@ from comarmor.errors import Diagnostic, Origin
 from comarmor.text import first_few
 
 
-def undecided(message: str, where: Origin | None, help_: str) -> Diagnostic:
+def undecided_note(message: str, where: Origin | None, help_: str) -> Diagnostic:
     """Return a note that a check ended at its limit of steps."""
     return Diagnostic.note("lint-unknown", message, where, help_)
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from functools import cache, partial
 from itertools import product
 
-from comarmor.patterns.decision_lists import Unknown, negated
+from comarmor.patterns.decision_lists import Unknown, negate
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import disjoint
@@ -172,7 +172,7 @@ class PatternComparison:
         before, after = (decision_list(rules_of(policy, subject), key) for policy in self._policies)
         budget = self._budget.next_query()
         shown = deny_over_allow(ignored, [concrete])
-        return self._budget.verdict(find_permitted(key[0], shown, after, negated(before), budget=budget))
+        return self._budget.verdict(find_permitted(key[0], shown, after, negate(before), budget=budget))
 
 
 _Search = tuple[Glob, tuple[SymbolicCondition, ...]]

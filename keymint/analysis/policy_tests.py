@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 from comarmor.errors import Diagnostic, Origin, Spot
-from comarmor.patterns.decision_lists import Equal, Witness, negated
+from comarmor.patterns.decision_lists import Equal, Witness, negate
 from comarmor.patterns.glob import Glob, parse
 from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import disjoint
@@ -97,7 +97,7 @@ class ExpectationChecker:
         for subject in subjects:
             rules = rules_of(self._policy, subject)
             for part in part_lists(rules, kind, permission):
-                outcome = find_permitted(kind, allow_only(name), negated(part))
+                outcome = find_permitted(kind, allow_only(name), negate(part))
                 if isinstance(outcome, Equal):
                     continue
                 if not isinstance(outcome, Witness):

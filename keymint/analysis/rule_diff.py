@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from comarmor.errors import Origin
-from comarmor.patterns.decision_lists import DecisionList, Equal, ProofResult, Unknown, Witness, negated
+from comarmor.patterns.decision_lists import DecisionList, Equal, ProofResult, Unknown, Witness, negate
 from comarmor.patterns.glob import Glob, parse
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import covers, disjoint
@@ -155,7 +155,7 @@ class _RuleComparison:
         """Yield the newly allowed part of a pattern: what was denied, and what no rule allowed."""
         kind = key[0]
         allowed_now = restrict_allowed(pattern, new)
-        unmatched: DecisionList = (*(block for block in old if not block.allows), *negated(old)[1:])
+        unmatched: DecisionList = (*(block for block in old if not block.allows), *negate(old)[1:])
         outcome = self._find(kind, allowed_now, unmatched)
         if not isinstance(outcome, Equal):
             whole = not any(not disjoint(pattern, each) for each in denied) and self._is_whole(kind, pattern, old, new)
@@ -180,18 +180,18 @@ class _RuleComparison:
         old, new = part_lists(self.before, kind, permission), part_lists(self.after, kind, permission)
         changes: list[PermissionChange] = []
         for pattern, where in candidates.items():
-            outcomes = [self._find(kind, allow_only(pattern), *new, negated(part)) for part in old]
+            outcomes = [self._find(kind, allow_only(pattern), *new, negate(part)) for part in old]
             outcome = _shortest(outcomes)
             if outcome is not None:
                 had = not isinstance(self._find(kind, allow_only(pattern), *old), Equal)
-                lacks = any(not isinstance(self._find(kind, allow_only(pattern), negated(part)), Equal) for part in new)
+                lacks = any(not isinstance(self._find(kind, allow_only(pattern), negate(part)), Equal) for part in new)
                 changes.append(self._change(key, pattern, outcome, not had and not lacks, where))
         return _maximal(changes)
 
     def _is_whole(self, kind: str, pattern: Glob, old: DecisionList, new: DecisionList) -> bool:
         """Return True if the older list denies, and the newer one allows, everything that a pattern matches."""
         allowed_before = self._find(kind, allow_only(pattern), old)
-        denied_now = self._find(kind, allow_only(pattern), negated(new))
+        denied_now = self._find(kind, allow_only(pattern), negate(new))
         return isinstance(allowed_before, Equal) and isinstance(denied_now, Equal)
 
 

@@ -11,7 +11,7 @@ import string
 from collections.abc import Iterable, Iterator, Sequence
 
 from comarmor.patterns.decision_lists import Block, DecisionList, Equal, ProofResult, SearchBudget, Universe
-from comarmor.patterns.glob import Glob, before, normalise, parse, surround, units
+from comarmor.patterns.glob import Glob, normalise, parse, right_quotient, surround, units
 from comarmor.patterns.possible_names import matches_ros_name
 from comarmor.patterns.printing import exact
 from comarmor.patterns.proofs import difference
@@ -126,7 +126,7 @@ def strip_suffix(decided: DecisionList, suffix: str) -> DecisionList:
     if not suffix:
         return decided
     return tuple(
-        Block(block.allows, tuple(left for pattern in block.patterns for left in before(pattern, suffix)))
+        Block(block.allows, tuple(left for pattern in block.patterns for left in right_quotient(pattern, suffix)))
         for block in decided
     )
 

@@ -12,8 +12,8 @@ from dataclasses import replace
 from functools import partial
 from itertools import product
 
-from comarmor.patterns.decision_lists import Unknown, negated
-from comarmor.patterns.glob import Glob, before, literal, normalise, parse
+from comarmor.patterns.decision_lists import Unknown, negate
+from comarmor.patterns.glob import Glob, literal, normalise, parse, right_quotient
 from comarmor.patterns.matching import matches
 from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection, maximal
 from comarmor.patterns.tokens import STAR
@@ -188,7 +188,7 @@ class ClassFinder:
         """Return whether a statement of a change is false for a subject."""
         decided = decision_list(rules_of(self.policies[after], subject), key)
         concrete = allow_only(fill_placeholders(objects, *exact_halves(subject)))
-        sought = negated(decided) if allowed else decided
+        sought = negate(decided) if allowed else decided
         return self.budget.verdict(find_permitted(key[0], concrete, sought, budget=self.budget.next_query()))
 
     def _with_placeholders(self, subject: str, change: PermissionChange) -> PermissionChange:
@@ -199,7 +199,7 @@ class ClassFinder:
         allowed = [rule.object for rule in self.books[change.gains].applying(key, Effect.ALLOW, near)]
         denied = [rule.object for rule in self.books[not change.gains].applying(key, Effect.DENY, near)]
         both = [piece for one in allowed for other in denied for piece in overlap(one, other)]
-        written = (base for each in (*allowed, *denied, *both) for base in before(each, suffix))
+        written = (base for each in (*allowed, *denied, *both) for base in right_quotient(each, suffix))
         found = (each for each in written if fill_placeholders(each, *halves) == change.objects)
         return replace(change, objects=next(found, change.objects))
 
@@ -250,7 +250,7 @@ def _concerned(changes: Iterable[PermissionChange]) -> Iterator[tuple[Permission
         for whole, implementing in PARTS.items():
             for kind, part, end in implementing:
                 if (kind, part) == (change.kind, change.permission):
-                    for base in before(change.objects, end):
+                    for base in right_quotient(change.objects, end):
                         yield from part_patterns(*whole, base)
 
 

@@ -17,7 +17,7 @@ from comarmor.patterns.matching import matches
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.possible_names import matches_ros_name
 from comarmor.patterns.relations import TooComplexError, covers, intersection
-from comarmor.patterns.steps import StepLimitError, cached, spend, step_limit
+from comarmor.patterns.steps import StepLimitError, spend, step_counting_cache, step_limit
 from comarmor.patterns.tokens import Charset, Star
 from comarmor.ros_names import is_fully_qualified, is_subject
 from comarmor.text import did_you_mean
@@ -70,7 +70,7 @@ def rules_of(policy: LoadedPolicy, subject: str) -> tuple[Rule, ...]:
     return subject_rules.rules if subject_rules else ()
 
 
-@cached(1 << 14)
+@step_counting_cache(1 << 14)
 def profile_subjects(profiles: tuple[tuple[str, ...], ...], within: Glob = EVERY) -> tuple[Glob, ...]:
     """Return patterns that together match exactly the subjects to which nested profiles apply.
 

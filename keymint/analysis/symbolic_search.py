@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
 from itertools import product
 
-from comarmor.patterns.decision_lists import Block, DecisionList, Equal, Universe, Unknown, negated
-from comarmor.patterns.glob import Glob, after, literal, normalise, parse, words
+from comarmor.patterns.decision_lists import Block, DecisionList, Equal, Universe, Unknown, negate
+from comarmor.patterns.glob import Glob, left_quotient, literal, normalise, parse, words
 from comarmor.patterns.matching import matches
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import TooComplexError, intersection
@@ -83,7 +83,7 @@ def namespace_name_pairs(subjects: Glob) -> tuple[tuple[Glob, Glob], ...]:
     """Return patterns of namespace, without the leading ``/``, and name that together match the same subjects."""
     return tuple(
         dict.fromkeys(
-            (rest, name) for namespace, name in namespace_name_splits(subjects) for rest in after(namespace, "/")
+            (rest, name) for space, name in namespace_name_splits(subjects) for rest in left_quotient(space, "/")
         )
     )
 
@@ -256,7 +256,7 @@ class _Search:
     def _outside(self, listed: SubjectClass) -> DecisionList:
         """Return the list of the words of the subjects outside of a class."""
         excluded, inside = tuple(self._words(listed.excluded)), tuple(self._words([listed.like]))
-        return negated((Block(False, excluded), Block(True, inside)))
+        return negate((Block(False, excluded), Block(True, inside)))
 
 
 def _text(text: str) -> Glob:

@@ -8,7 +8,7 @@ from dataclasses import field
 
 from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import ProofResult, Unknown, Witness
-from comarmor.patterns.glob import Glob, before, literal
+from comarmor.patterns.glob import Glob, literal, right_quotient
 from comarmor.patterns.matching import matches
 from comarmor.rules import Effect, parts
 from comarmor.values import dataclass
@@ -118,7 +118,7 @@ class _HolderSearch:
                     continue
                 excluded = [(subject,) for subject in sorted(named) if matches(subjects, subject)]
                 conditions = (*rule.reach.conditions, *self._conditions(rules, subjects))
-                for shape in before(rule.object, suffix):
+                for shape in right_quotient(rule.object, suffix):
                     answer = find_subject(self.kind, subjects, shape, conditions, self._check, excluded, self.budget)
                     if isinstance(answer, Unknown):
                         unknown.setdefault(subjects, answer.reason)
@@ -145,4 +145,4 @@ class _HolderSearch:
 
 def _without(entries: Sequence[SymbolicEntry], suffix: str) -> Iterator[SymbolicEntry]:
     for entry in entries:
-        yield from (SymbolicEntry(entry.subjects, pattern) for pattern in before(entry.object, suffix))
+        yield from (SymbolicEntry(entry.subjects, pattern) for pattern in right_quotient(entry.object, suffix))

@@ -16,7 +16,7 @@ from keymint.authority.authority_files import AuthorityFiles
 from keymint.authority.authority_issuance import STAGE, authority_named
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed, secret_file
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, folder_changes, secret_file
 from keymint.workspace import key_record
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.stored_keys import password
@@ -141,7 +141,7 @@ def _plan_authority(
 
 def _stored(inputs: Inputs, name: str, certificate: bytes) -> tuple[FolderChange, ...]:
     path = inputs.workspace.authority_certificate(name)
-    return changed(inputs.tree, path.parent, {path.name: File(certificate)})
+    return folder_changes(inputs.tree, path.parent, {path.name: File(certificate)})
 
 
 def _require_replaceable(files: AuthorityFiles) -> None:

@@ -102,8 +102,8 @@ def read_files(session: Session, authority: Authority, *, deployed: bool = True)
         certificate_file=workspace.origin(path),
         key=tree.read(key_path),
         content=content,
-        certificate=certificates.readable(content),
-        recorded=key_record.recorded(state, key_record.AUTHORITIES, authority.name) if is_trusted else "",
+        certificate=certificates.certificate_in(content),
+        recorded=key_record.recorded_key(state, key_record.AUTHORITIES, authority.name) if is_trusted else "",
         deployed=functools.partial(deployed_authorities, session) if deployed else tuple,
     )
 
@@ -157,7 +157,7 @@ def trusted_chains(session: Session) -> Mapping[str, bytes]:
     """
     chains: dict[str, bytes] = {}
     for authority in in_order(session.profile.authorities):
-        name, rollover = authority.name, bundled(authority)
+        name, rollover = authority.name, current_rollover(authority)
         own = session.tree.read(session.workspace.authority_certificate(name)) or b""
         chains[name] = own + chains.get(authority.certificate.issuer, b"")
         if rollover and own:
@@ -179,14 +179,14 @@ def issuers(session: Session) -> Iterator[tuple[str, str, x509.Certificate]]:
     """
     for authority in session.profile.authorities:
         name = authority.name
-        certificate = certificates.readable(session.tree.try_read(session.workspace.authority_certificate(name)))
+        certificate = certificates.certificate_in(session.tree.try_read(session.workspace.authority_certificate(name)))
         if certificate is not None:
             yield name, name, certificate
-        if rollover := bundled(authority):
+        if rollover := current_rollover(authority):
             yield other(authority), name, certificates.load(rollover.certificate)
 
 
-def bundled(authority: Authority) -> Rollover | None:
+def current_rollover(authority: Authority) -> Rollover | None:
     """Return the replacement of an authority's key while enclaves trust two certificates of it; else None."""
     rollover = authority.issuance.rollover
     return rollover if rollover is not None and rollover.phase is not Phase.STAGE else None
@@ -200,7 +200,7 @@ def other(authority: Authority) -> str:
     return f"{authority.name}.{FORMER if rollover.phase is Phase.REISSUE else NEXT}"
 
 
-def trusted(session: Session) -> Mapping[x509.Certificate, str]:
+def trusted_authorities(session: Session) -> Mapping[x509.Certificate, str]:
     """Return the authorities by their certificates: those in force, and those that take the place of another one."""
     known = {certificate: name for _, name, certificate in issuers(session)}
     rollovers = ((each.name, each.issuance.rollover) for each in session.profile.authorities)
@@ -212,7 +212,7 @@ def authority_keys(session: Session) -> Mapping[str, str]:
 
     While the key of an authority is replaced, it has two.
     """
-    return {certificates.fingerprint(certificate): name for certificate, name in trusted(session).items()}
+    return {certificates.fingerprint(certificate): name for certificate, name in trusted_authorities(session).items()}
 
 
 def satisfies(pem: bytes, spec: CertificateSpec, key: keys.PublicKey, issuer: x509.Certificate | None) -> bool:
@@ -421,7 +421,7 @@ def require_own_keys(session: Session, fingerprints: Mapping[str, str]) -> None:
     for name, fingerprint in fingerprints.items():
         other = owners.setdefault(fingerprint, name)
         if other != name:
-            stamped = key_record.recorded(session.state, key_record.AUTHORITIES, other) == fingerprint
+            stamped = key_record.recorded_key(session.state, key_record.AUTHORITIES, other) == fingerprint
             wrong = name if stamped else other
             raise KeymintError(
                 f"the authorities {other!r} and {name!r} have one and the same key",

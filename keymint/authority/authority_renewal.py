@@ -12,10 +12,10 @@ from keymint.api import Authority, AuthorityIssuance, Validity
 from keymint.authority import authority_files
 from keymint.authority.authorities import MintedAuthority, plan_authorities
 from keymint.authority.authority_issuance import STAGE, authority_named, plan_authority_issuance
-from keymint.authority.given_authority import GivenAuthority, checked
+from keymint.authority.given_authority import GivenAuthority, cert_and_key
 from keymint.errors import KeymintError
 from keymint.pki import certificates, distinguished_names, foreign_authorities, keys
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed, secret_file
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, folder_changes, secret_file
 from keymint.workspace import key_record
 from keymint.workspace.session import Session
 
@@ -59,7 +59,7 @@ def _adopted_again(session: Session, authority: Authority, minted: MintedAuthori
     certificate = minted.certificate
     where = session.workspace.origin(session.workspace.authority_certificate(authority.name))
     is_of_today = certificate.not_valid_after_utc >= _later_end(session, authority, certificate)
-    if is_of_today and not any(foreign_authorities.lacking(certificate, authority.name, where)):
+    if is_of_today and not any(foreign_authorities.defects(certificate, authority.name, where)):
         return certificates.to_pem(certificate)
     return issued_like(session, authority, certificate, minted.issuer.key)
 
@@ -135,12 +135,12 @@ def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
     elsewhere, or is here already.
 
     Raises:
-        KeymintError: as :func:`keymint.authority.given_authority.checked`; or installed enclaves trust another key of
-            this authority.
+        KeymintError: as :func:`keymint.authority.given_authority.cert_and_key`; or installed enclaves trust another key
+            of this authority.
     """
     authority = authority_named(session, name)
     require_no_rollover(session, name)
-    certificate, key = checked(session, authority, given)
+    certificate, key = cert_and_key(session, authority, given)
     public = certificates.public_key(certificate, given.where)
     files = authority_files.read_files(session, authority)
     authority_files.require_known(files, public, given.where)
@@ -156,7 +156,7 @@ def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
     decided = AuthorityIssuance(adopted=certificates.to_pem(certificate), exposed=exposed)
     plan = plan_authority_issuance(session, name, decided, f"{name} imported from {given.where}")
     path = session.workspace.authority_certificate(name)
-    changes += changed(session.tree, path.parent, {path.name: File(decided.adopted)})
+    changes += folder_changes(session.tree, path.parent, {path.name: File(decided.adopted)})
     files_step = Step(STAGE, name, Action.UPDATED, tuple(changes), "certificate authority")
     fingerprint = keys.fingerprint(public)
     state = key_record.record(session.state, key_record.AUTHORITIES, {name: fingerprint})

@@ -80,7 +80,7 @@ def implementations(session: Session, chosen: Collection[str] = ()) -> dict[str,
     return {name: tuple(each for each in of_type if each.name in chosen) or of_type for name, of_type in known.items()}
 
 
-def refusing(session: Session, name: str, chosen: Collection[str], what: str) -> tuple[str, ...]:
+def refusing_implementations(session: Session, name: str, chosen: Collection[str], what: str) -> tuple[str, ...]:
     """Return the implementations that do not accept a change of an authority in a role that it has.
 
     Args:

@@ -36,7 +36,7 @@ class GivenAuthority:
     exposed: bool = False
 
 
-def checked(session: Session, authority: Authority, given: GivenAuthority) -> tuple[x509.Certificate, bytes]:
+def cert_and_key(session: Session, authority: Authority, given: GivenAuthority) -> tuple[x509.Certificate, bytes]:
     """Return the certificate, and the private key as it is to be stored: PEM, or empty if none is given.
 
     Args:

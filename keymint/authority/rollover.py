@@ -23,7 +23,7 @@ from keymint.authority.authorities import plan_authorities
 from keymint.authority.authority_files import FORMER, NEXT
 from keymint.authority.authority_issuance import STAGE, authority_named, plan_authority_issuance
 from keymint.authority.authority_renewal import begin_of, issued_like, issuer_of
-from keymint.authority.given_authority import GivenAuthority, checked
+from keymint.authority.given_authority import GivenAuthority, cert_and_key
 from keymint.errors import KeymintError
 from keymint.pki import certificates, extensions, keys
 from keymint.store.changes import Action, File, FolderChange, Plan, Step, secret_file
@@ -209,9 +209,9 @@ def _given(
     """Return a next authority that was made elsewhere: its certificate, and its private key or nothing.
 
     Raises:
-        KeymintError: as :func:`keymint.authority.given_authority.checked`; or it has the present key.
+        KeymintError: as :func:`keymint.authority.given_authority.cert_and_key`; or it has the present key.
     """
-    certificate, key = checked(session, authority, given)
+    certificate, key = cert_and_key(session, authority, given)
     if certificate.public_key() == present.public_key():
         raise KeymintError(
             f"has the present key of the authority {authority.name!r}",

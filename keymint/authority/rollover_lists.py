@@ -25,11 +25,11 @@ def others(session: Session) -> Mapping[str, tuple[str, MintedAuthority]]:
     return {
         authority_files.other(each): (each.name, _other(session, each, rollover.certificate))
         for each in session.profile.authorities
-        if (rollover := authority_files.bundled(each))
+        if (rollover := authority_files.current_rollover(each))
     }
 
 
-def outdated(session: Session, stage: str) -> Iterator[Step]:
+def list_removals(session: Session, stage: str) -> Iterator[Step]:
     """Yield what removes the revocation lists of authorities that enclaves trust no more, or not yet."""
     for each in session.profile.authorities:
         for suffix in (NEXT, FORMER):

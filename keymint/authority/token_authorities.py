@@ -39,7 +39,7 @@ def load(inputs: Inputs, files: AuthorityFiles, *, renew: bool) -> keys.PrivateK
         public, where = inputs.tokens.public_key(spec.key, spec.origin), spec.origin
     if not keys.fits(public, spec.key):
         raise KeymintError(
-            f"the key of the authority {name!r} is not {keys.described(spec.key)}, which {spec.origin} asks for",
+            f"the key of the authority {name!r} is not {keys.key_description(spec.key)}, which {spec.origin} asks for",
             where=where,
             help="write the type of the token's key into <asymmetric_type>",
             code="key-kind",

@@ -78,7 +78,7 @@ def accept(work: Work, options: AcceptanceOptions) -> Work:
     return work
 
 
-def unaccepted(run: Run, error: UnacceptedPackagesError) -> Report:
+def unaccepted_report(run: Run, error: UnacceptedPackagesError) -> Report:
     """Return the report of a verb that met files of packages that nobody accepted, and show what they change."""
     # Few runs need the comparison, and it takes time to import.
     from keymint.analysis.policy_diff import diff_policies  # noqa: PLC0415

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
 from keymint.authority.authorities import plan_authorities
-from keymint.authority.authority_uses import refusing
+from keymint.authority.authority_uses import refusing_implementations
 from keymint.authority.given_authority import GivenAuthority
 from keymint.command_line.named_files import read_input
 from keymint.errors import KeymintError
@@ -17,7 +17,7 @@ from keymint.run.run import Run
 from keymint.stages.pipeline import Request, conduct
 from keymint.stages.work import Work
 from keymint.store.changes import Plan
-from keymint.workspace.installed_enclaves import installed, with_sources
+from keymint.workspace.installed_enclaves import enclave_names, with_sources
 from keymint.workspace.session import Session
 
 REISSUED = "authority-reissued"
@@ -40,7 +40,7 @@ def _require_flag_day(session: Session, name: str) -> None:
     Raises:
         KeymintError: there are installed enclaves, and an implementation does not accept both certificates.
     """
-    if titles := refusing(session, name, (), "reissues") if installed(session) else ():
+    if titles := refusing_implementations(session, name, (), "reissues") if enclave_names(session) else ():
         raise KeymintError(
             f"a new certificate of {name!r} is a flag day: with {' and '.join(titles)}, subjects that have the old one "
             "and subjects that have the new one do not communicate",
@@ -91,9 +91,9 @@ def _lists_to_refresh(session: Session, changed: Session, name: str) -> tuple[st
 def _told(plan: Plan, session: Session, name: str) -> Plan:
     """Return a plan that says what its change of an authority costs a running fleet."""
     others = tuple(each for each in plan.diagnostics if each.code != REISSUED)
-    if not plan.writes() or not installed(session):
+    if not plan.writes() or not enclave_names(session):
         return replace(plan, diagnostics=others)
-    titles = refusing(session, name, (), "reissues")
+    titles = refusing_implementations(session, name, (), "reissues")
     where = session.workspace.origin(session.workspace.authority_certificate(name))
     if titles:
         message = f"the certificate of the authority {name!r} is reissued: all robots restart together"

@@ -16,7 +16,7 @@ from keymint.robots.robot_keystore import Keystore
 from keymint.run.run import Run
 from keymint.store.store import Store
 from keymint.view.tree import Tree
-from keymint.workspace.workspace import shown
+from keymint.workspace.workspace import shown_path
 
 VARIABLE = "ROS_SECURITY_KEYSTORE"
 """The environment variable by which ROS 2 finds the keystore."""
@@ -50,11 +50,11 @@ def keystore_of(run: Run, folder: Path | None) -> RobotKeystore:
             "the keystore is not known", f"name it with --folder, or set {VARIABLE} as for the nodes of this robot"
         )
     root = (run.setting.cwd / named).resolve()
-    return RobotKeystore(root, shown(root, run.setting.cwd))
+    return RobotKeystore(root, shown_path(root, run.setting.cwd))
 
 
 @contextlib.contextmanager
-def opened(run: Run, keystore: RobotKeystore) -> Iterator[Store]:
+def opened_store(run: Run, keystore: RobotKeystore) -> Iterator[Store]:
     """Yield the writer of a keystore, whose lock is held; what was interrupted is finished or dropped first."""
     records = keystore.read().records
     store = Store({keystore.root: False}, records)

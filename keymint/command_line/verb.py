@@ -74,9 +74,9 @@ def _guarded(run: Run, function: Callable[[], Report]) -> ExitCode:
     try:
         report = function()
     except UnacceptedPackagesError as error:
-        from keymint.command_line.accepted_packages import unaccepted  # noqa: PLC0415 - few runs need it
+        from keymint.command_line.accepted_packages import unaccepted_report  # noqa: PLC0415 - few runs need it
 
-        report = unaccepted(run, error)
+        report = unaccepted_report(run, error)
     except KeymintError as error:
         report = run.report({}, error.diagnostics, error.exit_code, workspace=run.known_workspace)
     run.console.show(run.presented(run.told(report)))

@@ -81,7 +81,7 @@ def _boxes(labelled: LabelledGraph, drawn: SimplifiedGraph, panels: Sequence[Pan
         yield LegendEntry("expression", "pattern neutral", "box")
 
 
-def flowed(entries: Sequence[LegendEntry], width: float) -> tuple[list[LegendEntry], float]:
+def place_entries(entries: Sequence[LegendEntry], width: float) -> tuple[list[LegendEntry], float]:
     """Place entries in lines of a width in pixels; return them and their total height."""
     x = y = 0.0
     placed = []

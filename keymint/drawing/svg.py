@@ -16,7 +16,7 @@ from keymint.api.graph import EdgeOutcome
 from keymint.drawing.display_text import columns, object_name, sentence, shorten
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, namespace
 from keymint.drawing.layout import CHARACTER, EdgeLine, NodeBox, NodeKey, Panel, lay_out
-from keymint.drawing.legend import LINE, edge_classes, flowed, legend
+from keymint.drawing.legend import LINE, edge_classes, legend, place_entries
 from keymint.drawing.palette import style_sheet
 from keymint.drawing.picture_options import DrawingOptions, Split
 from keymint.drawing.simplify import SimplifiedGraph, folded_name, priority, simplify
@@ -86,7 +86,7 @@ def draw(labelled: LabelledGraph, options: DrawingOptions, number: NodeNumber | 
     width = max(_LEAST_WIDTH, *(panel.width for panel in panels)) if panels else _LEAST_WIDTH
     placed, sheet_width, sheet_height = _placed(panels, max(width, _SHEET) if len(panels) > 1 else width)
     width = max(sheet_width, _LEAST_WIDTH)
-    samples, legend_height = flowed(samples, width)
+    samples, legend_height = place_entries(samples, width)
     subtitle = _subtitle(labelled, options, drawn)
     subtitles = textwrap.wrap(subtitle, int(width / CHARACTER), break_long_words=False, break_on_hyphens=False)
     top = MARGIN + (1 + len(subtitles)) * LINE

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Judge what lies in a keystore: each rule once, each code raised in one place.
 
-The doors are :func:`check.check` (``keymint check``), :func:`keystore.proven_keystore` with :func:`keystore.deciding`
-(``prove``) and :func:`keystore.not_examined` (what the user may not read). docs/verification.md says which verb reads
-what. All that judges installed files:
+The doors are :func:`check.check` (``keymint check``), :func:`keystore.proven_keystore` with
+:func:`keystore.deciding_findings` (``prove``) and :func:`keystore.not_examined` (what the user may not read).
+docs/verification.md says which verb reads what. All that judges installed files:
 
 ============================================  =======================================================================
 here

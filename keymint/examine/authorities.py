@@ -16,7 +16,7 @@ from keymint.authority.authority_files import AuthorityFiles
 from keymint.errors import KeymintError
 from keymint.life import terms
 from keymint.pki import certificates, keys
-from keymint.stages.proof.trust_anchors import against
+from keymint.stages.proof.trust_anchors import certificate_contradictions
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.stored_keys import key_defects
 
@@ -87,7 +87,7 @@ def _certificate(
 ) -> Iterator[Diagnostic]:
     """Check a certificate against its key, the certificates in use, and the profile."""
     spec, certificate = files.authority.certificate, files.certificate
-    defects = against(files, key)
+    defects = certificate_contradictions(files, key)
     if certificate is None:
         help_ = "'keymint install' restores it" if files.key else "restore it from a backup"
         defects = tuple(replace(defect, help=help_) for defect in defects)

@@ -23,11 +23,11 @@ from keymint.examine.authorities import authorities, in_defect
 from keymint.examine.enclaves import Examined, LoadedEnclave, examine, load
 from keymint.examine.file_status import file_status
 from keymint.examine.install_space import outside_enclaves
-from keymint.examine.keystore import deciding, staged
+from keymint.examine.keystore import deciding_findings, staged_keystore_session
 from keymint.executors import Pool
 from keymint.stages import identity_keys
 from keymint.stages.identity_keys import Keyring
-from keymint.workspace.installed_enclaves import unaccounted, with_sources
+from keymint.workspace.installed_enclaves import orphan_findings, with_sources
 from keymint.workspace.session import Session
 
 LEAST = 64
@@ -59,11 +59,11 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
     enclaves: list[Examined] = [each for part in (first, *examined) for each in part]
     findings = [finding for each in enclaves for finding in each.findings]
     findings += _of_several(session, [each for each in loaded if isinstance(each, LoadedEnclave)])
-    findings += unaccounted(session)
+    findings += orphan_findings(session)
     findings += (each for each in decides if each not in findings)  # the defects of packages are found above
     fingerprints = {each.name: each.fingerprint for each in enclaves if each.fingerprint}
     findings += identity_keys.shared_keys(session, fingerprints)
-    findings += (*keys.elsewhere(session), *keys.encryption(session), *keys.exposed(session))
+    findings += (*keys.elsewhere(session), *keys.encryption(session), *keys.exposed_keys(session))
     findings += around
     later = _without_install_hints(findings, in_defect(of_authorities))
     return (*of_authorities, *of_files, *of_git, *later, *_of_second_keystore(session, names, within, pool))
@@ -71,7 +71,7 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
 
 def _deciding(session: Session) -> tuple[Diagnostic, ...]:
     try:
-        return tuple(deciding(session))
+        return tuple(deciding_findings(session))
     except KeymintError as error:  # a package has defects, or the register
         return error.diagnostics
 
@@ -81,7 +81,7 @@ def _of_second_keystore(
 ) -> tuple[Diagnostic, ...]:
     """Return the findings on a keystore that lies beside the one in force, judged as if it were that one."""
     try:
-        ahead = staged(session)
+        ahead = staged_keystore_session(session)
     except KeymintError as error:
         return error.diagnostics
     if ahead is None:

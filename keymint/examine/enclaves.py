@@ -12,7 +12,7 @@ from comarmor.values import dataclass
 from keymint.api import BuildOptions, BuildType, Inspection, Package
 from keymint.authority.authority_files import trusted_chains
 from keymint.errors import KeymintError
-from keymint.examine.file_status import changed, link, linked_twice, modes, unexpected, unrecorded
+from keymint.examine.file_status import changed_file, link, linked_twice, modes, unexpected_file, unrecorded_note
 from keymint.life.workspace_register import withdrawn
 from keymint.names import subject_of
 from keymint.pki import key_files, keys
@@ -204,7 +204,7 @@ def _unexpected(session: Session, loaded: LoadedEnclave) -> Iterator[Diagnostic]
     known = frozenset[str]().union(*(own.files for _, own in loaded.seen.values()))
     for file in sorted(loaded.files.keys() - known):
         message = f"does not belong to the layout {session.profile.layout!r}"
-        yield unexpected(session, session.enclave(loaded.package.name) / file, message, loaded.package.subject)
+        yield unexpected_file(session, session.enclave(loaded.package.name) / file, message, loaded.package.subject)
 
 
 def _identity_key(
@@ -264,8 +264,8 @@ def _on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterato
         if file in secret:
             yield from linked_twice(session, path, subject)
     if stamp is None:
-        yield unrecorded(f"what was installed as {subject}", subject)
+        yield unrecorded_note(f"what was installed as {subject}", subject)
         return
     for file, value in stamp.outputs.items():
         if file in files and session.tree.digest(f"{folder}/{file}") != value:
-            yield changed(session, f"{folder}/{file}", f"'keymint install {name}' restores it", subject)
+            yield changed_file(session, f"{folder}/{file}", f"'keymint install {name}' restores it", subject)

@@ -87,21 +87,21 @@ def as_installed(
         return
     yield from modes(inputs, path, file_mode(secret=secret), "")
     if value and inputs.tree.has_file(path) and digest(inputs.tree.try_read(path) or b"") != value:
-        yield changed(inputs, path, help_, message=message)
+        yield changed_file(inputs, path, help_, message=message)
 
 
-def changed(inputs: Inputs, path: Path | str, help_: str, subject: str = "", message: str = CHANGED) -> Diagnostic:
+def changed_file(inputs: Inputs, path: Path | str, help_: str, subject: str = "", message: str = CHANGED) -> Diagnostic:
     """Return the finding on a file that is not what was installed."""
     return Diagnostic.error("file-changed", message, inputs.workspace.origin(path), help_, subject)
 
 
-def unrecorded(what: str, subject: str = "") -> Diagnostic:
+def unrecorded_note(what: str, subject: str = "") -> Diagnostic:
     """Return the note that nothing tells what was installed, so that a change is not seen."""
     message, help_ = f"there is no record of {what}", "'keymint install' makes one"
     return Diagnostic.note("record-missing", message, None, help_, subject)
 
 
-def unexpected(inputs: Inputs, path: Path | str, message: str, subject: str = "") -> Diagnostic:
+def unexpected_file(inputs: Inputs, path: Path | str, message: str, subject: str = "") -> Diagnostic:
     """Return the finding on a file that belongs to nothing."""
     return Diagnostic.warning("file-unexpected", message, inputs.workspace.origin(path), "remove it", subject)
 

@@ -9,7 +9,7 @@ from datetime import timedelta
 from comarmor.errors import Diagnostic
 from keymint.api import Artifact, BuildOptions, SharedInspection
 from keymint.errors import KeymintError
-from keymint.examine.file_status import as_installed, unexpected, unrecorded
+from keymint.examine.file_status import as_installed, unexpected_file, unrecorded_note
 from keymint.life.workspace_register import withdrawn
 from keymint.names import ROOT
 from keymint.stages import environment_scripts
@@ -19,7 +19,7 @@ from keymint.stages.shared_install import enclaves_of, installed_shared
 from keymint.view.stamps import Stamp, digest
 from keymint.workspace import gitignore
 from keymint.workspace.enclave_changes import EnclaveChanges, build_types_in_use, copies_of, shared_copies
-from keymint.workspace.installed_enclaves import INSTALLED, files_in, installed
+from keymint.workspace.installed_enclaves import INSTALLED, enclave_names, files_in
 from keymint.workspace.package_build_types import shared_builder
 from keymint.workspace.session import Session
 
@@ -36,7 +36,7 @@ def outside_enclaves(session: Session, within: timedelta) -> Iterator[Diagnostic
     """
     found, known = _shared(session, within)
     yield from found
-    workspace, names = session.workspace, installed(session)
+    workspace, names = session.workspace, enclave_names(session)
     enclaves = {session.enclave_folder(name) for name in names if name != ROOT}
     own = {f"{session.enclave_folder(ROOT)}/{file}" for file in files_in(session, ROOT)} if ROOT in names else ()
     entries = list(session.tree.walk(workspace.install, skipped=""))
@@ -63,7 +63,7 @@ def outside_enclaves(session: Session, within: timedelta) -> Iterator[Diagnostic
             help_ = restores if is_ours else "rename it or remove it, and run 'keymint install'"
             yield from as_installed(session, path, digest(own_scripts[relative]), help_, _OTHER_SCRIPT)
         else:
-            yield unexpected(session, path, "is in the install space, but belongs to no enclave")
+            yield unexpected_file(session, path, "is in the install space, but belongs to no enclave")
     for folder in empty:
         message = "is an empty folder in the install space that Keymint did not create"
         yield Diagnostic.warning("folder-unexpected", message, workspace.origin(folder), "remove it")
@@ -142,4 +142,4 @@ def _on_disk(session: Session, name: str, inspection: SharedInspection, stamp: S
         value, help_ = recorded.get(path, ""), "'keymint build' and 'keymint install' write it"
         yield from as_installed(session, session.workspace.install / path, value, help_, secret=secret)
     if stamp is None and inspection.files:
-        yield unrecorded(f"the installed shared documents of {name}")
+        yield unrecorded_note(f"the installed shared documents of {name}")

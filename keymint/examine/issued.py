@@ -16,7 +16,7 @@ from comarmor.text import counted, first_few
 from keymint.authority.authority_files import issuers
 from keymint.errors import KeymintError
 from keymint.life.revocation_lists_in_force import enclave_lists
-from keymint.life.terms import shown
+from keymint.life.terms import iso_time
 from keymint.life.workspace_register import complete_register, issuer_of, register_of
 from keymint.names import subject_of
 from keymint.pki import certificate_forms, certificates, revocation_lists
@@ -37,7 +37,7 @@ def issued_here(session: Session) -> Iterator[tuple[str, x509.Certificate, x509.
             yield name, certificate, issuer
 
 
-def registered(session: Session) -> Iterator[Diagnostic]:
+def register_findings(session: Session) -> Iterator[Diagnostic]:
     """Yield a finding for each installed certificate of our authorities that is not as it was issued.
 
     Without a register nothing is known of what was issued: a finding if something was revoked, unless private files are
@@ -70,14 +70,14 @@ def registered(session: Session) -> Iterator[Diagnostic]:
             message = f"differs from the certificate that was issued with the serial number {known.serial:x}"
             yield Diagnostic.error("certificate-unregistered", message, where, issue, package.subject)
         elif known.revoked is not None:
-            message = f"was revoked on {shown(known.revoked)} ({known.reason})"
+            message = f"was revoked on {iso_time(known.revoked)} ({known.reason})"
             help_ = f"remove the enclave; 'keymint renew --rekey {name}' makes a new key and certificate"
             yield Diagnostic.error("certificate-revoked", message, where, help_, package.subject)
         else:
             wanted = certificate_forms.cut(package.identity.validity, issuer)
             if (first, last) != (wanted.not_before, wanted.not_after):
-                message = f"is in force from {shown(first)} to {shown(last)}, which is not what the sources ask for"
-                yield Diagnostic.warning("certificate-drift", message, where, issue, package.subject)
+                text = f"is in force from {iso_time(first)} to {iso_time(last)}, which is not what the sources ask for"
+                yield Diagnostic.warning("certificate-drift", text, where, issue, package.subject)
 
 
 # -- revocation lists -----------------------------------------------------------------------------------------------

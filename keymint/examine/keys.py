@@ -59,7 +59,7 @@ def encryption(session: Session) -> Iterator[Diagnostic]:
                 yield Diagnostic.warning("key-plain", message, session.workspace.origin(path), help_)
 
 
-def exposed(session: Session) -> Iterator[Diagnostic]:
+def exposed_keys(session: Session) -> Iterator[Diagnostic]:
     """Yield a warning for each private key in use that others could read before it was taken over.
 
     The sources remember its fingerprint. A new key has another one, which ends the finding.

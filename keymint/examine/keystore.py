@@ -11,7 +11,7 @@ from comarmor.text import first_few
 from keymint.api import LoadedPolicy, Phase
 from keymint.authority.rollover import staged_session
 from keymint.errors import KeymintError
-from keymint.examine.issued import lists_in_force, of_enclaves, registered
+from keymint.examine.issued import lists_in_force, of_enclaves, register_findings
 from keymint.examine.rights import presented_rights
 from keymint.executors import Pool
 from keymint.life.earlier_rights import RIGHTS_OUTLIVE
@@ -53,7 +53,7 @@ def proven_keystore(
     results = proofs(session, policy, effort, names, on_enclave, pool)
     presented = presented_rights(session, results.state, policy, effort)
     shared, enclaves = (*results.shared, *presented.shared), results.enclaves
-    if (ahead := staged(session)) is not None:
+    if (ahead := staged_keystore_session(session)) is not None:
         ready = tuple(name for name in with_sources(ahead) if name in names)
         second = proofs(ahead, policy, effort, ready, lambda _: None, pool)
         enclaves, shared = (*enclaves, *second.enclaves), (*shared, *second.shared)
@@ -63,7 +63,7 @@ def proven_keystore(
     )
 
 
-def deciding(session: Session) -> Iterator[Diagnostic]:
+def deciding_findings(session: Session) -> Iterator[Diagnostic]:
     """Yield the findings that may change what a transport decides, beside claims and trust anchors.
 
     Raises:
@@ -77,7 +77,7 @@ def deciding(session: Session) -> Iterator[Diagnostic]:
     yield from _not_staged(session)
     yield from lists_in_force(session)
     yield from of_enclaves(session)
-    yield from registered(session)
+    yield from register_findings(session)
 
 
 def _not_staged(session: Session) -> Iterator[Diagnostic]:
@@ -85,7 +85,7 @@ def _not_staged(session: Session) -> Iterator[Diagnostic]:
     if not (name := _staging(session)):
         return
     try:
-        ahead = staged(session)
+        ahead = staged_keystore_session(session)
     except KeymintError:  # reported with the second keystore
         return
     if lacking := {*with_sources(session)}.difference(with_sources(ahead) if ahead else ()):
@@ -102,7 +102,7 @@ def _staging(session: Session) -> str:
 
 
 @once
-def staged(session: Session) -> Session | None:
+def staged_keystore_session(session: Session) -> Session | None:
     """Return the session of the second keystore as if it were in force; None if there is none.
 
     Raises:

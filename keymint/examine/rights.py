@@ -84,7 +84,7 @@ def presented_rights(session: Session, state: State, policy: LoadedPolicy, effor
         claims, found, state = question.recorded(state, f"{FOLDER}/presented/{name}")
         for package, subject, excess, until in found:
             if until >= session.now:
-                note = earlier_rights.outliving(session, package, subject, excess, until)
+                note = earlier_rights.outliving_rights(session, package, subject, excess, until)
                 outliving.setdefault(package, note)
         proofs.append(EnclaveProof("", "", claims, build_types=(name,)))
     is_whole = not proofs or (has_register(session) and register_of(session).is_whole)
@@ -174,7 +174,7 @@ def _earlier(session: Session) -> Mapping[bytes, SignedRights]:
         rights = (each for each in register_of(session).rights if each.not_after >= session.now)
         return {each.content: each for each in rights}
     except ValueError:
-        raise register_database.damaged(session.workspace.origin(session.workspace.register)) from None
+        raise register_database.register_error(session.workspace.origin(session.workspace.register)) from None
 
 
 def _dump(now: datetime, outliving: Iterable[_Outliving]) -> str:
@@ -242,7 +242,7 @@ def _documents(
 
     That in the enclave of a package, beside a certificate for the package's name, is verified and proven with it.
     """
-    signers = [certificates.to_pem(each) for each in authority_files.trusted(session)]
+    signers = [certificates.to_pem(each) for each in authority_files.trusted_authorities(session)]
     workspace, in_place = session.workspace, session.enclaves.relative_to(session.workspace.install)
     places = (workspace.install / in_place, workspace.next_install / in_place)
     owners = {
@@ -267,7 +267,7 @@ def _signed(content: bytes, signers: Iterable[bytes], *, verify: bool) -> Signed
     """Return a signed document, or None if it has not exactly one reading, or none of the signers signed it."""
     for signer in signers:
         try:
-            return smime.read(content, signer) if verify else smime.unverified(content)
+            return smime.read(content, signer) if verify else smime.unverified_document(content)
         except KeymintError:
             continue
     return None
@@ -287,7 +287,7 @@ def _holders(
     """Yield the certificates in force: those among some files, and those of the register that are not here."""
     register, now = register_of(session), session.now
     ends: dict[str, datetime] = {}
-    issuers = [(issuer_of(each), each) for each in authority_files.trusted(session)]
+    issuers = [(issuer_of(each), each) for each in authority_files.trusted_authorities(session)]
     seen: set[tuple[str, int]] = set()
     for certificate in _certificates(found.values()):
         issuer = next((key for key, each in issuers if _is_issued(certificate, each)), None)

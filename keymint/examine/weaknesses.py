@@ -81,7 +81,7 @@ def lacks(session: Session) -> dict[str, list[Diagnostic]]:
     files = [read_files(session, authority) for authority in session.profile.authorities]
     found = {
         each.authority.name: list(
-            foreign_authorities.lacking(each.certificate, each.authority.name, each.certificate_file)
+            foreign_authorities.defects(each.certificate, each.authority.name, each.certificate_file)
         )
         for each in files
         if each.certificate is not None

@@ -24,7 +24,7 @@ from urllib.parse import urlsplit
 from keymint.api.plugin_loader import Plugins, how_to_add
 from keymint.errors import ExitCode, KeymintError
 from keymint.executors import worker
-from keymint.executors.pool import PARTS_FOR_EACH, Result, Task, Work, divided, in_order
+from keymint.executors.pool import PARTS_FOR_EACH, Result, Task, Work, divide, in_order
 
 if TYPE_CHECKING:
     from distributed import Client, Security
@@ -57,7 +57,7 @@ class Cluster:
     def parts(self, items: Sequence[Task], least: int) -> list[Sequence[Task]]:
         """See :meth:`keymint.executors.Pool.parts`; the user wants all of them to be carried out there."""
         del least
-        return divided(items, max(1, min(self.size * PARTS_FOR_EACH, len(items))))
+        return divide(items, max(1, min(self.size * PARTS_FOR_EACH, len(items))))
 
     def map(self, work: Work[Task, Result], tasks: Iterable[Task]) -> Iterator[Result]:
         """See :meth:`keymint.executors.Pool.map`."""

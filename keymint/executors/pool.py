@@ -52,7 +52,7 @@ class Pool(Protocol):
         """
 
 
-def divided(items: Sequence[Task], number: int) -> list[Sequence[Task]]:
+def divide(items: Sequence[Task], number: int) -> list[Sequence[Task]]:
     """Divide items into a number of parts of about equal size, in order."""
     ends = [len(items) * at // number for at in range(number + 1)]
     return [items[first:last] for first, last in pairwise(ends)]

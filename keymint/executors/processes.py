@@ -13,7 +13,7 @@ from typing import Any
 
 from keymint.api.plugin_loader import Plugins
 from keymint.errors import process_ended
-from keymint.executors.pool import PARTS_FOR_EACH, Result, Task, Work, divided, in_order
+from keymint.executors.pool import PARTS_FOR_EACH, Result, Task, Work, divide, in_order
 
 
 class Processes:
@@ -34,7 +34,7 @@ class Processes:
     def parts(self, items: Sequence[Task], least: int) -> list[Sequence[Task]]:
         """See :meth:`keymint.executors.Pool.parts`."""
         most = self.size * PARTS_FOR_EACH if self.size > 1 else 1
-        return divided(items, max(1, min(most, len(items) // max(1, least))))
+        return divide(items, max(1, min(most, len(items) // max(1, least))))
 
     def map(self, work: Work[Task, Result], tasks: Iterable[Task]) -> Iterator[Result]:
         """See :meth:`keymint.executors.Pool.map`."""

@@ -94,7 +94,7 @@ def script(variables: Iterable[EnvironmentVariable], shell: str) -> bytes:
     return "".join([*lines, syntax.forget]).encode()
 
 
-def resolved(variables: Iterable[EnvironmentVariable], keystore: Path) -> Mapping[str, str]:
+def variable_values(variables: Iterable[EnvironmentVariable], keystore: Path) -> Mapping[str, str]:
     """Return the values of variables by name.
 
     Args:

@@ -205,7 +205,7 @@ def held_signals() -> Iterator[None]:
         release_signals()
 
 
-def received() -> int:
+def received_signal() -> int:
     """Return the number of the signal that asked the process to end, or 0."""
     return _received[0] if _received else 0
 

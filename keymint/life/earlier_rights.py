@@ -11,7 +11,7 @@ from datetime import datetime
 from comarmor.errors import Diagnostic, Severity
 from keymint.api import BuildType, Counterexample, DocumentComparer, DocumentComparison, Package, Presentation
 from keymint.errors import KeymintError
-from keymint.life.terms import shown
+from keymint.life.terms import iso_time
 from keymint.pki import certificates, smime
 from keymint.pki.distinguished_names import to_text
 from keymint.workspace.installed_enclaves import CERTIFICATE, INSTALLED
@@ -28,7 +28,7 @@ def excess_of(subject: str, found: Counterexample | None, reason: str) -> str:
     return f"rights that were signed before allow {subject} more than the policy, {what}"
 
 
-def outliving(session: Session, name: str, subject: str, excess: str, until: datetime) -> Diagnostic:
+def outliving_rights(session: Session, name: str, subject: str, excess: str, until: datetime) -> Diagnostic:
     """Return the note on an earlier document of a package.
 
     Args:
@@ -38,7 +38,7 @@ def outliving(session: Session, name: str, subject: str, excess: str, until: dat
         excess: what :func:`excess_of` returned.
         until: its end, UTC.
     """
-    message = f"{excess}; whoever has its key may present them until {shown(until)}"
+    message = f"{excess}; whoever has its key may present them until {iso_time(until)}"
     help_ = (
         f"'keymint revoke {name} --reason superseded' ends them, as does --revoke-superseded; "
         f"'keymint issued {name} --accept' keeps them"
@@ -46,7 +46,7 @@ def outliving(session: Session, name: str, subject: str, excess: str, until: dat
     return Diagnostic.note(RIGHTS_OUTLIVE, message, session.package_marker(name), help_, subject)
 
 
-def replaced(
+def replaced_rights(
     session: Session, package: Package, before: Mapping[str, bytes], after: Mapping[str, bytes]
 ) -> Iterator[Diagnostic]:
     """Yield a warning for each signed document of an enclave that permits more than the one that replaces it.
@@ -65,7 +65,7 @@ def replaced(
             comparison, until = found[0], min(found[1], certificates.load(after[CERTIFICATE]).not_valid_after_utc)
             if (comparison.excess or comparison.reason) and until >= session.now:
                 excess = excess_of(package.subject, comparison.excess, comparison.reason)
-                note = outliving(session, package.name, package.subject, excess, until)
+                note = outliving_rights(session, package.name, package.subject, excess, until)
                 yield replace(note, severity=Severity.WARNING)
         for layout in build_type.LAYOUTS.values() if session.state.stamp(INSTALLED, package.name) is None else ():
             folder = session.workspace.install / layout.enclaves / package.name

@@ -66,7 +66,7 @@ def load(content: bytes, where: Origin) -> Register:
         KeymintError: it is damaged, or a later version of Keymint wrote it.
     """
     if not content:
-        raise damaged(where)
+        raise register_error(where)
     import sqlite3  # noqa: PLC0415, TID251 - in memory only, and of no use to runs that issue nothing
 
     try:
@@ -83,7 +83,7 @@ def load(content: bytes, where: Origin) -> Register:
                     code="register-version",
                 )
             if database.execute("PRAGMA quick_check").fetchone() != ("ok",):
-                raise damaged(where)
+                raise register_error(where)
             issued = _entries(database, "certificates")
             _require_possible(issued)
             numbers, bundles = (dict(map(_numbered, database.execute(f"SELECT * FROM {name}"))) for name in _NUMBERED)  # noqa: S608 - constants
@@ -92,7 +92,7 @@ def load(content: bytes, where: Origin) -> Register:
                 signed = _entries(database, "rights")
                 ((is_whole,),) = database.execute("SELECT is_whole FROM history").fetchall()
     except (sqlite3.Error, ValueError, TypeError, OverflowError):
-        raise damaged(where) from None
+        raise register_error(where) from None
     known = {(each.issuer, each.serial): each for each in issued}
     return Register(known, numbers, bundles, signed, is_whole == 1)
 
@@ -162,7 +162,7 @@ def _numbered(row: tuple[object, ...]) -> tuple[str, int]:
     return name, number
 
 
-def damaged(where: Origin) -> KeymintError:
+def register_error(where: Origin) -> KeymintError:
     """Return the error about a register that cannot be read."""
     return KeymintError(
         "is not a register of issued certificates, or a damaged one",

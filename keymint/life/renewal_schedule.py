@@ -18,9 +18,9 @@ from comarmor.values import dataclass
 from keymint.api import Issuance, Validity
 from keymint.authority.authority_files import in_order, with_issuers
 from keymint.life.revocation_lists_in_force import list_of
-from keymint.life.terms import DEFAULT, Term, Threshold, recalled
+from keymint.life.terms import DEFAULT, Term, Threshold, recorded_terms
 from keymint.pki import certificate_forms, certificates, periods
-from keymint.workspace.installed_enclaves import INSTALLED, installed, installed_certificate
+from keymint.workspace.installed_enclaves import INSTALLED, enclave_names, installed_certificate
 from keymint.workspace.session import Session, once
 
 CERTIFICATE, PERMISSIONS, LIST = "certificate", "permissions", "revocation list"
@@ -84,7 +84,7 @@ def enclave_terms(session: Session, name: str, *, as_recorded: bool = False) -> 
         return None
     ends = authority_ends(session)
     terms: list[Term] = []
-    for each in recalled(session, name, session.state.stamp(INSTALLED, name)):
+    for each in recorded_terms(session, name, session.state.stamp(INSTALLED, name)):
         if each.what != CERTIFICATE:
             terms.append(replace(each, what=PERMISSIONS))
             continue
@@ -229,7 +229,7 @@ def installed_terms(session: Session, names: Iterable[str]) -> tuple[EnclaveTerm
     Raises:
         KeymintError: packages have defects, and there is no record of their installation; with all defects.
     """
-    there = frozenset(installed(session))
+    there = frozenset(enclave_names(session))
     found: list[EnclaveTerms] = []
     defects = Defects()
     for name in names:
@@ -240,7 +240,7 @@ def installed_terms(session: Session, names: Iterable[str]) -> tuple[EnclaveTerm
     return tuple(found)
 
 
-def renewed(session: Session, name: str) -> Issuance:
+def renewal_issuance(session: Session, name: str) -> Issuance:
     """Return what an authority decides about a package that it renews now: its period begins now, the rest stays.
 
     Raises:

@@ -32,7 +32,7 @@ def lists(session: Session) -> Mapping[str, bytes]:
     While the key of an authority is replaced, there may be one more: ``NAME.next`` or ``NAME.former``.
     """
     names = [authority.name for authority in session.profile.authorities]
-    bundled = filter(authority_files.bundled, session.profile.authorities)
+    bundled = filter(authority_files.current_rollover, session.profile.authorities)
     names += map(authority_files.other, bundled)
     contents = {name: session.tree.read(session.workspace.revocation_list(name)) for name in names}
     return {name: content for name, content in contents.items() if content is not None}
@@ -60,7 +60,7 @@ def enclave_lists(session: Session) -> Mapping[str, bytes]:
     Where they trust two authorities, the file of these has the lists; see
     :func:`keymint.authority.authority_files.trusted_chains`.
     """
-    own = {each.name for each in session.profile.authorities if not authority_files.bundled(each)}
+    own = {each.name for each in session.profile.authorities if not authority_files.current_rollover(each)}
     return {name: content for name, content in lists(session).items() if name in own}
 
 
@@ -86,7 +86,7 @@ def plan_lists(
             issued by an authority that cannot sign lists or whose key is not here.
     """
     register = register_of(session) if register is None else register
-    steps: list[Step] = [*rollover_lists.outdated(session, STAGE)]
+    steps: list[Step] = [*rollover_lists.list_removals(session, STAGE)]
     others = rollover_lists.others(session)
     all_authorities = {**authorities, **{name: minted for name, (_, minted) in others.items()}}
     present_lists = {name: _present(session, name, minted, refresh) for name, minted in all_authorities.items()}

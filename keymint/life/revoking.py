@@ -17,7 +17,7 @@ from keymint.life.workspace_register import complete_register, register_change
 from keymint.names import subject_of
 from keymint.store.changes import Action, Plan, Step
 from keymint.workspace.enclave_changes import EnclaveChanges, withdraw
-from keymint.workspace.installed_enclaves import INSTALLED, installed
+from keymint.workspace.installed_enclaves import INSTALLED, enclave_names
 from keymint.workspace.session import Session
 
 STAGE = "revoke"
@@ -56,7 +56,7 @@ def plan_revocation(session: Session, names: Sequence[str], reason: str) -> Revo
     Raises:
         KeymintError: a package never had a certificate, or the register is missing and cannot be restored.
     """
-    register = complete_register(session, [name for name in names if name in installed(session)])
+    register = complete_register(session, [name for name in names if name in enclave_names(session)])
     with_sources = frozenset(session.packages())
     for name in names:
         _require_known(session, register, name)
@@ -72,8 +72,9 @@ def plan_revocation(session: Session, names: Sequence[str], reason: str) -> Revo
     plan = plan.then(plan_issuance(session, STAGE, issuances, f"{reason}, new generation"))
     orphans = [name for name in names if name not in with_sources]
     changes = EnclaveChanges(removed=frozenset(orphans))
-    steps = [withdraw(session, name, reason, changes) for name in orphans if name in installed(session)]
-    steps += [Step(STAGE, name, Action.UPDATED, detail=reason) for name in orphans if name not in installed(session)]
+    installed = enclave_names(session)
+    steps = [withdraw(session, name, reason, changes) for name in orphans if name in installed]
+    steps += [Step(STAGE, name, Action.UPDATED, detail=reason) for name in orphans if name not in installed]
     plan = plan.then(Plan(tuple(steps), plan.state.updated(INSTALLED, {}, orphans)))
     skipped = tuple(_nothing_to_revoke(last) for last in without if last.revoked is None or last.reason != reason)
     return Revoking(plan, certificates, packages, skipped, tuple(_limits(session, certificates, packages, reason)))

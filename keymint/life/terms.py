@@ -94,7 +94,7 @@ class Term:
 # -- what a proof rests on ---------------------------------------------------------------------------------------------
 
 
-def shown(moment: datetime) -> str:
+def iso_time(moment: datetime) -> str:
     """Return a time as ISO 8601 in UTC, to the second."""
     return moment.astimezone(UTC).replace(microsecond=0, tzinfo=None).isoformat() + "Z"
 
@@ -126,18 +126,18 @@ def findings(
         renew = _HELP_BY_CODE.get(term.code, _HELP)
         if last := end([term], now):
             if last < now + within:
-                message = f"{term.what} expires on {shown(last)}"
+                message = f"{term.what} expires on {iso_time(last)}"
                 yield Diagnostic.warning(f"{term.code}-expires", message, term.where, renew, subject)
             continue
         later = next((first for first, _ in term.periods if first > now), None)
         reading = f", as {', '.join(term.models)} read{'s' * (len(term.models) == 1)} its dates" if term.models else ""
         if later is not None:
-            code, message = "not-yet-valid", f"is not valid before {shown(later)}"
+            code, message = "not-yet-valid", f"is not valid before {iso_time(later)}"
         elif term.periods:
-            code, message = "expired", f"expired on {shown(term.periods[-1][1])}"
+            code, message = "expired", f"expired on {iso_time(term.periods[-1][1])}"
         else:
             code, message = "never-valid", "is never valid"
-        text = f"{term.what} {message}{reading}; now is {shown(now)}, and nothing is permitted"
+        text = f"{term.what} {message}{reading}; now is {iso_time(now)}, and nothing is permitted"
         help_ = _LATER if later is not None else renew
         yield Diagnostic.error(f"{term.code}-{code}", text, term.where, help_, subject)
 
@@ -156,7 +156,7 @@ def _lifetime(what: str, validity: Validity, issuer: str, origin: Origin) -> Ter
     return Term(what, validity.not_before, validity.not_after, validity.origin or origin, issuer)
 
 
-def recalled(session: Session, name: str, stamp: Stamp | None) -> tuple[Term, ...]:
+def recorded_terms(session: Session, name: str, stamp: Stamp | None) -> tuple[Term, ...]:
     """Return the lifetimes of a package whose sources did not change, from the record or else from the package.
 
     Raises:
@@ -198,8 +198,8 @@ def _of(each: Term, authorities: Mapping[str, Authority], now: datetime, what: s
         place = end.origin or authority.certificate.origin
         yield Diagnostic.warning(
             f"{each.what}-outlives-authority",
-            f"the {what} lasts until {shown(each.last)}, longer than its authority {each.issuer!r}, which ends on "
-            f"{shown(end.not_after)} ({place}): nothing is permitted after that",
+            f"the {what} lasts until {iso_time(each.last)}, longer than its authority {each.issuer!r}, which ends on "
+            f"{iso_time(end.not_after)} ({place}): nothing is permitted after that",
             each.where,
             "let it end with its authority, or extend the authority",
         )

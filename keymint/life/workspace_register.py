@@ -19,7 +19,7 @@ from keymint.names import subject_of
 from keymint.pki import certificates, revocation_lists, smime
 from keymint.pki.distinguished_names import to_text
 from keymint.store.changes import FolderChange, secret_file
-from keymint.workspace.installed_enclaves import enclave_files, installed, installed_certificate
+from keymint.workspace.installed_enclaves import enclave_files, enclave_names, installed_certificate
 from keymint.workspace.package_build_types import build_types_of, revocation_files
 from keymint.workspace.session import Inputs, Session, once
 
@@ -55,7 +55,7 @@ def withdrawn(session: Session) -> Mapping[str, str]:
     Raises:
         KeymintError: the register is damaged; or it may not be read, and the sources of a package have defects.
     """
-    register, there = register_of(session), frozenset(installed(session))
+    register, there = register_of(session), frozenset(enclave_names(session))
     gone = [name for name in session.packages() if name not in there]
     if session.tree.is_left_out(session.workspace.register):  # each revocation raises the generation in the sources
         return {name: "for a reason that is not examined" for name in gone if session.issuance(name).generation}
@@ -117,7 +117,7 @@ def rights_of(
 
 def _rights_found(session: Session) -> Iterator[SignedRights]:
     """Yield the signed documents of the installed enclaves."""
-    for name in set(installed(session)).intersection(session.packages()):
+    for name in set(enclave_names(session)).intersection(session.packages()):
         certificate = installed_certificate(session, name)
         with contextlib.suppress(KeymintError):  # reported with the package
             package, files = session.package(name), enclave_files(session, name)[0]
@@ -177,7 +177,7 @@ def _restored(session: Session, *, lossy: bool) -> Register:
         KeymintError: a package was revoked, but no list has a serial number of it, or the certificate with this number
             is not known; then it is not known which key must not be certified again.
     """
-    register = Register(is_whole=not installed(session)).with_issued(_found(session, installed(session)))
+    register = Register(is_whole=not enclave_names(session)).with_issued(_found(session, enclave_names(session)))
     register = register.with_rights(_rights_found(session))
     generations = {name: session.issuance(name).generation for name in session.packages()}
     lost = [name for name, generation in generations.items() if generation]
@@ -212,7 +212,7 @@ def _installed_list(session: Session, authority: x509.Certificate) -> bytes | No
     """Return the revocation list of an authority that enclaves have, which is the last one that they got, or None."""
     profile, found = session.profile, dict[int, bytes]()
     files = dict(revocation_files(session.build_types.values(), profile.distro, profile.layout, b"list"))
-    for name in installed(session):
+    for name in enclave_names(session):
         for file in files:
             content = session.tree.try_read(f"{session.enclave_folder(name)}/{file}") or b""
             if not revocation_lists.problem(content, authority):

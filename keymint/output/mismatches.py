@@ -43,7 +43,7 @@ def mismatch_text(transports: Sequence[str], mismatch: Mismatch, *, at_rule: boo
     by_policy = "by this rule" if at_rule and policy.where else str(policy.reason)
     return (
         f"{mismatch.error}: {request_text(mismatch.edge)}: the policy {verb_of(policy.allowed)} it ({by_policy}), "
-        f"but {enumerated(transports)} {verb_of(verdict.allowed, many=len(transports) > 1)} it "
+        f"but {enumeration(transports)} {verb_of(verdict.allowed, many=len(transports) > 1)} it "
         f"({document_reason(mismatch)})"
     )
 
@@ -60,7 +60,7 @@ def verb_of(allowed: bool, *, many: bool = False) -> str:
     return ("allow" if allowed else "deny") if many else ("allows" if allowed else "denies")
 
 
-def enumerated(names: Sequence[str]) -> str:
+def enumeration(names: Sequence[str]) -> str:
     """Return names as in a sentence: ``a, b and c``."""
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
@@ -88,7 +88,7 @@ def remedy(mismatch: Mismatch) -> str:
     )
 
 
-def finding(transports: Sequence[str], mismatches: Sequence[Mismatch]) -> Diagnostic:
+def mismatch_finding(transports: Sequence[str], mismatches: Sequence[Mismatch]) -> Diagnostic:
     """Return the diagnostic on mismatches that have one cause for some transports."""
     first, *others = mismatches
     some = [f"{each.edge.permission} {each.edge.object.name}" for each in others[:_EXAMPLES]]
@@ -110,7 +110,7 @@ def diagnostics(comparisons: Sequence[EdgeComparison]) -> Iterator[Diagnostic]:
             edges = tuple(mismatch.edge for mismatch in mismatches)
             merged.setdefault((cause, edges), ([], mismatches))[0].append(comparison.transport)
     for transports, mismatches in merged.values():
-        yield finding(transports, mismatches)
+        yield mismatch_finding(transports, mismatches)
     for comparison in comparisons:
         if comparison.omitted:
             yield Diagnostic.warning(

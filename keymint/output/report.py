@@ -45,7 +45,7 @@ class Report:
     notes: bool | Collection[str] = False
 
 
-def folded(diagnostics: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
+def merged_diagnostics(diagnostics: Sequence[Diagnostic]) -> tuple[Diagnostic, ...]:
     """Merge diagnostics that differ only in their subject: a defect in shared defaults is one defect.
 
     The message then ends with the number of packages. Diagnostics without a place are not merged.

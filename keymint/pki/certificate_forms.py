@@ -116,7 +116,7 @@ def cut(validity: Validity, issuer: x509.Certificate | None) -> Validity:
     return Validity(max(first, issuer.not_valid_before_utc), min(last, issuer.not_valid_after_utc))
 
 
-def within(validity: Validity, issuer: x509.Certificate | None, where: Origin) -> Validity:
+def checked_validity(validity: Validity, issuer: x509.Certificate | None, where: Origin) -> Validity:
     """Return a validity that :func:`cut` cut.
 
     Raises:
@@ -136,7 +136,7 @@ def within(validity: Validity, issuer: x509.Certificate | None, where: Origin) -
 
 def _clamp(spec: CertificateSpec, issuer: x509.Certificate | None) -> tuple[Validity, tuple[Diagnostic, ...]]:
     """Return the validity of a certificate, and a warning if it is not the one that was requested."""
-    requested, clamped = cut(spec.validity, None), within(spec.validity, issuer, spec.origin)
+    requested, clamped = cut(spec.validity, None), checked_validity(spec.validity, issuer, spec.origin)
     if clamped == requested:
         return clamped, ()
     warning = Diagnostic.warning(

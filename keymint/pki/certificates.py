@@ -73,7 +73,7 @@ def load(pem: bytes, where: Origin | None = None) -> x509.Certificate:
     return bundle[0]
 
 
-def readable(pem: bytes | None) -> x509.Certificate | None:
+def certificate_in(pem: bytes | None) -> x509.Certificate | None:
     """Return the one certificate of a PEM file, with an EC or RSA key; None if the file has no such one."""
     try:
         certificate = load(pem or b"")
@@ -311,8 +311,8 @@ def certificate_fits(pem: bytes, spec: CertificateSpec, public_key: keys.PublicK
 
 def is_same(pem: bytes, other: bytes) -> bool:
     """Return whether two files have the same certificate, however they encode it; False if the first has none."""
-    certificate = readable(pem)
-    return certificate is not None and certificate == readable(other)
+    certificate = certificate_in(pem)
+    return certificate is not None and certificate == certificate_in(other)
 
 
 def can_sign_documents(certificate: x509.Certificate, where: Origin | None = None) -> Diagnostic | None:

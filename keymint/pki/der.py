@@ -70,7 +70,7 @@ def elements(data: bytes) -> list[bytes]:
     return found
 
 
-def leading(data: bytes) -> bytes:
+def first_element(data: bytes) -> bytes:
     """Return the first element of the data with its header, whatever follows it; errors as :func:`elements`."""
     return data[: _header(data, 0)[2]]
 

@@ -25,7 +25,7 @@ _OWN = (
 """The extensions that a certificate which is issued again has from Keymint."""
 
 
-def adopted(spec: CertificateSpec, pem: bytes) -> CertificateSpec:
+def adopted_spec(spec: CertificateSpec, pem: bytes) -> CertificateSpec:
     """Return the specification that a certificate from elsewhere fulfils.
 
     Args:
@@ -73,7 +73,7 @@ def require_authority(pem: bytes, where: Origin) -> x509.Certificate:
     return certificate
 
 
-def lacking(certificate: x509.Certificate, name: str, where: Origin) -> Iterator[Diagnostic]:
+def defects(certificate: x509.Certificate, name: str, where: Origin) -> Iterator[Diagnostic]:
     """Yield a warning for each thing that an authority's certificate lacks, and that will be missed.
 
     Args:
@@ -98,7 +98,7 @@ def issued_like(
 ) -> bytes:
     """Issue a certificate with the name and the extensions of another one, PEM.
 
-    It has what :func:`lacking` looks for: the key identifiers, and cRLSign.
+    It has what :func:`defects` looks for: the key identifiers, and cRLSign.
 
     Args:
         certificate: the certificate to follow.
@@ -119,7 +119,7 @@ def issued_like(
             code="authority-issuer-elsewhere",
         )
     above, public = issuer.certificate if issuer else None, key.public_key()
-    validity = certificate_forms.within(validity, above, where)
+    validity = certificate_forms.checked_validity(validity, above, where)
     values = certificate_forms.defaults(extensions.Context(public, above), authority=True)
     if constraints := extensions.value(certificate, x509.BasicConstraints):
         values[ExtensionOID.BASIC_CONSTRAINTS] = (True, x509.BasicConstraints(True, constraints.path_length))

@@ -42,7 +42,7 @@ class IdentityCheck:
     @cached_property
     def certificate(self) -> x509.Certificate | None:
         """The identity certificate; None if it is missing or damaged, which is reported with its path."""
-        return certificates.readable(self._files.get(CERTIFICATE))
+        return certificates.certificate_in(self._files.get(CERTIFICATE))
 
     def _where(self, name: str) -> Origin:
         return Origin(f"{self._folder}/{name}")
@@ -141,12 +141,12 @@ class IdentityCheck:
         (now, within), (begin, end), code = when, period, what.replace(" ", "-")
         renew = f"'{again}' issues it again, with later dates"
         if now > end:
-            yield self._error(f"{code}-expired", name, f"the {what} expired on {shown(end)}", renew)
+            yield self._error(f"{code}-expired", name, f"the {what} expired on {utc_time(end)}", renew)
         elif now < begin:
             help_ = f"compare the clock of this machine; if it is right, '{again}' issues it again"
-            yield self._error(f"{code}-not-yet-valid", name, f"the {what} is not valid before {shown(begin)}", help_)
+            yield self._error(f"{code}-not-yet-valid", name, f"the {what} is not valid before {utc_time(begin)}", help_)
         elif now + within >= end:
-            message = f"the {what} expires on {shown(end)}" + (at_the_end and f"; {at_the_end}")
+            message = f"the {what} expires on {utc_time(end)}" + (at_the_end and f"; {at_the_end}")
             yield self._warning(f"{code}-expires", name, message, renew)
 
 
@@ -199,6 +199,6 @@ def _periods(pem: bytes) -> tuple[tuple[str, tuple[datetime, datetime]], ...]:
     return tuple((to_text(each.subject), certificates.period(each)) for each in certificates.load_bundle(pem))
 
 
-def shown(moment: datetime) -> str:
+def utc_time(moment: datetime) -> str:
     """Return a moment for messages."""
     return f"{moment.astimezone(UTC):%Y-%m-%d %H:%M} UTC"

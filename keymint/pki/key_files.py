@@ -91,7 +91,7 @@ def _each(content: bytes) -> Iterator[object | None]:
         yield None
     elif content.startswith(_SEQUENCE):
         with suppress(ValueError):
-            yield from _loaded(der.leading(content), serialization.load_der_private_key)
+            yield from _loaded(der.first_element(content), serialization.load_der_private_key)
 
 
 def _loaded(encoded: bytes, load: Callable[[bytes, None], object]) -> Iterator[object | None]:

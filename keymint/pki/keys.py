@@ -96,7 +96,7 @@ def fits(key: PrivateKey | PublicKey, spec: KeySpec) -> bool:
     return found.size == spec.size if curve is None else found.curve == curve.name.upper()
 
 
-def described(spec: KeySpec) -> str:
+def key_description(spec: KeySpec) -> str:
     """Return a kind of key as messages name it."""
     return f"an EC key on {spec.curve}" if spec.algorithm == "ec" else f"an RSA key of {spec.size} bits"
 

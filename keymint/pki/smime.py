@@ -157,10 +157,10 @@ def signed_content(signed: bytes, where: Origin | None = None) -> bytes:
     Raises:
         KeymintError: the file does not have exactly one reading (code ``smime-form``).
     """
-    return unverified(signed, where).content
+    return unverified_document(signed, where).content
 
 
-def unverified(signed: bytes, where: Origin | None = None) -> SignedDocument:
+def unverified_document(signed: bytes, where: Origin | None = None) -> SignedDocument:
     """Return a signed document without verifying the signature; errors as :func:`signed_content`."""
     return mime.unwrap(signed, where)
 

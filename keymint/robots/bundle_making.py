@@ -14,7 +14,7 @@ from comarmor.values import dataclass
 from keymint.api import Package
 from keymint.authority.authorities import MintedAuthority
 from keymint.errors import KeymintError
-from keymint.life.terms import shown
+from keymint.life.terms import iso_time
 from keymint.life.workspace_register import complete_register, register_change
 from keymint.names import subject_of
 from keymint.pki import certificates, revocation_lists
@@ -111,7 +111,7 @@ def _bundle(
     first, last = _in_force(package, certificate, files)
     if last < session.now:
         raise KeymintError(
-            f"what the enclave {subject_of(name)} has is in force until {shown(last)} only",
+            f"what the enclave {subject_of(name)} has is in force until {iso_time(last)} only",
             where=session.workspace.origin(folder),
             help=f"'keymint check {name}' says what ended; 'keymint renew' and 'keymint crl --refresh' issue it again",
             code="bundle-dates",

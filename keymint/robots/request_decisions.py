@@ -150,7 +150,7 @@ def _require_certifiable(session: Session, package: Package, given: Given, keyri
     key = public_keys.from_pem(request.public_key, given.where)
     if not keys.fits(key, spec):
         raise _refused(
-            f"is not for {keys.described(spec)}, which {package.identity.origin} asks for",
+            f"is not for {keys.key_description(spec)}, which {package.identity.origin} asks for",
             given,
             "make a key of that kind on the robot (keymint request --key-type), or change the sources",
             "key-kind",

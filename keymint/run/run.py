@@ -23,7 +23,7 @@ from keymint.errors import ExitCode, KeymintError, usage_error
 from keymint.executors import PROCESSES
 from keymint.names import package_name
 from keymint.output.console import Console, Streams
-from keymint.output.report import Report, folded
+from keymint.output.report import Report, merged_diagnostics
 from keymint.pki.tokens.pin_sources import Pins
 from keymint.pki.tokens.token_sessions import Tokens
 from keymint.run.answer_recording import remember
@@ -40,7 +40,7 @@ from keymint.view.stamps import load as load_state
 from keymint.view.tree import HeldError, Tree, read_file
 from keymint.workspace import gitignore
 from keymint.workspace.session import Inputs, Session
-from keymint.workspace.workspace import Workspace, find, packages, shown
+from keymint.workspace.workspace import Workspace, find, packages, shown_path
 
 if TYPE_CHECKING:
     from keymint.executors import Pool
@@ -129,7 +129,7 @@ class Run:
         for folder, name in self.folder_names.items():
             if file.startswith(folder):
                 return name + file.removeprefix(folder)
-        return shown(Path(file), self.setting.cwd) if file.startswith("/") else file
+        return shown_path(Path(file), self.setting.cwd) if file.startswith("/") else file
 
     def place(self, where: Origin | None) -> str:
         """Return a place as the user would type it, ``file:line``, or an empty text."""
@@ -385,7 +385,7 @@ class Run:
 
     def presented(self, report: Report) -> Report:
         """Return a report with all paths as the user would type them, and equal diagnostics merged."""
-        return replace(report, diagnostics=folded([self.as_typed(diagnostic) for diagnostic in report.diagnostics]))
+        return replace(report, diagnostics=merged_diagnostics([self.as_typed(each) for each in report.diagnostics]))
 
     @property
     def crew(self) -> Crew:

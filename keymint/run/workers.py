@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 from keymint.errors import KeymintError, process_ended
 from keymint.host.streams_and_signals import held_signals
-from keymint.stages.package_stage import PackagePlan, PackageStage, after
+from keymint.stages.package_stage import PackagePlan, PackageStage, session_after
 from keymint.store.changes import Action, FolderChange
 from keymint.store.staged import Staged
 from keymint.store.store import Store
@@ -225,7 +225,7 @@ def _plan(
         send(_DONE, [_without_bytes(each) for each in plans] or planned)
         if any(each.errors for each in plans):
             return
-        session = after(session, stage.NAME, plans)
+        session = session_after(session, stage.NAME, plans)
         names = [each.name for each in plans if _is_installed(each)]
         yield [change for each in plans if each.step for change in each.step.changes]
 

@@ -13,8 +13,8 @@ from keymint.errors import KeymintError
 from keymint.life import terms
 from keymint.names import name_of, subject_of
 from keymint.stages import identity_keys, shared_documents
-from keymint.stages.built_documents import kept, refuse_edits
-from keymint.stages.package_stage import PackagePlan, recorded, steps_of
+from keymint.stages.built_documents import kept_documents_step, refuse_edits
+from keymint.stages.package_stage import PackagePlan, state_after, steps_of
 from keymint.store.changes import Action, DocumentSize, File, FolderChange, Plan, Step
 from keymint.view.stamps import Stamp, digest
 from keymint.workspace.package_build_types import BUILD, build_types_of, inputs_digest, is_build_current, two_writers
@@ -76,7 +76,7 @@ class BuildStage:
         # Packages repeat the diagnostics of their authority: keep one of each.
         diagnostics = dict.fromkeys(diagnostic for each in planned for diagnostic in each.diagnostics)
         diagnostics |= dict.fromkeys(terms.of_sources({each.name: each.lifetimes for each in planned}, session))
-        built = replace(session, state=recorded(session.state, STAGE, planned))
+        built = replace(session, state=state_after(session.state, STAGE, planned))
         try:
             options = self._options_of(planned[0].name) if planned else self._options or BuildOptions()
             shared = shared_documents.plan_shared_build(built, options, force=self._force)
@@ -87,7 +87,7 @@ class BuildStage:
             message = f"no distribution is named; as far as installed documents tell, the robots have {own.distro}"
             help_ = f"write <layout>{own.layout}</layout><distro>{own.distro}</distro> into <export>, or what they have"
             diagnostics[Diagnostic.warning("distro-unnamed", message, session.profile_marker(), help_)] = None
-        return Plan((*steps, *steps_of(shared)), recorded(built.state, STAGE, shared), tuple(diagnostics))
+        return Plan((*steps, *steps_of(shared)), state_after(built.state, STAGE, shared), tuple(diagnostics))
 
 
 def options_as_built(session: Session, name: str) -> BuildOptions:
@@ -137,8 +137,8 @@ def _plan_package(session: Session, name: str, options: BuildOptions, *, force: 
     stamp = session.state.stamp(STAGE, name)
     same = stamp is not None and stamp.context == options_digest and is_build_current(session, name)
     may_stay = stamp and same and not force and not renew and identity_keys.is_there(session, name)
-    if stamp and may_stay and (step := kept(session, stamp, folder, name)):
-        return PackagePlan(name, step, lifetimes=terms.recalled(session, name, stamp))
+    if stamp and may_stay and (step := kept_documents_step(session, stamp, folder, name)):
+        return PackagePlan(name, step, lifetimes=terms.recorded_terms(session, name, stamp))
     package = session.package(name)
     built = _built(session, package, options)
     existing = {file: session.tree.read(f"{folder}/{file}") for file in built.documents}

@@ -18,7 +18,7 @@ OUTDATED, HAND_EDITED = "build-outdated", "hand-edited"
 """Codes of the diagnostics on stale builds and on documents that a person edited."""
 
 
-def kept(inputs: Inputs, stamp: Stamp, folder: Path, name: str, detail: str = "") -> Step | None:
+def kept_documents_step(inputs: Inputs, stamp: Stamp, folder: Path, name: str, detail: str = "") -> Step | None:
     """Return the step for documents that need no build, edited or not; None if one is missing.
 
     Args:

@@ -22,12 +22,12 @@ from keymint.api import (
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import ROOT, refuse_case_collisions, refuse_reserved, subject_of
-from keymint.stages.package_stage import PackagePlan, recorded, steps_of
-from keymint.store.changes import Action, File, Plan, Step, changed
+from keymint.stages.package_stage import PackagePlan, state_after, steps_of
+from keymint.store.changes import Action, File, Plan, Step, folder_changes
 from keymint.view.stamps import Stamp, digest
 from keymint.workspace.policy_loading import package_of, record_policy
 from keymint.workspace.session import Session
-from keymint.workspace.workspace import placed
+from keymint.workspace.workspace import with_place
 
 STAGE = "create"
 
@@ -141,7 +141,7 @@ class CreateStage:
         planned = [*planned, *(self._infrastructure(name, build_type) for name, (_, build_type) in needed)]
         steps = steps_of(planned)
         diagnostics = tuple(diagnostic for each in planned for diagnostic in each.diagnostics)
-        return Plan(steps, recorded(record_policy(session, self._policy), STAGE, planned), diagnostics)
+        return Plan(steps, state_after(record_policy(session, self._policy), STAGE, planned), diagnostics)
 
     def package(self, name: str) -> PackagePlan:
         """Return the plan for a package."""
@@ -168,10 +168,10 @@ class CreateStage:
             new = self._package_type.create(session.profile, rules, files, force=force)
             new = {**new, **self._with_validity(rules, {**files, **new}), **self._with_generation(name)}
         except KeymintError as error:
-            in_the_way = (placed(diagnostic, session.workspace.src) for diagnostic in error.diagnostics)
+            in_the_way = (with_place(diagnostic, session.workspace.src) for diagnostic in error.diagnostics)
             return PackagePlan(name, None, None, unnamed if known else (), (*errors, *in_the_way))
         written = marker_last(self._package_type, new)
-        changes = changed(session.tree, folder, written)
+        changes = folder_changes(session.tree, folder, written)
         action = (Action.UPDATED if known else Action.CREATED) if changes else Action.UNCHANGED
         step = Step(STAGE, name, action, changes)
         outputs |= _outputs({file: new_file.digest for file, new_file in written.items()})
@@ -183,7 +183,7 @@ class CreateStage:
         package_type = self._package_type
         if not files or not isinstance(package_type, FormerRules):
             return ()
-        return tuple(placed(each, self._session.workspace.src) for each in package_type.former_rules(rules, files))
+        return tuple(with_place(each, self._session.workspace.src) for each in package_type.former_rules(rules, files))
 
     def _with_validity(self, rules: SubjectRules, files: Mapping[str, bytes]) -> Mapping[str, bytes]:
         """Return the files of a package that change so that it has the requested validity."""
@@ -232,7 +232,7 @@ class CreateStage:
         new = self._package_type.create_infrastructure(session.profile, name, build_type, files)
         written = marker_last(self._package_type, new)
         outputs = {**session.file_digests(name), **{file: new.digest for file, new in written.items()}}
-        step = Step(STAGE, name, Action.CREATED, changed(session.tree, folder, written))
+        step = Step(STAGE, name, Action.CREATED, folder_changes(session.tree, folder, written))
         return PackagePlan(name, step, Stamp(self._inputs, _outputs(outputs)))
 
 

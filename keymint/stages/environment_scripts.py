@@ -8,9 +8,9 @@ from collections.abc import Iterable, Mapping
 from comarmor.errors import Diagnostic
 from keymint.api import EnvironmentVariable, ProcessEnvironment
 from keymint.errors import KeymintError
-from keymint.host.shells import MARK, SHELLS, resolved, script
+from keymint.host.shells import MARK, SHELLS, script, variable_values
 from keymint.names import subject_of
-from keymint.store.changes import Action, File, Step, changed
+from keymint.store.changes import Action, File, Step, folder_changes
 from keymint.workspace.installed_enclaves import INSTALLED, files_in
 from keymint.workspace.package_build_types import recorded_build_types
 from keymint.workspace.session import Session
@@ -58,7 +58,7 @@ def plan_scripts(session: Session, build_types: Iterable[str]) -> tuple[tuple[St
             files[name] = File(content)
         else:
             warnings.append(_kept(session, name, "is not from Keymint"))
-    changes = changed(session.tree, install, files)
+    changes = folder_changes(session.tree, install, files)
     if not changes:
         return (), tuple(warnings)
     names = tuple(changes[0].files)
@@ -86,7 +86,7 @@ def enclave_environment(session: Session, name: str) -> Mapping[str, str]:
         if isinstance(build_type, ProcessEnvironment):
             found = build_type.enclave_variables(distro, layout, subject_of(name), files)
             variables |= {variable.name: variable for variable in found}
-    return resolved(variables.values(), session.workspace.install)
+    return variable_values(variables.values(), session.workspace.install)
 
 
 def _kept(session: Session, name: str, message: str) -> Diagnostic:

@@ -20,7 +20,7 @@ from keymint.pki import certificates, keys, public_keys
 from keymint.store.changes import FolderChange, secret_file
 from keymint.view.stamps import digest
 from keymint.workspace import key_record
-from keymint.workspace.installed_enclaves import INSTALLED, KEY, installed, installed_certificate
+from keymint.workspace.installed_enclaves import INSTALLED, KEY, enclave_names, installed_certificate
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.stored_keys import load_key
 
@@ -76,7 +76,7 @@ def is_awaited(package: Package) -> bool:
     return bool(package.identity.key.uri) and not package.issuance.public_key
 
 
-def awaited(package: Package) -> Diagnostic:
+def unknown_key(package: Package) -> Diagnostic:
     """Return the finding on a package whose public key is not known here."""
     return Diagnostic.warning(
         "key-unknown",
@@ -104,7 +104,7 @@ def public_key(session: Session, package: Package) -> keys.PublicKey:
     if package.issuance.public_key:
         return public_keys.from_pem(package.issuance.public_key, place_of(session, package.name))
     if is_awaited(package):
-        raise KeymintError.of([replace(awaited(package), severity=Severity.ERROR)])
+        raise KeymintError.of([replace(unknown_key(package), severity=Severity.ERROR)])
     pem, place = private_key(session, package), _place(session, package.name)
     _require_plain(session, package, pem)
     return load_key(session, keys.public_of, pem, package.identity, place, _remedy(package.name))
@@ -181,7 +181,7 @@ def known_fingerprint(session: Session, name: str) -> str:
     That is the recorded key, or if the record was lost the key of the installed certificate. Before anything is
     installed the subject has none: the user may replace the minted key with one of their own.
     """
-    recorded = key_record.recorded(session.state, key_record.IDENTITIES, name)
+    recorded = key_record.recorded_key(session.state, key_record.IDENTITIES, name)
     if recorded and session.state.stamp(INSTALLED, name):
         return recorded
     certificate = installed_certificate(session, name)
@@ -224,7 +224,7 @@ class Keyring:
                 help=_remedy(name),
                 code="key-replaced",
             )
-        if key_record.recorded(state, key_record.IDENTITIES, name) != fingerprint:  # so it may not be its own
+        if key_record.recorded_key(state, key_record.IDENTITIES, name) != fingerprint:  # so it may not be its own
             for other in self._owners.get(fingerprint, ()):
                 if other != name:
                     raise _shared(session, name, subject_of(other))
@@ -259,7 +259,7 @@ class Keyring:
         """Packages by the fingerprints of their keys."""
         recorded = self._session.state.stamps.get(key_record.IDENTITIES, {})
         owners: dict[str, list[str]] = {}
-        for name in sorted({*recorded, *installed(self._session)}):
+        for name in sorted({*recorded, *enclave_names(self._session)}):
             if name in recorded:
                 owners.setdefault(recorded[name].inputs, []).append(name)
             elif certificate := installed_certificate(self._session, name):

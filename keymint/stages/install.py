@@ -16,7 +16,7 @@ from keymint.authority.authority_files import chains_digest
 from keymint.errors import KeymintError
 from keymint.life import earlier_rights, revocation_lists_in_force, terms
 from keymint.life.issued_certificates import SignedRights
-from keymint.life.terms import shown
+from keymint.life.terms import iso_time
 from keymint.life.workspace_register import (
     complete_register,
     register_change,
@@ -31,7 +31,7 @@ from keymint.stages import build, identity_keys
 from keymint.stages.built_documents import OUTDATED, edits
 from keymint.stages.environment_scripts import plan_scripts
 from keymint.stages.identity_keys import Keyring
-from keymint.stages.package_stage import PackagePlan, recorded, steps_of
+from keymint.stages.package_stage import PackagePlan, state_after, steps_of
 from keymint.stages.shared_install import plan_shared_install
 from keymint.stages.signing import sign
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
@@ -41,7 +41,7 @@ from keymint.workspace.enclave_changes import (
     EnclaveChanges,
     build_types_in_use,
     obsolete_steps,
-    pruned,
+    removal_step,
     shared_copies,
     shared_steps,
     withdraw,
@@ -49,13 +49,13 @@ from keymint.workspace.enclave_changes import (
 from keymint.workspace.installed_enclaves import (
     CERTIFICATE,
     INSTALLED,
-    differing,
     enclave_files,
+    enclave_names,
     has_outputs,
-    installed,
+    new_files,
+    orphan_findings,
     orphans,
     require_sources,
-    unaccounted,
 )
 from keymint.workspace.package_build_types import build_types_of, inputs_digest, is_build_current
 from keymint.workspace.session import Inputs, Session
@@ -109,13 +109,13 @@ class InstallStage:
         diagnostics += _outdated(session, [each.name for each in planned if each.outdated])
         diagnostics += (diagnostic for each in shared for diagnostic in each.diagnostics)
         diagnostics += terms.of_sources({each.name: each.lifetimes for each in planned}, session)
-        diagnostics += [each for each in unaccounted(session) if not prune or each.code != "enclave-orphaned"]
-        state = recorded(session.state, STAGE, [*shared, *planned], (*removed, *withdrawn))
+        diagnostics += [each for each in orphan_findings(session) if not prune or each.code != "enclave-orphaned"]
+        state = state_after(session.state, STAGE, [*shared, *planned], (*removed, *withdrawn))
         steps += [withdraw(session, name, reason, changes) for name, reason in withdrawn.items()]
         if prune:
             require_sources(session)
             diagnostics += _still_good(session, removed)
-            steps += [pruned(session, name, changes) for name in removed]
+            steps += [removal_step(session, name, changes) for name in removed]
             state = key_record.forget(state, key_record.IDENTITIES, removed)
         steps += obsolete_steps(session, copies, steps)
         return Plan(tuple(steps), state, tuple(diagnostics), _register(session, planned))
@@ -129,7 +129,7 @@ def _still_good(session: Session, removed: Sequence[str]) -> Iterator[Diagnostic
         others = f" [{len(ends)} enclaves]" if len(ends) > 1 else ""
         yield Diagnostic.warning(
             "certificate-in-force",
-            f"the certificate of the removed enclave {subject_of(name)} stays good until {shown(end)}{others}",
+            f"the certificate of the removed enclave {subject_of(name)} stays good until {iso_time(end)}{others}",
             None,
             f"'keymint revoke {name} --reason retired' ends it",
             subject_of(name) if len(ends) == 1 else "",
@@ -175,7 +175,7 @@ def _plan_enclave(
         )
     stamp = session.state.stamp(STAGE, name)
     if stamp and stamp.inputs == inputs and has_outputs(session, session.enclave_folder(name), stamp):
-        own = terms.recalled(session, name, stamp)
+        own = terms.recorded_terms(session, name, stamp)
         return PackagePlan(name, Step(STAGE, name, Action.UNCHANGED), lifetimes=own)
     package, folder = session.package(name), session.enclave(name)
     own = terms.lifetimes(package)
@@ -189,7 +189,7 @@ def _plan_enclave(
         return PackagePlan(name, withdrawn=reason)
     artifacts, issued, warnings = sign(session, package, documents, authorities, (key_pem, public), existing)
     new = {file: artifact.content for file, artifact in artifacts.items()}
-    outliving = earlier_rights.replaced(session, package, existing, new)
+    outliving = earlier_rights.replaced_rights(session, package, existing, new)
     in_force = revocation_lists_in_force.enclave_lists(session).get(package.identity.issuer)
     for file, artifact in artifacts.items():
         if in_force and artifact.content == in_force:
@@ -204,7 +204,7 @@ def _plan_enclave(
     files = {
         file: File(artifact.content, secret=artifact.secret, replaces_link=True) for file, artifact in artifacts.items()
     }
-    different = differing(session, folder, existing, files)
+    different = new_files(session, folder, existing, files)
     # The certificate comes last: a node that starts in between fails, and admits nobody.
     ordered = dict(sorted(different.items(), key=lambda item: item[0] == CERTIFICATE))
     issuer = authorities[package.identity.issuer].certificate
@@ -263,10 +263,10 @@ def _obsolete(
 
 def _awaiting(session: Session, package: Package) -> PackagePlan:
     """Return the plan for a package whose robot has not yet told its public key: its enclave stays, unless revoked."""
-    if package.name in installed(session) and (reason := register_of(session).withdrawn(package.name)):
+    if package.name in enclave_names(session) and (reason := register_of(session).withdrawn(package.name)):
         return PackagePlan(package.name, withdrawn=reason)
     kept = Step(STAGE, package.name, Action.KEPT, detail="waits for a request of its robot")
-    diagnostics = (identity_keys.awaited(package),)
+    diagnostics = (identity_keys.unknown_key(package),)
     return PackagePlan(package.name, kept, diagnostics=diagnostics, lifetimes=terms.lifetimes(package))
 
 

@@ -100,7 +100,7 @@ def steps_of(planned: Sequence[PackagePlan]) -> tuple[Step, ...]:
     return tuple(each.step for each in planned if each.step)
 
 
-def recorded(state: State, stage: str, planned: Sequence[PackagePlan], removed: Iterable[str] = ()) -> State:
+def state_after(state: State, stage: str, planned: Sequence[PackagePlan], removed: Iterable[str] = ()) -> State:
     """Return the state with the stamps and the keys of some plans, and without the stamps of what is removed."""
     removed = {*removed, *(each.name for each in planned if each.step and each.step.action is Action.REMOVED)}
     state = state.updated(stage, {each.name: each.stamp for each in planned if each.stamp}, removed)
@@ -108,6 +108,6 @@ def recorded(state: State, stage: str, planned: Sequence[PackagePlan], removed: 
     return key_record.record(state, key_record.IDENTITIES, fingerprints)
 
 
-def after(session: Session, stage: str, planned: Sequence[PackagePlan]) -> Session:
+def session_after(session: Session, stage: str, planned: Sequence[PackagePlan]) -> Session:
     """Return a session as it is once the plans of a stage are carried out; errors as :func:`steps_of`."""
-    return session.after(Plan(steps_of(planned), recorded(session.state, stage, planned)))
+    return session.after(Plan(steps_of(planned), state_after(session.state, stage, planned)))

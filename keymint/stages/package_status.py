@@ -10,12 +10,12 @@ from comarmor.values import dataclass
 from keymint.api import LoadedPolicy, Role
 from keymint.errors import KeymintError
 from keymint.life.renewal_schedule import CERTIFICATE, EnclaveTerms, enclave_terms
-from keymint.life.terms import recalled
+from keymint.life.terms import recorded_terms
 from keymint.life.workspace_register import withdrawn
 from keymint.stages import build, create, install
 from keymint.stages.shared_documents import built_shared, is_current, users
 from keymint.stages.shared_install import installed_shared, is_installed
-from keymint.workspace.installed_enclaves import hidden, installed, installed_certificate, orphans
+from keymint.workspace.installed_enclaves import enclave_names, hidden, installed_certificate, orphans
 from keymint.workspace.package_build_types import is_build_current
 from keymint.workspace.session import Session
 
@@ -67,7 +67,7 @@ def package_rows(session: Session, policy: LoadedPolicy | None) -> tuple[StatusR
         policy: its policy, or None if it cannot be loaded; then packages are not compared with it.
     """
     names = session.packages()
-    enclaves = set(installed(session))
+    enclaves = set(enclave_names(session))
     stale = _differing(session, policy, names)
     rows = [_row(session, stale, name, installed=name in enclaves) for name in names]
     rows += [
@@ -125,7 +125,7 @@ def _row(session: Session, differing: Mapping[str, str], name: str, *, installed
     permissions_end, current = None, False
     try:
         current = built and is_build_current(session, name)
-        own = recalled(session, name, session.state.stamp(build.STAGE, name) if current else None)
+        own = recorded_terms(session, name, session.state.stamp(build.STAGE, name) if current else None)
         if session.role(name) is Role.SUBJECT:
             permissions_end = next((each.last for each in own if each.what == "grant"), None)
     except KeymintError as error:

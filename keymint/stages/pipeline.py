@@ -14,7 +14,7 @@ from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, LoadedPolicy, Role
 from keymint.authority.authorities import MintedAuthority, plan_authorities
-from keymint.authority.authority_files import bundled, trusted_chains
+from keymint.authority.authority_files import current_rollover, trusted_chains
 from keymint.life.earlier_rights import RIGHTS_OUTLIVE
 from keymint.life.issued_certificates import SUPERSEDED
 from keymint.life.revocation_lists_in_force import enclave_lists, plan_lists, require_nothing_lost
@@ -33,7 +33,7 @@ from keymint.stages.proof.prove import ProofStage
 from keymint.stages.work import Work
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.view.stamps import Stamp
-from keymint.workspace.installed_enclaves import INSTALLED, installed, installed_certificate, with_sources
+from keymint.workspace.installed_enclaves import INSTALLED, enclave_names, installed_certificate, with_sources
 from keymint.workspace.package_build_types import BUILD, is_build_current, recorded_build_types, revocation_files
 from keymint.workspace.policy_loading import policy_in_force
 from keymint.workspace.session import Session, once
@@ -248,12 +248,12 @@ def _with_followers(before: Session, work: Work, names: Sequence[str]) -> tuple[
             if is_build_current(before, name) and not is_build_current(session, name)
         ]
         names = (*names, *built_of)
-    if work.of(LISTS).writes() and any(map(bundled, session.profile.authorities)):
+    if work.of(LISTS).writes() and any(map(current_rollover, session.profile.authorities)):
         names = (*names, *with_sources(session))  # their authorities' file has the lists
     return tuple(dict.fromkeys(names))
 
 
-def updated(plan: Plan) -> list[str]:
+def updated_packages(plan: Plan) -> list[str]:
     """Return the packages whose enclave a plan writes."""
     changing = {Action.UPDATED, Action.CREATED}
     steps = (step for step in plan.steps if step.stage == INSTALLED and step.action in changing)
@@ -295,7 +295,7 @@ def plan_distribution(before: Session, session: Session, omitted: Collection[str
     issuers = {name: certificates.load_bundle(chain)[0] for name, chain in trusted_chains(session).items() if chain}
     steps: list[Step] = []
     stamps: dict[str, Stamp] = {}
-    for name in installed(session):
+    for name in enclave_names(session):
         if name in omitted:
             continue
         folder = session.enclave(name)

@@ -50,7 +50,7 @@ def _changed_packages(session: Session) -> list[str]:
     return sorted({*stale(session, policy, existing), *(new - set(existing))})
 
 
-def uncreated(inputs: Inputs, policy: LoadedPolicy, known: Sequence[str]) -> tuple[Diagnostic, ...]:
+def subjects_without_package(inputs: Inputs, policy: LoadedPolicy, known: Sequence[str]) -> tuple[Diagnostic, ...]:
     """Return a finding on the subjects that the policy names exactly and that have no source package, if any.
 
     A workspace may deliberately create some subjects only. But without any package nothing is checked, and no verb may

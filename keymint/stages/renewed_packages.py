@@ -16,7 +16,7 @@ from keymint.names import name_of, subject_of
 from keymint.stages import build
 from keymint.store.changes import FolderChange, Plan
 from keymint.view.stamps import Stamp, State
-from keymint.workspace.installed_enclaves import installed
+from keymint.workspace.installed_enclaves import enclave_names
 from keymint.workspace.package_build_types import is_build_current
 from keymint.workspace.session import Session
 
@@ -38,7 +38,7 @@ class Chosen:
     errors: tuple[Diagnostic, ...]
 
 
-def chosen(session: Session, names: Iterable[str], *, rekey: bool) -> Chosen:
+def renewable_packages(session: Session, names: Iterable[str], *, rekey: bool) -> Chosen:
     """Return which of some packages can be renewed.
 
     Args:
@@ -50,7 +50,7 @@ def chosen(session: Session, names: Iterable[str], *, rekey: bool) -> Chosen:
     requests: list[Diagnostic] = []
     defects = Defects()
     stamps: dict[str, Stamp] = {}
-    there = frozenset(installed(session))
+    there = frozenset(enclave_names(session))
     for name in names:
         with defects:
             if rekey and session.issuance(name).public_key:

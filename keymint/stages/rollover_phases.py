@@ -12,7 +12,7 @@ from comarmor.values import dataclass
 from keymint.api import Phase
 from keymint.authority import rollover
 from keymint.authority.authority_issuance import authority_named
-from keymint.authority.authority_uses import refusing
+from keymint.authority.authority_uses import refusing_implementations
 from keymint.authority.given_authority import GivenAuthority
 from keymint.errors import KeymintError, usage_error
 from keymint.names import subject_of
@@ -47,7 +47,7 @@ class PhaseRequest:
     given: GivenAuthority | None = None
 
 
-def planned(crew: Crew, session: Session, name: str, request: PhaseRequest) -> Plan:
+def phase_plan(crew: Crew, session: Session, name: str, request: PhaseRequest) -> Plan:
     """Return the plan of a phase; of one that was reached already, what is missing.
 
     Raises:
@@ -104,7 +104,7 @@ def _require_same_begin(session: Session, name: str, phase: Phase, request: Phas
         KeymintError: it names another way or another authority.
     """
     issuance = authority_named(session, name).issuance
-    way = Phase.STAGE if refusing(session, name, request.vendors, "bundles") else Phase.DISTRIBUTE
+    way = Phase.STAGE if refusing_implementations(session, name, request.vendors, "bundles") else Phase.DISTRIBUTE
     same = phase is way if request.vendors else True
     if request.given and issuance.rollover:
         same = same and certificates.load(request.given.certificate) == certificates.load(issuance.rollover.certificate)
@@ -116,7 +116,7 @@ def _require_same_begin(session: Session, name: str, phase: Phase, request: Phas
 
 
 def _begun(crew: Crew, session: Session, name: str, names: Sequence[str], request: PhaseRequest) -> Plan:
-    refused = refusing(session, name, request.vendors, "bundles")
+    refused = refusing_implementations(session, name, request.vendors, "bundles")
     phase = request.phase or (Phase.STAGE if refused else Phase.DISTRIBUTE)
     if phase is Phase.REISSUE:
         raise KeymintError(

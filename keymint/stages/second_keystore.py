@@ -23,7 +23,7 @@ from keymint.stages.install_request import InstallRequest
 from keymint.stages.package_stage import Crew
 from keymint.stages.pipeline import INSTALL, PROVE, Request, conduct
 from keymint.stages.work import Work
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, folder_changes
 from keymint.workspace.gitignore import NAME as GITIGNORE
 from keymint.workspace.installed_enclaves import with_sources
 from keymint.workspace.policy_loading import lazy_policy
@@ -140,7 +140,7 @@ def _moved_list(session: Session, name: str) -> tuple[FolderChange, ...]:
     """Return what puts the revocation list of the next authority in force, if it has one."""
     own, beside = _lists(session, name)
     content = session.tree.read(beside)
-    return () if content is None else changed(session.tree, own.parent, {own.name: File(content)})
+    return () if content is None else folder_changes(session.tree, own.parent, {own.name: File(content)})
 
 
 def _copied(session: Session) -> list[FolderChange]:

@@ -16,7 +16,7 @@ from comarmor.regex import lazy_regex
 from keymint.api import BuildOptions, BuildResult, BuildType, Package, SharedDocuments
 from keymint.errors import KeymintError
 from keymint.names import subject_of
-from keymint.stages.built_documents import kept, refuse_edits
+from keymint.stages.built_documents import kept_documents_step, refuse_edits
 from keymint.stages.package_stage import PackagePlan
 from keymint.store.changes import Action, File, FolderChange, Step, by_folder
 from keymint.view.stamps import Stamp, digest
@@ -197,7 +197,7 @@ def removals(session: Session, folder: Path, paths: Iterable[str]) -> tuple[Fold
     return tuple(FolderChange(parent, removed=tuple(names)) for parent, names in folders.items())
 
 
-def written(folder: Path, files: Mapping[str, File]) -> tuple[FolderChange, ...]:
+def file_changes(folder: Path, files: Mapping[str, File]) -> tuple[FolderChange, ...]:
     """Return the changes that write files, given by path relative to a folder."""
     return tuple(FolderChange(parent, of_folder) for parent, of_folder in by_folder(folder, files).items())
 
@@ -207,7 +207,7 @@ def _plan_documents(session: Session, name: str, options: BuildOptions, *, force
     stamp = session.state.stamp(STAGE, key)
     inputs, context = sources_digest(session, name), digest(repr(options))
     is_same = stamp is not None and (stamp.inputs, stamp.context) == (inputs, context) and not force
-    if stamp and is_same and (step := kept(session, stamp, folder, "", ", ".join(stamp.outputs))):
+    if stamp and is_same and (step := kept_documents_step(session, stamp, folder, "", ", ".join(stamp.outputs))):
         return PackagePlan(key, step)
     built = build_shared(session, name, load_packages(session, name), options)
     left_over = set(stamp.outputs if stamp else ()) - set(built.documents)
@@ -215,7 +215,7 @@ def _plan_documents(session: Session, name: str, options: BuildOptions, *, force
     different = {path: File(content) for path, content in built.documents.items() if existing[path] != content}
     if not force:
         refuse_edits(session, key, folder, {path: existing[path] for path in (*different, *left_over)})
-    changes = (*removals(session, folder, left_over), *written(folder, different))
+    changes = (*removals(session, folder, left_over), *file_changes(folder, different))
     action = (Action.UPDATED if stamp else Action.CREATED) if changes else Action.UNCHANGED
     shown = ", ".join(f"{path} {len(content):,} bytes" for path, content in built.documents.items())
     outputs = {path: digest(content) for path, content in built.documents.items()}

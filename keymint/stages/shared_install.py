@@ -23,6 +23,7 @@ from keymint.stages.package_stage import PackagePlan
 from keymint.stages.shared_documents import (
     build_shared,
     built_shared,
+    file_changes,
     is_current,
     load_packages,
     obsolete,
@@ -31,15 +32,14 @@ from keymint.stages.shared_documents import (
     shared_folder,
     sources_digest,
     users,
-    written,
 )
 from keymint.stages.signing import Signers, authority_of
 from keymint.store.changes import Action, File, Step
 from keymint.view.stamps import Stamp, digest, digest_files
-from keymint.workspace.installed_enclaves import INSTALLED, differing, enclave_files, has_outputs, installed
+from keymint.workspace.installed_enclaves import INSTALLED, enclave_files, enclave_names, has_outputs, new_files
 from keymint.workspace.package_build_types import BUILD
 from keymint.workspace.session import Session, once
-from keymint.workspace.workspace import placed
+from keymint.workspace.workspace import with_place
 
 
 def plan_shared_install(
@@ -189,14 +189,14 @@ def _plan_documents(
             loaded, documents, credentials, session.profile.layout, existing
         )
     except KeymintError as error:
-        raise KeymintError.of([placed(each, shared_folder(session)) for each in error.diagnostics]) from error
+        raise KeymintError.of([with_place(each, shared_folder(session)) for each in error.diagnostics]) from error
     if foreign := [path for path in artifacts if not belongs(path, documents)]:
         raise ValueError(f"{name} installs {foreign[0]!r}, which belongs to none of its shared documents")
     stamp = session.state.stamp(INSTALLED, record_key(name))
     install = session.workspace.install
     files = {path: File(artifact.content, secret=artifact.secret) for path, artifact in artifacts.items()}
-    left_over = set(stamp.outputs if stamp else ()) - set(artifacts)
-    changes = (*removals(session, install, left_over), *written(install, differing(session, install, existing, files)))
+    stale = set(stamp.outputs if stamp else ()) - set(artifacts)
+    changes = (*removals(session, install, stale), *file_changes(install, new_files(session, install, existing, files)))
     action = Action.UPDATED if existing else Action.CREATED
     made = Stamp(
         _inputs_digest(session, name, documents),
@@ -266,7 +266,7 @@ def claims_digest(session: Session, build_type: str, enclaves: Mapping[str, Mapp
     return digest(sources, documents_digest(session, build_type), chains_digest(session), __version__, *of_enclaves)
 
 
-def affected(before: Session, after: Session) -> tuple[str, ...]:
+def affected_packages(before: Session, after: Session) -> tuple[str, ...]:
     """Return the packages with an enclave whose shared documents a plan installs, sorted.
 
     Args:
@@ -278,4 +278,4 @@ def affected(before: Session, after: Session) -> tuple[str, ...]:
         key = record_key(build_type)
         if before.state.stamp(INSTALLED, key) != after.state.stamp(INSTALLED, key):
             names |= set(of_type)
-    return tuple(sorted(names.intersection(installed(after)))) if names else ()
+    return tuple(sorted(names.intersection(enclave_names(after)))) if names else ()

@@ -22,7 +22,7 @@ from keymint.view.stamps import digest_files
 from keymint.workspace.installed_enclaves import CERTIFICATE
 from keymint.workspace.package_build_types import build_types_of, roles_of, two_writers
 from keymint.workspace.session import Session
-from keymint.workspace.workspace import placed
+from keymint.workspace.workspace import with_place
 
 
 def sign(
@@ -91,7 +91,7 @@ def sign(
 def _placed(diagnostic: Diagnostic, session: Session, package: Package) -> Diagnostic:
     """Return a diagnostic with its full path: build types name the package's documents relative to ``build/``."""
     is_of_document = diagnostic.where is not None and diagnostic.where.file.startswith(f"{package.name}/")
-    return placed(diagnostic, session.workspace.build) if is_of_document else diagnostic
+    return with_place(diagnostic, session.workspace.build) if is_of_document else diagnostic
 
 
 def _going_on(

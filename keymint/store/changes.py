@@ -14,7 +14,7 @@ from comarmor.values import dataclass
 from keymint.view.stamps import State
 from keymint.view.tree import Content, File, HeldFile, Tree
 
-__all__ = ["Action", "DocumentSize", "File", "FolderChange", "Plan", "Step", "changed", "file_mode"]
+__all__ = ["Action", "DocumentSize", "File", "FolderChange", "Plan", "Step", "file_mode", "folder_changes"]
 
 
 class Action(StrEnum):
@@ -61,7 +61,7 @@ class FolderChange:
         return FolderChange(self.folder, {}, self.removed, self.private, held)
 
 
-def changed(tree: Tree, folder: Path, files: Mapping[str, File]) -> tuple[FolderChange, ...]:
+def folder_changes(tree: Tree, folder: Path, files: Mapping[str, File]) -> tuple[FolderChange, ...]:
     """Return the change that gives a folder these files, without files that already have this content."""
     different = {name: file for name, file in files.items() if tree.read(f"{folder}/{name}") != file.content}
     return (FolderChange(folder, different),) if different else ()
@@ -83,9 +83,9 @@ def by_folder(root: Path, files: Mapping[str, File]) -> dict[Path, dict[str, Fil
 
 
 def changed_below(tree: Tree, root: Path, files: Mapping[str, bytes]) -> tuple[FolderChange, ...]:
-    """Return what :func:`changed` returns for files that are given by path relative to a folder."""
+    """Return what :func:`folder_changes` returns for files that are given by path relative to a folder."""
     folders = by_folder(root, {path: File(content) for path, content in files.items()})
-    return tuple(change for folder, own in folders.items() for change in changed(tree, folder, own))
+    return tuple(change for folder, own in folders.items() for change in folder_changes(tree, folder, own))
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,12 +18,12 @@ from typing import Any
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
-from keymint.names import listed
+from keymint.names import subject_list
 from keymint.store.file_writing import check_component, is_temporary
 from keymint.store.group_commit import commit, waiting_name
 from keymint.store.open_folders import OpenFolders, Roots
 from keymint.store.staged import Exchange, Staged
-from keymint.view.stamps import digest, sealed, unsealed
+from keymint.view.stamps import digest, sealed_document, unsealed_document
 
 MARK = "running"
 """Name of its file in the folder of records, which stays if the command is killed."""
@@ -100,7 +100,7 @@ class Journal:
         command, packages = self.intent.command, self.intent.packages
         if self.finished:
             message = f"'{command}' was interrupted; all that it was asked for is done now"
-            message += f": {listed(packages)}" if packages else ""
+            message += f": {subject_list(packages)}" if packages else ""
             help_ = "deploy what it changed in the install space"
         elif command and self.intent.inputs != intent.inputs:
             message = f"'{command}' was interrupted before anything changed, and is dropped"
@@ -117,7 +117,7 @@ class Journal:
             for each in self.exchanges
         ]  # fmt: skip
         intent = (self.intent.command, self.intent.inputs, self.intent.packages)
-        return sealed({"version": VERSION, "intent": intent, "exchanges": rows, "finished": self.finished})
+        return sealed_document({"version": VERSION, "intent": intent, "exchanges": rows, "finished": self.finished})
 
 
 def _fingerprint(path: Path) -> str:
@@ -132,7 +132,7 @@ def load(content: bytes, records: Path) -> Journal:
         content: result of :meth:`Journal.dump`.
         records: the folder of records.
     """
-    document = unsealed(content, VERSION)
+    document = unsealed_document(content, VERSION)
     if document is None:
         return Journal()
     try:
@@ -154,7 +154,7 @@ def _exchange(
     return Exchange(int(order), place, str(name), staged, bool(file), bool(replaces), dict(changed))
 
 
-def recovered(journal: Journal, roots: Roots) -> Journal:
+def recover(journal: Journal, roots: Roots) -> Journal:
     """Finish a run that became visible in part; of one that did not, nothing is changed.
 
     Args:

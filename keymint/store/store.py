@@ -137,7 +137,7 @@ class Store:
         if marked:
             found = journal.load(read_file(self._mark, MAX_RECORD) or b"", self._records)
             if found.exchanges:
-                found = journal.recovered(found, self._roots)
+                found = journal.recover(found, self._roots)
                 self._record(found)  # before anything is removed, by which it is told what became visible
         for path in _temporary_paths(roots):
             with reported(path):

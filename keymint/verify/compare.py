@@ -25,7 +25,7 @@ from keymint.api.graph import ConfusionMatrix, Edge
 from keymint.errors import KeymintError
 from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.mismatch import EdgeComparison, Mismatch, Tally
-from keymint.verify.rows import EdgeRow, MappedColumn, Naming, labelled_rows, mapped
+from keymint.verify.rows import EdgeRow, MappedColumn, Naming, labelled_rows, mapped_column
 
 ENCLAVE_REFUSED = "enclave-refused"
 """Code of the error of a transport that refuses a complete enclave."""
@@ -191,7 +191,7 @@ def compare_endpoints(
     single: dict[str, list[tuple[Edge, bool]]] = {}
     both = by_policy = by_transport = 0
     for row, expected in labelled_rows(rows, labels):
-        column = mapped(row.column, policy.namings[row.subject])
+        column = mapped_column(row.column, policy.namings[row.subject])
         admitted = _admitted(transport, asked.enclaves[row.subject], column, asked.asking.tier)
         decided = column.allowed(admitted)
         if halves := _halves(row, expected, column, admitted, policy):
@@ -229,7 +229,7 @@ def _endpoints(
     """
     for row, expected in rows:
         if row.subject in namings:
-            column = mapped(row.column, namings[row.subject])
+            column = mapped_column(row.column, namings[row.subject])
             waiting[row.subject] = row, expected, column
             needed = dict.fromkeys(chain.from_iterable(column.denied(expected)))
             yield from (row.edge(column.endpoints.requests[at]) for at in needed)

@@ -86,7 +86,7 @@ class Copies:
 
 
 @contextlib.contextmanager
-def copied(
+def enclave_copies(
     tree: Tree,
     install: Path,
     enclaves: Mapping[str, Enclave],
@@ -117,7 +117,7 @@ def copied(
 
 
 @contextlib.contextmanager
-def placed(copies: Copies, files: Mapping[str, bytes] | None) -> Iterator[Copies]:
+def local_copies(copies: Copies, files: Mapping[str, bytes] | None) -> Iterator[Copies]:
     """Yield copies that can be read here: these, or on another machine those that are made of their files."""
     if files is None:
         yield copies

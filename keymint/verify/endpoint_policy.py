@@ -15,7 +15,7 @@ from comarmor.patterns import glob
 from comarmor.patterns.matching import matcher
 from keymint.api import LoadedPolicy, PolicyDecision, RowPolicy
 from keymint.api.graph import Column, Edge
-from keymint.verify.rows import RAW, EdgeRow, Naming, mapped
+from keymint.verify.rows import RAW, EdgeRow, Naming, mapped_column
 
 
 class EndpointPolicy:
@@ -97,7 +97,7 @@ class EndpointPolicy:
         naming, is_raw = self.namings.get(row.subject), self._raw_test(row.subject)
         if naming is None or is_raw is None:
             return
-        column = mapped(row.column, naming)
+        column = mapped_column(row.column, naming)
         raw = [is_raw(each.object.name) for each in column.endpoints.requests]
         yield from (at for at, needed in enumerate(column.needed) if any(raw[each] for each in needed))
 

@@ -107,7 +107,7 @@ class MappedColumn:
 
 
 @lru_cache(maxsize=4)
-def mapped(column: Column, naming: Naming) -> MappedColumn:
+def mapped_column(column: Column, naming: Naming) -> MappedColumn:
     """Return the endpoints of the requests of a column.
 
     Raises:

@@ -31,7 +31,7 @@ from keymint.ir import SubjectRules
 from keymint.names import subject_of
 from keymint.verify import probes
 from keymint.verify.rows import EdgeRow, EdgeRows, Naming
-from keymint.workspace.installed_enclaves import installed
+from keymint.workspace.installed_enclaves import enclave_names
 from keymint.workspace.session import Inputs, Session
 
 _Value = TypeVar("_Value")
@@ -129,7 +129,7 @@ def installed_scopes(session: Session, names: Sequence[str]) -> InstalledScopes:
         )
     if not chosen:
         raise KeymintError("there is no package to verify", help="run 'keymint create --all'", code="packages-none")
-    there = set(installed(session))
+    there = set(enclave_names(session))
     missing = [name for name in names if name in chosen and name not in there]
     if missing:
         shown = ", ".join(subject_of(name) for name in missing[:5]) + (" …" if len(missing) > 5 else "")  # noqa: PLR2004
@@ -187,7 +187,7 @@ def selective(scope: VerificationScope, transports: Iterable[Transport]) -> Veri
     return replace(scope, select=select)
 
 
-def selected(rows: EdgeRows, scope: VerificationScope) -> EdgeRows:
+def selected_rows(rows: EdgeRows, scope: VerificationScope) -> EdgeRows:
     """Return a function that yields rows with the edges that the transports of a scope can be asked about."""
     select = scope.select
     if select is None:

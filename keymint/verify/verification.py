@@ -16,12 +16,12 @@ from keymint.api.graph import ConfusionMatrix, Edge, Graph, Object
 from keymint.api.plugin_loader import Plugins
 from keymint.executors import Pool
 from keymint.verify.compare import Asked, Asking, compare, compare_endpoints, with_halves
-from keymint.verify.copies import Copies, placed
+from keymint.verify.copies import Copies, local_copies
 from keymint.verify.endpoint_policy import EndpointPolicy, label
 from keymint.verify.explain import Explainer
 from keymint.verify.mismatch import EdgeComparison
 from keymint.verify.rows import EdgeRows
-from keymint.verify.scope import VerificationScope, common_objects, edges_of_graph, edges_of_policy, selected
+from keymint.verify.scope import VerificationScope, common_objects, edges_of_graph, edges_of_policy, selected_rows
 from keymint.verify.usable_transports import models, names_rules
 
 LEAST = 150_000
@@ -81,10 +81,10 @@ class VerificationPart:
         """Return the subjects, and a function that yields all edges to ask about."""
         if self.graph is not None:
             subjects, rows = edges_of_graph(self.graph, self.scope)
-            return subjects, selected(rows, self.scope)
+            return subjects, selected_rows(rows, self.scope)
         own = {subject: self.copies.enclaves[subject] for subject in self.scope.enclaves}
         rows = edges_of_policy(self.policy, replace(self.scope, enclaves=own), self.common)
-        return tuple(own), selected(rows, self.scope)
+        return tuple(own), selected_rows(rows, self.scope)
 
     def verified(self, plugins: Plugins, transports: Mapping[str, Transport]) -> Verification:
         """Compare transports with the policy.
@@ -128,7 +128,7 @@ def verify_part(plugins: Plugins, part: VerificationPart) -> tuple[bytes, tuple[
     Raises:
         KeymintError: as of :meth:`VerificationPart.verified`.
     """
-    with placed(part.copies, part.files) as copies:
+    with local_copies(part.copies, part.files) as copies:
         named = {name: plugins.transport(name) for name in part.transports}
         verified = replace(part, copies=copies).verified(plugins, named)
         return bytes(verified.labels), verified.comparisons

@@ -26,14 +26,14 @@ from keymint.api.graph import Edge, Object
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import name_of, typed_permission, typed_subject
 from keymint.verify.compare import label_enclave
-from keymint.verify.copies import copied
+from keymint.verify.copies import enclave_copies
 from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.explain import Explainer
 from keymint.verify.matching import MatchedRule, matching_rules, nearest
 from keymint.verify.mismatch import Mismatch
 from keymint.verify.rows import RAW, Naming
 from keymint.verify.scope import Names, naming_of
-from keymint.workspace.installed_enclaves import installed
+from keymint.workspace.installed_enclaves import enclave_names
 from keymint.workspace.session import Session
 from keymint.workspace.workspace import packages
 
@@ -159,7 +159,7 @@ def explain(
     rules = subject_rules.rules if subject_rules else ()
     matching = matching_rules(rules, (edge, *meanings))
     subjects = policy.subjects()
-    is_installed = name_of(edge.subject) in installed(session)
+    is_installed = name_of(edge.subject) in enclave_names(session)
     asked = {name: group for name, group in transports.items() if name in views}
     return Explanation(
         edge=edge,
@@ -230,10 +230,10 @@ def _labels(
     """Return the decisions of transports on copies of the enclave."""
     install, name = session.workspace.install, name_of(edge.subject)
     enclave = Enclave(edge.subject, session.enclave(name), session.profile.distro, install)
-    there = installed(session)
+    there = enclave_names(session)
     infrastructure = {each.name for each in package.infrastructure} if package else ()
     labels: dict[str, Mismatch] = {}
-    with copied(
+    with enclave_copies(
         session.tree,
         install,
         {edge.subject: enclave},

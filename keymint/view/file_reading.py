@@ -42,7 +42,7 @@ def read_file(path: Path | str, most: int | None = None) -> bytes | None:
                 help="replace it by the file itself",
                 code="symlink-refused",
             ) from error
-        raise unreadable(path, error) from error
+        raise read_error(path, error) from error
     try:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
@@ -60,12 +60,12 @@ def read_file(path: Path | str, most: int | None = None) -> bytes | None:
             chunks.append(chunk)
         return b"".join(chunks)
     except OSError as error:
-        raise unreadable(path, error) from error
+        raise read_error(path, error) from error
     finally:
         os.close(descriptor)
 
 
-def unreadable(path: Path | str, error: OSError) -> KeymintError:
+def read_error(path: Path | str, error: OSError) -> KeymintError:
     """Return the error for a file that cannot be read."""
     return KeymintError(
         f"cannot be read: {os.strerror(error.errno or 0)}",

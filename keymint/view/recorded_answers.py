@@ -18,7 +18,7 @@ from typing import NamedTuple
 from comarmor.regex import lazy_regex
 from keymint import __version__
 from keymint.view.folder_status import FolderStatus, Sight, path_status, walk
-from keymint.view.stamps import sealed, unsealed
+from keymint.view.stamps import sealed_document, unsealed_document
 
 VERSION = 1
 VERBS = ("create", "build", "install", "provision")
@@ -93,7 +93,7 @@ def recall(call: Call) -> Answer | None:
         return None
     try:
         with open(f"{root}/{_RECORDS}/{name_of(call)}", "rb") as opened:  # noqa: PTH123 - the path is a text
-            recorded = unsealed(opened.read(), VERSION)
+            recorded = unsealed_document(opened.read(), VERSION)
     except OSError:
         return None
     if (
@@ -153,7 +153,7 @@ def record(
     with open(state, "rb") as opened:  # noqa: PTH123 - the path is a text
         recorded = (datetime.fromisoformat(b"".join(parts).decode()) for parts in set(_DATE.findall(opened.read())))
         ends = [moment for date in (*dates, *recorded) if (moment := date.timestamp()) >= call.now]
-    return sealed(
+    return sealed_document(
         {
             "version": VERSION,
             "call": _identity(call, root, call.environment.names),

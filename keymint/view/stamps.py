@@ -107,17 +107,17 @@ class State:
             stage: {name: row(stamp) for name, stamp in sorted(of_stage.items())}
             for stage, of_stage in sorted(self.stamps.items())
         }
-        return sealed({"version": VERSION, "stamps": stamps, "texts": [*texts], "shapes": [*shapes]})
+        return sealed_document({"version": VERSION, "stamps": stamps, "texts": [*texts], "shapes": [*shapes]})
 
 
-def sealed(document: Mapping[str, Any]) -> bytes:
+def sealed_document(document: Mapping[str, Any]) -> bytes:
     """Return a document as JSON that ends with its digest; equal documents give equal bytes."""
     body = json.dumps(document, separators=(",", ":"), sort_keys=True).removesuffix("}").encode()
     return b"".join((body, _SEAL, digest(body).encode(), _END))
 
 
-def unsealed(content: bytes | None, version: int) -> Mapping[str, Any] | None:
-    """Return the document of :func:`sealed`, or None if it is missing, damaged or of another version."""
+def unsealed_document(content: bytes | None, version: int) -> Mapping[str, Any] | None:
+    """Return the document of :func:`sealed_document`, or None if it is missing, damaged or of another version."""
     body, _, seal = (content or b"").rpartition(_SEAL)
     if seal != digest(body).encode() + _END:
         return None
@@ -138,7 +138,7 @@ def load(content: bytes | None) -> State:
 
 
 def _stamps(content: bytes | None) -> dict[str, dict[str, Stamp]]:
-    document = unsealed(content, VERSION)
+    document = unsealed_document(content, VERSION)
     if document is None:
         return {}
     try:

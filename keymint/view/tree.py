@@ -16,10 +16,10 @@ from typing import NamedTuple, TypeVar
 
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
-from keymint.view.file_reading import MAX_FILE, REGISTER, FileStatus, linked_file, lstat, read_file, unreadable
+from keymint.view.file_reading import MAX_FILE, REGISTER, FileStatus, linked_file, lstat, read_error, read_file
 from keymint.view.stamps import digest
 
-__all__ = ["MAX_FILE", "REGISTER", "Content", "File", "HeldError", "HeldFile", "Tree", "read_file", "unreadable"]
+__all__ = ["MAX_FILE", "REGISTER", "Content", "File", "HeldError", "HeldFile", "Tree", "read_error", "read_file"]
 
 _Read = TypeVar("_Read")
 
@@ -146,7 +146,7 @@ class _Disk:
         except (FileNotFoundError, NotADirectoryError):
             return {}
         except OSError as error:
-            raise unreadable(folder, error) from error
+            raise read_error(folder, error) from error
 
 
 @dataclass(frozen=True, slots=True)

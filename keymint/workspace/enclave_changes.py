@@ -11,8 +11,8 @@ from comarmor.values import dataclass
 from keymint.api import Artifact, BuildType
 from keymint.errors import KeymintError
 from keymint.names import ROOT, subject_of
-from keymint.store.changes import Action, File, FolderChange, Step, by_folder, changed
-from keymint.workspace.installed_enclaves import CERTIFICATE, INSTALLED, files_in, installed
+from keymint.store.changes import Action, File, FolderChange, Step, by_folder, folder_changes
+from keymint.workspace.installed_enclaves import CERTIFICATE, INSTALLED, enclave_names, files_in
 from keymint.workspace.package_build_types import recorded_build_types
 from keymint.workspace.session import Session
 
@@ -31,7 +31,7 @@ class EnclaveChanges:
 
     def kept(self, session: Session) -> list[str]:
         """Return the packages whose installed enclaves stay as they are."""
-        return [name for name in installed(session) if name not in self.removed and name not in self.changed]
+        return [name for name in enclave_names(session) if name not in self.removed and name not in self.changed]
 
 
 NO_CHANGES = EnclaveChanges()
@@ -52,7 +52,7 @@ def shared_steps(session: Session, by_type: Iterable[Mapping[str, Artifact]]) ->
     for copies in by_type:
         files = {path: File(each.content, secret=each.secret, replaces_link=True) for path, each in copies.items()}
         folders = by_folder(session.workspace.install, files)
-        written = [change for folder, own in folders.items() for change in changed(session.tree, folder, own)]
+        written = [change for folder, own in folders.items() for change in folder_changes(session.tree, folder, own)]
         if written:
             existed = any(session.tree.read(session.workspace.install / path) for path in files)
             action = Action.UPDATED if existed else Action.CREATED
@@ -137,13 +137,13 @@ def withdraw(session: Session, name: str, reason: str, changes: EnclaveChanges) 
         reason: why its certificate was revoked.
         changes: what the run does to the enclaves; it removes this one.
     """
-    if name in installed(session):
-        return replace(pruned(session, name, changes), detail=f"revoked: {reason}")
+    if name in enclave_names(session):
+        return replace(removal_step(session, name, changes), detail=f"revoked: {reason}")
     detail = f"revoked: {reason}; 'keymint renew --rekey {name}' makes a new key"
     return Step(INSTALLED, name, Action.KEPT, detail=detail)
 
 
-def pruned(session: Session, name: str, changes: EnclaveChanges) -> Step:
+def removal_step(session: Session, name: str, changes: EnclaveChanges) -> Step:
     """Return the step that removes the enclave of a package."""
     folder = session.enclave(name)
     files = files_in(session, name)

@@ -25,7 +25,7 @@ INSTALLED = "install"
 
 
 @once
-def installed(session: Session) -> tuple[str, ...]:
+def enclave_names(session: Session) -> tuple[str, ...]:
     """Return the names of the installed enclaves, sorted."""
     names: list[str] = []
     has_root = session.enclaves != session.workspace.install
@@ -45,7 +45,7 @@ def installed(session: Session) -> tuple[str, ...]:
 def with_sources(session: Session) -> tuple[str, ...]:
     """Return the names of the installed enclaves that have a source package, sorted."""
     known = frozenset(session.packages())
-    return tuple(name for name in installed(session) if name in known)
+    return tuple(name for name in enclave_names(session) if name in known)
 
 
 def orphans(session: Session) -> tuple[str, ...]:
@@ -58,7 +58,7 @@ def hidden(session: Session) -> tuple[str, ...]:
     return tuple(name for name, marker in _unknown(session) if marker is not None)
 
 
-def unaccounted(session: Session) -> Iterator[Diagnostic]:
+def orphan_findings(session: Session) -> Iterator[Diagnostic]:
     """Yield a finding for each installed enclave without a visible source package."""
     for name, marker in _unknown(session):
         if marker is None:
@@ -77,7 +77,7 @@ def unaccounted(session: Session) -> Iterator[Diagnostic]:
 def _unknown(session: Session) -> Iterator[tuple[str, Path | None]]:
     """Yield the installed enclaves without a visible source package, each with the marker that hides the package."""
     src, known = session.workspace.src, set(session.packages())
-    for name in installed(session):
+    for name in enclave_names(session):
         if name not in known:
             yield name, hidden_by(session.tree, src, name)
 
@@ -174,7 +174,7 @@ def deployed_authorities(session: Session) -> tuple[x509.Certificate, ...]:
     Files that cannot be read or contain no certificates are skipped.
     """
     contents: dict[bytes, None] = {}
-    for name in installed(session):
+    for name in enclave_names(session):
         for entry, is_folder in session.tree.names(session.enclave(name)):
             if not is_folder and entry.endswith(".pem") and entry not in {CERTIFICATE, KEY}:
                 contents[session.tree.try_read(session.enclave(name) / entry) or b""] = None
@@ -202,7 +202,7 @@ def has_mode(inputs: Inputs, path: Path | str, *, secret: bool) -> bool:
     return status is None or stat.S_IMODE(status.st_mode) & 0o777 == file_mode(secret=secret)
 
 
-def differing(
+def new_files(
     inputs: Inputs, folder: Path, existing: Mapping[str, bytes], files: Mapping[str, File]
 ) -> dict[str, File]:
     """Return the files that a folder does not have yet, with their content and their mode."""

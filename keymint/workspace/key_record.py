@@ -14,7 +14,7 @@ AUTHORITIES = "authority-keys"
 IDENTITIES = "identity-keys"
 
 
-def recorded(state: State, stage: str, name: str) -> str:
+def recorded_key(state: State, stage: str, name: str) -> str:
     """Return the fingerprint of the key that the record has for an authority or a package, or an empty text."""
     stamp = state.stamp(stage, name)
     return stamp.inputs if stamp else ""
@@ -22,10 +22,10 @@ def recorded(state: State, stage: str, name: str) -> str:
 
 def record(state: State, stage: str, fingerprints: Mapping[str, str]) -> State:
     """Return the state with these keys on record; unchanged if they already are."""
-    new = {name: value for name, value in fingerprints.items() if recorded(state, stage, name) != value}
+    new = {name: value for name, value in fingerprints.items() if recorded_key(state, stage, name) != value}
     return state.updated(stage, {name: Stamp(value, {}) for name, value in new.items()}) if new else state
 
 
 def forget(state: State, stage: str, names: tuple[str, ...]) -> State:
     """Return the state without the keys of these authorities or packages."""
-    return state.updated(stage, {}, names) if any(recorded(state, stage, name) for name in names) else state
+    return state.updated(stage, {}, names) if any(recorded_key(state, stage, name) for name in names) else state

@@ -20,6 +20,7 @@ from keymint.view.stamps import Stamp, State, digest
 from keymint.workspace import shipped_profiles
 from keymint.workspace.policy_types import foreign_policy
 from keymint.workspace.session import Session
+from keymint.workspace.shipped_profiles import installed_packages, load_with, refuse_unaccepted
 
 _STAGE, _FILES, _SUBJECTS = "policy", "seen", "subjects"
 """Keys of the record of the policy: the paths that it was read from, and the subjects that it names."""
@@ -37,10 +38,8 @@ def load_policy(session: Session, *, trust_links: bool = False) -> LoadedPolicy:
     Raises:
         UnacceptedPackagesError: it includes files of ROS packages that its owner did not accept as they are now.
     """
-    policy = _load(session, shipped_profiles.installed(session, trust_links=trust_links))
-    shipped_profiles.refuse_unaccepted(
-        session, policy, functools.partial(accepted_policy, session, absent_is_empty=True)
-    )
+    policy = _load(session, installed_packages(session, trust_links=trust_links))
+    refuse_unaccepted(session, policy, functools.partial(accepted_policy, session, absent_is_empty=True))
     return policy
 
 
@@ -55,7 +54,7 @@ def accepted_policy(session: Session, *, absent_is_empty: bool = False) -> Loade
         KeymintError: as of :func:`load_policy`; without ``absent_is_empty`` also if a copy is missing.
     """
     copies = session.profile.package_copies
-    return _load(session, CopiedPackages(copies, absent_is_empty) if copies else shipped_profiles.installed(session))
+    return _load(session, CopiedPackages(copies, absent_is_empty) if copies else installed_packages(session))
 
 
 def policy_in_force(session: Session) -> tuple[LoadedPolicy, tuple[Diagnostic, ...]]:
@@ -74,7 +73,7 @@ def policy_in_force(session: Session) -> tuple[LoadedPolicy, tuple[Diagnostic, .
             raise
         try:
             policy = accepted_policy(session)
-            shipped_profiles.refuse_unaccepted(session, policy, lambda: policy)
+            refuse_unaccepted(session, policy, lambda: policy)
         except KeymintError:
             raise error from None
         return policy, tuple(
@@ -94,7 +93,7 @@ def _load(session: Session, folders: PackageFolders) -> LoadedPolicy:
     if library is not None and not library.is_dir():
         library, shown = session.profile_type.library(profile.distro), library
     try:
-        return shipped_profiles.load_with(session.policy_type, profile.policies, library, shown, folders)
+        return load_with(session.policy_type, profile.policies, library, shown, folders)
     except KeymintError as error:
         paths = [source.path for source in profile.policies]
         foreign = foreign_policy(session.plugins, paths, profile.policy_type)
@@ -179,7 +178,7 @@ def locations_digest(session: Session) -> str:
     profile = session.profile
     paths = [source.path for source in profile.policies]
     if profile.packages:
-        installed = shipped_profiles.installed(session)
+        installed = installed_packages(session)
         paths += (path for name in profile.packages for path in installed.looked_at(name))
     return digest(session.profile_digest, str(profile.library), *map(str, paths))
 

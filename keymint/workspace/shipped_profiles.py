@@ -21,7 +21,7 @@ from keymint.api import (
     PolicyWithPackages,
 )
 from keymint.errors import ExitCode, KeymintError
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, folder_changes
 from keymint.workspace.session import Session
 
 STAGE = "create"
@@ -54,16 +54,16 @@ def load_with(
     return policy_type.load(sources, library, library_shown)
 
 
-def installed(session: Session, trusted: Iterable[str] = (), *, trust_links: bool = False) -> InstalledPackages:
+def installed_packages(session: Session, named: Iterable[str] = (), *, trust_links: bool = False) -> InstalledPackages:
     """Return the installed packages.
 
     Args:
         session: the workspace and its profile, which has the packages whose symbolic links are followed.
-        trusted: further ones.
+        named: further ones.
         trust_links: follow those of all packages.
     """
     accepted = (name for name, each in session.profile.packages.items() if each.follows_links)
-    return InstalledPackages(session.environment, None if trust_links else frozenset((*accepted, *trusted)))
+    return InstalledPackages(session.environment, None if trust_links else frozenset((*accepted, *named)))
 
 
 def shipped_files(policy: LoadedPolicy) -> Sequence[ShippedFile]:
@@ -136,7 +136,7 @@ def plan_acceptance(
             code="profile-without-packages",
         )
     by_package: dict[str, list[ShippedFile]] = {}
-    for each in shipped_files(load(installed(session, named if trust_links else ()))):
+    for each in shipped_files(load(installed_packages(session, named if trust_links else ()))):
         by_package.setdefault(each.package, []).append(each)
     accepted = dict(profile.packages)
     steps: list[Step] = []
@@ -172,7 +172,7 @@ def _with_lock(
     """Return a plan of some steps, of which the last one that changes copies also writes what was accepted."""
     root = session.workspace.profile
     lock = {file: File(content) for file, content in plugin.with_packages(accepted).items()}
-    written = changed(session.tree, root, lock) if accepted else (FolderChange(root, removed=tuple(lock)),)
+    written = folder_changes(session.tree, root, lock) if accepted else (FolderChange(root, removed=tuple(lock)),)
     last = max((at for at, step in enumerate(steps) if step.action is Action.UPDATED), default=None)
     if last is not None:
         steps[last] = replace(steps[last], changes=(*steps[last].changes, *written))
@@ -224,7 +224,7 @@ def _copied(
     kept = {each.path for each in files}
     for each in files:
         path = folder / each.path
-        yield from changed(session.tree, path.parent, {path.name: File(each.content)})
+        yield from folder_changes(session.tree, path.parent, {path.name: File(each.content)})
     yield from _removed(session, folder.name, (each for each in before.files if each not in kept))
 
 

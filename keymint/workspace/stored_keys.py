@@ -75,7 +75,7 @@ def load_key(
     except KeymintError as error:
         raise KeymintError.of(replace(each, help=_help(each, spec, remedy)) for each in error.diagnostics) from None
     if not keys.fits(key, spec.key):
-        message = f"is not {keys.described(spec.key)}, which {spec.origin} asks for"
+        message = f"is not {keys.key_description(spec.key)}, which {spec.origin} asks for"
         raise KeymintError(message, where=shown, help=remedy, code="key-kind")
     return key
 

@@ -94,7 +94,7 @@ class Workspace:
 
     def shown(self, path: Path | str) -> str:
         """Return a path as the user would type it."""
-        return shown(path, self.shown_from)
+        return shown_path(path, self.shown_from)
 
     def origin(self, path: Path | str) -> Origin:
         """Return a file as the place that a message is about."""
@@ -122,7 +122,7 @@ class Workspace:
         return f"{self.private}/identities/{package}/key.pem"
 
 
-def shown(path: Path | str, start: Path) -> str:
+def shown_path(path: Path | str, start: Path) -> str:
     """Return a path relative to a folder if it is below or near it, else unchanged."""
     text, root = str(path), str(start)
     below = root if root.endswith("/") else f"{root}/"
@@ -136,7 +136,7 @@ def shown(path: Path | str, start: Path) -> str:
     return relative if relative.count("..") <= 2 else text  # noqa: PLR2004 - beyond, nobody counts the dots
 
 
-def placed(diagnostic: Diagnostic, space: Path) -> Diagnostic:
+def with_place(diagnostic: Diagnostic, space: Path) -> Diagnostic:
     """Return a diagnostic whose file, which a plugin gives relative to a space, has its full path."""
     where = diagnostic.where
     if where is None or where.file.startswith("/"):

@@ -180,7 +180,7 @@ def applied(spec: CertificateSpec, issued: AuthorityIssuance) -> CertificateSpec
         return replace(spec, validity=replace(spec.validity, not_after=end))
     from keymint.pki import foreign_authorities  # noqa: PLC0415 - few profiles have one, and it takes time to import
 
-    return foreign_authorities.adopted(spec, issued.adopted)
+    return foreign_authorities.adopted_spec(spec, issued.adopted)
 
 
 def with_authority_issuance(issuances: Mapping[str, AuthorityIssuance]) -> Mapping[str, bytes]:

@@ -191,7 +191,7 @@ def _shared_grants(inspections: Sequence[Inspection]) -> Iterator[Diagnostic]:
 
 
 def _subject(inspection: Inspection) -> str:
-    certificate = certificates.readable(inspection.files.get(CERTIFICATE))
+    certificate = certificates.certificate_in(inspection.files.get(CERTIFICATE))
     return distinguished_names.to_text(certificate.subject) if certificate else ""
 
 

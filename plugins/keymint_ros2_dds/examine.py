@@ -18,7 +18,7 @@ from comarmor.values import dataclass
 from keymint.api import TrustAnchors
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, revocation_lists, smime
-from keymint.pki.identity_check import IdentityCheck, When, anchor_defects, shown
+from keymint.pki.identity_check import IdentityCheck, When, anchor_defects, utc_time
 from keymint.pki.mime import SignedDocument
 from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds import subject_name_text, token_key
@@ -277,7 +277,7 @@ class EnclaveRules(IdentityCheck):
         begin, end = period
         if now + _SLACK >= end or now - _SLACK < begin:
             message = (
-                f"the grant is valid from {shown(begin)} to {shown(end)}, which is within a day of now: Fast DDS "
+                f"the grant is valid from {utc_time(begin)} to {utc_time(end)}, which is within a day of now: Fast DDS "
                 "reads these dates in its host's time zone"
             )
             is_renewable = now - _SLACK >= begin and end - begin > 2 * _SLACK

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from comarmor.errors import Diagnostic
 from comarmor.patterns.decision_lists import Block, DecisionList, Equal, SearchBudget, Universe, Witness
 from comarmor.patterns.evaluate import permits
-from comarmor.patterns.glob import Glob, after, before, parse
+from comarmor.patterns.glob import Glob, left_quotient, parse, right_quotient
 from comarmor.patterns.proofs import difference, escapes
 from comarmor.patterns.tokens import charset
 from comarmor.rules import PARTS
@@ -111,6 +111,6 @@ def _stripped(decisions: DecisionList, start: str, end: str) -> DecisionList:
     """Return the list of the texts on which a list decides with a start and an end around them."""
 
     def inner(pattern: Glob) -> Iterator[Glob]:
-        return (text for rest in before(pattern, end) for text in after(rest, start))
+        return (text for rest in right_quotient(pattern, end) for text in left_quotient(rest, start))
 
     return tuple(Block(each.allows, tuple(text for one in each.patterns for text in inner(one))) for each in decisions)

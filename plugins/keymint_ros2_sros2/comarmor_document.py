@@ -10,7 +10,7 @@ from pathlib import Path
 from lxml import etree
 
 from comarmor.language import render
-from comarmor.language.formatting import formatted
+from comarmor.language.formatting import canonical_form
 from comarmor.patterns.printing import escape
 from comarmor.rules import PERMISSIONS, Effect
 from comarmor.xml.reader import XINCLUDE
@@ -43,7 +43,7 @@ def document(
     text = render.document(root)
     # A prefix that nothing uses would only puzzle.
     content = (text if "<xi:include" in text else text.replace(f' xmlns:xi="{XINCLUDE}"', "", 1)).encode()
-    return formatted(content, "the new policy") or content  # comments have the indentation of the old policy
+    return canonical_form(content, "the new policy") or content  # comments have the indentation of the old policy
 
 
 def _profile(enclaves: Sequence[Sros2Enclave], library: Path, *, graph: bool) -> etree._Element:

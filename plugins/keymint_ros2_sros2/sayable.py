@@ -125,15 +125,15 @@ def _raw(effect: Effect, permission: str, pattern: Glob) -> Iterator[Said]:
         raise UnsayableError("SROS2 has no rules on DDS topics that are not those of ROS topics")
     if matching(pattern, GRAPH_TOPIC):
         raise UnsayableError("SROS2 allows the topic of the graph by itself")
-    if any(glob.after(pattern, prefix) for prefix in _SERVICES):
+    if any(glob.left_quotient(pattern, prefix) for prefix in _SERVICES):
         raise UnsayableError("SROS2 has no rules on DDS topics of services")
-    for rest in glob.after(pattern, f"{_PREFIX}/"):
+    for rest in glob.left_quotient(pattern, f"{_PREFIX}/"):
         yield Said("topics", _RAW[permission], _text(glob.surround("/", rest, "")))
 
 
 def _names(pattern: Glob, suffix: str) -> Iterator[str]:
     """Yield expressions of the names that begin with ``/`` and that a pattern with a suffix matches."""
-    for rest in glob.after(glob.surround("", pattern, suffix), "/"):
+    for rest in glob.left_quotient(glob.surround("", pattern, suffix), "/"):
         if not glob.is_empty(rest):
             yield _text(glob.surround("/", rest, ""))
 

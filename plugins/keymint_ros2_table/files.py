@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from comarmor.errors import ComArmorError, Origin
-from comarmor.xml.sandboxed_paths import path_text, read_bounded, unreadable
+from comarmor.xml.sandboxed_paths import path_text, read_bounded, read_failure
 from keymint_ros2_table import csv_rows, sqlite_rows
 from keymint_ros2_table.rows import TableRow
 
@@ -42,7 +42,7 @@ def read(path: Path) -> tuple[Iterator[TableRow | ComArmorError], Mapping[Path, 
         before = real.stat()
         content = read_bounded(real.parent, real, _MOST_SQLITE + 1)
     except (OSError, RuntimeError, ValueError) as error:
-        raise ComArmorError(unreadable(error, "the table"), where=Origin(file), code="policy-missing") from None
+        raise ComArmorError(read_failure(error, "the table"), where=Origin(file), code="policy-missing") from None
     seen = {path: hashlib.sha256(content).digest()}
     is_database = content.startswith(sqlite_rows.MAGIC)
     most = _MOST_SQLITE if is_database else _MOST_CSV
@@ -86,7 +86,7 @@ def _require_none(beside: Path, file: str) -> bytes:
         return b""
     except OSError as error:
         raise ComArmorError(
-            unreadable(error, "the file"), where=Origin(f"{file}{beside.suffix}"), code="unreadable"
+            read_failure(error, "the file"), where=Origin(f"{file}{beside.suffix}"), code="unreadable"
         ) from None
     if content and not (beside.name.endswith(_JOURNAL) and content.startswith(_INACTIVE)):
         raise _in_use(file, f"has changes in {beside.name} that are not in it yet, or that must be undone")

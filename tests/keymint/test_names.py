@@ -12,11 +12,11 @@ from keymint.names import (
     MAX_NAME,
     MAX_SEGMENT,
     ROOT,
-    listed,
     name_of,
     package_name,
     refuse_case_collisions,
     refuse_reserved,
+    subject_list,
     subject_of,
 )
 
@@ -134,7 +134,7 @@ def test_other_names_are_not_reserved() -> None:
 
 
 def test_of_many_packages_a_line_lists_the_first() -> None:
-    assert listed(()) == ""
-    assert listed(["robot/arm", "talker"]) == "/robot/arm, /talker"
-    assert listed(list("abcdefgh")) == "/a, /b, /c, /d, /e, /f, /g, /h"
-    assert listed(list("abcdefghij")) == "/a, /b, /c, /d, /e, /f, /g, /h and 2 more"
+    assert subject_list(()) == ""
+    assert subject_list(["robot/arm", "talker"]) == "/robot/arm, /talker"
+    assert subject_list(list("abcdefgh")) == "/a, /b, /c, /d, /e, /f, /g, /h"
+    assert subject_list(list("abcdefghij")) == "/a, /b, /c, /d, /e, /f, /g, /h and 2 more"

@@ -17,7 +17,7 @@ from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.patterns.tokens import STAR, Star
 from comarmor.rules import Effect
 from comarmor.text import first_few
-from keymint.analysis.findings import undecided
+from keymint.analysis.findings import undecided_note
 from keymint.analysis.subject_patterns import fixed_expressions, profile_chain
 from keymint.api import PolicyStructure, WrittenProfile, WrittenRule
 
@@ -99,7 +99,7 @@ def _wide(profiles: Sequence[WrittenProfile], clauses: Iterable[WrittenRule]) ->
             with step_limit(STEPS):
                 gaining = list(_gaining(each, granted, near.meeting(glob), rights))
         except StepLimitError as limit:
-            yield undecided(
+            yield undecided_note(
                 f"the subjects that profile {each.name!r} gets by {text!r} are unknown: {limit}",
                 each.where,
                 "attach it to fewer subjects, or lint parts of the policy",

@@ -16,7 +16,7 @@ from comarmor.patterns.possible_names import advice
 from comarmor.patterns.relations import TooComplexError
 from comarmor.text import did_you_mean
 from keymint.analysis.expression_origins import ExpressionOrigins
-from keymint.analysis.findings import quoted_list, undecided
+from keymint.analysis.findings import quoted_list, undecided_note
 from keymint.analysis.lint.attachment_mistakes import CODES as SLIPS
 from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
 from keymint.analysis.lint.name_similarity import similar_names, similar_subjects
@@ -57,7 +57,7 @@ def lint(policy: LoadedPolicy) -> list[Diagnostic]:
     else:
         given_up.append(f"there are more than {MOST_PAIRS:,} pairs of a subject and a rule")
     findings += [
-        undecided(
+        undecided_note(
             f"not every rule was checked for every subject: {reason}",
             None,
             "findings may not hold for some subjects, and some may be missing; lint parts of the policy",

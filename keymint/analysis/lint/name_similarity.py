@@ -15,7 +15,7 @@ from comarmor.patterns.steps import StepLimitError, spend, step_limit
 from comarmor.regex import lazy_regex
 from comarmor.rules import KIND_OF, Effect
 from keymint.analysis.expression_origins import ExpressionOrigins
-from keymint.analysis.findings import undecided
+from keymint.analysis.findings import undecided_note
 from keymint.api import PolicyStructure
 from keymint.ir import Rule
 
@@ -135,7 +135,7 @@ def _unknown(given_up: Sequence[str]) -> Iterator[Diagnostic]:
     """Yield a note on names that were not compared with all others."""
     if given_up:
         others = f" and {len(given_up) - 1:,} others" if len(given_up) > 1 else ""
-        yield undecided(
+        yield undecided_note(
             f"names similar to {given_up[0]!r}{others} are unknown: too many to compare within {STEPS:,} steps",
             None,
             "check these names yourself, or lint parts of the policy",

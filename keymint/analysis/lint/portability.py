@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.patterns.steps import step_limit
-from keymint.analysis.findings import undecided
+from keymint.analysis.findings import undecided_note
 from keymint.analysis.subject_patterns import with_distinct_rules
 from keymint.api import RuleCheck
 from keymint.ir import Rule, SubjectRules
@@ -35,7 +35,7 @@ def portability(
     spent = 0
     for subject, rules in with_distinct_rules(subjects):
         if spent > STEPS:
-            yield undecided(
+            yield undecided_note(
                 f"{subject} and the subjects after it were not compiled: {STEPS:,} steps were spent on those before it",
                 None,
                 "'keymint build' compiles each of them; or lint parts of the policy",

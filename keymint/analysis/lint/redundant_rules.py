@@ -22,7 +22,7 @@ from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.rules import Effect
 from comarmor.values import dataclass
 from keymint.analysis.expression_origins import ExpressionOrigin, ExpressionOrigins
-from keymint.analysis.findings import quoted_list, undecided
+from keymint.analysis.findings import quoted_list, undecided_note
 from keymint.analysis.rule_lists import (
     PermissionKey,
     allow_only,
@@ -150,7 +150,7 @@ class RedundantRules:
         if self._unknown:
             rule, text, where = self._an_expansion(self._unknown[-1])
             more = f" and {len(self._unknown) - 1:,} other expressions" if len(self._unknown) > 1 else ""
-            yield undecided(
+            yield undecided_note(
                 f"whether {text!r} in this {rule.effect} {rule.kind} rule{more} is redundant is unknown: "
                 "it overlaps with others in too many ways",
                 where,

@@ -25,11 +25,11 @@ from keymint.executors import Pool
 from keymint.life.earlier_rights import RIGHTS_OUTLIVE
 from keymint.life.workspace_register import with_enclaves
 from keymint.names import subject_of
-from keymint.output.report import Report, findings_if, folded
+from keymint.output.report import Report, findings_if, merged_diagnostics
 from keymint.output.sarif import of_diagnostics
 from keymint.output.sarif import sarif as sarif_log
 from keymint.run.run import Run
-from keymint.stages.policy_drift import uncreated
+from keymint.stages.policy_drift import subjects_without_package
 from keymint.stages.proof.proof_diagnostics import effort_of, proof_findings
 from keymint.stages.proof.proof_results import ProofEffort
 from keymint.stages.proof.prove import NO_PROVER, STAGE
@@ -91,7 +91,7 @@ def check(
     findings += advisories(run, vendors)
     of_policy, state = _of_policy(session, state, chosen, complete=not names)
     findings += (each for each in of_policy if each not in findings)
-    shown = folded((*findings, *unexamined))
+    shown = merged_diagnostics((*findings, *unexamined))
     if sarif is not None:
         write_outputs(run, sarif, sarif_log("keymint check", {}, of_diagnostics(shown), run.typed))
     number = sum(finding.severity is not Severity.NOTE for finding in shown)
@@ -137,6 +137,6 @@ def _of_policy(
     try:
         policy = lazy_policy(session)
         notes, state = of_packages(session, state, policy, names)
-        return (*(uncreated(session, policy, names) if complete else ()), *notes), state
+        return (*(subjects_without_package(session, policy, names) if complete else ()), *notes), state
     except KeymintError as error:
         return error.diagnostics if complete else (), state

@@ -22,19 +22,19 @@ from keymint.command_line.options import (
 )
 from keymint.command_line.verb import verb
 from keymint.errors import ExitCode, KeymintError
+from keymint.examine import keystore
 from keymint.examine.enclaves import differences
-from keymint.examine.keystore import SHOWN_NOTES, UNKNOWN_HISTORY, deciding, not_examined, proven_keystore, staged
 from keymint.life import terms
 from keymint.life.workspace_register import has_register, with_enclaves
 from keymint.output.json import line_json
 from keymint.output.report import Report, findings_exit, findings_if
 from keymint.run.run import Run
-from keymint.stages.policy_drift import uncreated
+from keymint.stages.policy_drift import subjects_without_package
 from keymint.stages.proof.proof_diagnostics import STATES, effort_of, proof_findings
 from keymint.stages.proof.proof_results import EnclaveProof, ProofResults
 from keymint.stages.proof.prove import NO_PROVER, STAGE
 from keymint.store.changes import Action, Step
-from keymint.workspace.installed_enclaves import unaccounted
+from keymint.workspace.installed_enclaves import orphan_findings
 from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Session
 
@@ -89,40 +89,40 @@ def prove(
         return _without_policy(run, session, chosen, error)
     with run.console.progress(len(chosen), run.setting.monotonic) as advance, run.pool() as pool:
         effort = effort_of(run.setting.monotonic, states, seconds, standard_only=allow_vendor_specific)
-        results = proven_keystore(
+        results = keystore.proven_keystore(
             session, chosen, policy, effort,
             lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), pool,
         )  # fmt: skip
-    unknown = () if names else (*unaccounted(session), *uncreated(session, policy, chosen))
+    unknown = () if names else (*orphan_findings(session), *subjects_without_package(session, policy, chosen))
     # What a cluster says, or what holds for another distribution, is a result to show: no later run may rely on it.
     unrecorded = run.keep(session, results.state) if pool.trusted and not session.vendors_of else ()
 
-    unexamined, with_register = tuple(not_examined(session)), has_register(session)
+    unexamined, with_register = tuple(keystore.not_examined(session)), has_register(session)
     _summary(run, results, with_register=with_register)
-    ahead = staged(session)
-    more = dict.fromkeys((*deciding(session), *(deciding(ahead) if ahead else ())))
+    ahead = keystore.staged_keystore_session(session)
+    more = dict.fromkeys((*keystore.deciding_findings(session), *(keystore.deciding_findings(ahead) if ahead else ())))
     found = (*proof_findings(session, results, strict=strict), *more, *unknown)
     diagnostics = [*_assumptions(results), *found, *unrecorded, *unexamined]
     in_force = _until(results) is not None and (with_register or None)
     result = _result(run, results, unexamined, in_force)
     exit_code = findings_if(findings_exit(found) or (strict and results.outliving))
-    return run.report(result, diagnostics, exit_code, workspace=session.workspace, notes=SHOWN_NOTES)
+    return run.report(result, diagnostics, exit_code, workspace=session.workspace, notes=keystore.SHOWN_NOTES)
 
 
 def _without_policy(run: Run, session: Session, names: Sequence[str], error: KeymintError) -> Report:
     """Return what can be told although the policy cannot be read: what the authorities do not vouch for."""
     run.console.line(f"proved nothing about {counted(len(names), 'enclave')}: the policy cannot be read")
-    found = (*error.diagnostics, *differences(session, names), *deciding(session), *unaccounted(session))
-    unexamined = tuple(not_examined(session))
+    found = (*error.diagnostics, *differences(session, names), *keystore.deciding_findings(session))
+    unexamined = tuple(keystore.not_examined(session))
     nothing = ProofResults((), (), session.state, {}, frozenset(), {}, session.now)
     result = _result(run, nothing, unexamined, None)
-    diagnostics = tuple(dict.fromkeys((*found, *unexamined)))
-    return run.report(result, diagnostics, ExitCode.FINDINGS, workspace=session.workspace, notes=SHOWN_NOTES)
+    diagnostics = tuple(dict.fromkeys((*found, *orphan_findings(session), *unexamined)))
+    return run.report(result, diagnostics, ExitCode.FINDINGS, workspace=session.workspace, notes=keystore.SHOWN_NOTES)
 
 
 def _result(run: Run, results: ProofResults, unexamined: Sequence[Diagnostic], in_force: bool | None) -> dict[str, Any]:
     return {
-        "at": terms.shown(results.now),
+        "at": terms.iso_time(results.now),
         "until": _shown(_until(results)),
         "in_force": in_force,
         "not_examined": len(unexamined),
@@ -170,13 +170,13 @@ def _when(results: ProofResults, *, with_register: bool) -> str:
         known, limit = "in force", ""
         if not with_register:
             known, limit = "valid by their dates", " (whether they were revoked is not known without the register)"
-        return f"; {known} at {terms.shown(results.now)}, until {terms.shown(until)}{limit}"
+        return f"; {known} at {terms.iso_time(results.now)}, until {terms.iso_time(until)}{limit}"
     out = sum(terms.end(enclave.terms, results.now) is None for enclave in results.enclaves if enclave.terms)
-    return f"; {counted(out, 'enclave')} {'is' if out == 1 else 'are'} not in force at {terms.shown(results.now)}"
+    return f"; {counted(out, 'enclave')} {'is' if out == 1 else 'are'} not in force at {terms.iso_time(results.now)}"
 
 
 def _shown(moment: datetime | None) -> str | None:
-    return None if moment is None else terms.shown(moment)
+    return None if moment is None else terms.iso_time(moment)
 
 
 def _excepted(results: ProofResults) -> Iterator[str]:
@@ -205,7 +205,7 @@ def _assumptions(results: ProofResults) -> Iterator[Diagnostic]:
     """Yield each assumption once, with the models that make it."""
     lines: dict[str, list[str]] = {}
     if not results.is_whole:
-        yield Diagnostic.note("assumption", f"assumption: {UNKNOWN_HISTORY}")
+        yield Diagnostic.note("assumption", f"assumption: {keystore.UNKNOWN_HISTORY}")
     for model, assumed in _taken(results).items():
         for line in assumed:
             lines.setdefault(line, []).append(model)

@@ -74,7 +74,7 @@ def status(run: Run, kind: str, strict: bool) -> Report:
     }
     unexamined = tuple(not_examined(session))
     outliving = _outliving(run, session, policy) if policy else ()
-    diagnostics += (*keys.elsewhere(session), *keys.exposed(session), *outliving, *unexamined)
+    diagnostics += (*keys.elsewhere(session), *keys.exposed_keys(session), *outliving, *unexamined)
     result["not_examined"] = len(unexamined)
     exit_code = findings_if(strict and outliving)
     return run.report(result, diagnostics, exit_code, workspace=session.workspace, notes=True)

@@ -23,13 +23,13 @@ from keymint.examine.enclaves import differences
 from keymint.life.workspace_register import with_enclaves
 from keymint.output.json import comparisons_json
 from keymint.output.junit import junit as junit_document
-from keymint.output.mismatches import SARIF_RULES, diagnostics, enumerated, junit_suites, sarif_results
+from keymint.output.mismatches import SARIF_RULES, diagnostics, enumeration, junit_suites, sarif_results
 from keymint.output.report import Report, findings_if
 from keymint.output.sarif import sarif as sarif_log
 from keymint.run.run import Run
 from keymint.store.changes import Action, Step
 from keymint.verify.compare import Asking
-from keymint.verify.copies import copied
+from keymint.verify.copies import enclave_copies
 from keymint.verify.mismatch import EdgeComparison, Tally
 from keymint.verify.scope import (
     VerificationScope,
@@ -117,7 +117,7 @@ def verify(
     system = None if graph is None else subjects_of_graph(
         load(read_input(run, graph), str(graph)), there.enclaves, only=bool(names)
     )  # fmt: skip
-    with copied(
+    with enclave_copies(
         session.tree, session.workspace.install, there.enclaves, transports, there.others, there.infrastructure
     ) as copies:
         total = sum((1 + len(group)) * len(there.scopes[name].enclaves) for name, group in groups.items())
@@ -171,7 +171,7 @@ def _unasked(
             continue
         edges = [edge for edge in system.edges if not scope.names.has(edge.object)] if system else ()
         if edges:
-            message = f"{counted(len(edges), 'edge')} of the graph not asked of {enumerated(tuple(groups[name]))}"
+            message = f"{counted(len(edges), 'edge')} of the graph not asked of {enumeration(tuple(groups[name]))}"
             first = edges[0].object
             reason = f"{name} has no name for the {first.kind} {first.name!r}"
             more = len({edge.object for edge in edges}) - 1

@@ -13,7 +13,7 @@ import click
 from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.adoption.adopted_workspace import Adoption, plan_adoption
 from keymint.adoption.keystore_files import found_in
-from keymint.adoption.keystore_policy import AdoptedPolicy, Compared, compared
+from keymint.adoption.keystore_policy import AdoptedPolicy, Compared, document_comparisons
 from keymint.api import Bootstrap, DocumentComparer, FoundKeystore, KeystoreFiles
 from keymint.command_line.options import (
     DEFAULT_DISTRO,
@@ -123,7 +123,7 @@ def _policy(
     if not isinstance(build_type, DocumentComparer):
         return own, ()
     effort = effort_of(run.setting.monotonic, STATES)
-    return own, compared(build_type, found.enclaves, own.rules, options.distro or DEFAULT_DISTRO, effort)
+    return own, document_comparisons(build_type, found.enclaves, own.rules, options.distro or DEFAULT_DISTRO, effort)
 
 
 def _request(workspace: Workspace, found: FoundKeystore, policy: str, now: datetime, distro: str) -> Bootstrap:

@@ -18,7 +18,7 @@ from keymint.command_line.verb import verb
 from keymint.errors import usage_error
 from keymint.output.report import Report
 from keymint.run.run import Run
-from keymint.stages.rollover_phases import PhaseRequest, planned
+from keymint.stages.rollover_phases import PhaseRequest, phase_plan
 from keymint.store.changes import Plan
 from keymint.workspace.session import Session
 
@@ -69,7 +69,7 @@ def command(
 
     def make_plan(session: Session) -> Plan:
         before = rollover.phase_of(session, name)
-        plan = planned(run.crew, session, name, request)
+        plan = phase_plan(run.crew, session, name, request)
         reached = rollover.phase_of(session.after(plan).session(), name)
         phases[:] = [(reached or Phase.END).value]
         if run.dry_run and not cancel:

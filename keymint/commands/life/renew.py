@@ -26,17 +26,17 @@ from keymint.life.renewal_schedule import (
     enclave_terms,
     installed_terms,
     list_end,
-    renewed,
+    renewal_issuance,
     schedule,
 )
-from keymint.life.terms import Threshold, shown
+from keymint.life.terms import Threshold, iso_time
 from keymint.life.workspace_register import with_enclaves
-from keymint.names import listed, subject_of
+from keymint.names import subject_list, subject_of
 from keymint.output.report import Report, findings_if
 from keymint.run.run import Run, exit_code_of
 from keymint.stages.install_request import InstallRequest
-from keymint.stages.pipeline import Request, conduct, updated
-from keymint.stages.renewed_packages import chosen, packages_of, refuse_new_authorities
+from keymint.stages.pipeline import Request, conduct, updated_packages
+from keymint.stages.renewed_packages import packages_of, refuse_new_authorities, renewable_packages
 from keymint.stages.second_keystore import DEFERRED, STAGE, in_step
 from keymint.stages.work import Work
 from keymint.store.changes import Plan
@@ -136,7 +136,7 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
     Raises:
         KeymintError: nothing that is due can be renewed, or not all that was named.
     """
-    choice = chosen(session, [each.name for each in due.enclaves], rekey=rekey)
+    choice = renewable_packages(session, [each.name for each in due.enclaves], rekey=rekey)
     if choice.errors and not alone:
         raise KeymintError.of(choice.errors)
     names, errors = list(choice.names), list(choice.errors)
@@ -169,7 +169,7 @@ def _renewal(run: Run, session: Session, due: Schedule, *, rekey: bool, prove: b
     done = frozenset(names)
     taken = [each for each in due.enclaves if each.name in done]
     rows = [_Renewed(each, _end(after, each.name), bool(session.issuance(each.name).public_key)) for each in taken]
-    changed = frozenset(updated(plan))
+    changed = frozenset(updated_packages(plan))
     if due.following is not None and due.following.name in changed:  # it was named, and its dates are others now
         due = replace(due, following=None)
     return _Renewal(
@@ -206,7 +206,7 @@ def _waiting(
 
 def _issued_again(run: Run, session: Session, due: Schedule, names: Sequence[str], *, rekey: bool, prove: bool) -> Plan:
     """Plan new certificates and permissions of some packages, and the revocation lists that are due."""
-    first = plan_issuance(session, run.verb, {name: renewed(session, name) for name in names})
+    first = plan_issuance(session, run.verb, {name: renewal_issuance(session, name) for name in names})
     ends = [list_end(session, each) for each in due.lists]
     request = Request(
         names,
@@ -228,7 +228,7 @@ def _end(session: Session, name: str) -> datetime | None:
 def _authority_due(due: AuthorityDue) -> Diagnostic:
     """Return the finding on an authority that is due."""
     first = (*due.issuers[::-1], due.name)[0]
-    message = f"the authority {due.name!r} is due: it ends on {shown(due.end)}"
+    message = f"the authority {due.name!r} is due: it ends on {iso_time(due.end)}"
     if due.packages:
         message += f", and what it signs for {counted(len(due.packages), 'enclave')} ends with it"
     if due.issuers:
@@ -260,21 +260,21 @@ def _lines(run: Run, renewal: _Renewal) -> Sequence[str]:
         f"waits for a signature: the revocation list of {each.name}: {_why(each)}" for each in renewal.waiting_lists
     ]
     own = {each.due.name for each in renewal.renewed}
-    changed = updated(renewal.plan)
+    changed = updated_packages(renewal.plan)
     if ready := [name for name in changed if name in own]:
-        lines.append(f"deploy and restart before the old documents end: {listed(ready)}")
+        lines.append(f"deploy and restart before the old documents end: {subject_list(ready)}")
     if others := [name for name in changed if name not in own]:
-        lines.append(f"deploy the new revocation list and restart before the old one ends: {listed(others)}")
+        lines.append(f"deploy the new revocation list and restart before the old one ends: {subject_list(others)}")
     if staged := [
         step.package for step in renewal.plan.steps if step.stage == STAGE and step.package and step.writes()
     ]:
-        lines.append(f"deploy install.next/ as well, which was staged by 'authority replace': {listed(staged)}")
+        lines.append(f"deploy install.next/ as well, which was staged by 'authority replace': {subject_list(staged)}")
     if elsewhere := [each.due.name for each in renewal.renewed if each.elsewhere]:
-        lines.append(f"the key is not here: 'keymint bundle' carries the new documents to {listed(elsewhere)}")
+        lines.append(f"the key is not here: 'keymint bundle' carries the new documents to {subject_list(elsewhere)}")
     following = renewal.schedule.following
     if following is not None and following.after is not None:
         none = "" if renewal.renewed or renewal.schedule.enclaves else "nothing is due; "
-        lines.append(f"{none}next is /{following.name}, from {shown(following.after)} on")
+        lines.append(f"{none}next is /{following.name}, from {iso_time(following.after)} on")
     elif not lines:
         lines.append("nothing is due")
     return lines
@@ -288,7 +288,7 @@ def _why(due: Due) -> str:
 
 
 def _date(moment: datetime | None) -> str:
-    return shown(moment) if moment else "-"
+    return iso_time(moment) if moment else "-"
 
 
 def _result(renewal: _Renewal) -> dict[str, Any]:

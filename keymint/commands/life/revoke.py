@@ -15,11 +15,11 @@ from keymint.command_line.verb import verb
 from keymint.errors import KeymintError
 from keymint.life.issued_certificates import REASONS, SUPERSEDED, IssuedCertificate
 from keymint.life.revoking import Revoking, plan_revocation
-from keymint.names import listed, package_name, subject_of
+from keymint.names import package_name, subject_list, subject_of
 from keymint.output.report import Report, members
 from keymint.run.run import Run
 from keymint.stages.install_request import InstallRequest
-from keymint.stages.pipeline import Request, conduct, updated
+from keymint.stages.pipeline import Request, conduct, updated_packages
 from keymint.stages.work import Work
 from keymint.store.changes import Plan
 from keymint.workspace.installed_enclaves import INSTALLED
@@ -59,15 +59,15 @@ def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report
 
     report = run.change(make_plan)
     ((revoking, plan),) = done
-    peers = [name for name in updated(plan) if name not in chosen]
-    names_again = [name for name in updated(plan) if name in chosen]
+    peers = [name for name in updated_packages(plan) if name not in chosen]
+    names_again = [name for name in updated_packages(plan) if name in chosen]
     say = run.console.line
     for each in revoking.certificates:
         word = "would revoke" if run.dry_run else "revoked  "
         say(f"{word} {subject_of(each.name)} serial {each.serial:x}, generation {each.generation}, {reason}")
     if peers:
         say(
-            f"deploy and restart {counted(len(peers), 'enclave')}: {listed(peers)}; a node that runs keeps its "
+            f"deploy and restart {counted(len(peers), 'enclave')}: {subject_list(peers)}; a node that runs keeps its "
             "old list, and until its restart accepts the revoked certificate; connections made before go on until then"
         )
     shared = [
@@ -80,9 +80,9 @@ def revoke(run: Run, names: tuple[str, ...], reason: str, prove: bool) -> Report
     if shared:
         say(f"deploy {', '.join(shared)}, and restart what reads it")
     if names_again:
-        say(f"deploy and restart with the new certificate: {listed(names_again)}")
+        say(f"deploy and restart with the new certificate: {subject_list(names_again)}")
     elif reason != SUPERSEDED and revoking.packages:
-        say(f"nothing is issued for {listed(revoking.packages)} until 'keymint renew --rekey'")
+        say(f"nothing is issued for {subject_list(revoking.packages)} until 'keymint renew --rekey'")
     result = {
         "revoked": [document(each) for each in revoking.certificates],
         "restart": [subject_of(name) for name in peers],

@@ -14,7 +14,7 @@ from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.command_line.named_files import read_input
 from keymint.command_line.options import FILE
-from keymint.command_line.robot_options import folder_option, keystore_of, opened
+from keymint.command_line.robot_options import folder_option, keystore_of, opened_store
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError, usage_error
 from keymint.output.report import Report, members
@@ -65,7 +65,7 @@ def accept(run: Run, files: tuple[Path, ...], folder: Path | None, fingerprints:
     there = keystore.read()
     taken = [_taken(run, there, file, each, owner) for file, each in read]  # what is refused creates no keystore
     if not run.dry_run:
-        with opened(run, keystore) as store:
+        with opened_store(run, keystore) as store:
             there = keystore.read()
             taken = [_taken(run, there, file, each, owner) for file, each in read]
             answered = [there.forget(each.bundle.manifest.name) for each in taken if each.acceptance.answered]

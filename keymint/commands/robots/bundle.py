@@ -30,7 +30,7 @@ from keymint.stages.install import is_current, would_stay
 from keymint.stages.rollover_phases import require_staged
 from keymint.stages.second_keystore import session_ahead
 from keymint.store.changes import Plan
-from keymint.workspace.installed_enclaves import installed
+from keymint.workspace.installed_enclaves import enclave_names
 from keymint.workspace.session import Session
 
 
@@ -116,7 +116,7 @@ def _chosen(session: Session, given: tuple[str, ...]) -> dict[str, None]:
         KeymintError: there is none.
     """
     known, chosen = session.packages(), dict[str, None]()
-    there = frozenset(installed(session))
+    there = frozenset(enclave_names(session))
     for each in given:
         if SPECIAL.search(each):
             which = "no installed package"

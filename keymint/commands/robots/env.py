@@ -14,7 +14,7 @@ from keymint.names import package_name, subject_of
 from keymint.output.report import Report
 from keymint.run.run import Run
 from keymint.stages.environment_scripts import enclave_environment
-from keymint.workspace.installed_enclaves import installed
+from keymint.workspace.installed_enclaves import enclave_names
 from keymint.workspace.session import Session
 
 
@@ -45,7 +45,7 @@ def _installed(session: Session, typed: str) -> str:
     Raises:
         KeymintError: there is none of that name.
     """
-    name, known = package_name(typed), installed(session)
+    name, known = package_name(typed), enclave_names(session)
     if name in known:
         return name
     where = session.workspace.origin(session.enclaves)

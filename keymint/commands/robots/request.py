@@ -16,7 +16,7 @@ from comarmor.values import dataclass
 from keymint.api import KeySpec
 from keymint.command_line.named_files import show_written, write_outputs
 from keymint.command_line.options import FILE
-from keymint.command_line.robot_options import RobotKeystore, folder_option, keystore_of, opened
+from keymint.command_line.robot_options import RobotKeystore, folder_option, keystore_of, opened_store
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError
 from keymint.names import package_name, subject_of
@@ -81,7 +81,7 @@ def request(
     name = package_name(name)
     keystore = keystore_of(run, folder)
     kind = replace(_KINDS[key_type], uri=uri, pin_env=pin_env)
-    with opened(run, keystore) as store, contextlib.closing(run.tokens):
+    with opened_store(run, keystore) as store, contextlib.closing(run.tokens):
         there = keystore.read()
         content = None if discard else there.request(name)
         if content is None:

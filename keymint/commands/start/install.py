@@ -16,7 +16,7 @@ from keymint.output.report import Report, findings_exit
 from keymint.run.run import Run, exit_code_of
 from keymint.stages.install_request import InstallRequest
 from keymint.stages.pipeline import INSTALL, Request, conduct
-from keymint.stages.policy_drift import UNCREATED, policy_changed, uncreated
+from keymint.stages.policy_drift import UNCREATED, policy_changed, subjects_without_package
 from keymint.stages.work import Work
 from keymint.store.changes import Plan
 from keymint.workspace.policy_loading import lazy_policy
@@ -47,7 +47,7 @@ def install(run: Run, names: tuple[str, ...], request: InstallRequest) -> Report
         def notes(_: Work) -> Iterator[Diagnostic]:
             yield from policy_changed(session) if chosen else (no_packages(session),)
             if not names and (not chosen or request.prove):
-                yield from uncreated(session, lazy_policy(session), chosen)
+                yield from subjects_without_package(session, lazy_policy(session), chosen)
 
         asked = request.resumed(resumes=run.resumes)
         policy = lazy_policy(session) if request.prove else None

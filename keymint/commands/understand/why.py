@@ -20,8 +20,8 @@ from keymint.names import name_of
 from keymint.output.json import decision_json, edge_json, place_json, verdict_json
 from keymint.output.mismatches import (
     document_reason,
-    enumerated,
-    finding,
+    enumeration,
+    mismatch_finding,
     request_text,
     rule_text,
     verb_of,
@@ -88,12 +88,12 @@ def _mismatches(explanation: Explanation, granted: Sequence[DomainRange]) -> lis
     together: dict[tuple[str, int], list[str]] = {}
     for name, label in explanation.wrong.items():
         together.setdefault((document_reason(label), label.document.line), []).append(name)
-    found = [finding(names, [explanation.wrong[names[0]]]) for names in together.values()]
+    found = [mismatch_finding(names, [explanation.wrong[names[0]]]) for names in together.values()]
     edge = explanation.edge
     if not granted or any(each.first <= edge.domain <= each.last for each in granted):
         return found
     # No build fixes a request in a domain that is not granted.
-    domains = enumerated(
+    domains = enumeration(
         [f"{each.first}" if each.first == each.last else f"{each.first}-{each.last}" for each in granted]
     )
     help_ = f"{edge.subject} is granted domain {domains}, not {edge.domain}: leave out --domain"
@@ -149,10 +149,10 @@ def _labels(explanation: Explanation, place: Place) -> Iterator[str]:
         reason = f"{place(label.document)}: {label.reason or 'no reason is given'}{deviation}"
         together.setdefault((_decision(label.verdict), reason), []).append(name)
     for (decision, reason), names in together.items():
-        yield f"{decision} by {enumerated(names)} ({reason})"
+        yield f"{decision} by {enumeration(names)} ({reason})"
     for build_type, unasked in explanation.unasked.items():
         wanted = explanation.edge.object
-        yield f"not asked: {enumerated(unasked)} ({build_type} has no name for the {wanted.kind} {wanted.name!r})"
+        yield f"not asked: {enumeration(unasked)} ({build_type} has no name for the {wanted.kind} {wanted.name!r})"
 
 
 def _decision(verdict: Verdict) -> str:

@@ -70,7 +70,7 @@ def public_of(session: Any, key: Any, where: Origin | None) -> keys.PublicKey:
     )
 
 
-def described(error: pkcs11.PKCS11Error, token: str, where: Origin | None) -> KeymintError:
+def token_error(error: pkcs11.PKCS11Error, token: str, where: Origin | None) -> KeymintError:
     """Return an error of a token in words.
 
     Args:

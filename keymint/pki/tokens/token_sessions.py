@@ -221,12 +221,12 @@ class Tokens:
         from pkcs11 import PKCS11Error  # noqa: PLC0415 - loaded already
 
         from keymint.pki.tokens.pkcs11_uri import parse  # noqa: PLC0415
-        from keymint.pki.tokens.token_objects import described  # noqa: PLC0415
+        from keymint.pki.tokens.token_objects import token_error  # noqa: PLC0415
 
         try:
             yield
         except PKCS11Error as error:
-            found = described(error, token or parse(spec.uri).path, where)
+            found = token_error(error, token or parse(spec.uri).path, where)
             self._failed[spec.uri] = found
             self._keys.pop(spec.uri, None)
             raise found from None

@@ -17,7 +17,7 @@ from keymint.stages.package_stage import Crew
 from keymint.stages.proof.proof_diagnostics import dated_of, diagnostics_of, effort_of, merged_packages
 from keymint.stages.proof.proof_results import EnclaveProof
 from keymint.stages.proof.prove import NO_PROVER, STAGE, ProofStage
-from keymint.stages.shared_install import affected
+from keymint.stages.shared_install import affected_packages
 from keymint.stages.work import Work
 from keymint.store.changes import Action, Plan
 from keymint.workspace.installed_enclaves import INSTALLED
@@ -60,7 +60,7 @@ def proven(
     session, plan = work.session, work.plan
     kept = work.of(INSTALLED).of_action(Action.KEPT, Action.REMOVED)
     # New shared documents decide about enclaves that stay as they are, too.
-    names = [name for name in sorted({*names, *affected(unsigned, session)}) if name not in kept]
+    names = [name for name in sorted({*names, *affected_packages(unsigned, session)}) if name not in kept]
     stage = proof(session)
     results = stage.results(crew.planned(stage, names))
     diagnostics = diagnostics_of(results, strict=request.strict)

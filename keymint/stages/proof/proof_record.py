@@ -73,7 +73,7 @@ def has_rules(stamp: Stamp, rules: Iterable[SubjectRules]) -> bool:
     return stamp.outputs.get(_RULES) == _rules_digest(rules)
 
 
-def written(outputs: Mapping[str, str], rules: str) -> Mapping[str, str]:
+def with_proof_digest(outputs: Mapping[str, str], rules: str) -> Mapping[str, str]:
     """Return the outputs of a stamp with a digest of the rules and of their files, if there is one."""
     return {**outputs, _WRITTEN: rules} if rules else outputs
 

@@ -244,7 +244,7 @@ class ProofStage:
         """Return a stamp as the present policy has it, or None if it is that already."""
         if stamp.context == self._policy_digest:
             return None
-        outputs = proof_record.written(stamp.outputs, self._written(subjects))
+        outputs = proof_record.with_proof_digest(stamp.outputs, self._written(subjects))
         return replace(stamp, context=self._policy_digest, outputs=outputs)
 
     def _shown(self, name: str) -> str:

@@ -83,7 +83,7 @@ def contradictions(session: Session) -> Mapping[str, tuple[Diagnostic, ...]]:
     by_authority: dict[str, tuple[Diagnostic, ...]] = {}
     for authority in authority_files.in_order(session.profile.authorities):
         files = authority_files.read_files(session, authority, deployed=False)
-        own = () if files.content is None else against(files, _key(session, files))
+        own = () if files.content is None else certificate_contradictions(files, _key(session, files))
         if all_ := (*own, *by_authority.get(authority.certificate.issuer, ())):
             by_authority[authority.name] = all_
     return by_authority
@@ -100,7 +100,7 @@ def contradictions_for(session: Session, name: str) -> tuple[Diagnostic, ...]:
     return tuple(dict.fromkeys(each for issuer in issuers for each in known.get(issuer, ())))
 
 
-def against(files: AuthorityFiles, key: PublicKey | None) -> tuple[Diagnostic, ...]:
+def certificate_contradictions(files: AuthorityFiles, key: PublicKey | None) -> tuple[Diagnostic, ...]:
     """Return what contradicts the certificate of an authority: its form, its key, its name, and what is recorded.
 
     Args:

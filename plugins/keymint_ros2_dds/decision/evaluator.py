@@ -14,7 +14,7 @@ from enum import StrEnum
 from functools import cached_property, lru_cache
 
 from comarmor.errors import Origin
-from comarmor.patterns.expression import beginning
+from comarmor.patterns.expression import literal_prefix
 from comarmor.patterns.tokens import Dialect
 from comarmor.values import dataclass
 from keymint_ros2_dds.decision import fnmatch_dialects
@@ -300,7 +300,7 @@ def _patterns(expressions: Iterable[str], semantics: Semantics) -> _Expressions:
     texts = frozenset(fnmatch_dialects.in_bytes(semantics.reads_text(expression)) for expression in expressions)
     plain = frozenset(text for text in texts if fnmatch_dialects.is_plain(text))
     wild = _compiled(tuple(sorted(texts - plain)), semantics.fnmatch) if texts - plain else None
-    return _Expressions(plain, wild, frozenset(map(beginning, texts - plain)))
+    return _Expressions(plain, wild, frozenset(map(literal_prefix, texts - plain)))
 
 
 @lru_cache(maxsize=4096)

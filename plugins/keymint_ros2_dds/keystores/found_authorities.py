@@ -122,7 +122,7 @@ def _lacking(
         )
         help_ = "CVE-2023-24010; 'keymint harden authority' makes a second one afterwards"
         yield contents.note("adopt-one-authority", path, message, help_)
-    lacks = ", and ".join(each.message for each in foreign_authorities.lacking(certificate, name, contents.place(path)))
+    lacks = ", and ".join(each.message for each in foreign_authorities.defects(certificate, name, contents.place(path)))
     if lacks:
         help_ = "'keymint harden identifiers' adds it afterwards"
         yield contents.note("adopt-extensions", path, lacks, help_)

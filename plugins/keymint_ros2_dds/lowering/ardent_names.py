@@ -38,7 +38,7 @@ def dds_patterns(expression: Glob, topic: DdsTopic, part: str = "", *, every: bo
             also matches topics with a ``/`` in their name.
     """
     pairs: dict[Pair, None] = {}
-    for rest in glob.after(glob.surround("", expression, part), "/"):
+    for rest in glob.left_quotient(glob.surround("", expression, part), "/"):
         for namespace, base in _divided(rest):
             if every or not any(isinstance(token, str) and "/" in token for token in base):
                 name = glob.surround("", base, topic.suffix)

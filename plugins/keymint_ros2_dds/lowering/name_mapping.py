@@ -74,7 +74,7 @@ def _topic_patterns(expression: Glob, topic: DdsTopic, part: str) -> tuple[Glob,
     if text is not None:
         name = text + part
         return ((topic.prefix + name + topic.suffix,),) if name.startswith("/") else ()
-    after = glob.after(glob.surround("", expression, part), "/")
+    after = glob.left_quotient(glob.surround("", expression, part), "/")
     return tuple(glob.surround(topic.prefix + "/", rest, topic.suffix) for rest in after)
 
 

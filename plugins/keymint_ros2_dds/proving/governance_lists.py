@@ -22,7 +22,7 @@ from comarmor.patterns.decision_lists import (
     Universe,
     Unknown,
     Witness,
-    negated,
+    negate,
 )
 from comarmor.patterns.glob import EVERYTHING, Glob
 from comarmor.patterns.tokens import charset
@@ -157,11 +157,11 @@ def _questions(
     permissions alone must not permit more either, covered or not: peers evaluate them with their own governance.
     """
     endpoint, *topic = permitted.lists
-    outside = (negated(permitted.exempt),) if permitted.exempt else ()
+    outside = (negate(permitted.exempt),) if permitted.exempt else ()
     yield (topics.opened, *outside), policy, False
     yield (endpoint, *topic, *outside), policy, False
     if topic:
         yield (endpoint, topics.either, *outside), policy, False
     for own, open_ in ((endpoint, topics.opened), *((checked, topics.either) for checked in topic)):
-        yield (policy, negated(open_)), own, True
+        yield (policy, negate(open_)), own, True
     yield (policy,), topics.covered, True

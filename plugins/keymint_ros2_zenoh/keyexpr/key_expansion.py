@@ -42,7 +42,7 @@ def key_exprs(pattern: Glob) -> tuple[KeyExpr, ...]:
     Raises:
         TooManyAlternativesError: there are more than :data:`MAX_ALTERNATIVES`.
     """
-    texts = (text for plain in _without_sets(pattern) for rest in glob.after(plain, "/") for text in _texts(rest))
+    texts = (text for one in _without_sets(pattern) for rest in glob.left_quotient(one, "/") for text in _texts(rest))
     found = list(islice(texts, MAX_ALTERNATIVES + 1))
     if len(found) > MAX_ALTERNATIVES:
         raise TooManyAlternativesError

@@ -12,7 +12,7 @@ from comarmor.patterns import glob
 from comarmor.patterns.decision_lists import BudgetError, Equal, ProofResult, SearchBudget, Unknown
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.printing import exact
-from comarmor.patterns.steps import cached
+from comarmor.patterns.steps import step_counting_cache
 from comarmor.rules import Effect
 from comarmor.values import dataclass
 from keymint_ros2_zenoh.decision.message_access import KeyLists
@@ -108,10 +108,10 @@ def proven_exact(pattern: Glob, states: int) -> ProofResult:
 
 
 # Many enclaves have the same patterns. What is unknown is not cached: it may depend on an outer limit.
-@cached(1 << 14)
+@step_counting_cache(1 << 14)
 def _decided(pattern: Glob, states: int) -> ProofResult:
     automaton = Automaton()
-    names = frozenset(automaton.names(0, rest) for rest in glob.after(pattern, "/"))
+    names = frozenset(automaton.names(0, rest) for rest in glob.left_quotient(pattern, "/"))
     keys = frozenset(automaton.key_expr(name_key(0, each)) for each in key_exprs(pattern))
     left, right = (side_of(((nodes, frozenset()),)) for nodes in (names, keys))
     result = difference(automaton, left, right, SearchBudget(states))

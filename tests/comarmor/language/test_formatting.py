@@ -16,7 +16,7 @@ from lxml import etree
 
 from comarmor import ComArmorError, data
 from comarmor.language import formatting
-from comarmor.language.formatting import formatted
+from comarmor.language.formatting import canonical_form
 from comarmor.language.parse import parse
 from comarmor.language.render import render
 from comarmor.language.source import read_document
@@ -29,7 +29,7 @@ HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n'
 
 
 def fmt(text: str | bytes) -> str:
-    result = formatted(text.encode() if isinstance(text, str) else text, "p.xml")
+    result = canonical_form(text.encode() if isinstance(text, str) else text, "p.xml")
     assert result is not None
     return result.decode()
 
@@ -96,9 +96,9 @@ def indents(text: str) -> Iterator[tuple[str, int]]:
 def test_laws_of_random_policies_in_random_layouts(seed: int, layout: int) -> None:
     tokens = generated.tokens(seed, include="common/node.xml")
     content = messy(tokens, Random(layout)).lstrip().encode()
-    once = formatted(content, "p.xml")
+    once = canonical_form(content, "p.xml")
     assert once is not None
-    assert formatted(once, "p.xml") == once
+    assert canonical_form(once, "p.xml") == once
     assert comments(once) == comments(content)
     assert c14n(once) == c14n(content)
     assert not re.search(rb"[ \t]\n|\n\n\n|^\n|\n\n$|\t", once.replace(b"\r", b""))
@@ -118,7 +118,7 @@ def meaning(content: bytes) -> tuple[str, list[str]]:
 @given(st.integers(0, 500), st.integers(0, 10_000))
 def test_the_policy_stays_the_same(seed: int, layout: int) -> None:
     content = messy(generated.tokens(seed, include="common/node.xml"), Random(layout)).lstrip().encode()
-    assert meaning(formatted(content, "p.xml") or b"") == meaning(content)
+    assert meaning(canonical_form(content, "p.xml") or b"") == meaning(content)
 
 
 @settings(max_examples=tries(40, 1000))
@@ -306,7 +306,7 @@ def test_what_cannot_be_read_is_refused(text: str, message: str) -> None:
     ],
 )
 def test_other_documents_are_no_files_of_this_language(text: str) -> None:
-    assert formatted(text.encode(), "p.xml") is None
+    assert canonical_form(text.encode(), "p.xml") is None
 
 
 def test_a_form_that_would_mean_something_else_is_never_returned(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -325,13 +325,13 @@ def test_a_form_that_would_mean_something_else_is_never_returned(monkeypatch: py
 def own_files() -> list[Path]:
     """Return the policies that are part of the repository."""
     found = [path for folder in ("examples", "templates") for path in (CHECKOUT / folder).rglob("*.xml")]
-    return sorted(path for path in found if formatted(path.read_bytes(), str(path)) is not None)
+    return sorted(path for path in found if canonical_form(path.read_bytes(), str(path)) is not None)
 
 
 def test_our_own_files_have_the_form() -> None:
     files = own_files()
     assert len(files) > 40
-    assert [str(path) for path in files if formatted(path.read_bytes(), "p.xml") != path.read_bytes()] == []
+    assert [str(path) for path in files if canonical_form(path.read_bytes(), "p.xml") != path.read_bytes()] == []
 
 
 def test_the_documents_show_the_form() -> None:
@@ -351,4 +351,4 @@ def test_the_documents_show_the_form() -> None:
 @pytest.mark.parametrize("end", ["\n", "\r\n"], ids=["LF", "CRLF"])
 def test_lines_end_as_the_first_one_does_in_every_encoding(codec: str, name: str, end: str) -> None:
     content = f'<?xml version="1.0" encoding="{name}"?>{end}<profiles>{end}</profiles>{end}'.encode(codec)
-    assert formatted(content, "p.xml") == f'<?xml version="1.0" encoding="UTF-8"?>{end}<profiles/>{end}'.encode()
+    assert canonical_form(content, "p.xml") == f'<?xml version="1.0" encoding="UTF-8"?>{end}<profiles/>{end}'.encode()

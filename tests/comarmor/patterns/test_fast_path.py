@@ -55,7 +55,7 @@ def test_lists_that_are_proven_equal_are_equal(pair):
     a, b = pair
     if fast_path.equal(a, (b,), UNIVERSE):
         assert first_difference(a, b) is None
-    if fast_path.implied(a, b, UNIVERSE):
+    if fast_path.implies(a, b, UNIVERSE):
         assert not any(permits(a, word) and not permits(b, word) for word in WORDS)
 
 
@@ -80,7 +80,7 @@ def test_no_engine_contradicts(pair, universe):
             (left,), right, universe, lambda: derivatives, SearchBudget().state_counter()
         ).shortest()
 
-    if fast_path.implied(a, b, universe):
+    if fast_path.implies(a, b, universe):
         assert escape(a, b) is None
     if fast_path.equal(a, (b,), universe):
         assert escape(a, b) is None

@@ -77,8 +77,8 @@ def test_derivatives_are_exact(expression, prefix, text):
         tokens = glob.parse(expression)
     except PatternError:
         return
-    assert any(matches(rest, text) for rest in glob.after(tokens, prefix)) == matches(tokens, prefix + text)
-    assert any(matches(rest, text) for rest in glob.before(tokens, prefix)) == matches(tokens, text + prefix)
+    assert any(matches(rest, text) for rest in glob.left_quotient(tokens, prefix)) == matches(tokens, prefix + text)
+    assert any(matches(rest, text) for rest in glob.right_quotient(tokens, prefix)) == matches(tokens, text + prefix)
 
 
 @given(expression=EXPRESSIONS, text=TEXTS)

@@ -9,7 +9,7 @@ from comarmor.patterns.decision_lists import Block, Equal, SearchBudget, Unknown
 from comarmor.patterns.glob import parse
 from comarmor.patterns.proofs import difference, escapes
 from comarmor.patterns.relations import covers, disjoint, intersection
-from comarmor.patterns.steps import StepLimitError, cached, spend, step_limit
+from comarmor.patterns.steps import StepLimitError, spend, step_counting_cache, step_limit
 from tests.effort import calls_of
 
 
@@ -27,7 +27,7 @@ def test_steps_are_counted_and_end() -> None:
 
 
 def test_a_cached_result_costs_the_same() -> None:
-    @cached(8)
+    @step_counting_cache(8)
     def asked(number: int) -> int:
         spend(number)
         return number

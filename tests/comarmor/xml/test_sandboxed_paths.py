@@ -14,9 +14,9 @@ from comarmor.xml.sandboxed_paths import (
     exists,
     path_text,
     read_bounded,
+    read_failure,
     resolve,
     similar_file,
-    unreadable,
 )
 
 HERE = Origin("p.xml", 1)
@@ -99,9 +99,9 @@ def test_names_as_the_user_would_type_them(sandbox: SandboxedFolder) -> None:
 
 
 def test_reasons_why_a_file_cannot_be_read() -> None:
-    assert unreadable(FileNotFoundError(2, "No such file"), "the file") == "the file does not exist"
-    assert unreadable(PermissionError(13, "Permission denied"), "it") == "it cannot be read: Permission denied"
-    assert unreadable(ValueError("embedded null byte"), "it") == "it cannot be read: embedded null byte"
+    assert read_failure(FileNotFoundError(2, "No such file"), "the file") == "the file does not exist"
+    assert read_failure(PermissionError(13, "Permission denied"), "it") == "it cannot be read: Permission denied"
+    assert read_failure(ValueError("embedded null byte"), "it") == "it cannot be read: embedded null byte"
 
 
 def test_no_file_stays_open(sandbox: SandboxedFolder) -> None:

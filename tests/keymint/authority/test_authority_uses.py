@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from keymint.authority.authority_uses import Use, implementations, refusing, uses
+from keymint.authority.authority_uses import Use, implementations, refusing_implementations, uses
 from keymint.errors import ExitCode, KeymintError
 from keymint.workspace.session import Session
 from tests.keymint.stages.sessions import session_of
@@ -67,7 +67,7 @@ def test_with_two_transports_both_are_asked(both: Session) -> None:
     ],
 )
 def test_who_refuses(session: Session, name: str, chosen: tuple[str, ...], what: str, titles: tuple[str, ...]) -> None:
-    assert refusing(session, name, chosen, what) == titles
+    assert refusing_implementations(session, name, chosen, what) == titles
 
 
 def test_an_unknown_implementation_is_a_usage_error(session: Session) -> None:

@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import pytest
 
-from keymint.command_line.robot_options import VARIABLE, RobotKeystore, keystore_of, opened
+from keymint.command_line.robot_options import VARIABLE, RobotKeystore, keystore_of, opened_store
 from keymint.errors import ExitCode, KeymintError
 from keymint.run.run import Run
 
@@ -41,7 +41,7 @@ def test_what_a_killed_run_left_is_gone(tmp_path: Path) -> None:
     left = tmp_path / "enclaves/.keymint-1-2.tmp"
     left.mkdir(parents=True)
     (left / "key.pem").write_bytes(b"secret")
-    with opened(run(tmp_path), keystore):
+    with opened_store(run(tmp_path), keystore):
         assert not left.exists()
     assert not (tmp_path / ".keymint/running").exists()
 
@@ -50,10 +50,10 @@ def test_one_at_a_time(tmp_path: Path) -> None:
     keystore, order = RobotKeystore(tmp_path, "."), []
 
     def second() -> None:
-        with opened(run(tmp_path), keystore):
+        with opened_store(run(tmp_path), keystore):
             order.append("second")
 
-    with opened(run(tmp_path), keystore):
+    with opened_store(run(tmp_path), keystore):
         other = threading.Thread(target=second)
         other.start()
         time.sleep(0.1)

@@ -18,14 +18,14 @@ from keymint.api.plugin_loader import Plugins
 from keymint.errors import ExitCode, KeymintError
 from keymint.executors import worker
 from keymint.executors.cluster import cluster
-from keymint.executors.pool import divided, in_order
+from keymint.executors.pool import divide, in_order
 from keymint.executors.processes import Processes
 from tests.conftest import CHECKOUT
 
 
 @given(st.lists(st.integers(), max_size=50), st.integers(1, 20))
 def test_parts_together_are_all_items_in_order(items: list[int], number: int) -> None:
-    parts = divided(items, number)
+    parts = divide(items, number)
     assert [item for part in parts for item in part] == items
     assert len(parts) == number
     assert max(map(len, parts)) - min(map(len, parts)) <= 1

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from keymint.api import EnvironmentVariable
-from keymint.host.shells import MARK, SHELLS, exports, resolved, script
+from keymint.host.shells import MARK, SHELLS, exports, script, variable_values
 
 VARIABLES = (
     EnvironmentVariable("KEYSTORE", "", is_path=True),
@@ -82,5 +82,5 @@ def test_exports_keep_every_value(shell: str, value: str, tmp_path: Path) -> Non
 
 
 def test_paths_are_below_the_keystore() -> None:
-    values = resolved(VARIABLES, Path("/k"))
+    values = variable_values(VARIABLES, Path("/k"))
     assert values == {"KEYSTORE": "/k", "BELOW": "/k/a b/it's", "SWITCH": "true"}

@@ -21,7 +21,7 @@ from keymint.life.renewal_schedule import (
     authority_renewals,
     enclave_terms,
     installed_terms,
-    renewed,
+    renewal_issuance,
     schedule,
 )
 from keymint.life.terms import DEFAULT, Term, Threshold
@@ -141,6 +141,6 @@ class TestWorkspace:
         ]
 
     def test_a_renewal_begins_the_day_before(self, ws: Path) -> None:
-        assert renewed(session_of(ws), "talker") == Issuance()  # it was made today
-        later = renewed(session_of(ws, NOW + 86_400), "talker")
+        assert renewal_issuance(session_of(ws), "talker") == Issuance()  # it was made today
+        later = renewal_issuance(session_of(ws, NOW + 86_400), "talker")
         assert later == Issuance(renewed=datetime(2027, 1, 15, tzinfo=UTC))

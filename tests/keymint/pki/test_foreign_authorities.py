@@ -26,19 +26,19 @@ def made(subject: str = "CN=ca", **extensions: str) -> tuple[x509.Certificate, k
 
 
 def test_what_ours_have_is_not_missed() -> None:
-    assert list(foreign_authorities.lacking(made()[0], "ca", WHERE)) == []
+    assert list(foreign_authorities.defects(made()[0], "ca", WHERE)) == []
 
 
 @pytest.mark.parametrize(("lists", "identifier"), [(True, False), (False, True), (False, False)])
 def test_what_is_lacking_is_there_when_it_is_issued_again(openssl, lists: bool, identifier: bool) -> None:
     pem, key_pem = outside(lists=lists, identifier=identifier)
     certificate, key = certificates.load(pem), keys.from_pem(key_pem)
-    codes = {each.code for each in foreign_authorities.lacking(certificate, "ca", WHERE)}
+    codes = {each.code for each in foreign_authorities.defects(certificate, "ca", WHERE)}
     expected = {"authority-cannot-revoke": not lists, "authority-without-identifier": not identifier}
     assert codes == {code for code, missing in expected.items() if missing}
     again = foreign_authorities.issued_like(certificate, key, VALIDITY, None, WHERE)
     new = certificates.load(again)
-    assert list(foreign_authorities.lacking(new, "ca", WHERE)) == []
+    assert list(foreign_authorities.defects(new, "ca", WHERE)) == []
     assert new.subject == certificate.subject
     assert new.serial_number != certificate.serial_number
     assert new.not_valid_after_utc == VALIDITY.not_after
@@ -77,7 +77,7 @@ def test_below_another_authority_it_ends_with_that() -> None:
 )
 def test_the_kind_of_key_is_that_of_the_certificate(key: keys.PrivateKey, algorithm: str) -> None:
     pem = certificates.issue_authority(make_spec(), key, None).pem
-    spec = foreign_authorities.adopted(make_spec("CN=other"), pem)
+    spec = foreign_authorities.adopted_spec(make_spec("CN=other"), pem)
     assert (spec.subject_name, spec.key.algorithm) == ("CN=ca", algorithm)
     assert keys.fits(key, spec.key)
 

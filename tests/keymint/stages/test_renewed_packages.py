@@ -15,7 +15,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import Issuance
 from keymint.errors import KeymintError
 from keymint.pki import public_keys
-from keymint.stages.renewed_packages import chosen, packages_of, refuse_new_authorities
+from keymint.stages.renewed_packages import packages_of, refuse_new_authorities, renewable_packages
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from tests.keymint.stages.sessions import session_of
 
@@ -23,7 +23,7 @@ NAMES = ("talker", "robot1/listener")
 
 
 def codes(ws: Path, *, rekey: bool = False) -> tuple[tuple[str, ...], list[str], list[str]]:
-    found = chosen(session_of(ws), NAMES, rekey=rekey)
+    found = renewable_packages(session_of(ws), NAMES, rekey=rekey)
     return found.names, [each.code for each in found.requests], [each.code for each in found.errors]
 
 

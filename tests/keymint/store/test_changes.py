@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, folder_changes
 from keymint.view.stamps import State
 from keymint.view.tree import Tree
 
@@ -14,11 +14,11 @@ def test_only_files_that_differ_are_written(tmp_path: Path) -> None:
     (tmp_path / "same").write_bytes(b"1")
     (tmp_path / "other").write_bytes(b"1")
     files = {name: File(content) for name, content in (("same", b"1"), ("other", b"2"), ("new", b""))}
-    (change,) = changed(Tree(), tmp_path, files)
+    (change,) = folder_changes(Tree(), tmp_path, files)
     assert (change.folder, list(change.files), change.removed) == (tmp_path, ["other", "new"], ())
-    assert changed(Tree(), tmp_path, {"same": File(b"1")}) == ()
+    assert folder_changes(Tree(), tmp_path, {"same": File(b"1")}) == ()
     planned = Tree().overlaid([(tmp_path / "other", b"2"), (tmp_path / "new", b"")])
-    assert changed(planned, tmp_path, files) == ()
+    assert folder_changes(planned, tmp_path, files) == ()
 
 
 def test_a_later_change_of_a_plan_replaces_an_earlier_one(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from comarmor.errors import Origin
 from keymint.api import Availability, Enclave, Tier, Verdict
 from keymint.api.graph import Edge, Object
 from keymint.errors import ExitCode, KeymintError
-from keymint.verify.copies import copied
+from keymint.verify.copies import enclave_copies
 from keymint.view.tree import Tree
 
 EDGE = Edge("/a/b", "ros_publish", Object("ros_topic", "/x"))
@@ -65,7 +65,7 @@ def files(folder: Path) -> dict[str, bytes]:
 
 
 def test_documents_are_copied_and_removed_at_the_end(tmp_path: Path, enclaves: dict[str, Enclave]) -> None:
-    with copied(Tree(), tmp_path / "install", enclaves, [Transport()]) as copies:
+    with enclave_copies(Tree(), tmp_path / "install", enclaves, [Transport()]) as copies:
         folder = copies.enclaves["/a/b"].folder
         assert folder == copies.root / "enclaves" / "a" / "b"
         assert files(folder) == {"permissions.p7s": b"permissions.p7s", "ca.pem": b"linked"}
@@ -78,13 +78,13 @@ def test_keys_are_copied_if_one_transport_needs_more_than_documents(
     tmp_path: Path, enclaves: dict[str, Enclave]
 ) -> None:
     transports = {"model": Transport(), "real": Transport((Tier.DECISION, Tier.EXCHANGE))}
-    with copied(Tree(), tmp_path / "install", enclaves, transports.values()) as copies:
+    with enclave_copies(Tree(), tmp_path / "install", enclaves, transports.values()) as copies:
         assert {"key.pem", "authority_key.pem"} <= set(files(copies.enclaves["/a/b"].folder))
 
 
 def test_a_reason_names_the_original(tmp_path: Path, enclaves: dict[str, Enclave]) -> None:
     transports = {"t": Transport()}
-    with copied(Tree(), tmp_path / "install", enclaves, transports.values()) as copies:
+    with enclave_copies(Tree(), tmp_path / "install", enclaves, transports.values()) as copies:
         (labelled,) = copies.read_by(transports)["t"].label(list(enclaves.values()), [EDGE], Tier.DECISION)
     reason = f"{enclaves['/a/b'].folder}/permissions.p7s: False"
     assert labelled == (EDGE, Verdict(True, reason, Origin(str(tmp_path / "install/shared.xml"), 2)))
@@ -99,7 +99,7 @@ def test_shared_files_and_the_infrastructure_are_copied_and_other_enclaves_are_n
         (install / name).write_bytes(name.encode())
     others = [install / "enclaves/server", install / "enclaves/c"]
     real = Transport((Tier.DECISION, Tier.EXCHANGE))
-    with copied(Tree(), install, enclaves, [real], others, others[:1]) as copies:
+    with enclave_copies(Tree(), install, enclaves, [real], others, others[:1]) as copies:
         (enclave,) = copies.enclaves.values()
         assert enclave.install == copies.root
         found = {str(path.relative_to(copies.root)) for path in copies.root.rglob("*") if path.is_file()}
@@ -108,7 +108,7 @@ def test_shared_files_and_the_infrastructure_are_copied_and_other_enclaves_are_n
             "enclaves/key.pem",
             "enclaves/server/key.pem",
         }
-    with copied(Tree(), install, enclaves, [Transport()], others, others[:1]) as copies:
+    with enclave_copies(Tree(), install, enclaves, [Transport()], others, others[:1]) as copies:
         assert not list(copies.root.rglob("key.pem"))
 
 
@@ -117,7 +117,7 @@ def test_an_error_names_the_originals(tmp_path: Path, enclaves: dict[str, Enclav
     transports = {"t": Transport(fails=True)}
     folder = enclaves["/a/b"].folder
     with pytest.raises(KeymintError) as caught:  # noqa: SIM117, PT012 - the error leaves the copies, or not
-        with copied(Tree(), tmp_path / "install", enclaves, transports.values()) as copies:
+        with enclave_copies(Tree(), tmp_path / "install", enclaves, transports.values()) as copies:
             if inside:
                 list(copies.read_by(transports)["t"].label(list(enclaves.values()), [EDGE], Tier.DECISION))
             else:
@@ -135,6 +135,6 @@ def test_no_private_key_is_a_public_file_whatever_its_encoding(
     for name in ("key.pem", "authority_key.pem"):
         (enclaves["/a/b"].folder / name).write_bytes(content)
     real = Transport((Tier.DECISION, Tier.EXCHANGE))
-    with copied(Tree(), tmp_path / "install", enclaves, [real]) as copies:
+    with enclave_copies(Tree(), tmp_path / "install", enclaves, [real]) as copies:
         public = copies.public_files()
     assert {path.rpartition("/")[2] for path in public} == {"permissions.p7s", "ca.pem"}

@@ -95,8 +95,8 @@ def test_the_plan_writes_copies_and_the_lock_and_only_what_changes(session: Any)
     linked = plan_acceptance(after, {"nav2_bringup": ""}, lambda _: policy(FILE), trust_links=True)
     trusting = after.after(linked).session()
     assert trusting.profile.packages["nav2_bringup"].follows_links
-    assert shipped_profiles.installed(trusting).trusted == {"nav2_bringup"}
-    assert shipped_profiles.installed(trusting, trust_links=True).trusted is None
+    assert shipped_profiles.installed_packages(trusting).trusted == {"nav2_bringup"}
+    assert shipped_profiles.installed_packages(trusting, trust_links=True).trusted is None
     kept = plan_acceptance(trusting, {"nav2_bringup": ""}, lambda _: policy(FILE), trust_links=False)
     assert not kept.writes()
 

@@ -11,7 +11,7 @@ import pytest
 from keymint import SPACES
 from keymint.errors import ExitCode, KeymintError
 from keymint.view.tree import Tree
-from keymint.workspace.workspace import Workspace, find, package_files, packages, profile_files, shown
+from keymint.workspace.workspace import Workspace, find, package_files, packages, profile_files, shown_path
 
 
 def make(root: Path, *paths: str) -> Path:
@@ -144,9 +144,9 @@ def test_the_files_of_a_package_and_of_a_profile(tmp_path: Path) -> None:
 
 def test_paths_are_shown_as_a_user_would_type_them() -> None:
     start = Path("/home/me/ws")
-    assert shown(start / "src" / "a", start) == "src/a"
-    assert shown(Path("/home/me/policy"), start) == "../policy"
-    assert shown(Path("/opt/keys"), start) == "/opt/keys"
+    assert shown_path(start / "src" / "a", start) == "src/a"
+    assert shown_path(Path("/home/me/policy"), start) == "../policy"
+    assert shown_path(Path("/opt/keys"), start) == "/opt/keys"
 
 
 def test_where_keys_and_certificates_lie(tmp_path: Path) -> None:
@@ -165,4 +165,4 @@ def test_where_keys_and_certificates_lie(tmp_path: Path) -> None:
 )
 def test_a_path_is_shown_as_the_system_relates_it(path: str) -> None:
     start = Path("/srv/robots/ws")
-    assert shown(Path(path), start) == os.path.relpath(path, start)
+    assert shown_path(Path(path), start) == os.path.relpath(path, start)

@@ -11,13 +11,13 @@ from keymint_ros2_dds import build_type
 from keymint_ros2_dds.process_environment import enclave_variables, keystore_variables
 
 from keymint.api import EnvironmentVariable, ProcessEnvironment
-from keymint.host.shells import resolved
+from keymint.host.shells import variable_values
 
 SWITCHES = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
 
 
 def values(variables: Iterable[EnvironmentVariable]) -> dict[str, str]:
-    found = dict(resolved(variables, Path("/k")))
+    found = dict(variable_values(variables, Path("/k")))
     assert {name: found.pop(name) for name in SWITCHES} == SWITCHES
     return found
 

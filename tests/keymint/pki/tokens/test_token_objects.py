@@ -19,7 +19,7 @@ from tests.keymint.pki.conftest import make_spec
 from tests.softhsm import PIN, SoftHsm
 
 pkcs11 = pytest.importorskip("pkcs11", reason="the extra 'pkcs11' is not installed")
-from keymint.pki.tokens.token_objects import described, public_of  # noqa: E402 - it needs the extra
+from keymint.pki.tokens.token_objects import public_of, token_error  # noqa: E402 - it needs the extra
 
 HERE = Origin("profile/authorities.xml", 9)
 SPECS = [KeySpec("ec", "SECP256R1"), KeySpec("ec", "SECP384R1"), KeySpec("ec", "SECP521R1"), KeySpec("rsa", size=2048)]
@@ -134,7 +134,7 @@ def test_the_certificate_in_the_token_is_enough(softhsm: SoftHsm, tmp_path: Path
     ],
 )
 def test_errors_in_words(error: str, code: str, said: str) -> None:
-    (found,) = described(getattr(pkcs11, error)(), "ca", HERE).diagnostics
+    (found,) = token_error(getattr(pkcs11, error)(), "ca", HERE).diagnostics
     assert (found.code, found.where) == (code, HERE)
     assert said in found.message
     assert found.help
