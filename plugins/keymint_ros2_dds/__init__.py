@@ -40,7 +40,7 @@ class DdsSecurity:
     settings = lazy("keymint_ros2_dds.governance_source:settings")
     build = lazy("keymint_ros2_dds.build:build")
     install = lazy("keymint_ros2_dds.install:install")
-    shared = lazy("keymint_ros2_dds.install:shared")
+    shared = lazy("keymint_ros2_dds.install:shared_files")
     revocation_files = lazy("keymint_ros2_dds.install:revocation_files")
     keystore_variables = lazy("keymint_ros2_dds.process_environment:keystore_variables")
     enclave_variables = lazy("keymint_ros2_dds.process_environment:enclave_variables")

@@ -30,7 +30,7 @@ _RULE, _CRITERIA, _TOPIC = 130, 90, 28
 _ACTIONS = (TopicAction.PUBLISH, TopicAction.SUBSCRIBE)
 
 
-def gathered(rules: Sequence[GrantRule[str]], *, min_saved: int | None = None) -> tuple[GrantRule[str], ...]:
+def gathered_rules(rules: Sequence[GrantRule[str]], *, min_saved: int | None = None) -> tuple[GrantRule[str], ...]:
     """Return rules that permit the same with fewer expressions; the unchanged rules if that saves little.
 
     Args:

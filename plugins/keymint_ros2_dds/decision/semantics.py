@@ -349,7 +349,7 @@ def of_version(vendor: str, version: str) -> Variation:
 
 
 @functools.cache
-def shipped(distro: str) -> tuple[str, ...]:
+def shipped_models(distro: str) -> tuple[str, ...]:
     """Return the names of the models that claims are made for: the standard, and what a distribution ships."""
     versions = DISTROS.get(distro, {})
     vendors = dict.fromkeys(each.vendor for each in VARIATIONS.values() if each.vendor)

@@ -12,7 +12,6 @@ from functools import lru_cache
 from comarmor.errors import Diagnostic
 from keymint.api import BuildOptions, Package, Relation
 from keymint.errors import KeymintError
-from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.compiling.grant_compiler import compile_rules
 from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.documents import dds_xml
@@ -23,6 +22,7 @@ from keymint_ros2_dds.proving.document_relation import compared
 from keymint_ros2_dds.reading import signed_permissions
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant
 from keymint_ros2_dds.settings import validity_of
+from keymint_ros2_dds.subject_name_text import subject_name_of
 
 
 def emitted(package: Package) -> Emitted | None:
@@ -60,7 +60,7 @@ def not_kept(package: Package, name: str, document: bytes) -> str:
 
 def _other_header(package: Package, grant: DocumentGrant) -> str:
     """Return how the name, the period or the default of a grant differ from the sources; empty if they do not."""
-    subject, period = subject_name_text.of(package.grant), validity_of(package.grant)
+    subject, period = subject_name_of(package.grant), validity_of(package.grant)
     if grant.subject_name != subject:
         return f"it is for {grant.subject_name!r}, and the sources are for {subject!r}"
     if STANDARD.period(grant) != (period.not_before, period.not_after):
