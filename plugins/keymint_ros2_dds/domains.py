@@ -23,7 +23,7 @@ def merged_domains(ranges: Iterable[DomainRange]) -> Sequence[DomainRange]:
     return result
 
 
-def uncovered(ranges: Iterable[DomainRange], covering: Iterable[DomainRange]) -> tuple[DomainRange, ...]:
+def uncovered_domains(ranges: Iterable[DomainRange], covering: Iterable[DomainRange]) -> tuple[DomainRange, ...]:
     """Return the ranges that are not fully within other ranges."""
     outer = merged_domains(covering)
     return tuple(item for item in ranges if not any(o.first <= item.first and item.last <= o.last for o in outer))

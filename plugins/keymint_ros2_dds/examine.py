@@ -23,7 +23,7 @@ from keymint.pki.mime import SignedDocument
 from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds import subject_name_text, token_key
 from keymint_ros2_dds.decision.semantics import STANDARD
-from keymint_ros2_dds.domains import in_words, merged_domains, uncovered
+from keymint_ros2_dds.domains import in_words, merged_domains, uncovered_domains
 from keymint_ros2_dds.enclave_layout import (
     CA,
     CERTIFICATE,
@@ -247,7 +247,7 @@ class EnclaveRules(IdentityCheck):
         if governance is not None:
             governed = merged_domains(as_ranges(each for rule in governance.domain_rules for each in rule.domains))
             granted = as_ranges(each for grant in permissions.grants for rule in grant.rules for each in rule.domains)
-            if lacking := uncovered(merged_domains(granted), governed):
+            if lacking := uncovered_domains(merged_domains(granted), governed):
                 message = f"grants in {in_words(lacking)}, but the governance is for {in_words(governed)}"
                 help_ = "add the domain to a domain rule of the governance"
                 yield self._error("domain-uncovered", PERMISSIONS_P7S, message, help_)

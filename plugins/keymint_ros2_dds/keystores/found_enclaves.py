@@ -81,7 +81,7 @@ _EVERYTHING = frozenset(("*", "rt/*", "rq/*", "rr/*", "**"))
 """Expressions that leave nothing denied of a kind of ROS names."""
 
 
-def examined(
+def examine_enclave(
     contents: Contents, place: EnclavePlace, anchors: Mapping[str, TrustAnchor]
 ) -> tuple[FoundEnclave, list[Diagnostic]]:
     """Return an enclave and the findings on it; an error is a reason why it cannot be taken over as it is.

@@ -41,7 +41,7 @@ STEPS = 4_000_000
 """Steps that finding out which denials matter may take (:mod:`comarmor.patterns.steps`)."""
 
 
-def granted(keystore: KeystoreFiles, enclave: FoundEnclave, distro: str) -> GrantedRules:
+def granted_rules(keystore: KeystoreFiles, enclave: FoundEnclave, distro: str) -> GrantedRules:
     """Return what the signed permissions of an enclave grant; see :meth:`keymint.api.GrantReader.granted`.
 
     Raises:

@@ -18,7 +18,7 @@ from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.emit.emission import Emitted, comparison
 from keymint_ros2_dds.enclave_layout import GOVERNANCE_XML, PERMISSIONS_XML
 from keymint_ros2_dds.keystores.governance_as_source import is_same
-from keymint_ros2_dds.proving.document_relation import compared
+from keymint_ros2_dds.proving.document_relation import compare_document
 from keymint_ros2_dds.reading import signed_permissions
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant
 from keymint_ros2_dds.settings import validity_of
@@ -71,7 +71,7 @@ def _other_header(package: Package, grant: DocumentGrant) -> str:
 
 def _difference(package: Package, document: bytes) -> str:
     """Return how the rights of a document differ from those of the sources; empty if they do not."""
-    found = compared(comparison(package, document))
+    found = compare_document(comparison(package, document))
     if found.relation is Relation.EQUAL:
         return ""
     example = found.missing or found.excess

@@ -75,7 +75,7 @@ def _always() -> bool:
     return True
 
 
-def proving() -> Callable[..., Sequence[Sequence[Claim]]]:
+def part_prover() -> Callable[..., Sequence[Sequence[Claim]]]:
     """See :meth:`keymint.api.RemoteProver.proving`."""
     return prove_part
 

@@ -65,7 +65,7 @@ class ParticipantsTransport(VendorTransport):
         self.usable().require(tier, self.NAME)
         models = EnclaveModels(enclaves, self._environment, keep_all=tier is Tier.EXCHANGE)
         if tier is not Tier.EXCHANGE:
-            return admission.decided(self._opener(tier), self.MODEL, models, edges)
+            return admission.edge_verdicts(self._opener(tier), self.MODEL, models, edges)
         vendor = self._vendor(nonconforming=True)
         for enclave in enclaves:
             enclave_files.refuse_unusable_key(enclave)
@@ -76,14 +76,14 @@ class ParticipantsTransport(VendorTransport):
         opener, models = self._opener(tier), EnclaveModels([enclave], self._environment)
         admitted = bytearray(len(endpoints.requests))
         for domain in {each.domain for each in endpoints.requests}:
-            sayable = [
+            creatable = [
                 at
                 for at, each in enumerate(endpoints.requests)
-                if each.domain == domain and not admission.unsayable(each)
+                if each.domain == domain and not admission.name_defect(each)
             ]
-            named = [endpoints.requests[at] for at in sayable]
-            answers = admission.admitted(opener, models, enclave.subject, domain, named)
-            for at, allowed in zip(sayable, answers, strict=False):
+            named = [endpoints.requests[at] for at in creatable]
+            answers = admission.endpoint_admissions(opener, models, enclave.subject, domain, named)
+            for at, allowed in zip(creatable, answers, strict=False):
                 admitted[at] = allowed
         return bytes(admitted)
 
