@@ -33,7 +33,7 @@ def build(package: Package, options: BuildOptions) -> BuildResult:
     defects, notes = Defects(), list[Diagnostic]()
     emitted, governance = None, b""
     with defects:
-        emitted = kept_documents.emitted(package) or emit_by_kind(package, options)
+        emitted = kept_documents.kept_permissions(package) or emit_by_kind(package, options)
         notes += emitted.diagnostics
     with defects:
         governance, remarks = governance_document.build(

@@ -29,7 +29,7 @@ from keymint.keymake.order import EarlyRules, early_rules
 from keymint_ros2_dds.compiling.partitions import UnportableError
 from keymint_ros2_dds.compiling.rule_groups import RuleGroup, denied_partitions, merged_rules, rule_groups
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
-from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, GrantRule, begun
+from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, GrantRule, with_leading_allow
 from keymint_ros2_dds.lowering.lowered_rules import Lowered
 
 _ORDER = "portability-order"
@@ -54,7 +54,7 @@ def portable_rules(lowered: Lowered, *, reduced: bool = True) -> tuple[GrantRule
     }
     relay = groups.pop(TopicAction.RELAY)
     relay_rules = [*(rule for group in relay for rule in group.free), *(r for group in relay for r in group.ordered)]
-    return begun([*_both_directions(groups), *merged_rules(relay_rules)])
+    return with_leading_allow([*_both_directions(groups), *merged_rules(relay_rules)])
 
 
 def _both_directions(groups: _Groups) -> list[GrantRule[Glob]]:
@@ -192,4 +192,4 @@ def standard_rules(lowered: Lowered) -> tuple[GrantRule[Glob], ...]:
             for pattern, partitions in sides[action]
         ]
         result += merged_rules(sorted(rules, key=lambda rule: rule.partitions))
-    return begun(result) if any(lowered.allow.values()) else ()
+    return with_leading_allow(result) if any(lowered.allow.values()) else ()

@@ -115,7 +115,7 @@ def library() -> Any:
     return loaded
 
 
-def usable() -> Availability:
+def library_availability() -> Availability:
     """Return whether the library is installed."""
     try:
         library()

@@ -92,7 +92,7 @@ class _Members:
             return
         names, signature = fit
         shared = {text for rule in made.rules for text in rule.every_topic()} - set(names)
-        if renamed(made.rules, {}) == made.rules and not any(map(is_name, shared)):
+        if with_renamed_topics(made.rules, {}) == made.rules and not any(map(is_name, shared)):
             self.exemplars[signature] = made, names
 
 
@@ -137,7 +137,7 @@ def _is_minimal(package: Package, emitted: Emitted, compiled: Compiled) -> bool:
     return compiled.portable and (emitted.rules,) == compiled.forms and emitted.is_usual(package.grant)
 
 
-def renamed(rules: Sequence[GrantRule[str]], names: Mapping[str, str]) -> tuple[GrantRule[str], ...]:
+def with_renamed_topics(rules: Sequence[GrantRule[str]], names: Mapping[str, str]) -> tuple[GrantRule[str], ...]:
     """Return rules with other names of topics, each list sorted as the compiler does."""
     return tuple(
         GrantRule(
@@ -158,7 +158,7 @@ def _by_renaming(package: Package, kind: Kind, arguments: Arguments, members: _M
     own, signature = fit
     made, others = members.exemplars[signature]
     names = dict(zip(others, own, strict=True))
-    rules, plain = renamed(made.rules, names), renamed(made.plain, names)
+    rules, plain = with_renamed_topics(made.rules, names), with_renamed_topics(made.plain, names)
     if gathered_rules(rules) != rules:
         return None
     document = permissions_document.render(grant, rules)

@@ -25,7 +25,7 @@ from keymint_ros2_dds.settings import validity_of
 from keymint_ros2_dds.subject_name_text import subject_name_of
 
 
-def emitted(package: Package) -> Emitted | None:
+def kept_permissions(package: Package) -> Emitted | None:
     """Return the permissions document that another tool signed, if it is kept.
 
     Raises:
