@@ -19,7 +19,7 @@ from keymint_ros2_dds.transports.delivery import exchange
 from keymint_ros2_dds.transports.enclave_model import EnclaveModels
 from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, Vendor
-from keymint_ros2_dds.vendors.probe_builds import unpacked
+from keymint_ros2_dds.vendors.probe_builds import inherited_variables, unpacked_version
 
 
 class ParticipantsTransport(VendorTransport):
@@ -54,7 +54,7 @@ class ParticipantsTransport(VendorTransport):
             MissingVendorError: one that every tier needs is missing.
         """
         if self.UNPACKED:
-            version = unpacked(self._environment.cache, self.UNPACKED).version
+            version = unpacked_version(self._environment.cache, self.UNPACKED).version
             self.PROBE.compiler(self._environment.variables)
             return Availability(usable=True, version=version, tiers=tuple(Tier), by_default=False)
         version = self.PROBE.version(*self.VERSION, self._environment.variables)
@@ -95,11 +95,11 @@ class ParticipantsTransport(VendorTransport):
     def _vendor(self, *, nonconforming: bool) -> Vendor:
         """Return the vendor with its built programs; the compiler is asked once whether they are up to date."""
         if nonconforming not in self._vendors:
-            cache, environment = self._environment.cache / "probes", probe_builds.inherited(self._environment.variables)
+            cache, environment = self._environment.cache / "probes", inherited_variables(self._environment.variables)
             probe, library, version = self.PROBE, self.NONCONFORMING, None
             try:
                 if self.UNPACKED:
-                    version = unpacked(self._environment.cache, self.UNPACKED)
+                    version = unpacked_version(self._environment.cache, self.UNPACKED)
                     probe, library = version.built(probe), version.built(library)
                 self._vendors[nonconforming] = self.VENDOR(
                     probe.build(cache, environment),
