@@ -10,5 +10,5 @@ from keymint.api.lazy import LazyTransport, lazy
 
 __all__ = ["real_zenoh", "zenoh_1"]
 
-zenoh_1 = LazyTransport("keymint_ros2_zenoh", lazy("keymint_ros2_zenoh.transports.enclave_model:Simulated"))
+zenoh_1 = LazyTransport("keymint_ros2_zenoh", lazy("keymint_ros2_zenoh.transports.enclave_model:SimulatedZenoh"))
 real_zenoh = LazyTransport("keymint_ros2_zenoh", lazy("keymint_ros2_zenoh.transports.real_transport:RealZenoh"))
