@@ -91,7 +91,9 @@ def families(size: int) -> Iterator[tuple[str, list[str]]]:
 def measured(rules: SubjectRules) -> tuple[int, int, int, float]:
     """Return the bytes of the plain, the grouped and the smallest form, and the seconds of a build."""
     source = package(rules)
-    with mock.patch.object(grant_compiler, "gathered", functools.partial(gathering.gathered, min_saved=10**9)):
+    with mock.patch.object(
+        grant_compiler, "gathered_rules", functools.partial(gathering.gathered_rules, min_saved=10**9)
+    ):
         grouped = build_type.build(source, BuildOptions())
     begin = time.process_time()
     built = build_type.build(source, BuildOptions())

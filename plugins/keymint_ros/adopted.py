@@ -8,14 +8,14 @@ from collections.abc import Mapping, Sequence
 from keymint.api import AdoptedSources, DomainRange, KeySpec, WorkspaceProfile
 from keymint_ros import bootstrap, permissions_writer, validity
 from keymint_ros.profile_reader import base_of
-from keymint_ros.templates import filled
+from keymint_ros.templates import filled_file
 
 PREFIX = "adopted."
 """Prefix of the files of a package that are documents which another tool signed: ``adopted.permissions.xml``."""
 _SPECIAL = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;"})
 
 
-def kept(files: Mapping[str, bytes]) -> Mapping[str, bytes]:
+def adopted_documents(files: Mapping[str, bytes]) -> Mapping[str, bytes]:
     """Return the documents of a package that another tool signed, by the names of the unsigned documents."""
     return {name.removeprefix(PREFIX): content for name, content in files.items() if name.startswith(PREFIX)}
 
@@ -28,7 +28,7 @@ def adopted_sources(profile: WorkspaceProfile, sources: AdoptedSources) -> Mappi
     overrides = (*domains, *name, validity.element(sources.grant_validity))
     return {
         **bootstrap.package(profile.build_types),
-        "identities.xml": filled("package/identities.adopted.xml", cert=cert, key=_key(sources.key)),
+        "identities.xml": filled_file("package/identities.adopted.xml", cert=cert, key=_key(sources.key)),
         "permissions.xml": permissions_writer.render(sources.rules, base_of(profile), overrides=overrides),
         **{f"{PREFIX}{name}": content for name, content in sources.documents.items()},
     }

@@ -13,7 +13,7 @@ from keymint.api import Bootstrap, Role, Validity
 from keymint.errors import KeymintError
 from keymint_ros import distros, validity
 from keymint_ros.manifest import BUILD_TYPE, MARKER
-from keymint_ros.templates import escaped, filled
+from keymint_ros.templates import escape_xml, filled_file
 
 _LAYOUTS = ("sros2", "flat")
 _TWO_AUTHORITIES, _ONE_AUTHORITY = ("identity_ca", "permissions_ca"), ("ca", "ca")
@@ -62,11 +62,11 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
         issuer = signer = request.authority
     build_types = request.build_types or (BUILD_TYPE,)
     dds = _DDS in build_types
-    begin = validity.written(start)
-    end = f"<not_after>{validity.written(start + timedelta(days=365 * _PACKAGE_YEARS))}</not_after>"
+    begin = validity.date_text(start)
+    end = f"<not_after>{validity.date_text(start + timedelta(days=365 * _PACKAGE_YEARS))}</not_after>"
     if request.valid_for:
-        begin = validity.starting(request.valid_for, request.now)
-        end = f"<duration>{escaped(request.valid_for)}</duration>"
+        begin = validity.begin_of_period(request.valid_for, request.now)
+        end = f"<duration>{escape_xml(request.valid_for)}</duration>"
     period = f"<not_before>{begin}</not_before>", end
     subject_name = SUBJECT_NAMES[request.subject_format]
     values = {
@@ -83,14 +83,14 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
         "issuer": issuer,
         "signer": signer,
         "subject_name": subject_name,
-        "not_before": validity.written(start),
-        "authority_not_after": validity.written(start + timedelta(days=365 * _AUTHORITY_YEARS)),
+        "not_before": validity.date_text(start),
+        "authority_not_after": validity.date_text(start + timedelta(days=365 * _AUTHORITY_YEARS)),
         "package_validity": period,
         "grant": _grant(subject_name, period) if dds else (),
     }
     defaults = [path for build_type in build_types for path in _DEFAULTS.get(build_type, ())]
-    files = {path: filled(f"profile/{path}", **values) for path in (*_PROFILE, *defaults)}
-    files["authorities.xml"] = filled(f"profile/authorities.{'one' if issuer == signer else 'two'}.xml", **values)
+    files = {path: filled_file(f"profile/{path}", **values) for path in (*_PROFILE, *defaults)}
+    files["authorities.xml"] = filled_file(f"profile/authorities.{'one' if issuer == signer else 'two'}.xml", **values)
     files["policies.xml"] = policies(request.policy or _EXAMPLE)
     fragments = distros.library(request.distro)
     files |= {
@@ -118,7 +118,7 @@ def policies(path: str) -> bytes:
         KeymintError: the path is not one line of printable text.
     """
     _check_line("path of the policy", path)
-    return filled("profile/policies.xml", name=PurePosixPath(path).stem or "policy", path=path)
+    return filled_file("profile/policies.xml", name=PurePosixPath(path).stem or "policy", path=path)
 
 
 def package(build_types: tuple[str, ...], role: Role = Role.SUBJECT) -> dict[str, bytes]:
@@ -134,7 +134,7 @@ def package(build_types: tuple[str, ...], role: Role = Role.SUBJECT) -> dict[str
 def _package_manifest(build_types: tuple[str, ...], role: Role) -> bytes:
     of_subject = "dds" if _DDS in build_types else "subject"
     template = of_subject if role is Role.SUBJECT else "infrastructure"
-    return filled(f"package/keymint_package.{template}.xml", build_types=_elements(build_types))
+    return filled_file(f"package/keymint_package.{template}.xml", build_types=_elements(build_types))
 
 
 @lru_cache
@@ -144,7 +144,7 @@ def package_document(name: str) -> bytes:
 
 
 def _elements(build_types: Sequence[str]) -> tuple[str, ...]:
-    return tuple(f"<build_type>{escaped(each)}</build_type>" for each in build_types)
+    return tuple(f"<build_type>{escape_xml(each)}</build_type>" for each in build_types)
 
 
 def authority(name: str, period: Validity | None = None) -> tuple[str, ...]:
@@ -153,13 +153,13 @@ def authority(name: str, period: Validity | None = None) -> tuple[str, ...]:
     if period:
         dates = (f"    {validity.element(period)}",)
     cert = ("  <cert>", *dates, "    <issuer_name></issuer_name>", "  </cert>")
-    return (f'<authority name="{escaped(name)}">', *cert, "</authority>")
+    return (f'<authority name="{escape_xml(name)}">', *cert, "</authority>")
 
 
 def _grant(subject_name: str, period: Iterable[str]) -> tuple[str, ...]:
     """Return the lines of what only a grant of DDS has."""
     why = "<!-- Must be the subject name of the identity: DDS selects the grant by it. -->"
-    name = f"<subject_name>{escaped(subject_name)}</subject_name>"
+    name = f"<subject_name>{escape_xml(subject_name)}</subject_name>"
     return why, name, "<validity>", *(f"  {line}" for line in period), "</validity>"
 
 

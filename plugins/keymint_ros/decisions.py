@@ -22,7 +22,7 @@ from keymint.api.source_documents import Reader, place, require_new, text
 from keymint.errors import KeymintError, known_authority
 from keymint_ros import certificate, validity
 from keymint_ros.manifest import ISSUANCE
-from keymint_ros.templates import filled
+from keymint_ros.templates import filled_file
 
 if TYPE_CHECKING:
     from lxml import etree
@@ -82,7 +82,7 @@ def _pem(content: bytes) -> str:
     return f"{content.decode('ascii').strip()}\n"
 
 
-_RENEWED = _Field("renewed", validity.date, lambda moment: f"{validity.written(moment)}Z")
+_RENEWED = _Field("renewed", validity.date, lambda moment: f"{validity.date_text(moment)}Z")
 _EXPOSED = _Field("exposed", text)
 _OF_PACKAGE = (
     _Field("generation", lambda element: int(text(element) or "0")),
@@ -128,7 +128,7 @@ def with_issuance(issued: Issuance) -> Mapping[str, bytes]:
     if issued.generation not in _GENERATIONS:
         message = f"{issued.generation} is not a generation from 0 to {_GENERATIONS[-1]}"
         raise KeymintError(message, code="generation-range")
-    return {ISSUANCE: filled("decisions/issuance.xml", lines=tuple(_lines(issued, _OF_PACKAGE, "  ")))}
+    return {ISSUANCE: filled_file("decisions/issuance.xml", lines=tuple(_lines(issued, _OF_PACKAGE, "  ")))}
 
 
 # -- authorities ---------------------------------------------------------------------------------------------------
@@ -172,11 +172,11 @@ def authority_issuance(
     return {authority: issued for authority, (issued, _) in found.items()}
 
 
-def applied(spec: CertificateSpec, issued: AuthorityIssuance) -> CertificateSpec:
+def spec_after_decision(spec: CertificateSpec, issued: AuthorityIssuance) -> CertificateSpec:
     """Return the certificate of an authority after what was decided about it."""
     if not issued.adopted:
         # The begin stays: certificates that it issued before would otherwise begin before it.
-        end = validity.renewed(spec.validity, issued.renewed).not_after
+        end = validity.renewed_period(spec.validity, issued.renewed).not_after
         return replace(spec, validity=replace(spec.validity, not_after=end))
     from keymint.pki import foreign_authorities  # noqa: PLC0415 - few profiles have one, and it takes time to import
 
@@ -189,7 +189,7 @@ def with_authority_issuance(issuances: Mapping[str, AuthorityIssuance]) -> Mappi
     for name, each in issuances.items():
         if each != AuthorityIssuance():
             lines += [f'  <authority name="{name}">', *_lines(each, _OF_AUTHORITY, "    "), "  </authority>"]
-    return {AUTHORITY_ISSUANCE: filled("decisions/authority_issuance.xml", lines=tuple(lines))}
+    return {AUTHORITY_ISSUANCE: filled_file("decisions/authority_issuance.xml", lines=tuple(lines))}
 
 
 # -- packages of ROS -----------------------------------------------------------------------------------------------
@@ -238,4 +238,4 @@ def with_packages(packages: Mapping[str, AcceptedPackage]) -> Mapping[str, bytes
         links = ' links="follow"' if package.follows_links else ""
         files = [f'    <file path="{path}" sha256="{value}"/>' for path, value in sorted(package.files.items())]
         lines += [f'  <package name="{name}"{links}>', *files, "  </package>"]
-    return {PACKAGES_LOCK: filled("decisions/packages.lock.xml", lines=tuple(lines))}
+    return {PACKAGES_LOCK: filled_file("decisions/packages.lock.xml", lines=tuple(lines))}

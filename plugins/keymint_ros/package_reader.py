@@ -188,7 +188,7 @@ class _PackageLoader:
         rules = (
             DeferredRules(subject, partial(self._rules, content, file))
             if self.built and permissions_writer.has_rules_only(content, subject)
-            else permissions_writer.rendered(content, self.base)
+            else permissions_writer.rendered_rules(content, self.base)
         )
         if rules is not None:
             return self._grant_of(rules, IssuedElement(permissions_writer.GRANT_LINE, file))
@@ -295,7 +295,7 @@ def load(
         issuers=tuple(_issuers(profile, identity.issuer)),
         role=package_manifest.role,
         issuance=issued,
-        kept=adopted.kept(files),
+        kept=adopted.adopted_documents(files),
     )
 
 
@@ -306,7 +306,7 @@ def _renewed(issued: _Issued | None, issuance_: Issuance) -> _Issued | None:
     """Return a certificate or a grant with the validity that it has since it was renewed."""
     if issued is None or issued.validity is None or issuance_.renewed is None:
         return issued
-    return replace(issued, validity=validity.renewed(issued.validity, issuance_.renewed))
+    return replace(issued, validity=validity.renewed_period(issued.validity, issuance_.renewed))
 
 
 def _parts(loader: _PackageLoader, plugins: Iterable[BuildType], defects: Defects) -> Mapping[str, SourcePart]:

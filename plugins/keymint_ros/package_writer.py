@@ -123,7 +123,7 @@ def with_validity(
 ) -> Mapping[str, bytes]:
     """Return the files that change: see :meth:`keymint.api.OwnValidity.with_validity`."""
     name = name_of(rules.subject)
-    begin = validity.starting(valid_for, now)
+    begin = validity.begin_of_period(valid_for, now)
     element = f"<validity><not_before>{begin}</not_before><duration>{valid_for}</duration></validity>"
     path = manifest.path_of("identities", name, files)
     changed: dict[str, bytes] = {}

@@ -160,7 +160,7 @@ def _rule(element: etree._Element) -> Rule:
         expressions=tuple(expressions),
         partitions=tuple(partitions),
         audit=element.get("modifier") is not None,
-        origin=stated(element.get("origin", "")) or place(element),
+        origin=parse_origin(element.get("origin", "")) or place(element),
     )
 
 
@@ -221,14 +221,14 @@ def to_ir(grant: WrittenGrant, subject: str, file: str, base: str) -> SubjectRul
         base: folder that origins are relative to.
     """
     rules = []
-    for rule, place_ in zip(grant.rules, grant.places, strict=True):
-        in_document = grant.edited or rule.origin == place_
-        rules.append(replace(rule, origin=Origin(file, place_.line) if in_document else placed(base, rule.origin)))
+    for rule, spot in zip(grant.rules, grant.places, strict=True):
+        own = grant.edited or rule.origin == spot
+        rules.append(replace(rule, origin=Origin(file, spot.line) if own else origin_in_folder(base, rule.origin)))
     return SubjectRules(subject, tuple(rules))
 
 
 @lru_cache(maxsize=4096)
-def stated(text: str) -> Origin | None:
+def parse_origin(text: str) -> Origin | None:
     """Return the origin in a text ``file:line; file:line``, or None if it has another form."""
     places = []
     for item in text.split("; "):
@@ -240,7 +240,7 @@ def stated(text: str) -> Origin | None:
 
 
 @lru_cache(maxsize=4096)
-def placed(base: str, origin: Origin) -> Origin:
+def origin_in_folder(base: str, origin: Origin) -> Origin:
     """Return an origin with its relative paths in a folder."""
     first, *chain = (
         Origin(each.file if each.file.startswith(("/", PACKAGE)) else posixpath.normpath(base + each.file), each.line)

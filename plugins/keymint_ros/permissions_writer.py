@@ -78,7 +78,7 @@ def _is_plain(body: str, rules: SubjectRules) -> bool:
     return plain and all(rule.expressions and rule.permissions for rule in rules.rules)
 
 
-def rendered(content: bytes, base: str) -> SubjectRules | None:
+def rendered_rules(content: bytes, base: str) -> SubjectRules | None:
     """Return what reading a document of :func:`render` gives, from the rules that it was rendered from.
 
     Args:
@@ -109,8 +109,8 @@ def rendered(content: bytes, base: str) -> SubjectRules | None:
 @lru_cache(maxsize=1024)
 def _read_back(file: str, base: str) -> str:
     """Return a file as the reader of a document names it."""
-    origin = permissions.stated(f"{_relative(file, base)}:0") or Origin(file)
-    return permissions.placed(base, origin).file
+    origin = permissions.parse_origin(f"{_relative(file, base)}:0") or Origin(file)
+    return permissions.origin_in_folder(base, origin).file
 
 
 def _rule(rule: Rule, base: str, chains: dict[int, str]) -> str:

@@ -177,7 +177,7 @@ def load(root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
             _check_unique(authority.name, authorities, where)
             authorities[authority.name], issuers[authority.name] = authority, issuer_named_at
     for each, issuance in decisions.authority_issuance(files, str(root), authorities).items():
-        spec = decisions.applied(authorities[each].certificate, issuance)
+        spec = decisions.spec_after_decision(authorities[each].certificate, issuance)
         authorities[each] = Authority(each, spec, issuance)
     _check_hierarchy(authorities, issuers)
     return replace(

@@ -13,7 +13,7 @@ from comarmor.data import locate
 _SPECIAL = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&#34;", "'": "&#39;"})
 
 
-def filled(path: str, /, **values: object) -> bytes:
+def filled_file(path: str, /, **values: object) -> bytes:
     """Return the file of a template.
 
     Args:
@@ -25,7 +25,7 @@ def filled(path: str, /, **values: object) -> bytes:
         KeyError: the template names a value that is not given.
     """
     lines = {name: value for name, value in values.items() if isinstance(value, tuple)}
-    texts = {name: escaped(str(value)) for name, value in values.items() if name not in lines}
+    texts = {name: escape_xml(str(value)) for name, value in values.items() if name not in lines}
     template = (locate("keymint_ros", "templates") / path).read_text("utf-8")
     result: list[str] = []
     for line in template.splitlines(keepends=True):
@@ -38,6 +38,6 @@ def filled(path: str, /, **values: object) -> bytes:
     return "".join(result).encode()
 
 
-def escaped(text: str) -> str:
+def escape_xml(text: str) -> str:
     """Return a text with references for what has a meaning in XML, also within an attribute."""
     return text.translate(_SPECIAL)

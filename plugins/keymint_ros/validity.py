@@ -45,7 +45,7 @@ def read(element: etree._Element | None) -> Validity | None:
     return Validity(not_before, not_after, place(end))
 
 
-def renewed(period: Validity, start: datetime | None) -> Validity:
+def renewed_period(period: Validity, start: datetime | None) -> Validity:
     """Return a period that begins at a later date, and is as long as before; itself if the date is not later.
 
     It ends with the year 9999 at the latest, which stands for no end (RFC 5280, 4.1.2.5).
@@ -59,7 +59,7 @@ def renewed(period: Validity, start: datetime | None) -> Validity:
     return replace(period, not_before=start, not_after=min(end, _LAST))
 
 
-def starting(duration: str, now: datetime) -> str:
+def begin_of_period(duration: str, now: datetime) -> str:
     """Return the begin, as text, of a period of this length that is given now.
 
     Args:
@@ -71,17 +71,17 @@ def starting(duration: str, now: datetime) -> str:
     """
     from keymint.pki import periods  # noqa: PLC0415 - only needed to write new files
 
-    return written(periods.begin(now, _sum(now, duration) - now))
+    return date_text(periods.begin(now, _sum(now, duration) - now))
 
 
-def written(moment: datetime) -> str:
+def date_text(moment: datetime) -> str:
     """Return a date as documents have it: in UTC, without a zone."""
     return f"{moment.astimezone(UTC):%Y-%m-%dT%H:%M:%S}"
 
 
 def element(period: Validity) -> str:
     """Return the element of a period, as :func:`read` reads it."""
-    begin, end = written(period.not_before), written(period.not_after)
+    begin, end = date_text(period.not_before), date_text(period.not_after)
     return f"<validity><not_before>{begin}</not_before><not_after>{end}</not_after></validity>"
 
 

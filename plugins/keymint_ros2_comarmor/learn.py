@@ -19,7 +19,7 @@ from keymint.errors import KeymintError
 from keymint_ros2_comarmor.common_parts import share
 from keymint_ros2_comarmor.learned_document import document, fragment
 from keymint_ros2_comarmor.learned_rules import needs_of
-from keymint_ros2_comarmor.review import conflict, unused
+from keymint_ros2_comarmor.review import conflict, unused_rule_notes
 
 
 def learn(graph: Graph, existing: LoadedPolicy | None, fragments: str) -> LearnedPolicy:
@@ -54,7 +54,7 @@ def learn(graph: Graph, existing: LoadedPolicy | None, fragments: str) -> Learne
         fragments={part.name: fragment(part) for part in parts},
         missing=tuple(missing),
         conflicts=tuple(dict.fromkeys(conflicts)),
-        unused=tuple(unused(policy, graph)) if policy else (),
+        unused=tuple(unused_rule_notes(policy, graph)) if policy else (),
         notes=tuple(_generated(missing, needs)),
     )
 

@@ -33,7 +33,7 @@ def conflict(edge: Edge, decision: comarmor.Decision) -> Diagnostic | None:
     )
 
 
-def unused(policy: comarmor.Policy, graph: Graph) -> Iterator[Diagnostic]:
+def unused_rule_notes(policy: comarmor.Policy, graph: Graph) -> Iterator[Diagnostic]:
     """Yield notes on rules that no edge of a graph uses, and on subjects of the policy that the graph does not have."""
     units: dict[Spot, dict[_Unit, bool]] = {}
     needs: dict[str, set[_Need]] = {}

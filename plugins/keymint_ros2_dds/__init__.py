@@ -40,7 +40,7 @@ class DdsSecurity:
     settings = lazy("keymint_ros2_dds.governance_source:settings")
     build = lazy("keymint_ros2_dds.build:build")
     install = lazy("keymint_ros2_dds.install:install")
-    shared = lazy("keymint_ros2_dds.install:shared")
+    shared = lazy("keymint_ros2_dds.install:shared_files")
     revocation_files = lazy("keymint_ros2_dds.install:revocation_files")
     keystore_variables = lazy("keymint_ros2_dds.process_environment:keystore_variables")
     enclave_variables = lazy("keymint_ros2_dds.process_environment:enclave_variables")
@@ -50,11 +50,11 @@ class DdsSecurity:
     check_rules = lazy("keymint_ros2_dds.rule_check:check_rules")
     check_node = lazy("keymint_ros2_dds.node_start:check_node")
     compare = lazy("keymint_ros2_dds.keystores.document_comparison:compare")
-    compared = lazy("keymint_ros2_dds.proving.document_relation:compared")
+    compared = lazy("keymint_ros2_dds.proving.document_relation:compare_document")
     compared_with = lazy("keymint_ros2_dds.proving.document_relation:compared_with")
-    granted = lazy("keymint_ros2_dds.keystores.grants_as_rules:granted")
+    granted = lazy("keymint_ros2_dds.keystores.grants_as_rules:granted_rules")
 
-    found = lazy("keymint_ros2_dds.keystores.found_keystore:found")
+    found = lazy("keymint_ros2_dds.keystores.found_keystore:examine_keystore")
     not_kept = lazy("keymint_ros2_dds.keystores.kept_documents:not_kept")
 
     endpoints = lazy("keymint_ros2_dds.lowering.endpoints:endpoints")
@@ -79,11 +79,11 @@ class DdsSecurity:
 
     is_remote = lazy("keymint_ros2_dds.emit.compiled_elsewhere:is_remote")
     receive = lazy("keymint_ros2_dds.emit.compiled_elsewhere:receive")
-    compiling = lazy("keymint_ros2_dds.emit.compiled_elsewhere:compiling")
+    compiling = lazy("keymint_ros2_dds.emit.compiled_elsewhere:part_compiler")
 
     question = lazy("keymint_ros2_dds.proving.enclave_proof:remote_question")
     know = lazy("keymint_ros2_dds.proving.enclave_proof:receive")
-    proving = lazy("keymint_ros2_dds.proving.enclave_proof:proving")
+    proving = lazy("keymint_ros2_dds.proving.enclave_proof:part_prover")
 
 
 build_type = DdsSecurity()

@@ -12,7 +12,7 @@ from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
 from keymint_ros2_dds import governance_warnings, token_key, vendor_limits
 from keymint_ros2_dds.documents import governance_document
-from keymint_ros2_dds.domains import in_words, uncovered
+from keymint_ros2_dds.domains import in_words, uncovered_domains
 from keymint_ros2_dds.emit.kind_members import emit_by_kind
 from keymint_ros2_dds.enclave_layout import GOVERNANCE, GOVERNANCE_XML, PERMISSIONS, PERMISSIONS_XML
 from keymint_ros2_dds.keystores import kept_documents
@@ -33,7 +33,7 @@ def build(package: Package, options: BuildOptions) -> BuildResult:
     defects, notes = Defects(), list[Diagnostic]()
     emitted, governance = None, b""
     with defects:
-        emitted = kept_documents.emitted(package) or emit_by_kind(package, options)
+        emitted = kept_documents.kept_permissions(package) or emit_by_kind(package, options)
         notes += emitted.diagnostics
     with defects:
         governance, remarks = governance_document.build(
@@ -71,7 +71,7 @@ def _check(package: Package) -> Iterator[Diagnostic]:
             "validity-empty", "the permissions end before they begin",
             granted.origin, "set not_after to a date after not_before", package.subject,
         )  # fmt: skip
-    for item in uncovered(granted.domains, (each for rule in governance.domain_rules for each in rule.domains)):
+    for item in uncovered_domains(granted.domains, (each for rule in governance.domain_rules for each in rule.domains)):
         yield Diagnostic.error(
             "domain-uncovered",
             f"the permissions are for {in_words([item])}, which the governance does not cover",

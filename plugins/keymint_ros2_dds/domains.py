@@ -12,7 +12,7 @@ MAX_DOMAIN = 230
 """The highest domain id whose ports exist (DDSI-RTPS 2.3, 9.6.1.1); Cyclone DDS refuses documents with higher ones."""
 
 
-def merged(ranges: Iterable[DomainRange]) -> Sequence[DomainRange]:
+def merged_domains(ranges: Iterable[DomainRange]) -> Sequence[DomainRange]:
     """Return ranges of domains in order; ranges that overlap or touch become one."""
     result: list[DomainRange] = []
     for item in sorted(ranges):
@@ -23,15 +23,15 @@ def merged(ranges: Iterable[DomainRange]) -> Sequence[DomainRange]:
     return result
 
 
-def uncovered(ranges: Iterable[DomainRange], covering: Iterable[DomainRange]) -> tuple[DomainRange, ...]:
+def uncovered_domains(ranges: Iterable[DomainRange], covering: Iterable[DomainRange]) -> tuple[DomainRange, ...]:
     """Return the ranges that are not fully within other ranges."""
-    outer = merged(covering)
+    outer = merged_domains(covering)
     return tuple(item for item in ranges if not any(o.first <= item.first and item.last <= o.last for o in outer))
 
 
 def in_words(ranges: Iterable[DomainRange]) -> str:
     """Return ranges of domains as text: ``domain 3``, ``domains 3 to 5``, ``domains 0, 3 to 5``, ``no domain``."""
-    texts = [str(e.first) if e.first == e.last else f"{e.first} to {e.last}" for e in merged(ranges)]
+    texts = [str(e.first) if e.first == e.last else f"{e.first} to {e.last}" for e in merged_domains(ranges)]
     if not texts:
         return "no domain"
     plural = len(texts) > 1 or " to " in texts[0]

@@ -23,7 +23,7 @@ from keymint.pki.mime import SignedDocument
 from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds import subject_name_text, token_key
 from keymint_ros2_dds.decision.semantics import STANDARD
-from keymint_ros2_dds.domains import in_words, merged, uncovered
+from keymint_ros2_dds.domains import in_words, merged_domains, uncovered_domains
 from keymint_ros2_dds.enclave_layout import (
     CA,
     CERTIFICATE,
@@ -245,9 +245,9 @@ class EnclaveRules(IdentityCheck):
         for grant in permissions.grants:
             yield from self._grant(grant, when)
         if governance is not None:
-            governed = merged(as_ranges(each for rule in governance.domain_rules for each in rule.domains))
+            governed = merged_domains(as_ranges(each for rule in governance.domain_rules for each in rule.domains))
             granted = as_ranges(each for grant in permissions.grants for rule in grant.rules for each in rule.domains)
-            if lacking := uncovered(merged(granted), governed):
+            if lacking := uncovered_domains(merged_domains(granted), governed):
                 message = f"grants in {in_words(lacking)}, but the governance is for {in_words(governed)}"
                 help_ = "add the domain to a domain rule of the governance"
                 yield self._error("domain-uncovered", PERMISSIONS_P7S, message, help_)

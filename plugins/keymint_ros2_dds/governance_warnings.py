@@ -16,7 +16,7 @@ from comarmor.patterns.proofs import escapes
 from comarmor.patterns.relations import union_covers
 from keymint.api import DomainRange, Package
 from keymint_ros2_dds.documents import governance_document
-from keymint_ros2_dds.domains import in_words, uncovered
+from keymint_ros2_dds.domains import in_words, uncovered_domains
 from keymint_ros2_dds.lowering.lowered_rules import Lowered, lower
 from keymint_ros2_dds.proving import octets, permission_lists
 from keymint_ros2_dds.proving.enclave_governance import cuts
@@ -52,8 +52,8 @@ def findings(package: Package, lowered: Lowered | None = None) -> tuple[Diagnost
     diagnostics: list[Diagnostic] = []
     earlier: list[DomainRange] = []
     for rule in governance.domain_rules:
-        pieces = [each for each in cuts((*rule.domains, *earlier)) if not uncovered([each], rule.domains)]
-        domains = uncovered(pieces, earlier)  # the first rule for a domain counts
+        pieces = [each for each in cuts((*rule.domains, *earlier)) if not uncovered_domains([each], rule.domains)]
+        domains = uncovered_domains(pieces, earlier)  # the first rule for a domain counts
         earlier += rule.domains
         if domains:
             results = (*_open_domain(rule, domains), *_open_topics(package, rule, domains, lowered))

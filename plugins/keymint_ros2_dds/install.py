@@ -116,7 +116,7 @@ _sign_once = lru_cache(maxsize=16)(_sign)
 """Signs a document that many enclaves share."""
 
 
-def shared(artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapping[str, Artifact]:
+def shared_files(artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapping[str, Artifact]:
     """Return the files that the layout keeps once for all enclaves, by path relative to the install space.
 
     They are a convenience for people and for sros2's tools; enclaves are complete without them. So a file is omitted if

@@ -25,7 +25,7 @@ _USUAL = lazy_regex(r"(?:(OU=[\w.-]{1,64}),)?(CN=(?=.{1,64}\Z)/?[\w.-]+(?:/[\w.-
 _ESCAPED = lazy_regex(r"^#|[,+]")
 
 
-def of(grant: Grant) -> str:
+def subject_name_of(grant: Grant) -> str:
     """Return the text of ``<subject_name>`` of a grant.
 
     Raises:

@@ -32,8 +32,8 @@ class Sros2PolicyType:
 
     fingerprint = staticmethod(file_fingerprint)
     load = lazy("keymint_ros2_sros2.loaded:load")
-    exported = lazy("keymint_ros2_sros2.export:exported")
-    translated = lazy("keymint_ros2_sros2.translate:translated")
+    exported = lazy("keymint_ros2_sros2.export:export_policy")
+    translated = lazy("keymint_ros2_sros2.translate:translate_policy")
 
     def recognises(self, path: Path) -> bool:
         """Tell whether a file is an SROS2 policy, valid or not."""

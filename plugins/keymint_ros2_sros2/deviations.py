@@ -9,7 +9,7 @@ from dataclasses import replace
 from comarmor.errors import ComArmorError, Diagnostic
 from comarmor.ros_names import is_subject
 from comarmor.text import quoted
-from keymint_ros2_sros2.names import as_read, enforced, expression
+from keymint_ros2_sros2.names import as_read, enforced_name, expression
 from keymint_ros2_sros2.syntax import Entry, RosNode, SourcePolicy, Sros2Enclave
 
 _LONGEST_PATH = 1024
@@ -111,4 +111,4 @@ def _of_entry(enclave: Sros2Enclave, node: RosNode, entry: Entry) -> Iterator[Di
 
 
 def _names(node: RosNode, text: str) -> str:
-    return f"SROS2 enforces {quoted(enforced(node, text))}, not {quoted(as_read(node, text))}"
+    return f"SROS2 enforces {quoted(enforced_name(node, text))}, not {quoted(as_read(node, text))}"

@@ -19,7 +19,7 @@ from keymint.api import ExportedPolicy, ImportedSubject
 from keymint.errors import KeymintError, UnsayableError
 from keymint.ir import SubjectRules
 from keymint_ros2_sros2 import permissions
-from keymint_ros2_sros2.sayable import Said, is_graph, is_raw, said, services
+from keymint_ros2_sros2.expressible_rules import PolicyName, expressed_names, is_graph, is_raw, services
 from keymint_ros2_sros2.syntax import NEW, PERMISSIONS, Entry, NodeGroup, RosNode, RuleList, Sros2Enclave
 
 _LONGEST = 64
@@ -28,7 +28,7 @@ _ROOT_NODE = "root"
 """Name of the node that has the rules of the root enclave, whose path has no last part. It decides nothing."""
 
 
-def exported(subjects: Sequence[SubjectRules], *, lossy: bool = False) -> ExportedPolicy:
+def export_policy(subjects: Sequence[SubjectRules], *, lossy: bool = False) -> ExportedPolicy:
     """Return a policy of SROS2; see :meth:`keymint.api.PolicyExporter.exported`.
 
     Raises:
@@ -80,7 +80,7 @@ class _Exporter:
         pairs = services(subject.rules)
         for rule in subject.rules:
             self._audit(rule, path)
-            names: dict[Said, None] = {}
+            names: dict[PolicyName, None] = {}
             for permission in rule.permissions:
                 for expression in rule.expressions:
                     try:
@@ -89,7 +89,7 @@ class _Exporter:
                         elif is_raw(rule) and (rule.effect, permission, expression) in pairs:
                             names |= dict.fromkeys(pairs[rule.effect, permission, expression])
                         else:
-                            names |= dict.fromkeys(said(rule, permission, expression))
+                            names |= dict.fromkeys(expressed_names(rule, permission, expression))
                     except UnsayableError as error:
                         self._unsayable(rule, permission, expression, str(error), path)
                         continue
@@ -126,7 +126,7 @@ class _Exporter:
             self.errors.append(Diagnostic.error(code, message, rule.origin, help_, path))
 
 
-def _lists(rule: Rule, names: dict[Said, None]) -> list[RuleList]:
+def _lists(rule: Rule, names: dict[PolicyName, None]) -> list[RuleList]:
     """Return the lists of a rule: one for each tag and set of permissions."""
     by_name: dict[tuple[str, str], list[str]] = {}
     for each in names:

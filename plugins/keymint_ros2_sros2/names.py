@@ -20,7 +20,7 @@ _PLAIN = lazy_regex(r"[\w/~.]*")
 """Names in which no character has a meaning: most names."""
 
 
-def enforced(node: RosNode, text: str) -> str:
+def enforced_name(node: RosNode, text: str) -> str:
     """Return a name as SROS2's stylesheet resolves it in a node."""
     return _resolved(node.ns, node.name, text)
 

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator
 from lxml import etree
 
 from comarmor.rules import Effect
-from keymint_ros2_sros2.names import enforced
+from keymint_ros2_sros2.names import enforced_name
 from keymint_ros2_sros2.rules import GRAPH_TOPIC
 from keymint_ros2_sros2.syntax import NodeGroup, RosNode, RuleList, Sros2Enclave
 
@@ -89,7 +89,7 @@ def _topics(group: NodeGroup, effect: Effect) -> Iterator[_Topic]:
 
 def _of_list(node: RosNode, rules: RuleList, permission: str) -> Iterator[_Topic]:
     for entry in rules.entries:
-        name = enforced(node, entry.text)
+        name = enforced_name(node, entry.text)
         if permission in {"ros_publish", "ros_subscribe"}:
             yield permission.removeprefix("ros_"), f"rt{name}"
             continue

@@ -19,7 +19,7 @@ from keymint_ros2_sros2.parse import parse
 from keymint_ros2_sros2.syntax import SourcePolicy, Sros2Enclave
 
 
-def translated(request: ImportRequest) -> ImportedPolicy:
+def translate_policy(request: ImportRequest) -> ImportedPolicy:
     """Translate a policy; see :meth:`keymint.api.PolicyImporter.translated`.
 
     Raises:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from comarmor.errors import ComArmorError, Origin
 from comarmor.language.attachments import strip
 from comarmor.text import counted
-from keymint_ros2_table.rows import COLUMNS, MOST_ROWS, TableRow, column_order, placed
+from keymint_ros2_table.rows import COLUMNS, MOST_ROWS, TableRow, column_order, row_origin
 
 _NAMES = frozenset(COLUMNS)
 _MOST_CHARACTERS = 1 << 20
@@ -63,7 +63,7 @@ def rows_of(content: bytes, file: str) -> Iterator[TableRow | ComArmorError]:
             continue
         *texts, source = (strip(fields[at]) if at >= 0 else "" for at in order)
         try:
-            yield TableRow.of(texts, placed(file, line, source))
+            yield TableRow.of(texts, row_origin(file, line, source))
         except ComArmorError as error:
             yield error
 

@@ -73,7 +73,7 @@ def column_order(header: Sequence[str], where: Origin) -> tuple[int, ...]:
     return tuple(header.index(name) if name in header else -1 for name in COLUMNS)
 
 
-def placed(file: str, number: int, source: str) -> Origin:
+def row_origin(file: str, number: int, source: str) -> Origin:
     """Return the place of a row: its source, the table in brackets, and the number of the row.
 
     If there is a source, the place names no file that exists, so that nothing takes the row for a part of that file:

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from comarmor.errors import ComArmorError, Origin
 from comarmor.language.attachments import strip
 from comarmor.text import did_you_mean, quoted
-from keymint_ros2_table.rows import COLUMNS, MOST_ROWS, REQUIRED, TableRow, column_order, placed
+from keymint_ros2_table.rows import COLUMNS, MOST_ROWS, REQUIRED, TableRow, column_order, row_origin
 
 NAME = "rule"
 MAGIC = b"SQLite format 3\0"
@@ -153,7 +153,7 @@ def _missing(database: sqlite3.Connection, where: Origin) -> ComArmorError:
 def _row(values: Sequence[object], file: str, number: int) -> TableRow | ComArmorError:
     *required, audit, source = values
     try:
-        where = placed(file, number, strip(source) if isinstance(source, str) else "")
+        where = row_origin(file, number, strip(source) if isinstance(source, str) else "")
         if not isinstance(source, str | None):
             raise _type_error("source", source, where)
         if not isinstance(audit, str | int | None):

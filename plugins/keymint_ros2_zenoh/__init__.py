@@ -38,7 +38,7 @@ class Zenoh:
     implementations = lazy("keymint_ros2_zenoh.authority_roles:implementations")
     build = lazy("keymint_ros2_zenoh.build:build")
     install = lazy("keymint_ros2_zenoh.install:install")
-    shared = lazy("keymint_ros2_zenoh.install:shared")
+    shared = lazy("keymint_ros2_zenoh.install:shared_files")
     keystore_variables = lazy("keymint_ros2_zenoh.enclave_layout:keystore_variables")
     enclave_variables = lazy("keymint_ros2_zenoh.enclave_layout:enclave_variables")
     check = lazy("keymint_ros2_zenoh.check:check")

@@ -10,7 +10,7 @@ from keymint.api import BuildOptions, BuildResult, Package
 from keymint_ros2_zenoh import emission, key_limits
 from keymint_ros2_zenoh.documents.configuration_writer import write
 from keymint_ros2_zenoh.enclave_layout import ROUTER, SESSION
-from keymint_ros2_zenoh.lowering.key_rules import KeyRule, gathered, lower_package
+from keymint_ros2_zenoh.lowering.key_rules import KeyRule, combined_rules, lower_package
 from keymint_ros2_zenoh.settings import BUILD_TYPE, is_router, settings_of
 
 _SESSION_TITLE = (
@@ -72,7 +72,7 @@ def build_shared(packages: Sequence[Package], options: BuildOptions) -> BuildRes
     plain = write(emission.router(routers[0], rules), _ROUTER_TITLE)
     if not options.optimise:
         return BuildResult({ROUTER: plain}, notes)
-    fewer = [(package, gathered(own)) for package, own in rules]
+    fewer = [(package, combined_rules(own)) for package, own in rules]
     smaller = write(emission.router(routers[0], fewer), _ROUTER_TITLE)
     return BuildResult({ROUTER: smaller}, notes, {ROUTER: len(plain)})
 

@@ -141,6 +141,6 @@ class _EnclaveCheck(IdentityCheck):
         help_ = f"'keymint build -f {name}' and 'keymint install {name}' write the document of the sources"
         router = common_name(router_of(self._package))
         for each in _examined(
-            content, built, file, help_, lambda found: configuration_requirements.unpinned(found, router, file)
+            content, built, file, help_, lambda found: configuration_requirements.pin_findings(found, router, file)
         ):
             yield replace(each, subject=self._subject, help=each.help or help_)

@@ -2,7 +2,7 @@
 """What a configuration must be so that the router alone decides, and knows who sends: the rules of check and prove.
 
 The values of settings are stated twice on purpose: ``check`` compares them with what the sources build, and ``prove``
-with what :func:`required` says by itself, whatever the compiler writes.
+with what :func:`required_settings` says by itself, whatever the compiler writes.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def by_itself(found: Configuration, package: Package, file: str) -> Iterator[Dia
         file: the installed file as the user would type it.
     """
     values = found.settings()
-    for path, wanted in required(package).items():
+    for path, wanted in required_settings(package).items():
         if values[path] != wanted:
             yield _setting(found, path, f"not {_shown(wanted) if wanted != () else 'empty'}", file)
     if not found.protocols or not set(found.protocols) <= set(AUTHENTICATED):
@@ -81,7 +81,7 @@ def by_itself(found: Configuration, package: Package, file: str) -> Iterator[Dia
         yield _setting(found, "listen/endpoints", f"not {_PLAIN}", file)
 
 
-def required(package: Package) -> Mapping[str, Any]:
+def required_settings(package: Package) -> Mapping[str, Any]:
     """Return the settings, by path, that may have one value only; the files are those that other claims refer to."""
     settings = settings_of(package)
     folder = enclave_folder(settings.keystore, package.subject)
@@ -102,7 +102,7 @@ def required(package: Package) -> Mapping[str, Any]:
     }
 
 
-def unmodelled(found: Configuration, router: bool) -> str:
+def unmodelled_setting(found: Configuration, router: bool) -> str:
     """Return a setting whose effect on access is not known, in words; empty if there is none.
 
     A setting that is missing has Zenoh's default, which is another value than the known one.
@@ -130,7 +130,7 @@ def open_default(found: Configuration, file: str) -> Iterator[Diagnostic]:
         yield Diagnostic.error("zenoh-default", "what no rule names is allowed by default", where)
 
 
-def unpinned(found: Configuration, router: str, file: str) -> Iterator[Diagnostic]:
+def pin_findings(found: Configuration, router: str, file: str) -> Iterator[Diagnostic]:
     """Yield that a session has other subjects than the router, which has this common name."""
     if [subject.common_names for subject in found.access_control.subjects] != [(router,)]:
         message = (

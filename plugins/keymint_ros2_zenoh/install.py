@@ -40,7 +40,7 @@ def install(
     return files
 
 
-def shared(artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapping[str, Artifact]:  # noqa: ARG001
+def shared_files(artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapping[str, Artifact]:  # noqa: ARG001
     """Return nothing: the layout has no copies of enclaves' files."""
     return {}
 

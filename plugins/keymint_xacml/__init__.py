@@ -14,7 +14,7 @@ class XacmlPolicyFormat:
 
     API = API_VERSION
 
-    written = lazy("keymint_xacml.policy_set:written")
+    written = lazy("keymint_xacml.policy_set:written_policy")
 
 
 policy_format = XacmlPolicyFormat()

@@ -54,7 +54,7 @@ class _XacmlRule:
     partitions: tuple[TextMatch, ...]
 
 
-def written(subjects: Sequence[SubjectRules], *, lossy: bool = False) -> WrittenPolicy:
+def written_policy(subjects: Sequence[SubjectRules], *, lossy: bool = False) -> WrittenPolicy:
     """Return the rules as a policy set; see :meth:`keymint.api.PolicyFormat.written`.
 
     Raises:

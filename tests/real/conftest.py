@@ -18,7 +18,7 @@ from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, VARIATIONS, 
 from keymint_ros2_dds.transports import real_cyclonedds, real_cyclonedds_0_10_5, real_fastdds, real_fastdds_3
 from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, System, Vendor
-from keymint_ros2_dds.vendors.probe_builds import unpacked
+from keymint_ros2_dds.vendors.probe_builds import unpacked_version
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohSystem, installed_version
 
 from keymint import cli
@@ -191,7 +191,7 @@ def newer(probe_cache: Path) -> Callable[[str], Vendor]:
     @cache
     def opened(name: str) -> Vendor:
         vendor, probe = NEWER[name]
-        version = unpacked(cli._cache(), [name])
+        version = unpacked_version(cli._cache(), [name])
         return vendor(version.built(probe).build(probe_cache, {}), version=version)
 
     return opened

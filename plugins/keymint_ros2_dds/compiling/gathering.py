@@ -16,7 +16,7 @@ from comarmor.patterns.matching import matcher
 from comarmor.rules import Effect
 from keymint.keymake.gather import Pattern, gather, similar
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
-from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, GrantRule, Partitions, begun, is_name
+from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, GrantRule, Partitions, is_name, with_leading_allow
 
 GUARD = "*]*"
 """The names that match on Cyclone DDS and not by the standard."""
@@ -30,7 +30,7 @@ _RULE, _CRITERIA, _TOPIC = 130, 90, 28
 _ACTIONS = (TopicAction.PUBLISH, TopicAction.SUBSCRIBE)
 
 
-def gathered(rules: Sequence[GrantRule[str]], *, min_saved: int | None = None) -> tuple[GrantRule[str], ...]:
+def gathered_rules(rules: Sequence[GrantRule[str]], *, min_saved: int | None = None) -> tuple[GrantRule[str], ...]:
     """Return rules that permit the same with fewer expressions; the unchanged rules if that saves little.
 
     Args:
@@ -78,7 +78,7 @@ def _joined(
         GrantRule(Effect.ALLOW, partitions, {action: tuple(sorted(texts)) for action, texts in by_action.items()})
         for partitions, by_action in sorted(topics.items())
     ]
-    return begun([*remaining, guard, *last])
+    return with_leading_allow([*remaining, guard, *last])
 
 
 def _named_once(rules: Sequence[GrantRule[str]]) -> frozenset[str]:

@@ -19,9 +19,9 @@ from keymint.api import BuildOptions, Grant, Hint
 from keymint.errors import KeymintError
 from keymint.ir import Rule
 from keymint_ros2_dds.compiling import partitions
-from keymint_ros2_dds.compiling.gathering import GUARD, gathered
+from keymint_ros2_dds.compiling.gathering import GUARD, gathered_rules
 from keymint_ros2_dds.compiling.partitions import UnportableError
-from keymint_ros2_dds.compiling.priority import EndpointCounts, prioritised
+from keymint_ros2_dds.compiling.priority import EndpointCounts, prioritised_rules
 from keymint_ros2_dds.compiling.rule_order import portable_rules, rule_per_policy_rule, standard_rules
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.endpoints import endpoints
@@ -75,7 +75,7 @@ def compile_rules(permissions: Grant, distro: str, options: BuildOptions) -> Com
     if report.diagnostics and not options.allow_vendor_specific:
         raise KeymintError.of(report.diagnostics)
     plain = _plain(lowered, report) if minimal else ()
-    rewritten = prioritised(gathered(minimal), _endpoint_counts(options.hints, distro))
+    rewritten = prioritised_rules(gathered_rules(minimal), _endpoint_counts(options.hints, distro))
     forms = (rewritten, minimal) if rewritten != minimal else (minimal,)
     return Compiled(forms, plain, lowered, not report.diagnostics, (*lowered.diagnostics, *report.diagnostics))
 

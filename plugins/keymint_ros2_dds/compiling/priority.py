@@ -20,7 +20,7 @@ EndpointCounts = Mapping[tuple[str, str, str], int]
 """How often the subject creates endpoints, by action, topic and partition, from ``--hints``."""
 
 
-def prioritised(rules: Sequence[GrantRule[str]], counts: EndpointCounts) -> tuple[GrantRule[str], ...]:
+def prioritised_rules(rules: Sequence[GrantRule[str]], counts: EndpointCounts) -> tuple[GrantRule[str], ...]:
     """Return the rules with those that are requested more often earlier; decisions stay the same.
 
     The expressions of a rule may have any order. Two neighbouring rules are swapped only if they have the same effect

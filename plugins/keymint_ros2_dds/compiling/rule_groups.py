@@ -65,7 +65,7 @@ def rule_groups(
         except ValueError:  # a name is denied in every partition; the detailed list says where
             shared = None
         if shared is None:
-            rules = merged(_rules(action, decision_list(allowed, denied)), across_effects=True)
+            rules = merged_rules(_rules(action, decision_list(allowed, denied)), across_effects=True)
             end = next((index for index, rule in enumerate(rules) if rule.effect is Effect.DENY), len(rules))
             detailed.append(RuleGroup(tuple(rules[:end]), tuple(rules[end:]), EVERY, None))
         else:
@@ -129,7 +129,7 @@ def _rules(action: TopicAction, steps: Iterable[Step]) -> Iterator[GrantRule[Glo
         yield GrantRule(Effect.ALLOW if partitions else Effect.DENY, partitions or EVERY, {action: (pattern,)})
 
 
-def merged(rules: Iterable[GrantRule[Glob]], *, across_effects: bool = False) -> list[GrantRule[Glob]]:
+def merged_rules(rules: Iterable[GrantRule[Glob]], *, across_effects: bool = False) -> list[GrantRule[Glob]]:
     """Return rules with each one merged into the last one of the same effect and partitions that it may join.
 
     Args:

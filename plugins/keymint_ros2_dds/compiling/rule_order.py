@@ -27,9 +27,9 @@ from comarmor.rules import Effect
 from keymint.ir import Rule
 from keymint.keymake.order import EarlyRules, early_rules
 from keymint_ros2_dds.compiling.partitions import UnportableError
-from keymint_ros2_dds.compiling.rule_groups import RuleGroup, denied_partitions, merged, rule_groups
+from keymint_ros2_dds.compiling.rule_groups import RuleGroup, denied_partitions, merged_rules, rule_groups
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
-from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, GrantRule, begun
+from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, GrantRule, with_leading_allow
 from keymint_ros2_dds.lowering.lowered_rules import Lowered
 
 _ORDER = "portability-order"
@@ -54,14 +54,14 @@ def portable_rules(lowered: Lowered, *, reduced: bool = True) -> tuple[GrantRule
     }
     relay = groups.pop(TopicAction.RELAY)
     relay_rules = [*(rule for group in relay for rule in group.free), *(r for group in relay for r in group.ordered)]
-    return begun([*_both_directions(groups), *merged(relay_rules)])
+    return with_leading_allow([*_both_directions(groups), *merged_rules(relay_rules)])
 
 
 def _both_directions(groups: _Groups) -> list[GrantRule[Glob]]:
     """Return the rules for publish and subscribe in the shortest order that every vendor reads in the same way."""
     free = [rule for action in groups for group in groups[action] for rule in group.free]
     if not any(group.ordered for action in groups for group in groups[action]):
-        return merged(free)
+        return merged_rules(free)
     publish, subscribe = TopicAction.PUBLISH, TopicAction.SUBSCRIBE
     orders: list[tuple[tuple[TopicAction, ...], tuple[TopicAction, ...]]]
     orders = [((publish, subscribe), (subscribe,)), ((subscribe, publish), (publish,))]
@@ -82,7 +82,7 @@ def _both_directions(groups: _Groups) -> list[GrantRule[Glob]]:
         if order or not any(rules.dirty for _, _, rules in early):
             turns: list[_Groups] = [{action: groups[action]} for action in order]
             turns = turns or [groups]
-            rest = [rule for turn in turns for rule in merged(_denials_first(turn))]
+            rest = [rule for turn in turns for rule in merged_rules(_denials_first(turn))]
             candidates.append([*_first(free, early), *rest])
     if not candidates and refused:
         raise refused
@@ -142,7 +142,7 @@ def _clash(denied: Iterable[Glob], action: TopicAction, group: RuleGroup, earlie
 def _first(free: Iterable[GrantRule[Glob]], early: Iterable[_Early]) -> list[GrantRule[Glob]]:
     """Return the rules that no denial overlaps, and those that must precede the denials of the other direction."""
     clean = (GrantRule(Effect.ALLOW, group.partitions, {action: e.clean}) for action, group, e in early if e.clean)
-    result = merged([*free, *clean])
+    result = merged_rules([*free, *clean])
     for action, group, each in early:
         if each.dirty:
             result.append(GrantRule(Effect.DENY, denied_partitions(group.partitions), {action: each.deny}))
@@ -191,5 +191,5 @@ def standard_rules(lowered: Lowered) -> tuple[GrantRule[Glob], ...]:
             for action in TopicAction
             for pattern, partitions in sides[action]
         ]
-        result += merged(sorted(rules, key=lambda rule: rule.partitions))
-    return begun(result) if any(lowered.allow.values()) else ()
+        result += merged_rules(sorted(rules, key=lambda rule: rule.partitions))
+    return with_leading_allow(result) if any(lowered.allow.values()) else ()

@@ -16,5 +16,5 @@ from keymint_ros2_dds.decision.semantics import VARIATIONS as VARIATIONS
 from keymint_ros2_dds.decision.semantics import Variation as Variation
 from keymint_ros2_dds.decision.semantics import explain as explain
 from keymint_ros2_dds.decision.semantics import of_version as of_version
-from keymint_ros2_dds.decision.semantics import shipped as shipped
+from keymint_ros2_dds.decision.semantics import shipped_models as shipped_models
 from keymint_ros2_dds.reading.signed_permissions import read as read

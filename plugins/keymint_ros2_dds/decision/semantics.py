@@ -27,7 +27,7 @@ from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, DocumentRule, PermissionsDocument
 
 
-def trimmed(text: str) -> str:
+def trim_blanks(text: str) -> str:
     """Return a text as Cyclone DDS reads it: without the white space around it."""
     return text.strip(BLANKS)
 
@@ -255,7 +255,7 @@ CYCLONE_DEVIATIONS = (
     _on("12", "min-only", "a range of domains with a minimum alone is that one domain", min_only_is_exact=True),
     _on("15", "late-dates", "a date that does not fit 64 bits of nanoseconds, or is none, is over",
         date=grant_dates.cyclone, no_beginning_holds=True),
-    _on("16", "trimmed-text", "white space around a text is ignored", reads_text=trimmed),
+    _on("16", "trimmed-text", "white space around a text is ignored", reads_text=trim_blanks),
     _on("17", "fnmatch", "no escapes; only '!' negates a set; the ']' that ends a set is a member of it",
         fnmatch=fnmatch.CYCLONE_DDS),
     _on("21", "one-authority", "only the first certificate of identity_ca.cert.pem is trusted", one_authority=True),
@@ -349,7 +349,7 @@ def of_version(vendor: str, version: str) -> Variation:
 
 
 @functools.cache
-def shipped(distro: str) -> tuple[str, ...]:
+def shipped_models(distro: str) -> tuple[str, ...]:
     """Return the names of the models that claims are made for: the standard, and what a distribution ships."""
     versions = DISTROS.get(distro, {})
     vendors = dict.fromkeys(each.vendor for each in VARIATIONS.values() if each.vendor)

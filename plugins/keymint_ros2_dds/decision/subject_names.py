@@ -106,7 +106,7 @@ def tokens(name: str) -> frozenset[str]:
     return frozenset(filter(None, re.split(r"[\s,/|=+]+", name)))
 
 
-def needed(identity: str) -> frozenset[str]:
+def required_tokens(identity: str) -> frozenset[str]:
     """Return the words that each grant for an identity has, unless that is odd, or the identity has a type twice."""
     return tokens(re.sub(r"[^,/|+=]*=", ",", identity))
 

@@ -15,7 +15,7 @@ class DdsGraphs:
     API = API_VERSION
     CAPTURES = "XML of RTI Admin Console"
 
-    usable = lazy("keymint_ros2_dds.discovery.cyclonedds_observer:usable")
+    usable = lazy("keymint_ros2_dds.discovery.cyclonedds_observer:library_availability")
     observe = lazy("keymint_ros2_dds.discovery.cyclonedds_observer:observe")
     recognises = lazy("keymint_ros2_dds.discovery.admin_console:recognises")
     read = lazy("keymint_ros2_dds.discovery.admin_console:read")

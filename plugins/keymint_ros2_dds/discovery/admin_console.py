@@ -19,7 +19,7 @@ from comarmor.xml.reader import line, parse
 from keymint.api import DiscoveredGraph
 from keymint.errors import KeymintError
 from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, DiscoveredParticipant
-from keymint_ros2_dds.discovery.capture_graph import discovered
+from keymint_ros2_dds.discovery.capture_graph import discovered_graph
 
 MAX_DOMAIN = 232
 _NUMBER = lazy_regex(r"[0-9]{1,9}")
@@ -49,7 +49,7 @@ def read(content: bytes, name: str, names: Mapping[str, str]) -> DiscoveredGraph
         raise reader.error(
             root, f"the root is <{root.tag}>, expected <system>", "export the system from RTI Admin Console"
         )
-    return discovered(reader.capture(root), names)
+    return discovered_graph(reader.capture(root), names)
 
 
 class _AdminConsoleReader:

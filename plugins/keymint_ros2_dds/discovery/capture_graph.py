@@ -13,7 +13,7 @@ from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint
 from keymint_ros2_dds.discovery.participant_names import name_participants
 
 
-def discovered(capture: Capture, names: Mapping[str, str]) -> DiscoveredGraph:
+def discovered_graph(capture: Capture, names: Mapping[str, str]) -> DiscoveredGraph:
     """Return a capture as a graph whose objects are DDS topics.
 
     Args:

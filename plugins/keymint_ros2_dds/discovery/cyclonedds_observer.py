@@ -19,7 +19,7 @@ from comarmor.errors import Diagnostic
 from keymint.api import Availability, DiscoveredGraph
 from keymint.errors import KeymintError
 from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, DiscoveredParticipant
-from keymint_ros2_dds.discovery.capture_graph import discovered
+from keymint_ros2_dds.discovery.capture_graph import discovered_graph
 
 LIBRARY = "libddsc.so.0debian"
 INSTALL = "apt-get install libddsc0debian"
@@ -115,7 +115,7 @@ def library() -> Any:
     return loaded
 
 
-def usable() -> Availability:
+def library_availability() -> Availability:
     """Return whether the library is installed."""
     try:
         library()
@@ -143,7 +143,7 @@ def observe(domain: int, go_on: Callable[[], bool], names: Mapping[str, str]) ->
         pause = Event()
         while go_on():
             pause.wait(_PAUSE)
-        observed = discovered(observer.capture(), names)
+        observed = discovered_graph(observer.capture(), names)
     if observed.graph.subjects:
         return observed
     nothing = Diagnostic.warning(

@@ -14,7 +14,7 @@ from comarmor.data import locate
 from comarmor.xml import schema
 from comarmor.xml.reader import parse
 from keymint.api import DomainRange
-from keymint_ros2_dds.domains import merged
+from keymint_ros2_dds.domains import merged_domains
 
 INDENTED = 32_000
 """Bytes up to which a document is indented. Indentation is a sixth of a larger one, and every handshake carries it.
@@ -70,7 +70,7 @@ def topic_rule(parent: etree._Element, expression: str, values: Mapping[str, str
 def domains(parent: etree._Element, ranges: Iterable[DomainRange]) -> None:
     """Append ``<domains>`` with an ``<id>``, or an ``<id_range>`` with both ends, for each range."""
     element = child(parent, "domains")
-    for item in merged(ranges):
+    for item in merged_domains(ranges):
         if item.first == item.last:
             child(element, "id", str(item.first))
         else:

@@ -12,12 +12,12 @@ from comarmor.errors import Diagnostic
 from comarmor.rules import Effect
 from keymint.api import DomainRange, Grant
 from keymint.errors import KeymintError
-from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import check_domains
 from keymint_ros2_dds.enclave_layout import PERMISSIONS
 from keymint_ros2_dds.lowering.grant_rules import DEFAULT, GrantRule
 from keymint_ros2_dds.settings import validity_of
+from keymint_ros2_dds.subject_name_text import subject_name_of
 
 _MAX_YEAR = 2261
 """Cyclone DDS counts time in nanoseconds of 64 bits, and reads later years as expired."""
@@ -33,7 +33,7 @@ def render(permissions: Grant, rules: Sequence[GrantRule[str]]) -> bytes:
         KeymintError: the subject's name, a date or a domain cannot be expressed portably across DDS vendors.
     """
     _check(permissions)
-    name = subject_name_text.of(permissions)
+    name = subject_name_of(permissions)
     return dds_xml.indented_if_small(lambda indent: _text(permissions, name, rules, indent))
 
 

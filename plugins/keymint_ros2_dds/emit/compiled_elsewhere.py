@@ -42,7 +42,7 @@ _received: dict[str, tuple[Package, BuildOptions, Compilation, bool]] = {}
 """By subject: what other machines compiled, and whether the user trusts them."""
 
 
-def compiling() -> Callable[..., Sequence[Compilation | None]]:
+def part_compiler() -> Callable[..., Sequence[Compilation | None]]:
     """See :meth:`keymint.api.RemoteCompiler.compiling`."""
     return compile_part
 

@@ -14,14 +14,14 @@ from comarmor.patterns.steps import step_limit
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, Claim, ComparisonTask, Grant, Package, Proof
 from keymint.errors import KeymintError
-from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.compiling.grant_compiler import Compiled, compile_rules, vendor_notes
-from keymint_ros2_dds.decision import OMG, VARIATIONS, shipped
+from keymint_ros2_dds.decision import OMG, VARIATIONS, shipped_models
 from keymint_ros2_dds.documents import dds_xml, permissions_document
 from keymint_ros2_dds.enclave_layout import PERMISSIONS, PERMISSIONS_XML
 from keymint_ros2_dds.lowering.grant_rules import GrantRule
 from keymint_ros2_dds.lowering.lowered_rules import Lowered
 from keymint_ros2_dds.proving import prove_content
+from keymint_ros2_dds.subject_name_text import subject_name_of
 
 STATES = 50_000
 """States that a proof may visit, so that a build always ends."""
@@ -70,9 +70,8 @@ def emit(package: Package, options: BuildOptions) -> Emitted:
     compiled = compile_rules(package.grant, package.distro, options)
     refusing = _refusing(package)
     if refusing and not options.allow_vendor_specific:
-        message = (
-            f"{refusing} finds no permissions of {subject_name_text.of(package.grant)!r}: an attribute is there twice"
-        )
+        name = subject_name_of(package.grant)
+        message = f"{refusing} finds no permissions of {name!r}: an attribute is there twice"
         help_ = "write each attribute once, e.g. one CN and one OU, or build with --allow-vendor-specific"
         raise KeymintError(message, where=package.grant.origin, help=help_, code="portability-subject-name")
     # By the standard only, if the user accepted that vendors differ.
@@ -84,10 +83,10 @@ def emit(package: Package, options: BuildOptions) -> Emitted:
 def _refusing(package: Package) -> str:
     """Return the models of what the distribution ships that find no permissions of this very name."""
     try:
-        name = subject_name_text.of(package.grant)
+        name = subject_name_of(package.grant)
     except KeymintError:
         return ""  # reported where the document is written
-    names = {model: VARIATIONS[model].semantics for model in shipped(package.distro)}
+    names = {model: VARIATIONS[model].semantics for model in shipped_models(package.distro)}
     return ", ".join(model for model, each in names.items() if not each.selects(each.reads_text(name), name))
 
 
@@ -116,7 +115,7 @@ def _smallest_proven(
 
 def comparison(package: Package, document: bytes) -> ComparisonTask:
     """Return the comparison of a permissions document with what that of a package must permit."""
-    grant, name = package.grant, subject_name_text.of(package.grant)
+    grant, name = package.grant, subject_name_of(package.grant)
     return ComparisonTask(
         document, PERMISSIONS_XML, 0, name, grant.rules, package.distro, grant.domains, STATES, lambda: True
     )

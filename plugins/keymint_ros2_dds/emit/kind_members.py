@@ -15,8 +15,7 @@ from comarmor.values import dataclass
 from keymint.api import BuildOptions, Claim, DomainRange, Grant, Package, Validity
 from keymint.errors import KeymintError
 from keymint.keymake.kinds import Arguments, Kind, kind_of
-from keymint_ros2_dds import subject_name_text
-from keymint_ros2_dds.compiling.gathering import gathered
+from keymint_ros2_dds.compiling.gathering import gathered_rules
 from keymint_ros2_dds.compiling.grant_compiler import Compiled, vendor_notes
 from keymint_ros2_dds.decision import VARIATIONS
 from keymint_ros2_dds.documents import dds_xml, permissions_document
@@ -28,6 +27,7 @@ from keymint_ros2_dds.lowering.grant_rules import GrantRule, is_name
 from keymint_ros2_dds.proving import proof_cache
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant
 from keymint_ros2_dds.settings import validity_of
+from keymint_ros2_dds.subject_name_text import subject_name_of
 from keymint_ros2_dds.vendor_limits import TIGHT, signed_size
 
 MOST = 1_000
@@ -92,7 +92,7 @@ class _Members:
             return
         names, signature = fit
         shared = {text for rule in made.rules for text in rule.every_topic()} - set(names)
-        if renamed(made.rules, {}) == made.rules and not any(map(is_name, shared)):
+        if with_renamed_topics(made.rules, {}) == made.rules and not any(map(is_name, shared)):
             self.exemplars[signature] = made, names
 
 
@@ -137,7 +137,7 @@ def _is_minimal(package: Package, emitted: Emitted, compiled: Compiled) -> bool:
     return compiled.portable and (emitted.rules,) == compiled.forms and emitted.is_usual(package.grant)
 
 
-def renamed(rules: Sequence[GrantRule[str]], names: Mapping[str, str]) -> tuple[GrantRule[str], ...]:
+def with_renamed_topics(rules: Sequence[GrantRule[str]], names: Mapping[str, str]) -> tuple[GrantRule[str], ...]:
     """Return rules with other names of topics, each list sorted as the compiler does."""
     return tuple(
         GrantRule(
@@ -158,8 +158,8 @@ def _by_renaming(package: Package, kind: Kind, arguments: Arguments, members: _M
     own, signature = fit
     made, others = members.exemplars[signature]
     names = dict(zip(others, own, strict=True))
-    rules, plain = renamed(made.rules, names), renamed(made.plain, names)
-    if gathered(rules) != rules:
+    rules, plain = with_renamed_topics(made.rules, names), with_renamed_topics(made.plain, names)
+    if gathered_rules(rules) != rules:
         return None
     document = permissions_document.render(grant, rules)
     if signed_size(document) > TIGHT:
@@ -174,7 +174,7 @@ def _by_renaming(package: Package, kind: Kind, arguments: Arguments, members: _M
 def _is_plain(grant: Grant) -> bool:
     """Tell whether every model reads the head of a document as it is meant: the grant's name, subject and validity."""
     try:
-        text = subject_name_text.of(grant)
+        text = subject_name_of(grant)
     except KeymintError:
         return False  # the engine says what is wrong first
     return bool(

@@ -22,7 +22,7 @@ from keymint.pki import certificates, certification_path, keys
 from keymint.pki.distinguished_names import MAX_COMMON_NAME, attributes, to_text
 from keymint_ros2_dds.authority_roles import IDENTITY
 from keymint_ros2_dds.decision.semantics import STANDARD
-from keymint_ros2_dds.domains import merged
+from keymint_ros2_dds.domains import merged_domains
 from keymint_ros2_dds.enclave_layout import (
     CA,
     CERTIFICATE,
@@ -81,7 +81,7 @@ _EVERYTHING = frozenset(("*", "rt/*", "rq/*", "rr/*", "**"))
 """Expressions that leave nothing denied of a kind of ROS names."""
 
 
-def examined(
+def examine_enclave(
     contents: Contents, place: EnclavePlace, anchors: Mapping[str, TrustAnchor]
 ) -> tuple[FoundEnclave, list[Diagnostic]]:
     """Return an enclave and the findings on it; an error is a reason why it cannot be taken over as it is.
@@ -236,7 +236,7 @@ class _Enclave(EnclaveRules):
     def _domains(self) -> tuple[DomainRange, ...]:
         """Return the domains of the only grant; none if its rules have different ones."""
         grant = self._only_grant()
-        found = {tuple(merged(as_ranges(rule.domains))) for rule in grant.rules} if grant else set()
+        found = {tuple(merged_domains(as_ranges(rule.domains))) for rule in grant.rules} if grant else set()
         return found.pop() if len(found) == 1 else ()
 
     def found(self) -> FoundEnclave:
@@ -266,6 +266,7 @@ class _Enclave(EnclaveRules):
         files = {name: self._contents.keystore.files[path] for name, path in sorted(self._enclave.files.items())}
         signed, plain = self.permissions.signed, self._files.get(PERMISSIONS_XML)
         governance = self.governance.document.domain_rules if self.governance.document else ()
+        governed = as_ranges(each for rule in governance for each in rule.domains)
         return {
             "place": self._folder,
             "links": sum(bool(file.link) for file in files.values()),
@@ -281,7 +282,7 @@ class _Enclave(EnclaveRules):
             "same_text": plain == signed.content if plain and signed else None,
             "grants": [_grant_facts(each) for each in self._grants()],
             "domains": _as_json(self._domains()),
-            "governance_domains": _as_json(merged(as_ranges(each for rule in governance for each in rule.domains))),
+            "governance_domains": _as_json(merged_domains(governed)),
         }
 
 

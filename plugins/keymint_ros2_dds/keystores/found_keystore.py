@@ -23,14 +23,14 @@ from keymint_ros2_dds.keystores import governance_as_source
 from keymint_ros2_dds.keystores.enclave_places import FORMS, EnclavePlace, Places, places
 from keymint_ros2_dds.keystores.file_contents import Contents, contents
 from keymint_ros2_dds.keystores.found_authorities import authorities
-from keymint_ros2_dds.keystores.found_enclaves import examined
+from keymint_ros2_dds.keystores.found_enclaves import examine_enclave
 
 _READ = frozenset(name for layout in LAYOUTS for name in files(layout))
 """Names of the files that participants read."""
 _REVOCATIONS = "adopt-revocations"
 
 
-def found(keystore: KeystoreFiles) -> FoundKeystore:
+def examine_keystore(keystore: KeystoreFiles) -> FoundKeystore:
     """Return what a keystore has: see :meth:`keymint.api.KeystoreReader.found`.
 
     Raises:
@@ -50,7 +50,7 @@ def found(keystore: KeystoreFiles) -> FoundKeystore:
     }
     enclaves: list[FoundEnclave] = []
     for place in where.enclaves:
-        enclave, own = examined(content, replace(place, files={**place.files, **listed}), anchors)
+        enclave, own = examine_enclave(content, replace(place, files={**place.files, **listed}), anchors)
         enclaves.append(enclave)
         diagnostics += own
     defaults, of_governance = _defaults(content, enclaves, trusted)

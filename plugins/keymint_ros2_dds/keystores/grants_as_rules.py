@@ -8,6 +8,7 @@ some of the same is left out where it has no effect; elsewhere no policy can say
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import compress
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.patterns import glob
@@ -26,7 +27,7 @@ from keymint.ir import SubjectRules
 from keymint.pki import certificates, smime
 from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.decision.semantics import STANDARD
-from keymint_ros2_dds.domains import in_words, merged
+from keymint_ros2_dds.domains import in_words, merged_domains
 from keymint_ros2_dds.enclave_layout import CA, CERTIFICATE, PERMISSIONS_CA, PERMISSIONS_P7S
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.ros_rules import in_ros
@@ -40,7 +41,7 @@ STEPS = 4_000_000
 """Steps that finding out which denials matter may take (:mod:`comarmor.patterns.steps`)."""
 
 
-def granted(keystore: KeystoreFiles, enclave: FoundEnclave, distro: str) -> GrantedRules:
+def granted_rules(keystore: KeystoreFiles, enclave: FoundEnclave, distro: str) -> GrantedRules:
     """Return what the signed permissions of an enclave grant; see :meth:`keymint.api.GrantReader.granted`.
 
     Raises:
@@ -139,8 +140,7 @@ def _applying(
     groups: dict[tuple[bool, ...], list[DomainRange]] = {}
     for domains in cuts(each for rule in grant.rules for each in rule.domains):
         applies = tuple(STANDARD.applies(rule, domains.first) for rule in grant.rules)
-        permits = any(rule.allows and rule.criteria for rule, each in zip(grant.rules, applies, strict=True) if each)
-        if grant.allows or permits:
+        if grant.allows or any(rule.allows and rule.criteria for rule in compress(grant.rules, applies)):
             groups.setdefault(applies, []).append(domains)
     if len(groups) > 1:
         first, second = list(groups)[:2]
@@ -151,7 +151,7 @@ def _applying(
         )
         raise _unsayable(message, document.place(rule.line), "learn from one document for each domain")
     for applies, ranges in groups.items():
-        return tuple(merged(ranges)), tuple(rule for rule, each in zip(grant.rules, applies, strict=True) if each)
+        return tuple(merged_domains(ranges)), tuple(compress(grant.rules, applies))
     return (), ()
 
 

@@ -12,20 +12,20 @@ from functools import lru_cache
 from comarmor.errors import Diagnostic
 from keymint.api import BuildOptions, Package, Relation
 from keymint.errors import KeymintError
-from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.compiling.grant_compiler import compile_rules
 from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.emit.emission import Emitted, comparison
 from keymint_ros2_dds.enclave_layout import GOVERNANCE_XML, PERMISSIONS_XML
 from keymint_ros2_dds.keystores.governance_as_source import is_same
-from keymint_ros2_dds.proving.document_relation import compared
+from keymint_ros2_dds.proving.document_relation import compare_document
 from keymint_ros2_dds.reading import signed_permissions
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant
 from keymint_ros2_dds.settings import validity_of
+from keymint_ros2_dds.subject_name_text import subject_name_of
 
 
-def emitted(package: Package) -> Emitted | None:
+def kept_permissions(package: Package) -> Emitted | None:
     """Return the permissions document that another tool signed, if it is kept.
 
     Raises:
@@ -60,7 +60,7 @@ def not_kept(package: Package, name: str, document: bytes) -> str:
 
 def _other_header(package: Package, grant: DocumentGrant) -> str:
     """Return how the name, the period or the default of a grant differ from the sources; empty if they do not."""
-    subject, period = subject_name_text.of(package.grant), validity_of(package.grant)
+    subject, period = subject_name_of(package.grant), validity_of(package.grant)
     if grant.subject_name != subject:
         return f"it is for {grant.subject_name!r}, and the sources are for {subject!r}"
     if STANDARD.period(grant) != (period.not_before, period.not_after):
@@ -71,7 +71,7 @@ def _other_header(package: Package, grant: DocumentGrant) -> str:
 
 def _difference(package: Package, document: bytes) -> str:
     """Return how the rights of a document differ from those of the sources; empty if they do not."""
-    found = compared(comparison(package, document))
+    found = compare_document(comparison(package, document))
     if found.relation is Relation.EQUAL:
         return ""
     example = found.missing or found.excess

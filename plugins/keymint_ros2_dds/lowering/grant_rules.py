@@ -40,7 +40,7 @@ class GrantRule(Generic[_Pattern]):
         return chain.from_iterable(self.topics.values())
 
 
-def begun(rules: Sequence[GrantRule[_Pattern]]) -> tuple[GrantRule[_Pattern], ...]:
+def with_leading_allow(rules: Sequence[GrantRule[_Pattern]]) -> tuple[GrantRule[_Pattern], ...]:
     """Return rules that begin with an allow rule: with one without criteria, if the first one denies."""
     empty: GrantRule[_Pattern] = GrantRule(Effect.ALLOW, DEFAULT, {})
     return (empty, *rules) if rules and rules[0].effect is Effect.DENY else tuple(rules)

@@ -11,10 +11,10 @@ from comarmor.patterns.decision_lists import DecisionList, ProofResult, Unknown,
 from comarmor.patterns.proofs import escapes
 from comarmor.patterns.tokens import PatternError
 from keymint.api import Claim, DomainRange, Proof
-from keymint_ros2_dds.decision import VARIATIONS, shipped
+from keymint_ros2_dds.decision import VARIATIONS, shipped_models
 from keymint_ros2_dds.decision.endpoint_access import DomainAccess
 from keymint_ros2_dds.decision.semantics import Semantics
-from keymint_ros2_dds.domains import merged
+from keymint_ros2_dds.domains import merged_domains
 from keymint_ros2_dds.proving import octets, permission_lists, protection
 from keymint_ros2_dds.proving.counterexamples import Counterexamples, Situation
 from keymint_ros2_dds.proving.enclave_governance import ACTIONS, unread_topic
@@ -53,7 +53,7 @@ def assumptions() -> Mapping[str, Sequence[str]]:
 
 def models(distro: str = "") -> Mapping[str, str]:
     """Return the evidence of each model; see :meth:`keymint.api.VendorModels.models`."""
-    return {name: VARIATIONS[name].evidence for name in (shipped(distro) if distro else VARIATIONS)}
+    return {name: VARIATIONS[name].evidence for name in (shipped_models(distro) if distro else VARIATIONS)}
 
 
 def prove_document(question: ProofQuestion, *, models: Sequence[str] | None = None) -> tuple[Claim, ...]:
@@ -64,7 +64,7 @@ def prove_document(question: ProofQuestion, *, models: Sequence[str] | None = No
         models: names of :data:`keymint_ros2_dds.decision.VARIATIONS`; None: those that the distribution ships.
     """
     compare = _Comparator(question)
-    names = shipped(question.task.distro) if models is None else models
+    names = shipped_models(question.task.distro) if models is None else models
     return tuple(claim for name in names for claim in _Model(question, compare, name).claims())
 
 
@@ -162,7 +162,7 @@ class _Model:
                 accepted = None if self._governance is None else self._governance.accepted_rule(domains.first)
                 groups.setdefault((inside, rule, accepted, applying), []).append(domains)
         for (applies, *_), group in groups.items():
-            yield tuple(merged(group)), bool(applies)
+            yield tuple(merged_domains(group)), bool(applies)
 
     def _claim(self, action: str, domains: tuple[DomainRange, ...], *, inside: bool) -> Claim:
         domain, semantics, governance = domains[0].first, self._semantics, self._governance

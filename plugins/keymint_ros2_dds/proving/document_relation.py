@@ -31,7 +31,7 @@ _SEMANTICS = OMG.semantics
 _STATES = 50_000
 
 
-def compared(task: ComparisonTask) -> DocumentComparison:
+def compare_document(task: ComparisonTask) -> DocumentComparison:
     """Compare a document with rules; see :meth:`keymint.api.DocumentComparer.compared`.
 
     Raises:
@@ -54,7 +54,7 @@ def compared_with(content: bytes, name: str, package: Package) -> DocumentCompar
         KeymintError: a rule cannot be mapped.
     """
     own, grant = subject_name_text.of_any(distinguished_names.parse(name)), package.grant
-    return compared(
+    return compare_document(
         ComparisonTask(
             content, PERMISSIONS_P7S, 0, own, grant.rules, package.distro, grant.domains, _STATES, lambda: True
         )

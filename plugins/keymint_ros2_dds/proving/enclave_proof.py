@@ -13,7 +13,7 @@ from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint.pki.identity_check import enclave_file
 from keymint_ros2_dds import authority_roles as roles
-from keymint_ros2_dds.decision import OMG, shipped
+from keymint_ros2_dds.decision import OMG, shipped_models
 from keymint_ros2_dds.enclave_layout import CERTIFICATE, GOVERNANCE, PERMISSIONS
 from keymint_ros2_dds.examine import differences
 from keymint_ros2_dds.proving import validity_terms
@@ -57,7 +57,7 @@ def question(task: ProofTask) -> EnclaveQuestion:
         content, *place, name, task.rules, package.distro, package.grant.domains, task.states, task.go_on
     )
     signed = _signed(files, folder, task.anchors, GOVERNANCE, unsigned=task.unsigned)
-    models = (OMG.name,) if task.standard_only else shipped(task.anchors.distro or package.distro)
+    models = (OMG.name,) if task.standard_only else shipped_models(task.anchors.distro or package.distro)
     return EnclaveQuestion(held, EnclaveGovernance(*signed, package), models)
 
 
@@ -75,7 +75,7 @@ def _always() -> bool:
     return True
 
 
-def proving() -> Callable[..., Sequence[Sequence[Claim]]]:
+def part_prover() -> Callable[..., Sequence[Sequence[Claim]]]:
     """See :meth:`keymint.api.RemoteProver.proving`."""
     return prove_part
 
@@ -112,7 +112,7 @@ def terms(
     """
     del shared, shared_folder  # an enclave is complete
     content, place = _signed(files, folder, anchors, PERMISSIONS)
-    of_grants = validity_terms.of_grants(content, place, _subject_name(files, folder), shipped(anchors.distro))
+    of_grants = validity_terms.of_grants(content, place, _subject_name(files, folder), shipped_models(anchors.distro))
     return (*of_grants, *validity_terms.of_certificates(files, folder))
 
 

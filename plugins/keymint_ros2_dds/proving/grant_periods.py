@@ -28,16 +28,16 @@ def grant_periods(document: PermissionsDocument, subject_name: str, semantics: S
     """Yield a period for each grant of the identity that is ever in force."""
     grants = semantics.grants(document, subject_name)
     periods = [(grant, period) for grant in grants if (period := semantics.period(grant)) is not None]
-    cuts = sorted({begin for _, (begin, _) in periods} | {following(end) for _, (_, end) in periods})
+    cuts = sorted({begin for _, (begin, _) in periods} | {next_second(end) for _, (_, end) in periods})
     known = set()
     for begin, end in pairwise(cuts):
         at = next((n for n, (_, (first, last)) in enumerate(periods) if first <= begin <= last), None)
         if at is not None and at not in known:
             known.add(at)
             grant, (_, last) = periods[at]
-            yield GrantPeriod(grant, begin, last if end == following(last) else end - _SECOND)
+            yield GrantPeriod(grant, begin, last if end == next_second(last) else end - _SECOND)
 
 
-def following(moment: datetime) -> datetime:
+def next_second(moment: datetime) -> datetime:
     """Return the second after a moment; of the last one its end."""
     return min(moment, _LAST_MOMENT) + _SECOND

@@ -19,9 +19,9 @@ from keymint.api import Claim, ComparisonTask, ExcessRights, Holder, Presentable
 from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
 from keymint_ros2_dds import subject_name_text
-from keymint_ros2_dds.decision import VARIATIONS, read, shipped
+from keymint_ros2_dds.decision import VARIATIONS, read, shipped_models
 from keymint_ros2_dds.decision.semantics import STANDARD, Semantics, TopicCheck
-from keymint_ros2_dds.decision.subject_names import is_odd, needed, tokens
+from keymint_ros2_dds.decision.subject_names import is_odd, required_tokens, tokens
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.lowering.lowered_rules import lower
 from keymint_ros2_dds.proving.claims import prove_document
@@ -72,7 +72,7 @@ class _Identities:
     def __init__(self, holders: Iterable[Holder]) -> None:
         names = ((each, distinguished_names.parse(each.name)) for each in holders)
         own = [(_Identity(each, subject_name_text.of_any(name)), name) for each, name in names]
-        words = [needed(each.name) for each, _ in own]
+        words = [required_tokens(each.name) for each, _ in own]
         frequent = Counter(word for of_name in words for word in of_name)
         self._by_word: dict[str, list[_Identity]] = {}
         self._odd: list[_Identity] = []
@@ -149,7 +149,7 @@ def _to_prove(
     """Return the models whose claims are not proven with the enclave itself."""
     if identity.holder.name != known:
         return [name for name, grants in chosen.items() if grants]
-    proven = shipped(task.distro or identity.holder.distro)
+    proven = shipped_models(task.distro or identity.holder.distro)
     return [name for name in chosen if name not in proven and not any(_alike(chosen, name, each) for each in proven)]
 
 

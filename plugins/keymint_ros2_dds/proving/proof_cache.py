@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from keymint.api import Claim, ComparisonTask, Proof
 from keymint.keymake.kinds import Arguments, Kind, kind_of
 from keymint_ros2_dds import decision
-from keymint_ros2_dds.decision import shipped
+from keymint_ros2_dds.decision import shipped_models
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.enclave_layout import PERMISSIONS
 from keymint_ros2_dds.lowering.lowered_rules import Lowered, lower
@@ -42,7 +42,7 @@ def prove_content(
     Raises:
         KeymintError: the document cannot be read, or a rule cannot be mapped.
     """
-    names = shipped(task.distro) if models is None else tuple(models)
+    names = shipped_models(task.distro) if models is None else tuple(models)
     if governance is not None and governance.transparent(task.domains):
         # A proof without governance holds for one that puts everything under access control.
         claims = prove_content(task, models=models, lowered=lowered)
@@ -70,7 +70,7 @@ def remember(task: ComparisonTask, rules: tuple[Kind, Arguments], claims: tuple[
         rules: the kind of its rules, and the names in these.
         claims: what is proven.
     """
-    _keep(_key(task, rules, shipped(task.distro)), claims)
+    _keep(_key(task, rules, shipped_models(task.distro)), claims)
 
 
 def know(

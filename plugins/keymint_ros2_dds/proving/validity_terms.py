@@ -16,7 +16,7 @@ from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.decision import VARIATIONS, read
 from keymint_ros2_dds.enclave_layout import CA, CERTIFICATE, CRL, IDENTITY_CA, PERMISSIONS_CA
 from keymint_ros2_dds.examine import revocation_period
-from keymint_ros2_dds.proving.grant_periods import following
+from keymint_ros2_dds.proving.grant_periods import next_second
 
 Period = tuple[datetime, datetime]
 _GRANT = lazy_regex(rb'(<grant name=")[A-Za-z0-9_/]+(">\s*<subject_name>)([A-Za-z0-9_/=,]+)<')
@@ -94,16 +94,16 @@ def _grants(
             continue
         grants = semantics.grants(document, subject_name)
         if grants:
-            periods = joined(filter(None, map(semantics.period, grants)))
+            periods = joined_periods(filter(None, map(semantics.period, grants)))
             together.setdefault((grants[0].line, periods), []).append(name)
     return tuple((line, periods, tuple(names)) for (line, periods), names in together.items())
 
 
-def joined(periods: Iterable[Period]) -> tuple[Period, ...]:
+def joined_periods(periods: Iterable[Period]) -> tuple[Period, ...]:
     """Return periods in order; those that touch or overlap become one. Dates have a resolution of a second."""
     merged: list[Period] = []
     for first, last in sorted(periods):
-        if merged and first <= following(merged[-1][1]):
+        if merged and first <= next_second(merged[-1][1]):
             merged[-1] = (merged[-1][0], max(merged[-1][1], last))
         else:
             merged.append((first, last))

@@ -21,7 +21,7 @@ from keymint.errors import KeymintError
 from keymint_ros2_dds.enclave_layout import GOVERNANCE, GOVERNANCE_XML
 from keymint_ros2_dds.reading import quirks
 from keymint_ros2_dds.reading.quirks import PLAIN, REFUSES, UNMODELLED, Quirk
-from keymint_ros2_dds.reading.signed_permissions import DocumentDomains, placed
+from keymint_ros2_dds.reading.signed_permissions import DocumentDomains, defects_in_file
 
 ACCESS = {"publish": "enable_write_access_control", "subscribe": "enable_read_access_control"}
 """The element that puts an action under access control."""
@@ -153,8 +153,8 @@ def read(content: bytes, file: str = GOVERNANCE_XML, offset: int = 0) -> Governa
     try:
         found = _read(content)
     except KeymintError as error:
-        raise KeymintError.of(placed(error.diagnostics, file, offset)) from None
-    return replace(found, file=file, offset=offset, defects=placed(found.defects, file, offset))
+        raise KeymintError.of(defects_in_file(error.diagnostics, file, offset)) from None
+    return replace(found, file=file, offset=offset, defects=defects_in_file(found.defects, file, offset))
 
 
 # Enclaves usually have the same governance.

@@ -157,11 +157,11 @@ def read(content: bytes, file: str = "permissions.xml", offset: int = 0) -> Perm
             raise KeymintError("this is not a permissions document", where=where, code="document-kind")
         grants = tuple(map(_grant, root.iterfind("permissions/grant")))
     except ComArmorError as error:
-        raise KeymintError.of(placed(error.diagnostics, file, offset)) from None
+        raise KeymintError.of(defects_in_file(error.diagnostics, file, offset)) from None
     crash = next(_crashes(root), None)
     own = chain(quirks.of_bytes(content), quirks.of_domain_ids(root), _quirks(root), filter(None, [crash]))
     defects, document_quirks = quirks.of_schema(root, "permissions", file, own)
-    return PermissionsDocument(file, grants, placed(defects, file, offset), document_quirks, crash, offset)
+    return PermissionsDocument(file, grants, defects_in_file(defects, file, offset), document_quirks, crash, offset)
 
 
 _TEXT = "[!-%'-;=?-~]"
@@ -233,7 +233,7 @@ def _plain(content: bytes) -> tuple[DocumentGrant, ...] | None:
     return None if last > MAX_DOMAIN else grants
 
 
-def placed(defects: Iterable[Diagnostic], file: str, offset: int) -> tuple[Diagnostic, ...]:
+def defects_in_file(defects: Iterable[Diagnostic], file: str, offset: int) -> tuple[Diagnostic, ...]:
     """Return the defects of a document, with their places in the file that has it."""
     return tuple(
         replace(item, where=Origin(file, item.where.line + offset) if item.where and item.where.line else Origin(file))

@@ -16,7 +16,7 @@ __all__ = [
     "ros",
 ]  # fmt: skip
 
-_SIMULATED = lazy("keymint_ros2_dds.transports.enclave_model:simulated")
+_SIMULATED = lazy("keymint_ros2_dds.transports.enclave_model:simulated_transport")
 _ARDENT = lazy("keymint_ros2_dds.transports.ardent_middleware:ArdentMiddleware")
 _dds = partial(LazyTransport, "keymint_ros2_dds")
 

@@ -20,7 +20,7 @@ from keymint_ros2_dds.vendors.cyclone_access_control import CycloneAccessControl
 from keymint_ros2_dds.vendors.participants import CycloneDDS, ProbeParticipant, RefusedError, System, Vendor
 
 
-def unsayable(endpoint: Edge) -> str:
+def name_defect(endpoint: Edge) -> str:
     """Return why no participant can create an endpoint of this name, or an empty text."""
     if not "".join((endpoint.object.name, *endpoint.object.partitions)).isprintable():
         return "the name has a character that no DDS topic has"
@@ -41,7 +41,7 @@ def participants(vendor: Vendor, subject: str) -> Iterator[System]:
         raise KeymintError(f"{subject}: {error}", code="transport-failed") from None
 
 
-def joined(system: System, enclave: Enclave, domain: int, *, conforming: bool = True) -> ProbeParticipant:
+def open_participant(system: System, enclave: Enclave, domain: int, *, conforming: bool = True) -> ProbeParticipant:
     """Return a participant of an enclave; see :meth:`System.open`.
 
     Raises:
@@ -67,7 +67,7 @@ def participant(vendor: Vendor, models: EnclaveModels, subject: str, domain: int
     with participants(vendor, subject) as system:
         opened: ProbeParticipant | str
         try:
-            opened = joined(system, enclave, domain)
+            opened = open_participant(system, enclave, domain)
         except RefusedError as error:
             opened = f"the participant is refused: {error}"
         yield opened
@@ -77,7 +77,7 @@ Opener = Callable[[EnclaveModels, str, int], AbstractContextManager[ProbePartici
 """Opens the enclave of a subject in a domain, to ask it about endpoints; a text says why the vendor refuses it."""
 
 
-def decided(
+def edge_verdicts(
     opener: Opener, model: Variation, models: EnclaveModels, edges: Iterable[Edge]
 ) -> Iterator[tuple[Edge, Verdict]]:
     """Yield whether a vendor allows each edge; the enclaves are opened one at a time.
@@ -99,10 +99,10 @@ def decided(
                     yield edge, Verdict(allowed=False, reason=opened, where=enclave_model.place())
                 else:
                     needed = endpoints(enclave.distro, edge)
-                    yield edge, enclave_model.verdict(model, needed, asked(opened, needed))
+                    yield edge, enclave_model.verdict(model, needed, answers(opened, needed))
 
 
-def admitted(
+def endpoint_admissions(
     opener: Opener, models: EnclaveModels, subject: str, domain: int, endpoints: Sequence[Edge]
 ) -> Sequence[bool]:
     """Return which endpoints a vendor allows; nothing if it refuses the enclave.
@@ -122,8 +122,8 @@ def admitted(
         return () if isinstance(opened, str) else opened.allow(topics)
 
 
-def asked(vendor: ProbeParticipant | CycloneAccessControl, needed: Iterable[Edge]) -> Iterator[tuple[bool, str]]:
+def answers(vendor: ProbeParticipant | CycloneAccessControl, needed: Iterable[Edge]) -> Iterator[tuple[bool, str]]:
     """Yield whether a vendor admits each endpoint, and why not."""
     for endpoint in needed:
-        reason, topic = unsayable(endpoint), endpoint.object
+        reason, topic = name_defect(endpoint), endpoint.object
         yield (False, reason) if reason else vendor.ask(endpoint.permission, topic.name, topic.partitions)

@@ -24,7 +24,7 @@ DEVIATION = "ardent-services: ROS 2 Ardent creates the endpoints of services in 
 """How this differs from the name mapping; see :attr:`keymint.api.Verdict.deviation`."""
 
 
-def created(distro: str, edge: Edge) -> tuple[Edge, ...]:
+def created_endpoints(distro: str, edge: Edge) -> tuple[Edge, ...]:
     """Return the endpoints of an edge at their creation by the middleware.
 
     Args:
@@ -60,7 +60,7 @@ class ArdentMiddleware:
     def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`."""
         distros = {enclave.subject: enclave.distro for enclave in enclaves}
-        asked, waiting = tee((edge, created(distros[edge.subject], edge)) for edge in edges)
+        asked, waiting = tee((edge, created_endpoints(distros[edge.subject], edge)) for edge in edges)
         answers = self.transport.label(enclaves, (endpoint for _, needed in asked for endpoint in needed), tier)
         for edge, needed in waiting:
             yield edge, _together(edge, list(islice(answers, len(needed))))

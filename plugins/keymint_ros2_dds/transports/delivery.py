@@ -91,7 +91,7 @@ def _peer(endpoint: Edge, models: EnclaveModels, model: Variation) -> Enclave | 
     One that refuses the subject in the handshake, or is refused by it, is taken if there is no other.
     """
     wildcards = set("*?[")
-    if admission.unsayable(endpoint) or endpoint.permission not in _OTHER_END:
+    if admission.name_defect(endpoint) or endpoint.permission not in _OTHER_END:
         return None
     if any(wildcards & set(partition) for partition in endpoint.object.partitions):
         return None  # two expressions never match each other (DDS 1.4, 2.2.3.13)
@@ -111,7 +111,7 @@ def _admitted(vendor: Vendor, model: Variation, models: EnclaveModels, batch: Se
     enclave = models.enclaves[batch[0].subject]
     needed = dict.fromkeys(endpoint for edge in batch for endpoint in endpoints(enclave.distro, edge))
     with admission.participant(vendor, models, enclave.subject, batch[0].domain) as opened:
-        answers = repeat((False, opened)) if isinstance(opened, str) else admission.asked(opened, needed)
+        answers = repeat((False, opened)) if isinstance(opened, str) else admission.answers(opened, needed)
         return {
             endpoint: _Trial(endpoint, *answer, _peer(endpoint, models, model))
             for endpoint, answer in zip(needed, answers, strict=False)
@@ -166,8 +166,8 @@ def _pairs(
     domain, peer = trials[0].endpoint.domain, cast("Enclave", trials[0].peer)
     pairs: list[tuple[_Trial, _SentSample | None]] = []
     try:
-        other = admission.joined(system, peer, domain)
-        own = admission.joined(system, enclave, domain, conforming=conforming)
+        other = admission.open_participant(system, peer, domain)
+        own = admission.open_participant(system, enclave, domain, conforming=conforming)
     except RefusedError:
         return [(trial, None) for trial in trials]
     for number, trial in enumerate(trials):

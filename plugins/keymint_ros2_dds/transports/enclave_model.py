@@ -240,6 +240,6 @@ class Simulated:
         return EnclaveModels([enclave], self.environment).admitted(enclave.subject, self.variation, endpoints)
 
 
-def simulated(name: str, environment: Environment) -> Simulated:
+def simulated_transport(name: str, environment: Environment) -> Simulated:
     """Return the simulated transport of this name."""
     return Simulated(VARIATIONS[name], environment)

@@ -19,7 +19,7 @@ from keymint_ros2_dds.transports.delivery import exchange
 from keymint_ros2_dds.transports.enclave_model import EnclaveModels
 from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, Vendor
-from keymint_ros2_dds.vendors.probe_builds import unpacked
+from keymint_ros2_dds.vendors.probe_builds import inherited_variables, unpacked_version
 
 
 class ParticipantsTransport(VendorTransport):
@@ -54,7 +54,7 @@ class ParticipantsTransport(VendorTransport):
             MissingVendorError: one that every tier needs is missing.
         """
         if self.UNPACKED:
-            version = unpacked(self._environment.cache, self.UNPACKED).version
+            version = unpacked_version(self._environment.cache, self.UNPACKED).version
             self.PROBE.compiler(self._environment.variables)
             return Availability(usable=True, version=version, tiers=tuple(Tier), by_default=False)
         version = self.PROBE.version(*self.VERSION, self._environment.variables)
@@ -65,7 +65,7 @@ class ParticipantsTransport(VendorTransport):
         self.usable().require(tier, self.NAME)
         models = EnclaveModels(enclaves, self._environment, keep_all=tier is Tier.EXCHANGE)
         if tier is not Tier.EXCHANGE:
-            return admission.decided(self._opener(tier), self.MODEL, models, edges)
+            return admission.edge_verdicts(self._opener(tier), self.MODEL, models, edges)
         vendor = self._vendor(nonconforming=True)
         for enclave in enclaves:
             enclave_files.refuse_unusable_key(enclave)
@@ -76,14 +76,14 @@ class ParticipantsTransport(VendorTransport):
         opener, models = self._opener(tier), EnclaveModels([enclave], self._environment)
         admitted = bytearray(len(endpoints.requests))
         for domain in {each.domain for each in endpoints.requests}:
-            sayable = [
+            creatable = [
                 at
                 for at, each in enumerate(endpoints.requests)
-                if each.domain == domain and not admission.unsayable(each)
+                if each.domain == domain and not admission.name_defect(each)
             ]
-            named = [endpoints.requests[at] for at in sayable]
-            answers = admission.admitted(opener, models, enclave.subject, domain, named)
-            for at, allowed in zip(sayable, answers, strict=False):
+            named = [endpoints.requests[at] for at in creatable]
+            answers = admission.endpoint_admissions(opener, models, enclave.subject, domain, named)
+            for at, allowed in zip(creatable, answers, strict=False):
                 admitted[at] = allowed
         return bytes(admitted)
 
@@ -95,11 +95,11 @@ class ParticipantsTransport(VendorTransport):
     def _vendor(self, *, nonconforming: bool) -> Vendor:
         """Return the vendor with its built programs; the compiler is asked once whether they are up to date."""
         if nonconforming not in self._vendors:
-            cache, environment = self._environment.cache / "probes", probe_builds.inherited(self._environment.variables)
+            cache, environment = self._environment.cache / "probes", inherited_variables(self._environment.variables)
             probe, library, version = self.PROBE, self.NONCONFORMING, None
             try:
                 if self.UNPACKED:
-                    version = unpacked(self._environment.cache, self.UNPACKED)
+                    version = unpacked_version(self._environment.cache, self.UNPACKED)
                     probe, library = version.built(probe), version.built(library)
                 self._vendors[nonconforming] = self.VENDOR(
                     probe.build(cache, environment),

@@ -28,7 +28,7 @@ _SOURCES = Path(__file__).parent
 HELP = "'make vendors-new' in a checkout of Keymint unpacks it from Debian"
 
 
-def inherited(environment: Mapping[str, str]) -> Mapping[str, str]:
+def inherited_variables(environment: Mapping[str, str]) -> Mapping[str, str]:
     """Return the variables that a probe inherits: none that configures a vendor."""
     return {name: environment[name] for name in ("PATH", "LD_LIBRARY_PATH") if name in environment}
 
@@ -212,7 +212,7 @@ class Unpacked:
         return replace(probe, folders=folders, packages=(probe.compilers[0],))
 
 
-def unpacked(cache: Path, names: Iterable[str]) -> Unpacked:
+def unpacked_version(cache: Path, names: Iterable[str]) -> Unpacked:
     """Return the first of these versions that is in the cache.
 
     Args:

@@ -216,7 +216,7 @@ def _graph(subject: str, domains: tuple[int, ...]) -> Iterator[KeyRule]:
     yield from _by_flow(Effect.ALLOW, GRAPH_SLOTS, [graph_key(domain) for domain in domains])
 
 
-def gathered(rules: Iterable[KeyRule]) -> tuple[KeyRule, ...]:
+def combined_rules(rules: Iterable[KeyRule]) -> tuple[KeyRule, ...]:
     """Return fewer rules that decide every message and key expression as the given ones do.
 
     The order of rules has no meaning, and a rule applies if one of its key expressions includes the key. So rules of

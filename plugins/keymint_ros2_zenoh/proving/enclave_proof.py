@@ -71,9 +71,9 @@ def _connects(task: ProofTask, session: Configuration, router: str) -> Claim:
     found = (
         *configuration_requirements.by_itself(session, package, file),
         *configuration_requirements.open_default(session, file),
-        *configuration_requirements.unpinned(session, router, file),
+        *configuration_requirements.pin_findings(session, router, file),
     )
-    unmodelled, domains = configuration_requirements.unmodelled(session, router=False), package.grant.domains
+    unmodelled, domains = configuration_requirements.unmodelled_setting(session, router=False), package.grant.domains
     return configuration_claim(CONNECT, package.subject, _SESSIONS, found, _EXPECTED, unmodelled, domains)
 
 

@@ -62,7 +62,7 @@ def _route(task: SharedProofTask, configuration: Configuration, file: str) -> Cl
         return Claim(MODEL, ROUTE, (), _ROUTE, Proof.UNKNOWN, f"the workspace has {len(routers)} packages of routers")
     found = tuple(configuration_requirements.by_itself(configuration, routers[0], file))
     expected = "the router must decide on every message, by the certificate of its sender"
-    unmodelled = configuration_requirements.unmodelled(configuration, router=True)
+    unmodelled = configuration_requirements.unmodelled_setting(configuration, router=True)
     return configuration_claim(ROUTE, routers[0].subject, _ROUTE, found, expected, unmodelled)
 
 

@@ -21,7 +21,7 @@ _NO_ACCESS_CONTROL: Mapping[str, object] = {"access_control": {"enabled": False}
 
 
 @contextmanager
-def running(router: InstalledConfiguration, variables: Mapping[str, str]) -> Iterator[Network]:
+def running_network(router: InstalledConfiguration, variables: Mapping[str, str]) -> Iterator[Network]:
     """Start a router, to which sessions can connect; its processes end with the context.
 
     Args:
@@ -39,7 +39,7 @@ def running(router: InstalledConfiguration, variables: Mapping[str, str]) -> Ite
 
 
 class Network:
-    """A router, and sessions that connect to it; made by :func:`running`.
+    """A router, and sessions that connect to it; made by :func:`running_network`.
 
     Attributes:
         router: the process of the router; it logs its decisions.

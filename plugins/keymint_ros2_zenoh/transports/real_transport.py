@@ -12,7 +12,7 @@ from keymint.host.vendor_transports import VendorTransport
 from keymint_ros2_zenoh.transports.delivery import exchange
 from keymint_ros2_zenoh.transports.enclave_model import InstalledModels
 from keymint_ros2_zenoh.transports.logged_decisions import logged_decisions
-from keymint_ros2_zenoh.transports.loopback_network import Network, running
+from keymint_ros2_zenoh.transports.loopback_network import Network, running_network
 from keymint_ros2_zenoh.vendors.zenoh_processes import installed_version
 
 _Labeller = Callable[[Network, InstalledModels, Iterable[Edge]], Iterator[tuple[Edge, Verdict]]]
@@ -34,5 +34,5 @@ class RealZenoh(VendorTransport):
     ) -> Iterator[tuple[Edge, Verdict]]:
         models = InstalledModels(enclaves, self._environment)
         for install, group in groupby(edges, key=lambda edge: models.enclaves[edge.subject].install):
-            with running(models.router(install), self._environment.variables) as network:
+            with running_network(models.router(install), self._environment.variables) as network:
                 yield from label(network, models, group)

@@ -61,7 +61,7 @@ class LoggedDecision:
     key: str = ""
 
 
-def combined(lines: Iterable[LoggedDecision]) -> list[LoggedDecision]:
+def combined_decisions(lines: Iterable[LoggedDecision]) -> list[LoggedDecision]:
     """Return one decision for each link, message, flow and key: allowed if one of the subjects allows."""
     found: dict[LoggedDecision, bool] = {}
     for line in lines:

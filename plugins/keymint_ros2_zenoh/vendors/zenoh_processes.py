@@ -148,7 +148,7 @@ class ZenohProcess(CommandProcess):
                 raise self._died("log")
             time.sleep(0.002)
             found += [each for each in self.decisions() if each.zid == zid]
-        return access_log.combined(each for each in found if each.key != fence)
+        return access_log.combined_decisions(each for each in found if each.key != fence)
 
 
 def installed_version() -> str:

@@ -8,7 +8,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
-from keymint_ros2_dds.decision import VARIATIONS, shipped
+from keymint_ros2_dds.decision import VARIATIONS, shipped_models
 
 from tests.conftest import CHECKOUT
 
@@ -62,7 +62,7 @@ def test_a_distribution_that_nobody_knows(keymint: Callable, provisioned: Path, 
 def test_each_variation_is_a_simulated_transport() -> None:
     named = {each.name for each in entry_points(group="keymint.transports")}
     assert set(VARIATIONS) <= named
-    assert {model for distro in SHIPPED for model in shipped(distro)} == set(VARIATIONS)
+    assert {model for distro in SHIPPED for model in shipped_models(distro)} == set(VARIATIONS)
 
 
 def test_check_names_what_is_known_of_listed_versions(keymint: Callable, provisioned: Path) -> None:

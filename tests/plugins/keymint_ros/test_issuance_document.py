@@ -11,8 +11,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from hypothesis import given
 from hypothesis import strategies as st
 from keymint_ros import package_type
-from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.decision import subject_names
+from keymint_ros2_dds.subject_name_text import subject_name_of
 from keymint_ros2_zenoh import emission
 
 from keymint.api import Issuance, IssuanceFiles, Package
@@ -108,7 +108,7 @@ def test_no_vendor_takes_the_grant_of_another_generation(subject_format: str) ->
     for path in ("identities", "permissions"):
         file = f"profile/package.defaults/{path}.xml"
         workspace = workspace.edit(file, "OU={unique},CN={common_name}", subject_format)
-    names = {generation: subject_name_text.of(loaded(workspace, generation).grant) for generation in GENERATIONS}
+    names = {generation: subject_name_of(loaded(workspace, generation).grant) for generation in GENERATIONS}
     for comparison in (subject_names.parts_occur, subject_names.same_text, subject_names.same_name):
         accepted = {(old, new) for old in names for new in names if comparison(names[old], names[new])}
         assert accepted == {(generation, generation) for generation in GENERATIONS}

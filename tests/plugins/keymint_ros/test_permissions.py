@@ -196,6 +196,6 @@ def test_a_file_that_a_package_ships_is_named_alike_from_every_folder(base: str)
     document = permissions_writer.render(SubjectRules("/a", (replace(RULES.rules[0], origin=where),)), base).decode()
     (stated,) = re.findall('origin="(.*?)"', document)
     assert stated == "package://nav2_bringup/a.xml:3"
-    origin = permissions.stated(stated)
+    origin = permissions.parse_origin(stated)
     assert origin is not None
-    assert permissions.placed(base, origin) == where
+    assert permissions.origin_in_folder(base, origin) == where

@@ -8,7 +8,7 @@ import itertools
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from keymint_ros2_dds.domains import MAX_DOMAIN, check_domains, in_words, merged, uncovered
+from keymint_ros2_dds.domains import MAX_DOMAIN, check_domains, in_words, merged_domains, uncovered_domains
 
 from keymint.api import DomainRange
 from tests.plugins.keymint_ros2_dds.packages import ORIGIN
@@ -24,14 +24,14 @@ def ids(ranges) -> set[int]:
 
 @given(RANGES)
 def test_merged_ranges_have_the_same_ids_in_order_and_with_gaps(ranges) -> None:
-    result = merged(ranges)
+    result = merged_domains(ranges)
     assert ids(result) == ids(ranges)
     assert all(before.last + 1 < after.first for before, after in itertools.pairwise(result))
 
 
 @given(RANGES, RANGES)
 def test_a_range_is_covered_if_all_its_ids_are(ranges, covering) -> None:
-    assert uncovered(ranges, covering) == tuple(each for each in ranges if not ids([each]) <= ids(covering))
+    assert uncovered_domains(ranges, covering) == tuple(each for each in ranges if not ids([each]) <= ids(covering))
 
 
 @pytest.mark.parametrize(

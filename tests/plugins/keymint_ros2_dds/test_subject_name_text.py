@@ -118,14 +118,14 @@ def test_the_name_of_a_grant_is_that_of_the_parsed_name(common: str, unit: str) 
 
     text = f"{unit}CN={common}"
     expected = outcome(lambda: subject_name_text.render(distinguished_names.parse(text)))
-    assert outcome(lambda: subject_name_text.of(package(name=text).grant)) == expected
+    assert outcome(lambda: subject_name_text.subject_name_of(package(name=text).grant)) == expected
 
 
 @pytest.mark.parametrize("name", ["OU=x1,CN=/", "OU=x1,CN=/a//b", "OU=x1,CN=/a/"])
 def test_a_name_in_which_cyclone_dds_finds_an_empty_part_is_refused(name: str) -> None:
     with pytest.raises(KeymintError, match="nothing stands between two of its separators"):
-        subject_name_text.of(package(name=name).grant)
+        subject_name_text.subject_name_of(package(name=name).grant)
 
 
 def test_the_root_enclave_has_its_common_name_last_in_a_grant() -> None:
-    assert subject_name_text.of(package(name="CN=/,OU=x1").grant) == "OU=x1,CN=/"
+    assert subject_name_text.subject_name_of(package(name="CN=/,OU=x1").grant) == "OU=x1,CN=/"

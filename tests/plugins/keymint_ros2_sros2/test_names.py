@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_sros2.names import as_read, enforced, expression
+from keymint_ros2_sros2.names import as_read, enforced_name, expression
 from keymint_ros2_sros2.syntax import Entry, RosNode
 
 from comarmor.errors import ComArmorError, Origin
@@ -30,23 +30,23 @@ def node(ns: str = "/ns", name: str = "n") -> RosNode:
     ],
 )
 def test_both_readings_agree(text: str, name: str) -> None:
-    assert enforced(node(), text) == as_read(node(), text) == name
+    assert enforced_name(node(), text) == as_read(node(), text) == name
 
 
 @pytest.mark.parametrize(
     ("text", "done", "read"), [("~p", "/ns/np", "/ns/n/p"), (" padded ", "/ns/ padded ", "/ns/padded")]
 )
 def test_the_readings_differ(text: str, done: str, read: str) -> None:
-    assert (enforced(node(), text), as_read(node(), text)) == (done, read)
+    assert (enforced_name(node(), text), as_read(node(), text)) == (done, read)
 
 
 @pytest.mark.parametrize(("ns", "name"), [("/", "/x"), ("", "/x"), ("/t/", "/t/x"), ("/t", "/t/x"), ("/*", "/*/x")])
 def test_namespaces(ns: str, name: str) -> None:
-    assert enforced(node(ns), "x") == as_read(node(ns), "x") == name
+    assert enforced_name(node(ns), "x") == as_read(node(ns), "x") == name
 
 
 def test_a_namespace_without_slash() -> None:
-    assert (enforced(node("ns"), "x"), as_read(node("ns"), "x")) == ("ns/x", "/ns/x")
+    assert (enforced_name(node("ns"), "x"), as_read(node("ns"), "x")) == ("ns/x", "/ns/x")
 
 
 @pytest.mark.parametrize("name", ["/plain", "/a b", "/{x}", "/@{x}", "/a[b", "/tab\there"])

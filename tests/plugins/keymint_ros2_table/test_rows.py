@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_table.rows import COLUMNS, REQUIRED, column_order, placed
+from keymint_ros2_table.rows import COLUMNS, REQUIRED, column_order, row_origin
 
 from comarmor.errors import ComArmorError, Origin
 
@@ -21,5 +21,5 @@ def test_a_column_that_is_missing(name: str) -> None:
 
 
 def test_places() -> None:
-    assert placed("a/t.csv", 7, "") == Origin("a/t.csv", 7)
-    assert str(placed("a/t.csv", 7, "zones.xlsx:12")) == "zones.xlsx:12 [t.csv]:7"
+    assert row_origin("a/t.csv", 7, "") == Origin("a/t.csv", 7)
+    assert str(row_origin("a/t.csv", 7, "zones.xlsx:12")) == "zones.xlsx:12 [t.csv]:7"

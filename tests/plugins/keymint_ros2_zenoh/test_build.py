@@ -16,7 +16,7 @@ from keymint_ros2_zenoh.build import build, build_shared
 from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.documents.configuration_reader import read
 from keymint_ros2_zenoh.key_limits import check_identity
-from keymint_ros2_zenoh.lowering.key_rules import gathered, lower_package
+from keymint_ros2_zenoh.lowering.key_rules import combined_rules, lower_package
 from keymint_ros2_zenoh.messages import Flow, Message, Permission
 from keymint_ros2_zenoh.settings import Router
 
@@ -137,7 +137,7 @@ def test_every_policy_gives_the_sound_shape(first: list[Rule], second: list[Rule
             (rules[name].permission, rules[name].messages, rules[name].flows, rules[name].key_exprs)
             for name in policy.rules
         ]
-        lowered = gathered(lower_package(own).rules)
+        lowered = combined_rules(lower_package(own).rules)
         assert [keys for *_, keys in written] == [tuple(map(str, each.key_exprs)) for each in lowered]
         assert [(messages, flows) for _, messages, flows, _ in written] == [
             (each.messages, each.flows) for each in lowered

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr, canonical
 from keymint_ros2_zenoh.keyexpr.key_relations import includes
-from keymint_ros2_zenoh.lowering.key_rules import KeyRule, gathered
+from keymint_ros2_zenoh.lowering.key_rules import KeyRule, combined_rules
 from keymint_ros2_zenoh.messages import Flow, Message
 
 from comarmor.rules import Effect
@@ -34,7 +34,7 @@ def decision(rules: tuple[KeyRule, ...], message: Message, flow: Flow, key: KeyE
 
 @given(st.lists(RULES, max_size=6).map(tuple), st.lists(KEYS, min_size=1, max_size=8))
 def test_every_decision_is_the_same(rules: tuple[KeyRule, ...], keys: list[KeyExpr]) -> None:
-    fewer = gathered(rules)
+    fewer = combined_rules(rules)
     assert len(fewer) <= len(rules)
     for key in keys:
         for message in (Message.PUT, Message.QUERY, Message.REPLY):
@@ -45,5 +45,5 @@ def test_every_decision_is_the_same(rules: tuple[KeyRule, ...], keys: list[KeyEx
 def test_included_key_expressions_are_left_out() -> None:
     keys = [(canonical("0/a/*/*"), canonical("0/b/*/*")), (canonical("0/**"),)]
     rules = [KeyRule(Effect.ALLOW, (Message.PUT,), (Flow.INGRESS,), each) for each in keys]
-    [one] = gathered(rules)
+    [one] = combined_rules(rules)
     assert one.key_exprs == (canonical("0/**"),)

@@ -13,10 +13,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type
-from keymint_ros2_dds.compiling import (
-    gathering,
-    grant_compiler,
-)
+from keymint_ros2_dds.compiling import gathering, grant_compiler
+from keymint_ros2_dds.compiling.gathering import GUARD, gathered_rules
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import DEFAULT, GrantRule
 
@@ -47,21 +45,21 @@ from tests.plugins.keymint_ros2_dds.packages import package, rule
 @pytest.fixture
 def always_gathered() -> Iterator[None]:
     """Gather wherever it is possible, however little it saves."""
-    with mock.patch.object(grant_compiler, "gathered", functools.partial(gathering.gathered, min_saved=-(10**6))):
+    with mock.patch.object(grant_compiler, "gathered_rules", functools.partial(gathered_rules, min_saved=-(10**6))):
         yield
 
 
 @settings(max_examples=tries(50, 100))
 @given(st.lists(rules(), min_size=1, max_size=6), hint_lists())
 def test_gathering_changes_no_decision(drawn, hints):
-    with mock.patch.object(grant_compiler, "gathered", functools.partial(gathering.gathered, min_saved=-(10**6))):
+    with mock.patch.object(grant_compiler, "gathered_rules", functools.partial(gathered_rules, min_saved=-(10**6))):
         held_against_the_policy(drawn, BuildOptions(hints=hints), TOPICS, ((),))
 
 
 @settings(max_examples=tries(30, 60))
 @given(MIXED)
 def test_gathering_keeps_partitions(drawn):
-    with mock.patch.object(grant_compiler, "gathered", functools.partial(gathering.gathered, min_saved=-(10**6))):
+    with mock.patch.object(grant_compiler, "gathered_rules", functools.partial(gathered_rules, min_saved=-(10**6))):
         held_against_the_policy(drawn, BuildOptions(), FEW, ASKED)
 
 
@@ -75,9 +73,9 @@ def test_names_are_left_as_they_are_early_only_where_gathering_saves_too_little(
         for effect, texts in zip(itertools.cycle([Effect.ALLOW, Effect.DENY]), drawn, strict=False)
         if texts
     )
-    early = gathering.gathered(form, min_saved=saved)
+    early = gathered_rules(form, min_saved=saved)
     with mock.patch.object(gathering, "_most_shared", return_value=saved):
-        assert gathering.gathered(form, min_saved=saved) == early
+        assert gathered_rules(form, min_saved=saved) == early
 
 
 class TestGathering:
@@ -113,7 +111,7 @@ class TestGathering:
         edge = Edge("/talker", "ros_publish", Object("ros_topic", "/axle001"))
         built = build_type.build(loaded, BuildOptions(hints=(Hint(edge, 9),)))
         assert "rewriting-unproven" not in [found.code for found in built.diagnostics]
-        assert gathering.GUARD in topics(built.documents["permissions.xml"])
+        assert GUARD in topics(built.documents["permissions.xml"])
 
     def test_a_document_that_broke_handshakes_fits(self) -> None:
         loaded = package(rule("ALLOW", *TOPIC, *(f"/cell{n % 4}/sensor_{n:04}" for n in range(2000))))

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds.compiling.partitions import UnportableError
-from keymint_ros2_dds.compiling.rule_groups import denied_partitions, merged, rule_groups
+from keymint_ros2_dds.compiling.rule_groups import denied_partitions, merged_rules, rule_groups
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, GrantRule
 
@@ -110,7 +110,7 @@ def first_match(rules, action: TopicAction, name: str):
 
 @given(RULES, st.booleans())
 def test_merging_changes_the_rule_of_no_name(rules, across: bool) -> None:
-    result = merged(rules, across_effects=across)
+    result = merged_rules(rules, across_effects=across)
     assert len(result) <= len(rules)
     for action, name in itertools.product((PUBLISH, SUBSCRIBE), NAMES):
         assert first_match(result, action, name) == first_match(rules, action, name)

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from keymint_ros2_dds.decision import FASTDDS_2_9, FASTDDS_3_3, VARIATIONS
 from keymint_ros2_dds.decision.subject_names import (
     is_odd,
-    needed,
     parts_occur,
+    required_tokens,
     same_attributes,
     same_name,
     same_text,
@@ -121,7 +121,7 @@ def test_a_grant_without_all_words_of_an_identity_is_for_nobody_s(rdns: list[str
     for grant in grants:
         for each in VARIATIONS.values():
             if each.semantics.selects(grant, identity):
-                assert is_odd(grant) or needed(identity) <= tokens(grant), (each.name, grant, identity)
+                assert is_odd(grant) or required_tokens(identity) <= tokens(grant), (each.name, grant, identity)
 
 
 ODD = st.text(st.sampled_from([*"CNOUab/", *'="\\,+ ']), max_size=14)
@@ -137,7 +137,7 @@ def test_whom_odd_names_are_for_is_asked_of_everybody(rdns: list[str], grant: st
     assume(len(set(kinds)) == len(kinds))
     identity = ",".join(rdns)
     if any(each.semantics.selects(grant, identity) for each in VARIATIONS.values()):
-        assert is_odd(grant) or needed(identity) <= tokens(grant)
+        assert is_odd(grant) or required_tokens(identity) <= tokens(grant)
 
 
 TABLE = [

@@ -173,7 +173,7 @@ class TestConditions:
     @staticmethod
     def renamed(first: Package, second: Package, names: Mapping[str, str]) -> bytes:
         """Return the document that renaming would write for the second subject: DDS names of the first, and its own."""
-        rules = kind_members.renamed(emission.emit(first, USUAL).rules, names)
+        rules = kind_members.with_renamed_topics(emission.emit(first, USUAL).rules, names)
         return permissions_document.render(second.grant, rules)
 
     def refuted(self, first: Package, second: Package, names: Mapping[str, str]) -> bool:

@@ -100,7 +100,7 @@ def test_what_the_compiler_does_not_refuse_is_proven_for_what_the_distribution_s
     files = {**ENCLAVE, "permissions.p7s": sign(content)}
     found = claims(loaded, files)
     assert {claim.proof for claim in found} == {Proof.PROVEN}
-    assert {claim.model for claim in found} == set(decision.shipped(distro))
+    assert {claim.model for claim in found} == set(decision.shipped_models(distro))
 
 
 @settings(max_examples=tries(30, 60), deadline=None)

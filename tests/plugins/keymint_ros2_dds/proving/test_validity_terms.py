@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import decision, proving
 from keymint_ros2_dds.decision import VARIATIONS, DocumentEvaluator
-from keymint_ros2_dds.proving.validity_terms import joined, of_grants
+from keymint_ros2_dds.proving.validity_terms import joined_periods, of_grants
 
 from keymint.api import ValidityTerm
 from keymint.errors import KeymintError
@@ -132,8 +132,8 @@ def day(number: int) -> datetime:
 def test_periods_that_meet_are_one():
     second = timedelta(seconds=1)
     end = datetime.max.replace(tzinfo=UTC)
-    assert joined([(day(3), day(4)), (day(1), day(2))]) == ((day(1), day(2)), (day(3), day(4)))
-    assert joined([(day(1), day(2)), (day(2) + second, day(4))]) == ((day(1), day(4)),)
-    assert joined([(day(1), day(9)), (day(2), day(3))]) == ((day(1), day(9)),)
-    assert joined([(day(1), end), (day(2), end)]) == ((day(1), end),)
-    assert joined([]) == ()
+    assert joined_periods([(day(3), day(4)), (day(1), day(2))]) == ((day(1), day(2)), (day(3), day(4)))
+    assert joined_periods([(day(1), day(2)), (day(2) + second, day(4))]) == ((day(1), day(4)),)
+    assert joined_periods([(day(1), day(9)), (day(2), day(3))]) == ((day(1), day(9)),)
+    assert joined_periods([(day(1), end), (day(2), end)]) == ((day(1), end),)
+    assert joined_periods([]) == ()

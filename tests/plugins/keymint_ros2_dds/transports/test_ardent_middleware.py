@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.transports import ardent_omg
-from keymint_ros2_dds.transports.ardent_middleware import DEVIATION, ArdentMiddleware, created
+from keymint_ros2_dds.transports.ardent_middleware import DEVIATION, ArdentMiddleware, created_endpoints
 
 from comarmor.errors import Origin
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
@@ -45,18 +45,20 @@ def label(transport: Recorder, *edges: Edge, distro: str = "ardent") -> list[tup
 
 
 def test_the_endpoints_of_services_are_created_in_the_empty_partition():
-    assert [(each.permission, each.object.name, each.object.partitions) for each in created("ardent", SERVICE)] == [
+    assert [
+        (each.permission, each.object.name, each.object.partitions) for each in created_endpoints("ardent", SERVICE)
+    ] == [
         ("publish", "sRequest", ()),
         ("subscribe", "sReply", ()),
     ]
-    assert {each.object.partitions for each in created("ardent", PARAMETERS)} == {()}
+    assert {each.object.partitions for each in created_endpoints("ardent", PARAMETERS)} == {()}
 
 
 @pytest.mark.parametrize(
     ("distro", "edge"), [("ardent", TOPIC), ("ardent", RAW), ("bouncy", SERVICE), ("jazzy", TOPIC)]
 )
 def test_all_else_is_created_where_it_belongs(distro, edge):
-    assert created(distro, edge) == endpoints(distro, edge)
+    assert created_endpoints(distro, edge) == endpoints(distro, edge)
 
 
 def test_an_edge_is_allowed_when_all_of_its_endpoints_are():

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from keymint_ros2_dds.transports import real_cyclonedds_0_10_5, real_fastdds_3
 from keymint_ros2_dds.vendors.participants import FastDDS
-from keymint_ros2_dds.vendors.probe_builds import FASTDDS_3, unpacked
+from keymint_ros2_dds.vendors.probe_builds import FASTDDS_3, unpacked_version
 
 from keymint.api import Environment, Tier, Transport
 from keymint.host.vendor_process import MissingVendorError
@@ -36,16 +36,16 @@ def opened(transport: object, cache: Path, path: str = os.defpath) -> Transport:
 
 def test_the_first_that_is_there_is_chosen(tmp_path: Path) -> None:
     older = version(tmp_path, NAMES[1])
-    assert (unpacked(tmp_path, NAMES).version, unpacked(tmp_path, NAMES).libraries) == ("3.1.2", older)
+    assert (unpacked_version(tmp_path, NAMES).version, unpacked_version(tmp_path, NAMES).libraries) == ("3.1.2", older)
     version(tmp_path, NAMES[0])
-    assert unpacked(tmp_path, NAMES).version == "3.3.0"
+    assert unpacked_version(tmp_path, NAMES).version == "3.3.0"
 
 
 def test_what_others_may_write_is_not_run(tmp_path: Path) -> None:
     version(tmp_path, NAMES[0])
     (tmp_path / "vendors").chmod(0o777)
     with pytest.raises(MissingVendorError, match="others may write"):
-        unpacked(tmp_path, NAMES)
+        unpacked_version(tmp_path, NAMES)
 
 
 def test_half_a_version_is_none(tmp_path: Path) -> None:
@@ -53,12 +53,12 @@ def test_half_a_version_is_none(tmp_path: Path) -> None:
     with pytest.raises(
         MissingVendorError, match=r"no fastdds-3\.3\.0 or fastdds-3\.1\.2 in .*vendors; 'make vendors-new'"
     ):
-        unpacked(tmp_path, NAMES)
+        unpacked_version(tmp_path, NAMES)
 
 
 def test_a_program_is_built_and_started_with_its_own_libraries(tmp_path: Path) -> None:
     libraries = version(tmp_path, NAMES[0])
-    found = unpacked(tmp_path, NAMES)
+    found = unpacked_version(tmp_path, NAMES)
     headers = libraries.parent.parent / "include"
     assert found.built(FASTDDS_3).folders[:3] == (f"-I{headers}", f"-I{headers / TRIPLET}", f"-L{libraries}")
     command = FastDDS(tmp_path / "probe", version=found).command

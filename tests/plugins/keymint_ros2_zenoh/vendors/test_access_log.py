@@ -44,7 +44,7 @@ def test_an_unfinished_line_is_none() -> None:
 def test_one_allowing_subject_is_enough() -> None:
     lines = [LoggedDecision("a", allowed, "put", "ingress", "0/x") for allowed in (False, True, False)]
     other = LoggedDecision("a", False, "put", "egress", "0/x")
-    assert access_log.combined([*lines, other]) == [LoggedDecision("a", True, "put", "ingress", "0/x"), other]
+    assert access_log.combined_decisions([*lines, other]) == [LoggedDecision("a", True, "put", "ingress", "0/x"), other]
 
 
 def test_every_message_of_access_control_has_its_name_in_the_log() -> None:

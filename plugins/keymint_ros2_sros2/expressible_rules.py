@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a policy of SROS2 can say of a rule: lists with names that begin with ``/``, so that nothing is resolved."""
+"""The names in a policy of SROS2 that express a rule: all begin with ``/``, so that nothing is resolved."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _SPECIAL = "*?["
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class PolicyName:
     """A name in a list.
 
     Attributes:
@@ -45,7 +45,7 @@ class Said:
     text: str
 
 
-def said(rule: Rule, permission: str, expression: str) -> Iterator[Said]:
+def expressed_names(rule: Rule, permission: str, expression: str) -> Iterator[PolicyName]:
     """Yield the names that say exactly what a rule says of one permission and one expression.
 
     Raises:
@@ -63,13 +63,13 @@ def said(rule: Rule, permission: str, expression: str) -> Iterator[Said]:
         return
     parts = PARTS.get((rule.kind, permission))
     if parts is None or (rule.kind in _TAGS and glob.prefix(pattern).startswith("/")):
-        yield from (Said(_TAGS[rule.kind], permission, text) for text in _names(pattern, ""))
+        yield from (PolicyName(_TAGS[rule.kind], permission, text) for text in _names(pattern, ""))
         return
     for kind, part, suffix in parts:
-        yield from (Said(_TAGS[kind], part, text) for text in _names(pattern, suffix))
+        yield from (PolicyName(_TAGS[kind], part, text) for text in _names(pattern, suffix))
 
 
-def services(rules: Iterable[Rule]) -> Mapping[tuple[Effect, str, str], tuple[Said, ...]]:
+def services(rules: Iterable[Rule]) -> Mapping[tuple[Effect, str, str], tuple[PolicyName, ...]]:
     """Return what raw rules say whose DDS topics are together those of a service (``rq/sRequest`` and ``rr/sReply``).
 
     Args:
@@ -86,7 +86,7 @@ def services(rules: Iterable[Rule]) -> Mapping[tuple[Effect, str, str], tuple[Sa
         for permission in rule.permissions
         for expression in rule.expressions
     }
-    found: dict[tuple[Effect, str, str], tuple[Said, ...]] = {}
+    found: dict[tuple[Effect, str, str], tuple[PolicyName, ...]] = {}
     for effect, permission, expression in raw:
         match = _REQUEST.fullmatch(expression)
         back = "subscribe" if permission == "publish" else "publish"
@@ -94,7 +94,7 @@ def services(rules: Iterable[Rule]) -> Mapping[tuple[Effect, str, str], tuple[Sa
         if match and permission in _RAW and reply in raw:
             means = "ros_call" if permission == "publish" else "ros_execute"
             try:
-                names = tuple(Said("services", means, text) for text in _names(glob.parse(match[1]), ""))
+                names = tuple(PolicyName("services", means, text) for text in _names(glob.parse(match[1]), ""))
             except UnsayableError:
                 return {}
             found[effect, permission, expression] = names
@@ -119,7 +119,7 @@ def _denies_nothing(rule: Rule, permission: str) -> bool:
     return permission.endswith("relay") or bool(rule.partitions and not any(matches(p, "") for p in rule.partitions))
 
 
-def _raw(effect: Effect, permission: str, pattern: Glob) -> Iterator[Said]:
+def _raw(effect: Effect, permission: str, pattern: Glob) -> Iterator[PolicyName]:
     """Yield the ROS topics whose DDS topics a raw rule names, if it names no others that a policy of SROS2 allows."""
     if effect is Effect.ALLOW and not glob.prefix(pattern).startswith(f"{_PREFIX}/"):
         raise UnsayableError("SROS2 has no rules on DDS topics that are not those of ROS topics")
@@ -128,7 +128,7 @@ def _raw(effect: Effect, permission: str, pattern: Glob) -> Iterator[Said]:
     if any(glob.left_quotient(pattern, prefix) for prefix in _SERVICES):
         raise UnsayableError("SROS2 has no rules on DDS topics of services")
     for rest in glob.left_quotient(pattern, f"{_PREFIX}/"):
-        yield Said("topics", _RAW[permission], _text(glob.surround("/", rest, "")))
+        yield PolicyName("topics", _RAW[permission], _text(glob.surround("/", rest, "")))
 
 
 def _names(pattern: Glob, suffix: str) -> Iterator[str]:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_sros2.sayable import UnsayableError, is_graph, said
+from keymint_ros2_sros2.expressible_rules import UnsayableError, expressed_names, is_graph
 
 from comarmor.errors import Origin
 from comarmor.rules import Effect, Rule
@@ -18,7 +18,8 @@ def rule(
 
 def names(kind: str, permission: str, text: str, *more) -> set[tuple[str, str, str]]:
     return {
-        (each.tag, each.permission, each.text) for each in said(rule(kind, permission, text, *more), permission, text)
+        (each.tag, each.permission, each.text)
+        for each in expressed_names(rule(kind, permission, text, *more), permission, text)
     }
 
 
