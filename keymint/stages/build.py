@@ -103,7 +103,7 @@ def is_built(inputs: Inputs, name: str) -> bool:
 
 
 def document_digests(inputs: Inputs, name: str) -> dict[str, str] | None:
-    """Return the digests of :func:`built_documents`, which are not read if they did not change; None if not built."""
+    """Return the digests of :func:`built_documents`; None if not built."""
     stamp, folder = inputs.state.stamp(STAGE, name), f"{inputs.workspace.build}/{name}"
     if stamp is None:
         found = {file: digest(content) for file, content in built_documents(inputs, name).items()}

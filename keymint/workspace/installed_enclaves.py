@@ -149,10 +149,7 @@ def enclave_files(session: Session, name: str) -> tuple[Mapping[str, bytes], tup
 
 
 def enclave_digests(session: Session, name: str) -> dict[str, str] | None:
-    """Return the digests of :func:`enclave_files`, which are not read if they did not change.
-
-    The result is None if a file cannot be read.
-    """
+    """Return the digests of :func:`enclave_files`; None if a file cannot be read."""
     folder = session.enclave_folder(name)
     try:
         found = {file: session.tree.digest(f"{folder}/{file}") for file in files_in(session, name)}

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from keymint.view import tree
-from keymint.view.tree import read_file
 from tests.conftest import snapshot
 
 
@@ -63,20 +61,3 @@ def test_an_enclave_that_is_a_link_is_refused(keymint, provisioned: Path, tmp_pa
     outcome = keymint("install", cwd=provisioned)
     assert outcome.code == 1
     assert "install/enclaves/talker: error: is a symbolic link" in outcome.err
-
-
-def test_the_files_of_an_enclave_that_did_not_change_are_not_read(keymint, policy: Path, tmp_path, monkeypatch) -> None:
-    text = policy.read_text()
-    profile = text[text.index("<profile ") : text.index("</profile>") + len("</profile>")]
-    policy.write_text(text.replace(profile, profile + profile.replace("talker", "listener")))
-    assert keymint("provision", policy, "-w", "ws").code == 0
-    assert keymint("install", "-w", "ws").code == 0  # knows the files from now on
-    enclaves = tmp_path / "ws/install/enclaves"
-    (enclaves / "listener/permissions.p7s").unlink()
-    read: list[str] = []
-    monkeypatch.setattr(tree, "read_file", lambda path, most=None: read.append(str(path)) or read_file(path, most))
-    assert keymint("install", "-w", "ws").code == 0
-    assert (enclaves / "listener/permissions.p7s").exists()
-    assert str(enclaves / "listener/cert.pem") in read
-    of_talker = {Path(path).name for path in read if path.startswith(str(enclaves / "talker/"))}
-    assert of_talker <= {"governance.p7s", "identity_ca.cert.pem", "permissions_ca.cert.pem"}, "it may be copied"
