@@ -29,8 +29,7 @@ below, since stages and the life of keys ask
 ``keymint.robots.bundle_acceptance``          may a robot take a bundle
 ``keymint.adoption``                          reads keystores of other tools, and compares them with a policy
 a transport's own
-``keymint_ros2_dds.examine``                  the rules about the files of a DDS enclave; views: ``check``,
-                                              ``proving``, ``keystores`` (``keymint adopt``)
-``keymint_ros2_zenoh.configuration_requirements``  those about its configurations; views: ``check``, ``proving``
+``examine`` or ``configuration_requirements``  in its plugin: the rules about an enclave's files; views: ``check``,
+                                              ``proving``, and what ``keymint adopt`` reads
 ============================================  =======================================================================
 """

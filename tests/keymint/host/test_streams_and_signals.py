@@ -94,7 +94,7 @@ SIGNALLED = """
     try:
         os.kill(os.getpid(), signal.{name})
     except process.StoppedError as error:
-        print(error, error.number, process.received())
+        print(error, error.number, process.received_signal())
     {after}
 """
 
@@ -116,7 +116,7 @@ def test_a_signal_waits_while_signals_are_held() -> None:
         try:
             with process.held_signals():
                 os.kill(os.getpid(), signal.SIGTERM)
-                print("held", process.received())
+                print("held", process.received_signal())
         except process.StoppedError:
             print("stopped")
     """)
