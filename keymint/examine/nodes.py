@@ -9,7 +9,6 @@ from dataclasses import replace
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import first_few
-from keymint import __version__
 from keymint.api import FoundEnclave, GrantReader, KeystoreFiles, LoadedPolicy, NodeCheck
 from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError
@@ -81,7 +80,7 @@ def of_packages(
             subjects.setdefault(build_type, []).append(subject_of(name))
     distro, key = session.profile.distro, f"{FOLDER}/nodes"
     asked = (part for build_type, own in subjects.items() for part in (build_type, *own, ""))
-    inputs, stamp = digest(__version__, distro, policy_digest(policy), *asked), state.stamp(STAGE, key)
+    inputs, stamp = digest(session.plugins.versions, distro, policy_digest(policy), *asked), state.stamp(STAGE, key)
     if stamp is not None and stamp.inputs == inputs:
         return (), state
     found = tuple(

@@ -9,6 +9,8 @@ from unittest import mock
 import pytest
 from keymint_ros2_dds import DdsSecurity
 
+from keymint.api.plugin_loader import Plugins
+
 RULES = '<ros_topic qualifier="ALLOW"><attachment>/x</attachment><permissions><ros_publish/></permissions></ros_topic>'
 NODE = '<xi:include href="common/node.xml" parse="xml"/>'
 NOTE = "node-cannot-start"
@@ -55,3 +57,9 @@ def test_a_changed_policy_is_asked_again(keymint, folder: Path) -> None:
     for _ in range(2):  # notes are not remembered
         number, codes = asked(keymint)
         assert (number, NOTE in codes) == (1, True)
+
+
+def test_another_version_of_a_plugin_is_asked_again(keymint, folder: Path) -> None:
+    """Its build type may know more nodes that cannot start."""
+    with mock.patch.object(Plugins, "versions", property(lambda _: "another")):
+        assert asked(keymint)[0] == 1
