@@ -7,13 +7,46 @@ from collections.abc import Iterable, Mapping, Sequence
 from datetime import timedelta
 from functools import lru_cache
 from pathlib import PurePosixPath
+from string import Template
 
 from comarmor.data import locate
 from keymint.api import Bootstrap, Role, Validity
 from keymint.errors import KeymintError
 from keymint_ros import distros, validity
 from keymint_ros.manifest import BUILD_TYPE, MARKER
-from keymint_ros.templates import escape_xml, filled_file
+
+_SPECIAL = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&#34;", "'": "&#39;"})
+
+
+def filled_file(path: str, /, **values: object) -> bytes:
+    """Return the file of a template.
+
+    Args:
+        path: path of the template in ``templates/keymint_ros``.
+        values: by name: lines of XML as a tuple, which get the indentation of the line that names them; or a text, that
+            is escaped.
+
+    Raises:
+        KeyError: the template names a value that is not given.
+    """
+    lines = {name: value for name, value in values.items() if isinstance(value, tuple)}
+    texts = {name: escape_xml(str(value)) for name, value in values.items() if name not in lines}
+    template = (locate("keymint_ros", "templates") / path).read_text("utf-8")
+    result: list[str] = []
+    for line in template.splitlines(keepends=True):
+        named = line.strip().removeprefix("$")
+        if named in lines:
+            indentation = line[: len(line) - len(line.lstrip())]
+            result += [f"{indentation}{each}\n" for each in lines[named]]
+        else:
+            result.append(Template(line).substitute(texts))
+    return "".join(result).encode()
+
+
+def escape_xml(text: str) -> str:
+    """Return a text with references for what has a meaning in XML, also within an attribute."""
+    return text.translate(_SPECIAL)
+
 
 _LAYOUTS = ("sros2", "flat")
 _TWO_AUTHORITIES, _ONE_AUTHORITY = ("identity_ca", "permissions_ca"), ("ca", "ca")

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What profile and package documents say of certificates, keys and grants, completed by their defaults."""
+"""What profile and package documents say of certificates, keys and grants, completed by their defaults.
+
+Distinguished names may have placeholders, such as ``{name}``; braces have no other use there.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +11,84 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from comarmor.errors import Origin
+from comarmor.regex import lazy_regex
+from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint.api import CertificateSpec, DomainRange, Extension, KeySpec, Validity
 from keymint.api.source_documents import domains, incomplete, place, require_new, text
 from keymint.errors import KeymintError
-from keymint_ros import placeholders, validity
+from keymint_ros import validity
 
 if TYPE_CHECKING:
     from lxml import etree
+
+
+AUTHORITY_PLACEHOLDERS = ("name",)
+"""Placeholders of an authority: its name in the profile."""
+SUBJECT_PLACEHOLDERS = ("name", "subject", "common_name", "unique")
+"""Placeholders of a package: its name, ``/`` + name, common name and unique suffix."""
+
+_BRACES = lazy_regex(r"\{([^{}]*)\}|[{}]")
+
+
+def name_with_placeholders(element: etree._Element | None, known: Collection[str]) -> str | None:
+    """Return the text of a ``<subject_name>``, or None if there is no element.
+
+    Raises:
+        KeymintError: a placeholder is not in ``known``, or a brace has no partner.
+    """
+    if element is None:
+        return None
+    name = text(element) or ""
+    for match in _BRACES.finditer(name):
+        if match.group(1) not in known:
+            choices = ", ".join(f"{{{placeholder}}}" for placeholder in known)
+            raise KeymintError(
+                f"unknown placeholder {match.group()!r} in {name!r}",
+                where=place(element),
+                help=did_you_mean(match.group(1) or "", known, f"the placeholders are {choices}"),
+                code="placeholder-unknown",
+            )
+    return name
+
+
+def expanded_name(name: str, values: Mapping[str, str]) -> str:
+    """Replace each placeholder of a name that :func:`name_with_placeholders` returned by its value.
+
+    In the name of the root enclave ``/``, the common name comes first if a placeholder gives it: a grant has the RDNs
+    the other way round, and Cyclone DDS finds none for a name in which a ``,`` follows the ``/``.
+    """
+    expanded = _BRACES.sub(lambda match: values[match.group(1)], name)
+    if values.get("common_name") != "/" or expanded == name:
+        return expanded
+    from keymint.pki import distinguished_names  # noqa: PLC0415 - as in placeholder_values
+
+    try:
+        return distinguished_names.common_name_first(expanded)
+    except KeymintError:
+        return expanded  # reported where the certificate is made
+
+
+def placeholder_values(subject: str, generation: int = 0, *, in_common_name: bool = False) -> Mapping[str, str]:
+    """Return the values of :data:`SUBJECT_PLACEHOLDERS` for a generation of a subject.
+
+    Args:
+        subject: the subject's name, e.g. ``/robot1/talker``.
+        generation: generation of its identity; the unique suffix has it.
+        in_common_name: its names have it as well, for a transport that knows a subject by its common name alone.
+    """
+    from keymint.pki import distinguished_names  # noqa: PLC0415 - imports cryptography, which takes 0.1 s
+
+    named = generation if in_common_name else 0
+    mark = distinguished_names.generation_mark(named)
+    return {
+        "name": subject.removeprefix("/") + mark,
+        "subject": subject + mark,
+        "common_name": distinguished_names.common_name(subject, named),
+        "unique": distinguished_names.unique_suffix(subject, generation),
+    }
+
 
 _RANDOM = 0
 _TRUE = frozenset({"true", "1"})
@@ -100,7 +172,7 @@ def read(element: etree._Element, known: Collection[str]) -> IssuedElement:
     return IssuedElement(
         line=line(element),
         domains=domains(parts.get("domains")),
-        subject_name=placeholders.read(parts.get("subject_name"), known),
+        subject_name=name_with_placeholders(parts.get("subject_name"), known),
         validity=validity.read(parts.get("validity")),
         serial=None if serial is None else _serial(serial),
         issuer=text(issuer_name),
@@ -127,7 +199,7 @@ def complete(own: IssuedElement, defaults: IssuedElement, values: Mapping[str, s
     if subject_name is None or period is None:
         raise incomplete("certificate", "subject_name" if subject_name is None else "validity", defaults.origin)
     return CertificateSpec(
-        subject_name=placeholders.expand(subject_name, values) if values else subject_name,
+        subject_name=expanded_name(subject_name, values) if values else subject_name,
         validity=period,
         serial=(defaults.serial if own.serial is None else own.serial) or None,
         issuer=issuer(own, defaults)[0],

@@ -21,8 +21,8 @@ from keymint.api import AcceptedPackage, AuthorityIssuance, CertificateSpec, Iss
 from keymint.api.source_documents import Reader, place, require_new, text
 from keymint.errors import KeymintError, known_authority
 from keymint_ros import certificate, validity
+from keymint_ros.bootstrap import filled_file
 from keymint_ros.manifest import ISSUANCE
-from keymint_ros.templates import filled_file
 
 if TYPE_CHECKING:
     from lxml import etree

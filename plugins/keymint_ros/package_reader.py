@@ -36,13 +36,11 @@ from keymint.errors import KeymintError, known_authority
 from keymint.ir import DeferredRules, Rule, SubjectRules
 from keymint.names import subject_of
 from keymint_ros import (
-    adopted,
     certificate,
     decisions,
     manifest,
     permissions,
-    permissions_writer,
-    placeholders,
+    taken_over,
     validity,
 )
 from keymint_ros.certificate import IssuedElement
@@ -58,15 +56,15 @@ _Issued = TypeVar("_Issued", CertificateSpec, Grant)
 
 def _identity(root: etree._Element) -> tuple[str, IssuedElement]:
     (element,) = root.iterfind("identities/identity")
-    return element.get("name", "").strip(), certificate.read(element, placeholders.SUBJECT)
+    return element.get("name", "").strip(), certificate.read(element, certificate.SUBJECT_PLACEHOLDERS)
 
 
 _read_identity = Reader("keymint_ros", "identities", _identity)
 _read_identity_defaults = Reader(
-    "keymint_ros", "defaults_identities", lambda root: certificate.read(root, placeholders.SUBJECT)
+    "keymint_ros", "defaults_identities", lambda root: certificate.read(root, certificate.SUBJECT_PLACEHOLDERS)
 )
 _read_grant_defaults = Reader(
-    "keymint_ros", "defaults_permissions", lambda root: certificate.read(root, placeholders.SUBJECT)
+    "keymint_ros", "defaults_permissions", lambda root: certificate.read(root, certificate.SUBJECT_PLACEHOLDERS)
 )
 
 
@@ -169,7 +167,7 @@ class _PackageLoader:
                     code="name-mismatch",
                 )
         if own.is_empty and alone is not None:
-            spec = replace(alone, subject_name=placeholders.expand(alone.subject_name, self.values))
+            spec = replace(alone, subject_name=certificate.expanded_name(alone.subject_name, self.values))
         else:
             spec = certificate.complete(own, defaults, self.values)
         named_at = certificate.issuer(own, defaults)[1]
@@ -187,11 +185,11 @@ class _PackageLoader:
         content = found or b""
         rules = (
             DeferredRules(subject, partial(self._rules, content, file))
-            if self.built and permissions_writer.has_rules_only(content, subject)
-            else permissions_writer.rendered_rules(content, self.base)
+            if self.built and permissions.has_rules_only(content, subject)
+            else permissions.rendered_rules(content, self.base)
         )
         if rules is not None:
-            return self._grant_of(rules, IssuedElement(permissions_writer.GRANT_LINE, file))
+            return self._grant_of(rules, IssuedElement(permissions.GRANT_LINE, file))
         grant = permissions.read(content, file, subject)
         rules = permissions.to_ir(grant, subject, file, self.base)
         return replace(self._grant_of(rules, grant.own.in_file(file)), name=grant.name, edited=grant.edited)
@@ -215,7 +213,7 @@ class _PackageLoader:
         return Grant(
             issuer=signer(part.issuer, self.place(part), issuer, defaults.origin, self.authorities),
             name=rules.subject,
-            subject_name=placeholders.expand(own.subject_name or defaults.subject_name or "", self.values),
+            subject_name=certificate.expanded_name(own.subject_name or defaults.subject_name or "", self.values),
             validity=own.validity or defaults.validity,
             domains=own.domains or defaults.domains or DEFAULT_DOMAINS,
             rules=rules,
@@ -258,7 +256,7 @@ def load(
     defects = Defects()
     issued = defects.attempt(partial(decisions.issuance, folder, files)) or Issuance()
     in_common_name = any(isinstance(each, CommonNameIdentity) for each in plugins.values())
-    values = placeholders.of_subject(subject, issued.generation, in_common_name=in_common_name)
+    values = certificate.placeholder_values(subject, issued.generation, in_common_name=in_common_name)
     authorities = tuple(authority.name for authority in profile.authorities)
     loader = _PackageLoader(
         profile, name, folder, base_of(profile), files, package_manifest, values, authorities, built
@@ -295,7 +293,7 @@ def load(
         issuers=tuple(_issuers(profile, identity.issuer)),
         role=package_manifest.role,
         issuance=issued,
-        kept=adopted.adopted_documents(files),
+        kept=taken_over.adopted_documents(files),
     )
 
 

@@ -12,7 +12,7 @@ from keymint.api.source_documents import Reader
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import name_of
-from keymint_ros import bootstrap, manifest, permissions, permissions_of_2018, permissions_writer, validity
+from keymint_ros import bootstrap, manifest, permissions, permissions_of_2018, validity
 from keymint_ros.manifest import MARKER
 from keymint_ros.permissions import WrittenGrant
 from keymint_ros.profile_reader import base_of
@@ -73,7 +73,7 @@ def _permissions(
     was written, those in the document, and those of the policy now.
     """
     base = base_of(profile)
-    new = permissions_writer.render(rules, base)
+    new = permissions.render(rules, base)
     current = existing.get(path)
     if current is None:
         return {path: new}
@@ -92,7 +92,7 @@ def _permissions(
         return {}
     if grant.name == rules.subject and not grant.overrides:
         return {path: new}
-    return {path: permissions_writer.render(rules, base, name=grant.name, overrides=grant.overrides)}
+    return {path: permissions.render(rules, base, name=grant.name, overrides=grant.overrides)}
 
 
 def _keeps_edit(grant: WrittenGrant, now: str, file: str) -> bool:
@@ -137,9 +137,9 @@ def with_validity(
         path = manifest.path_of("permissions", name, files)
         if _read_grant_length(files[path], f"{name}/{path}") != valid_for:
             base = base_of(profile)
-            if files[path] != permissions_writer.render(rules, base):
+            if files[path] != permissions.render(rules, base):
                 raise _has_own(name, path, valid_for)
-            changed[path] = permissions_writer.render(rules, base, overrides=(element,))
+            changed[path] = permissions.render(rules, base, overrides=(element,))
     return changed
 
 

@@ -16,7 +16,7 @@ from comarmor.xml.reader import line
 from keymint.api import Authority, PolicySource, WorkspaceProfile
 from keymint.api.source_documents import Reader, domains, file_in, place, require_new, text
 from keymint.errors import KeymintError, known_authority
-from keymint_ros import bootstrap, certificate, decisions, distros, manifest, placeholders, validity
+from keymint_ros import bootstrap, certificate, decisions, distros, manifest, validity
 from keymint_ros.certificate import IssuedElement
 from keymint_ros.manifest import BUILD_TYPE
 
@@ -106,7 +106,7 @@ def _exports(root: etree._Element) -> Mapping[str, str]:
 
 def _authorities(root: etree._Element) -> tuple[tuple[str, IssuedElement], ...]:
     return tuple(
-        (element.get("name", "").strip(), certificate.read(element, placeholders.AUTHORITY))
+        (element.get("name", "").strip(), certificate.read(element, certificate.AUTHORITY_PLACEHOLDERS))
         for element in root.iterfind("authorities/authority")
     )
 
@@ -150,7 +150,7 @@ def _policy_path(policy: etree._Element) -> _PathElement:
 _read_manifest = Reader("keymint_ros", "keymint_profile", _manifest)
 _read_authorities = Reader("keymint_ros", "authorities", _authorities)
 _read_authority_defaults = Reader(
-    "keymint_ros", "defaults_authorities", lambda root: certificate.read(root, placeholders.AUTHORITY)
+    "keymint_ros", "defaults_authorities", lambda root: certificate.read(root, certificate.AUTHORITY_PLACEHOLDERS)
 )
 _read_policies = Reader("keymint_ros", "policies", _policies)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from keymint_ros import permissions_writer
+from keymint_ros import permissions
 
 from keymint.ir import SubjectRules
 
@@ -46,13 +46,13 @@ def test_a_changed_policy_reaches_existing_packages(keymint, ws: Path, tmp_path:
 def test_only_a_subject_whose_rules_changed_is_rendered_again(keymint, ws: Path, tmp_path: Path, monkeypatch) -> None:
     keymint("create", "--all", "robot2/driver", cwd=ws)
     rendered: list[str] = []
-    render = permissions_writer.render
+    render = permissions.render
 
     def spy(rules: SubjectRules, *arguments: Any, **options: Any) -> bytes:
         rendered.append(rules.subject)
         return render(rules, *arguments, **options)
 
-    monkeypatch.setattr(permissions_writer, "render", spy)
+    monkeypatch.setattr(permissions, "render", spy)
     own = '<ros_topic qualifier="DENY"><attachment>/x</attachment><permissions><ros_publish/></permissions></ros_topic>'
     named = "/robot1/driver</attachment>"
     (tmp_path / "p.xml").write_text(PROFILE.replace(named, named + own))

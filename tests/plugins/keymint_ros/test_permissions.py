@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from keymint_ros import package_type, permissions, permissions_writer
+from keymint_ros import package_type, permissions
 
 from comarmor.errors import Origin
 from comarmor.rules import PERMISSIONS, Effect
@@ -193,7 +193,7 @@ def test_a_defect_is_reported_with_its_line(old: str, new: str, message: str) ->
 @pytest.mark.parametrize("base", ["", "profile/", "../ws/profile/", "/ws/profile/"])
 def test_a_file_that_a_package_ships_is_named_alike_from_every_folder(base: str) -> None:
     where = Origin("package://nav2_bringup/a.xml", 3)
-    document = permissions_writer.render(SubjectRules("/a", (replace(RULES.rules[0], origin=where),)), base).decode()
+    document = permissions.render(SubjectRules("/a", (replace(RULES.rules[0], origin=where),)), base).decode()
     (stated,) = re.findall('origin="(.*?)"', document)
     assert stated == "package://nav2_bringup/a.xml:3"
     origin = permissions.parse_origin(stated)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros import placeholders
+from keymint_ros import certificate
 
 from .workspaces import Workspace, diagnostic_of
 
@@ -63,5 +63,5 @@ def test_an_unknown_placeholder_of_a_package_is_reported(
     ],
 )
 def test_the_root_enclave_has_its_common_name_first_if_placeholders_give_it(template: str, expected: str) -> None:
-    values = placeholders.of_subject("/")
-    assert placeholders.expand(template, values) == expected.format(**values)
+    values = certificate.placeholder_values("/")
+    assert certificate.expanded_name(template, values) == expected.format(**values)

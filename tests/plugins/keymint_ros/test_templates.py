@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros.templates import filled_file
+from keymint_ros.bootstrap import filled_file
 from lxml import etree
 
 
