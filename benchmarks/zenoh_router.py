@@ -20,9 +20,8 @@ from pathlib import Path
 
 from fleet import KEYMINT, Spent, policy, spent
 from keymint_ros2_zenoh.documents import json5
-from keymint_ros2_zenoh.documents.configuration import TLS
+from keymint_ros2_zenoh.documents.configuration import TLS, Flow, Message
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY
-from keymint_ros2_zenoh.messages import Flow, Message
 from keymint_ros2_zenoh.vendors import loopback
 from keymint_ros2_zenoh.vendors.loopback import free_port
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohProcess, ZenohSystem

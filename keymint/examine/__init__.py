@@ -29,7 +29,7 @@ below, since stages and the life of keys ask
 ``keymint.robots.bundle_acceptance``          may a robot take a bundle
 ``keymint.adoption``                          reads keystores of other tools, and compares them with a policy
 a transport's own
-``examine`` or ``configuration_requirements``  in its plugin: the rules about an enclave's files; views: ``check``,
+``examine``                                   in its plugin: the rules about an enclave's files; views: ``check``,
                                               ``proving``, and what ``keymint adopt`` reads
 ============================================  =======================================================================
 """

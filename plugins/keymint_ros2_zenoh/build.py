@@ -1,17 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The build stage: a session's configuration for each enclave, and the router's for all of them together."""
+"""The build stage: a session's configuration for each enclave, and the router's for all of them together.
+
+They have the one shape that is sound. The router denies by default. Each enclave has one subject entry, with the common
+name of its certificate, so that exactly one entry matches its links; no entry matches any link. Sessions are clients
+without listeners, gossip and multicast, since no router decides what two sessions exchange directly. They accept
+messages from the router alone.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any
 
 from comarmor.errors import Defects, Diagnostic, Severity
 from keymint.api import BuildOptions, BuildResult, Package
-from keymint_ros2_zenoh import emission, key_limits
+from keymint_ros2_zenoh.documents.configuration import (
+    ROUTER_SETTINGS,
+    SESSION_SETTINGS,
+    AccessControl,
+    AclPolicy,
+    AclRule,
+    AclSubject,
+    Configuration,
+    Flow,
+    Message,
+    Permission,
+)
 from keymint_ros2_zenoh.documents.configuration_writer import write
-from keymint_ros2_zenoh.enclave_layout import ROUTER, SESSION
-from keymint_ros2_zenoh.lowering.key_rules import KeyRule, combined_rules, lower_package
-from keymint_ros2_zenoh.settings import BUILD_TYPE, is_router, settings_of
+from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, ROUTER, SESSION, enclave_folder
+from keymint_ros2_zenoh.identities import check_identity, common_name, enclaves_of, require_distinct_names, router_of
+from keymint_ros2_zenoh.lowering.key_rules import combined_rules, lower_package
+from keymint_ros2_zenoh.settings import BUILD_TYPE, Router, in_endpoint, is_router, settings_of
 
 _SESSION_TITLE = (
     "Zenoh session of the enclave {subject}. Written by keymint; edit the sources instead.",
@@ -30,7 +50,7 @@ def build(package: Package, options: BuildOptions) -> BuildResult:  # noqa: ARG0
     Raises:
         KeymintError: Zenoh cannot express a rule, or refuses the key or the certificate; with ``file:line``.
     """
-    found = list(key_limits.check_identity(package))
+    found = list(check_identity(package))
     defects = Defects()
     defects.found += (each for each in found if each.severity is Severity.ERROR)
     if is_router(package):
@@ -39,11 +59,11 @@ def build(package: Package, options: BuildOptions) -> BuildResult:  # noqa: ARG0
     documents: dict[str, bytes] = {}
     with defects:
         title = [line.format(subject=package.subject) for line in _SESSION_TITLE]
-        documents[SESSION] = write(emission.session(package), title)
+        documents[SESSION] = write(session_configuration(package), title)
     with defects:
-        found += lower_package(package).diagnostics
+        found += lower_package(package)[1]
     with defects:
-        emission.common_name(package)
+        common_name(package)
     defects.require_none()
     return BuildResult(documents, tuple(found))
 
@@ -59,21 +79,21 @@ def build_shared(packages: Sequence[Package], options: BuildOptions) -> BuildRes
     defects = Defects()
     defects.found += _differences(packages)
     routers = [package for package in packages if is_router(package)]
-    enclaves = emission.enclaves_of(packages)
+    enclaves = enclaves_of(packages)
     if not routers and not defects.found:
         with defects:
-            emission.router_of(enclaves[0])
-    rules: list[tuple[Package, Sequence[KeyRule]]] = []
+            router_of(enclaves[0])
+    rules: list[tuple[Package, Sequence[AclRule]]] = []
     for package in enclaves:
         with defects:
-            rules.append((package, lower_package(package).rules))
+            rules.append((package, lower_package(package)[0]))
     defects.require_none()
     notes = () if enclaves else (_admits_nobody(routers[0]),)
-    plain = write(emission.router(routers[0], rules), _ROUTER_TITLE)
+    plain = write(router_configuration(routers[0], rules), _ROUTER_TITLE)
     if not options.optimise:
         return BuildResult({ROUTER: plain}, notes)
     fewer = [(package, combined_rules(own)) for package, own in rules]
-    smaller = write(emission.router(routers[0], fewer), _ROUTER_TITLE)
+    smaller = write(router_configuration(routers[0], fewer), _ROUTER_TITLE)
     return BuildResult({ROUTER: smaller}, notes, {ROUTER: len(plain)})
 
 
@@ -118,3 +138,84 @@ def _differences(packages: Sequence[Package]) -> Iterator[Diagnostic]:
                 f"{first.grant.issuer!r}, but they stand in one file",
                 package.grant.origin, f"give both the same issuer_name, as at {first.grant.origin}", package.subject,
             )  # fmt: skip
+
+
+PROTOCOLS = ("tls",)
+"""Link protocols; without certificates there is no common name to decide by."""
+EVERY_KEY = ("**", "**/@adv/**", "@ros2_lv/**")
+"""All keys that rmw_zenoh uses: ``**`` matches no chunk that begins with ``@``."""
+_LOCAL = ("localhost", "127.0.0.1", "::1")
+_ROUTER_RULE = "router"
+
+
+def session_configuration(package: Package) -> Configuration:
+    """Return the configuration of an enclave's sessions.
+
+    Raises:
+        KeymintError: the workspace has no package of the router.
+    """
+    settings = settings_of(package)
+    name = common_name(router_of(package))
+    every_message = AclRule(_ROUTER_RULE, tuple(Message), tuple(Flow), Permission.ALLOW, EVERY_KEY)
+    policy = AclPolicy((_ROUTER_RULE,), (_ROUTER_RULE,))
+    return Configuration(
+        mode="client",
+        connect=(settings.router.endpoint,),
+        connect_certificate=_path(package, CERTIFICATE),
+        connect_key=_path(package, KEY),
+        access_control=_denying([every_message], [AclSubject(_ROUTER_RULE, (name,))], [policy]),
+        other=SESSION_SETTINGS,
+        **_closed(package),
+    )
+
+
+def router_configuration(package: Package, enclaves: Sequence[tuple[Package, Sequence[AclRule]]]) -> Configuration:
+    """Return the configuration of the router.
+
+    Args:
+        package: the router's package.
+        enclaves: the packages of all enclaves, each with what the router must permit or deny on its links.
+
+    Raises:
+        KeymintError: two packages have the same common name, or one has none.
+    """
+    require_distinct_names([package, *(enclave for enclave, _ in enclaves)])
+    rules: list[AclRule] = []
+    subjects: list[AclSubject] = []
+    policies: list[AclPolicy] = []
+    for enclave, key_rules in enclaves:
+        own = [replace(rule, id=f"{enclave.subject} {number}") for number, rule in enumerate(key_rules, 1)]
+        subjects.append(AclSubject(enclave.subject, (common_name(enclave),)))
+        rules += own
+        if own:
+            policies.append(AclPolicy(tuple(rule.id for rule in own), (enclave.subject,)))
+    return Configuration(
+        mode="router",
+        listen=(listen_endpoint(settings_of(package).router),),
+        listen_certificate=_path(package, CERTIFICATE),
+        listen_key=_path(package, KEY),
+        access_control=_denying(rules, subjects, policies),
+        other=ROUTER_SETTINGS,
+        **_closed(package),
+    )
+
+
+def _closed(package: Package) -> dict[str, Any]:
+    """Return the settings of both ends: they search nobody, and show certificates, whose names and dates count."""
+    tls = {"root_ca": _path(package, IDENTITY_CA), "mutual": True, "verify_name": True, "close_expired": True}
+    return {"gossip": False, "multicast": False, "protocols": PROTOCOLS, **tls}
+
+
+def _denying(rules: Iterable[AclRule], subjects: Iterable[AclSubject], policies: Iterable[AclPolicy]) -> AccessControl:
+    return AccessControl(True, Permission.DENY, tuple(rules), tuple(subjects), tuple(policies))
+
+
+def listen_endpoint(router_: Router) -> str:
+    """Return where a router listens: on the loopback interface if its host is there, else on all interfaces."""
+    host = in_endpoint(router_.host) if router_.host in _LOCAL else "[::]"
+    return f"tls/{host}:{router_.port}"
+
+
+def _path(package: Package, file: str) -> str:
+    """Return the absolute path on the robot of a file in a package's enclave."""
+    return f"{enclave_folder(settings_of(package).keystore, package.subject)}/{file}"

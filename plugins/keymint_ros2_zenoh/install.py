@@ -8,12 +8,11 @@ from collections.abc import Mapping, Sequence
 from comarmor.errors import Origin
 from keymint.api import Artifact, EnclaveCredentials, Package, SharedCredentials
 from keymint.errors import KeymintError
-from keymint.pki import certificates, smime
-from keymint_ros2_zenoh import signature as signatures
-from keymint_ros2_zenoh.authority_roles import ACCESS, IDENTITY
+from keymint.pki import cms, smime
 from keymint_ros2_zenoh.documents.configuration_reader import read
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, ROUTER, SESSION, SIGNATURE
-from keymint_ros2_zenoh.settings import is_router
+from keymint_ros2_zenoh.examine.enclaves import signature_problem
+from keymint_ros2_zenoh.settings import ACCESS, IDENTITY, is_router
 
 
 def install(
@@ -58,9 +57,10 @@ def install_shared(
         KeymintError: the configuration is missing or not valid.
     """
     content = _document(documents.get(ROUTER), ROUTER, "keymint build")
-    present, in_force = installed.get(SIGNATURE), certificates.load_bundle(credentials.chains[ACCESS])[0]
-    if present is None or signatures.problem(content, present, in_force):
-        present = signatures.sign(content, smime.load_signer(credentials.signers[ACCESS]))
+    present = installed.get(SIGNATURE)
+    if present is None or signature_problem(content, present, credentials.chains[ACCESS]):
+        signer = smime.load_signer(credentials.signers[ACCESS])
+        present = cms.sign(content, signer.certificate, signer.key)
     return {ROUTER: Artifact(content), SIGNATURE: Artifact(present)}
 
 

@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a package says about Zenoh beside its rules: the router, and where the keystore lies on the robot."""
+"""What a package says about Zenoh beside its rules: the router, where the keystore lies on the robot, and authorities.
+
+One authority issues identities, one signs the router's configuration.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import field
 from ipaddress import ip_address
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
-from keymint.api import Package
+from keymint.api import AuthorityRole, Implementation, Package
 
 BUILD_TYPE = "keymint_ros2_zenoh"
 """The name by which packages ask for this build type."""
@@ -74,3 +78,24 @@ def is_address(host: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+IDENTITY, ACCESS = "identity", "access"
+_ALL = frozenset({IDENTITY, ACCESS})
+IMPLEMENTATIONS = (Implementation("zenoh", "Zenoh 1", bundles=_ALL, reissues=_ALL),)
+"""What Zenoh accepts while an authority changes: TLS trusts every authority of a file, by name and key. Only Keymint
+verifies the signature of the router's configuration."""
+
+
+def implementations() -> Sequence[Implementation]:
+    """Return what was measured: see :meth:`keymint.api.AuthorityChanges.implementations`."""
+    return IMPLEMENTATIONS
+
+
+def authorities(package: Package) -> tuple[AuthorityRole, ...]:
+    """Return the authorities of a package; see :meth:`keymint.api.BuildType.authorities`."""
+    identity, grant = package.identity, package.grant
+    return (
+        AuthorityRole(IDENTITY, identity.issuer, identity.origin),
+        AuthorityRole(ACCESS, grant.issuer, grant.origin, signs=True),
+    )

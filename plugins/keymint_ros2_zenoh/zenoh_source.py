@@ -22,7 +22,7 @@ from keymint.api import (
 )
 from keymint.api.source_documents import Reader, text
 from keymint.errors import KeymintError
-from keymint_ros2_zenoh.lowering.name_keys import check_distro
+from keymint_ros2_zenoh.lowering.permissions import check_distro
 from keymint_ros2_zenoh.settings import Router, ZenohSettings, is_address
 
 if TYPE_CHECKING:

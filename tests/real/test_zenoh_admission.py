@@ -12,7 +12,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec, ed25519, rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID
-from keymint_ros2_zenoh.decision import admission
+from keymint_ros2_zenoh import decision
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError
 
 from tests.plugins.keymint_ros2_zenoh.install_spaces import InstallSpace, key
@@ -87,7 +87,7 @@ def test_keys(space: InstallSpace) -> None:
         for name, new_key in KEYS.items():
             files = certificate(space, new_key)
             found[name] = admitted(network, files)
-            modelled = admission.refusal(files[0], space.authority, datetime.now(UTC), server=False)
+            modelled = decision.refusal(files[0], space.authority, datetime.now(UTC), server=False)
             assert (modelled == "") == found[name], name
     assert found == {"P-256": True, "P-384": True, "P-521": False, "RSA-2048": True, "Ed25519": True}
 
@@ -107,7 +107,7 @@ def test_usages_and_times(space: InstallSpace) -> None:
         network.router()
         for name, (files, expected) in cases.items():
             assert admitted(network, files) == expected, name
-            modelled = admission.refusal(files[0], space.authority, datetime.now(UTC), server=False)
+            modelled = decision.refusal(files[0], space.authority, datetime.now(UTC), server=False)
             assert (modelled == "") == expected, name
 
 
@@ -126,4 +126,4 @@ def test_an_authority_of_the_same_name_is_another_one(space: InstallSpace, tmp_p
     with real_network(space) as network:
         network.router()
         assert not admitted(network, files)
-    assert admission.refusal(files[0], space.authority, datetime.now(UTC), server=False)
+    assert decision.refusal(files[0], space.authority, datetime.now(UTC), server=False)

@@ -26,7 +26,7 @@ def test_a_wrong_model_would_be_seen(zenoh_library: str, monkeypatch: pytest.Mon
     right = message_access.includes
 
     def wrong(outer, inner):
-        from keymint_ros2_zenoh.keyexpr.key_expr import parse
+        from keymint_ros2_zenoh.keyexpr import parse
 
         return right(outer, inner) or right(outer, parse(inner.text.replace("@", "")))
 

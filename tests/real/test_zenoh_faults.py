@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable
 
 import pytest
-from keymint_ros2_zenoh.vendors import access_log
+from keymint_ros2_zenoh.vendors import zenoh_processes
 from keymint_ros2_zenoh.vendors.loopback import free_port
 from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError, ZenohSystem
 
@@ -49,7 +49,7 @@ JUDGED = [fault for fault in FAULTS if judged(fault)]
 
 def decisions(keystore: Keystore, system: ZenohSystem, stolen: bool) -> Decisions:
     """Let a session of each enclave, which restrains itself by nothing, ask the router of a keystore."""
-    router, sessions = system.start(log=access_log.FILTER), system.start()
+    router, sessions = system.start(log=zenoh_processes.FILTER), system.start()
     document = read((keystore.ws / ROUTER).read_bytes())
     port = free_port()
     document["listen"] = {"endpoints": [f"tls/127.0.0.1:{port}"]}

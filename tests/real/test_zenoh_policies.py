@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 from keymint_ros2_zenoh.documents import json5
 from keymint_ros2_zenoh.enclave_layout import ROUTER
-from keymint_ros2_zenoh.keyexpr.key_expr import canonical
+from keymint_ros2_zenoh.keyexpr import canonical
 from keymint_ros2_zenoh.proving.shared_proof import prove_shared
 
 from comarmor.rules import Effect

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from keymint_ros2_zenoh.lowering.message_slots import SLOTS
-from keymint_ros2_zenoh.lowering.name_keys import Place
+from keymint_ros2_zenoh.lowering.permissions import SLOTS, Place
 
 from tests.plugins.keymint_ros2_zenoh.install_spaces import NEEDED, InstallSpace, key
 

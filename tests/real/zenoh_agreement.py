@@ -10,13 +10,11 @@ from collections.abc import Iterator
 from itertools import count
 from pathlib import Path
 
-from keymint_ros2_zenoh.decision.message_access import AccessModel, Link
-from keymint_ros2_zenoh.documents.configuration import AccessControl
-from keymint_ros2_zenoh.messages import Flow, Message
-from keymint_ros2_zenoh.vendors import access_log
-from keymint_ros2_zenoh.vendors.access_log import LoggedDecision
+from keymint_ros2_zenoh.decision import AccessModel, Link
+from keymint_ros2_zenoh.documents.configuration import AccessControl, Flow, Message
+from keymint_ros2_zenoh.vendors import zenoh_processes
 from keymint_ros2_zenoh.vendors.loopback import free_port
-from keymint_ros2_zenoh.vendors.zenoh_processes import ZenohError, ZenohProcess, ZenohSystem
+from keymint_ros2_zenoh.vendors.zenoh_processes import LoggedDecision, ZenohError, ZenohProcess, ZenohSystem
 
 from .zenoh_configurations import FENCE, NAMES, ROUTER, Identities, random_access_control, random_key_expr
 from .zenoh_system import ZenohTestSystem
@@ -41,7 +39,7 @@ def disagreements(configurations: int, keys: int, seed: int) -> Iterator[tuple[b
         identities.issue("router", ROUTER, server=True)
         for number, name in enumerate(NAMES):
             identities.issue(f"node{number}", name)
-        router, sessions = system.start(log=access_log.FILTER), system.start()
+        router, sessions = system.start(log=zenoh_processes.FILTER), system.start()
         numbers = count()
         for number in range(configurations):
             control = random_access_control(randomly)

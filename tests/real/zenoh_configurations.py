@@ -13,10 +13,18 @@ from typing import Any
 from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID
-from keymint_ros2_zenoh.documents.configuration import AccessControl, AclPolicy, AclRule, AclSubject, Configuration
+from keymint_ros2_zenoh.documents.configuration import (
+    AccessControl,
+    AclPolicy,
+    AclRule,
+    AclSubject,
+    Configuration,
+    Flow,
+    Message,
+    Permission,
+)
 from keymint_ros2_zenoh.documents.configuration_writer import write
-from keymint_ros2_zenoh.keyexpr.key_expr import canonical
-from keymint_ros2_zenoh.messages import Flow, Message, Permission
+from keymint_ros2_zenoh.keyexpr import canonical
 
 from .handmade import Authority
 

@@ -1,18 +1,51 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The configuration of a Zenoh router or session, as data: the settings that access depends on.
+"""The configuration of a Zenoh router or session, as data: the settings on which access depends, as documents say them.
 
-Its member ``access_control`` is that of Zenoh 1.6 and later.
+Its member ``access_control`` is that of Zenoh 1.6 and later: it decides on messages.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import field, fields
+from enum import StrEnum
 from typing import Any
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
-from keymint_ros2_zenoh.messages import Flow, Message, Permission
+
+
+class Message(StrEnum):
+    """Messages that access control decides on."""
+
+    PUT = "put"
+    DELETE = "delete"
+    DECLARE_SUBSCRIBER = "declare_subscriber"
+    QUERY = "query"
+    REPLY = "reply"
+    DECLARE_QUERYABLE = "declare_queryable"
+    LIVELINESS_TOKEN = "liveliness_token"  # noqa: S105 - no password
+    LIVELINESS_QUERY = "liveliness_query"
+    DECLARE_LIVELINESS_SUBSCRIBER = "declare_liveliness_subscriber"
+
+
+class Flow(StrEnum):
+    """Direction of a message on a link, as seen from the process whose configuration decides."""
+
+    INGRESS = "ingress"
+    EGRESS = "egress"
+
+    @property
+    def opposite(self) -> Flow:
+        """The flow at the other end of the link: what enters the router leaves the session, and the reverse."""
+        return Flow.EGRESS if self is Flow.INGRESS else Flow.INGRESS
+
+
+class Permission(StrEnum):
+    """Effect of a rule, or the default."""
+
+    ALLOW = "allow"
+    DENY = "deny"
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,3 +215,24 @@ class Configuration:
 
 SETTINGS: Mapping[str, str] = {each.metadata["path"]: each.name for each in fields(Configuration) if each.metadata}
 """The attributes of :class:`Configuration` by the paths of their settings, in the order of documents."""
+
+_COMMON: Mapping[str, Any] = {
+    "timestamping/enabled": True,
+    "transport/link/tx/keep_alive": 2,
+    "transport/link/tx/lease": 60_000,
+    "transport/shared_memory/enabled": False,
+    "transport/unicast/accept_pending": 10_000,
+    "transport/unicast/accept_timeout": 60_000,
+    "transport/unicast/max_sessions": 10_000,
+    "transport/unicast/open_timeout": 60_000,
+}
+"""Settings of both default configurations of rmw_zenoh (0.12, ``rmw_zenoh_cpp/config``) that differ from Zenoh's.
+
+A configuration replaces these defaults, so it must repeat them. ``transient_local`` needs time stamps.
+"""
+ROUTER_SETTINGS: Mapping[str, Any] = _COMMON
+SESSION_SETTINGS: Mapping[str, Any] = {
+    **_COMMON,
+    "queries_default_timeout": 600_000,
+    "transport/link/tx/queue/congestion_control/block/wait_before_close": 60_000_000,
+}

@@ -17,6 +17,7 @@ from comarmor.data import locate
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean, quoted
 from keymint.errors import KeymintError
+from keymint_ros2_zenoh import keyexpr
 from keymint_ros2_zenoh.documents import json5
 from keymint_ros2_zenoh.documents.configuration import (
     DEFAULT_LISTEN,
@@ -27,10 +28,11 @@ from keymint_ros2_zenoh.documents.configuration import (
     AclRule,
     AclSubject,
     Configuration,
+    Flow,
+    Message,
+    Permission,
 )
 from keymint_ros2_zenoh.documents.json5 import Node
-from keymint_ros2_zenoh.keyexpr import key_expr
-from keymint_ros2_zenoh.messages import Flow, Message, Permission
 
 _LISTS = {"rules": "rule", "subjects": "subject", "policies": "policy"}
 """The lists of an access control, and what an item of each is."""
@@ -199,8 +201,8 @@ class _Reading:
         for rule in control.rules:
             for text in rule.key_exprs:
                 try:
-                    key_expr.parse(text)
-                except key_expr.KeyExprError as error:
+                    keyexpr.parse(text)
+                except keyexpr.KeyExprError as error:
                     yield self._defect(str(error), rule.where, "Zenoh refuses it at start")
 
     @staticmethod

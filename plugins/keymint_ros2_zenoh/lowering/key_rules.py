@@ -13,54 +13,33 @@ from comarmor.errors import Defects, Diagnostic, Origin
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.relations import TooComplexError, disjoint, intersection
 from comarmor.rules import Effect
-from comarmor.values import dataclass
 from keymint.api import DomainRange, Package
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
-from keymint_ros2_zenoh.keyexpr.key_expansion import TooManyAlternativesError, key_exprs, maximal
-from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr
-from keymint_ros2_zenoh.lowering.deny_wildcards import deny_wildcards
-from keymint_ros2_zenoh.lowering.message_slots import GRAPH_SLOTS, SLOTS, USERS, Slot
-from keymint_ros2_zenoh.lowering.name_keys import Place, graph_key, name_key, own_tokens_key
-from keymint_ros2_zenoh.lowering.name_rules import NameRules, name_rules
-from keymint_ros2_zenoh.messages import Flow, Message
+from keymint_ros2_zenoh.documents.configuration import AclRule, Flow, Message, Permission
+from keymint_ros2_zenoh.keyexpr import KeyExpr, TooManyAlternativesError, key_exprs, maximal, parse
+from keymint_ros2_zenoh.lowering.name_rules import NameRules, lower_notes, name_rules
+from keymint_ros2_zenoh.lowering.permissions import (
+    GRAPH_SLOTS,
+    SLOTS,
+    USERS,
+    Place,
+    Slot,
+    graph_key,
+    name_key,
+    own_tokens_key,
+)
 
 MAX_DOMAINS = 32
 """Domains that one subject may have: key expressions have no ranges, so that each domain repeats all of them."""
 
 
-@dataclass(frozen=True, slots=True)
-class KeyRule:
-    """What a router must permit or deny on the link of a subject. A denial overrides; what no rule allows is denied.
+def lower(
+    rules: SubjectRules, distro: str, domains: Sequence[DomainRange], origin: Origin
+) -> tuple[tuple[AclRule, ...], tuple[Diagnostic, ...]]:
+    """Return what a router must permit or deny on the link of a subject, as rules without an id, and diagnostics.
 
-    Attributes:
-        effect: allow or deny.
-        messages: messages, in the order of :class:`Message`.
-        flows: flows as the router sees them: ingress is from the subject, egress to it.
-        key_exprs: key expressions, sorted.
-    """
-
-    effect: Effect
-    messages: tuple[Message, ...]
-    flows: tuple[Flow, ...]
-    key_exprs: tuple[KeyExpr, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class LoweredKeys:
-    """The rules of a subject for a router.
-
-    Attributes:
-        rules: what the router must permit or deny.
-        diagnostics: warnings and notes.
-    """
-
-    rules: tuple[KeyRule, ...]
-    diagnostics: tuple[Diagnostic, ...]
-
-
-def lower(rules: SubjectRules, distro: str, domains: Sequence[DomainRange], origin: Origin) -> LoweredKeys:
-    """Return what a router must permit or deny on the link of a subject.
+    Flows are as the router sees them: ingress is from the subject, egress to it.
 
     Args:
         rules: the subject's rules.
@@ -74,11 +53,11 @@ def lower(rules: SubjectRules, distro: str, domains: Sequence[DomainRange], orig
     names = name_rules(rules, distro)
     _require_few(domains, origin)
     ids = domain_ids(domains)
-    return LoweredKeys((*_rules(names, ids), *_graph(rules.subject, ids)), tuple(lower_notes(names)))
+    return (*_rules(names, ids), *_graph(rules.subject, ids)), tuple(lower_notes(names))
 
 
-def lower_package(package: Package) -> LoweredKeys:
-    """Return what a router must permit or deny on the link of a package's subject.
+def lower_package(package: Package) -> tuple[tuple[AclRule, ...], tuple[Diagnostic, ...]]:
+    """Return what a router must permit or deny on the link of a package's subject; see :func:`lower`.
 
     Raises:
         KeymintError: Zenoh cannot express a rule or the validity of the grant; all defects with their ``file:line``.
@@ -107,25 +86,6 @@ def _dated(package: Package) -> Iterator[Diagnostic]:
         )
 
 
-def check_rules(rules: SubjectRules, distro: str) -> Sequence[Diagnostic]:
-    """Return rules that Zenoh cannot express, that hold for literal keys only, or that match no name.
-
-    Args:
-        rules: the policy's rules for a subject.
-        distro: ROS 2 distribution whose name mapping applies.
-    """
-    try:
-        return tuple(lower_notes(name_rules(rules, distro)))
-    except KeymintError as error:
-        return error.diagnostics
-
-
-def lower_notes(names: NameRules) -> Iterator[Diagnostic]:
-    """Yield the warnings and notes about the rules of a subject."""
-    yield from names.diagnostics
-    yield from deny_wildcards(names)
-
-
 def _require_few(domains: Iterable[DomainRange], origin: Origin) -> None:
     if sum(each.last - each.first + 1 for each in domains) > MAX_DOMAINS:
         raise KeymintError(
@@ -142,7 +102,7 @@ def domain_ids(domains: Iterable[DomainRange]) -> tuple[int, ...]:
     return tuple(sorted({each for item in domains for each in range(item.first, item.last + 1)}))
 
 
-def _rules(names: NameRules, domains: tuple[int, ...]) -> Iterator[KeyRule]:
+def _rules(names: NameRules, domains: tuple[int, ...]) -> Iterator[AclRule]:
     """Yield the rules for names, in the order of the policy."""
     places: dict[tuple[Effect, Rule], dict[tuple[KeyExpr, Place], set[Slot]]] = {}
     for effect, slots, pattern, rule in slot_rules(names):
@@ -197,33 +157,34 @@ def _denied_too(names: NameRules, pattern: Glob, permissions: Iterable[str]) -> 
                     yield both
 
 
-def _by_flow(effect: Effect, sides: Iterable[tuple[Message, Flow]], keys: Iterable[KeyExpr]) -> Iterator[KeyRule]:
+def _by_flow(effect: Effect, sides: Iterable[tuple[Message, Flow]], keys: Iterable[KeyExpr]) -> Iterator[AclRule]:
     """Yield rules of messages and flows, one if both flows have the same messages."""
-    expressions = tuple(sorted(set(keys)))
+    expressions = tuple(str(key) for key in sorted(set(keys)))
+    permission = Permission.ALLOW if effect is Effect.ALLOW else Permission.DENY
     flows: dict[tuple[Message, ...], tuple[Flow, ...]] = {}
     for flow in Flow:
         messages = tuple(message for message in Message if (message, flow) in sides)
         flows[messages] = (*flows.get(messages, ()), flow)
     for messages, own in flows.items():
         if messages:
-            yield KeyRule(effect, messages, own, expressions)
+            yield AclRule("", messages, own, permission, expressions)
 
 
-def _graph(subject: str, domains: tuple[int, ...]) -> Iterator[KeyRule]:
+def _graph(subject: str, domains: tuple[int, ...]) -> Iterator[AclRule]:
     """Yield what lets a node announce itself and read the graph. No enclave can announce the nodes of another one."""
     own = [own_tokens_key(domain, subject) for domain in domains]
     yield from _by_flow(Effect.ALLOW, {(Message.LIVELINESS_TOKEN, Flow.INGRESS)}, own)
     yield from _by_flow(Effect.ALLOW, GRAPH_SLOTS, [graph_key(domain) for domain in domains])
 
 
-def combined_rules(rules: Iterable[KeyRule]) -> tuple[KeyRule, ...]:
+def combined_rules(rules: Iterable[AclRule]) -> tuple[AclRule, ...]:
     """Return fewer rules that decide every message and key expression as the given ones do.
 
     The order of rules has no meaning, and a rule applies if one of its key expressions includes the key. So rules of
     the same effect, messages and flows are one rule with all their key expressions. One that another includes is left
     out.
     """
-    groups: dict[tuple[Effect, tuple[Message, ...], tuple[Flow, ...]], set[KeyExpr]] = {}
+    groups: dict[tuple[tuple[Message, ...], tuple[Flow, ...], Permission], set[KeyExpr]] = {}
     for rule in rules:
-        groups.setdefault((rule.effect, rule.messages, rule.flows), set()).update(rule.key_exprs)
-    return tuple(KeyRule(*shared, maximal(keys)) for shared, keys in groups.items())
+        groups.setdefault((rule.messages, rule.flows, rule.permission), set()).update(map(parse, rule.key_exprs))
+    return tuple(AclRule("", *shared, tuple(map(str, maximal(keys)))) for shared, keys in groups.items())

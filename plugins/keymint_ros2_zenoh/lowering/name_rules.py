@@ -1,26 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rules of a subject by permissions that are not composite, and what Zenoh cannot express of them."""
+"""The rules of a subject by permissions that are not composite, and what Zenoh cannot express of them.
+
+A denial holds for literal keys only: a router denies what a denial includes. A message may have a key expression in
+place of a key: ``0/*/x/…`` meets the denied ``0/secret/x/…`` without being included in it. Nodes send literal keys
+only; a hostile session need not. Its message reaches a receiver of the denied name if this may receive such key
+expressions too. :func:`deny_wildcards` warns about it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.possible_names import advice, matches_ros_name
+from comarmor.patterns.relations import disjoint
 from comarmor.patterns.tokens import PatternError
 from comarmor.rules import Effect, parts
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
-from keymint_ros2_zenoh.keyexpr.key_expansion import TooManyAlternativesError, key_exprs
-from keymint_ros2_zenoh.lowering.message_slots import SLOTS
-from keymint_ros2_zenoh.lowering.name_keys import check_distro
+from keymint_ros2_zenoh.keyexpr import KeyExpr, TooManyAlternativesError, includes, intersects, key_exprs
+from keymint_ros2_zenoh.lowering.permissions import SLOTS, check_distro
 
-KINDS = ("ros_topic", "ros_service", "ros_action", "ros_parameter")
-"""Kinds of rules that Zenoh can express."""
 DDS_INFRASTRUCTURE = "ros_discovery_info"
 """The DDS topic by which the nodes of DDS middleware describe themselves; the policy library allows it to every node.
 
@@ -93,6 +97,25 @@ def name_rules(rules: SubjectRules, distro: str) -> NameRules:
     return NameRules(rules.subject, tuple(found), tuple(diagnostics))
 
 
+def check_rules(rules: SubjectRules, distro: str) -> Sequence[Diagnostic]:
+    """Return rules that Zenoh cannot express, that hold for literal keys only, or that match no name.
+
+    Args:
+        rules: the policy's rules for a subject.
+        distro: ROS 2 distribution whose name mapping applies.
+    """
+    try:
+        return tuple(lower_notes(name_rules(rules, distro)))
+    except KeymintError as error:
+        return error.diagnostics
+
+
+def lower_notes(names: NameRules) -> Iterator[Diagnostic]:
+    """Yield the warnings and notes about the rules of a subject."""
+    yield from names.diagnostics
+    yield from deny_wildcards(names)
+
+
 def is_dds_infrastructure(rule: Rule) -> bool:
     """Return whether a rule only allows nodes to describe themselves to each other on DDS."""
     return (
@@ -139,7 +162,7 @@ def _of_expression(expression: str, rule: Rule) -> Iterator[NameRule | _Problem]
 def _defects(rule: Rule) -> Iterator[_Problem]:
     """Yield what Zenoh cannot express of a rule, whatever its expressions."""
     this = f"this {rule.effect} {rule.kind} rule"
-    if rule.kind not in KINDS:
+    if rule.kind == "topic":
         message = f"{this} names DDS topics by their own names, which Zenoh does not have"
         help_ = "write a rule of kind ros_topic or ros_service, or leave the rule to a policy for DDS"
         yield "zenoh-raw-topic", Severity.ERROR, message, help_
@@ -167,5 +190,57 @@ def _dropped(rule: Rule, subject: str) -> Diagnostic:
         "own nodes and read the graph",
         where,
         "",
+        subject,
+    )
+
+
+SENDING = ("ros_publish", "ros_call")
+"""The permissions to send: what a subject may receive, its peers decide by what they may send."""
+_ASKING = "ros_subscribe"
+"""A late subscriber asks for cached data, and gets it if replies are not denied because it may call a service."""
+
+
+def deny_wildcards(names: NameRules) -> Iterator[Diagnostic]:
+    """Yield a warning for each DENY rule of a subject that an allowed key expression meets without being included."""
+    reported = set()
+    for permission in (*SENDING, _ASKING):
+        allowed = [each for each in names.rules if (each.effect, each.permission) == (Effect.ALLOW, permission)]
+        wild = [(key, each) for each in allowed for key in key_exprs(each.pattern) if not key.is_literal]
+        for denial in names.rules:
+            if (denial.effect, denial.permission) != (Effect.DENY, permission) or denial.rule.origin in reported:
+                continue
+            if permission == _ASKING and not _answered(names, denial):
+                continue
+            found = _met(denial, wild)
+            if found:
+                reported.add(denial.rule.origin)
+                yield _warning(denial, *found, names.subject)
+
+
+def _answered(names: NameRules, denial: NameRule) -> bool:
+    """Return whether a reply about a denied name may reach the subject."""
+    return any(not disjoint(denial.pattern, called) for called in names.patterns(Effect.ALLOW, "ros_call"))
+
+
+def _met(denial: NameRule, wild: list[tuple[KeyExpr, NameRule]]) -> tuple[KeyExpr, NameRule] | None:
+    """Return the first key expression that a denial meets and does not include, with its rule."""
+    for denied in key_exprs(denial.pattern):
+        for key, allowing in wild:
+            if intersects(key, denied) and not includes(denied, key):
+                return key, allowing
+    return None
+
+
+def _warning(denial: NameRule, key: KeyExpr, allowing: NameRule, subject: str) -> Diagnostic:
+    message = (
+        f"this DENY {denial.rule.kind} rule holds for names only: the ALLOW rule at {allowing.rule.origin} also "
+        f"permits key expressions such as '<domain>/{key}/…', which cover a denied name; a hostile process can send "
+        "them, and they arrive where a receiver may receive them"
+    )
+    return Diagnostic.warning(
+        "zenoh-deny-wildcard",
+        message,
+        denial.rule.origin,
+        "allow the names that the subject needs instead of a wildcard",
         subject,
     )

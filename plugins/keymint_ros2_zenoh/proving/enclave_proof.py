@@ -1,25 +1,193 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prove an installed enclave: what the router's file permits it, and that its sessions know the router alone."""
+"""Prove an installed enclave, or refute it: the router permits what the policy allows, and its sessions know it only.
+
+The claims are by message and flow, about all literal keys.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
+from itertools import product
 
 from comarmor.errors import Diagnostic, Reason
+from comarmor.patterns.decision_lists import Equal, ProofResult, SearchBudget, Unknown, Witness
+from comarmor.patterns.steps import spend
 from keymint.api import Claim, Counterexample, DomainRange, Endpoint, PolicyDecision, Proof, ProofTask, Verdict
 from keymint.errors import KeymintError
 from keymint.pki.identity_check import enclave_file
-from keymint_ros2_zenoh import configuration_requirements
-from keymint_ros2_zenoh.decision.admission import first_common_name
-from keymint_ros2_zenoh.decision.message_access import AccessModel
-from keymint_ros2_zenoh.documents.configuration import Configuration
+from keymint_ros2_zenoh.decision import AccessModel, KeyLists, LinkAccess, first_common_name
+from keymint_ros2_zenoh.documents.configuration import Configuration, Flow, Message
 from keymint_ros2_zenoh.documents.configuration_reader import read
-from keymint_ros2_zenoh.emission import common_name, router_of
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, ROUTER, SESSION
-from keymint_ros2_zenoh.proving.anchor_check import differences
-from keymint_ros2_zenoh.proving.claims import MODEL, prove_rights
+from keymint_ros2_zenoh.examine import configurations
+from keymint_ros2_zenoh.examine.enclaves import differences
+from keymint_ros2_zenoh.identities import common_name, router_of
+from keymint_ros2_zenoh.keyexpr import KeyExpr, includes, intersects
+from keymint_ros2_zenoh.lowering.key_rules import domain_ids
+from keymint_ros2_zenoh.lowering.name_rules import name_rules
+from keymint_ros2_zenoh.lowering.permissions import action
+from keymint_ros2_zenoh.proving import policy_evaluator
+from keymint_ros2_zenoh.proving.key_search import Automaton, Side, difference, side_of
+from keymint_ros2_zenoh.proving.policy_side import PolicySide
 from keymint_ros2_zenoh.settings import is_router
+
+MODEL = "zenoh-1"
+_MEETING = 4
+"""Steps of a comparison of two key expressions."""
+UNIVERSE = "all literal keys; the names in them are legal ROS names"
+_REPLIES = (
+    "replies about names for which one rule denies a permission and another rule allows the one that shares the reply: "
+    "no query reaches the subject there"
+)
+
+
+def prove_rights(task: ProofTask, router: LinkAccess, session: LinkAccess) -> Iterator[Claim]:
+    """Yield a claim for each message and flow.
+
+    Args:
+        task: what the policy allows the enclave.
+        router: what the router permits on links of the enclave.
+        session: what the enclave's own configuration permits on links to the router.
+
+    Raises:
+        KeymintError: Zenoh cannot express a rule of the policy.
+    """
+    policy = PolicySide(name_rules(task.rules, task.package.distro), domain_ids(task.package.grant.domains))
+    unknown = router.unmodelled or policy.unproven(task.states)
+    proof = _Rights(task, policy, router, session)
+    for message, flow in product(Message, Flow):
+        if unknown:
+            yield proof.claim(message, flow, Proof.UNKNOWN, unknown, spent=not router.unmodelled)
+        else:
+            yield proof.of(message, flow)
+
+
+class _Rights:
+    """Makes the claims of one enclave."""
+
+    def __init__(self, task: ProofTask, policy: PolicySide, router: LinkAccess, session: LinkAccess) -> None:
+        self._task = task
+        self._policy = policy
+        self._router = router
+        self._session = session
+        self._automaton = Automaton()
+        self._known: dict[tuple[Side, Side], ProofResult] = {}
+        self._meeting: dict[tuple[tuple[KeyExpr, ...], tuple[KeyExpr, ...]], tuple[KeyExpr, ...]] = {}
+
+    def claim(
+        self, message: Message, flow: Flow, proof: Proof, reason: str = "", example: Counterexample | None = None,
+        *, spent: bool = False, excepted: tuple[str, ...] = (),
+    ) -> Claim:  # fmt: skip
+        """Return a claim about a message and a flow."""
+        domains = self._task.package.grant.domains
+        return Claim(MODEL, action(message, flow), domains, UNIVERSE, proof, reason, example, spent, excepted)
+
+    def of(self, message: Message, flow: Flow) -> Claim:
+        """Return the claim about a message and a flow."""
+        router = self._side(self._router.keys(message, flow), everything=self._router.open)
+        result = self._compare(self._side(self._policy.permitted(message, flow)), router)
+        excepted: tuple[str, ...] = ()
+        if isinstance(result, Witness) and message is Message.REPLY and not result.left:
+            again = self._compare(self._side(self._policy.expressible(message, flow)), router)
+            excepted = (_REPLIES,) if again == Equal() else ()
+            result = result if isinstance(again, Witness) and not self._real(again, message, flow) else again
+        if isinstance(result, Unknown):
+            return self.claim(message, flow, Proof.UNKNOWN, result.reason, spent=True)
+        if isinstance(result, Witness):
+            return self._refuted(message, flow, result)
+        return self._in_session(message, flow) or self.claim(message, flow, Proof.PROVEN, excepted=excepted)
+
+    def _in_session(self, message: Message, flow: Flow) -> Claim | None:
+        """Return a claim that is not proven because the enclave's own configuration restricts what is permitted."""
+        session = self._session
+        if session.unmodelled:
+            reason = f"the configuration of the enclave's own sessions: {session.unmodelled}"
+            return self.claim(message, flow, Proof.UNKNOWN, reason)
+        own, permitted = session.keys(message, flow.opposite), self._policy.permitted(message, flow)
+        needed = [key for allowed, _ in permitted for key in allowed]
+        if any(not denied and (session.open or _include(allowed, needed)) for allowed, denied in own):
+            return None
+        side = self._side(own, everything=session.open)
+        result = self._compare(side_of((*self._side(permitted), *side)), side)
+        if isinstance(result, Unknown):
+            return self.claim(message, flow, Proof.UNKNOWN, result.reason, spent=True)
+        if isinstance(result, Equal):
+            return None
+        key = result.word
+        reason = "the configuration of the enclave's own sessions does not permit it"
+        verdict = Verdict(allowed=False, reason=reason, where=session.where)
+        example = self._example(message, flow, key, self._decision(message, flow, key), verdict)
+        return self.claim(message, flow, Proof.COUNTEREXAMPLE, "", example)
+
+    def _real(self, witness: Witness, message: Message, flow: Flow) -> bool:
+        """Return whether the policy decides on a key as the side that the witness was found with."""
+        return self._decision(message, flow, witness.word).allowed is witness.left
+
+    def _decision(self, message: Message, flow: Flow, key: str) -> PolicyDecision:
+        return policy_evaluator.decide(self._task.rules, self._policy.domains, key, message, flow)
+
+    def _side(self, lists: KeyLists, *, everything: bool = False) -> Side:
+        """Return key expressions as nodes, without denials that concern nothing that is allowed.
+
+        Args:
+            lists: key expressions by entry.
+            everything: each entry also allows all other keys.
+        """
+        nodes = self._automaton
+        more = (nodes.everything,) if everything else ()
+        return side_of(
+            (
+                frozenset((*map(nodes.key_expr, allowed), *more)),
+                frozenset(map(nodes.key_expr, denied if everything else self._concerned(allowed, denied))),
+            )
+            for allowed, denied in lists
+        )
+
+    def _concerned(self, allowed: tuple[KeyExpr, ...], denied: tuple[KeyExpr, ...]) -> tuple[KeyExpr, ...]:
+        """Return the denied key expressions that match a key which one of the allowed ones matches."""
+        lists = (allowed, denied)
+        if lists not in self._meeting:
+            self._meeting[lists] = tuple(key for key in denied if _meets(key, allowed))
+        return self._meeting[lists]
+
+    def _compare(self, policy: Side, router: Side) -> ProofResult:
+        key = (policy, router)
+        if key not in self._known:
+            budget = SearchBudget(self._task.states, self._task.go_on)
+            self._known[key] = difference(self._automaton, policy, router, budget)
+        return self._known[key]
+
+    def _refuted(self, message: Message, flow: Flow, witness: Witness) -> Claim:
+        key = witness.word
+        policy, decided = self._decision(message, flow, key), self._router.decide(message, flow, key)
+        if policy.allowed is not witness.left or decided.allowed is witness.left:
+            return self.claim(
+                message, flow, Proof.UNKNOWN,
+                f"the engine and the plain evaluators disagree on {key!r}: a defect of Keymint",
+            )  # fmt: skip
+        verdict = Verdict(decided.allowed, decided.reason, decided.where or self._router.where)
+        return self.claim(message, flow, Proof.COUNTEREXAMPLE, "", self._example(message, flow, key, policy, verdict))
+
+    def _example(
+        self, message: Message, flow: Flow, key: str, policy: PolicyDecision, verdict: Verdict
+    ) -> Counterexample:
+        subject, meaning = self._task.rules.subject, policy_evaluator.meaning_of(key)
+        endpoint = Endpoint(subject, action(message, flow), key, domain=meaning.domain if meaning else 0)
+        edge = next(policy_evaluator.edges(subject, key, message, flow), None)
+        return Counterexample(endpoint, edge, policy, verdict)
+
+
+def _include(outer: Iterable[KeyExpr], inner: Iterable[KeyExpr]) -> bool:
+    """Return whether each key expression is included in one of others."""
+    return all(any(includes(each, key) for each in outer) for key in inner)
+
+
+def _meets(key: KeyExpr, others: Sequence[KeyExpr]) -> bool:
+    """Return whether a key matches a key expression and one of others."""
+    spend(_MEETING * len(others))
+    return any(intersects(key, other) for other in others)
+
 
 CONNECT = "connect"
 _EXPECTED = "a session must exchange messages with the router alone"
@@ -69,11 +237,11 @@ def _connects(task: ProofTask, session: Configuration, router: str) -> Claim:
     """Return the claim that sessions exchange messages with the router alone."""
     package, file = task.package, f"{task.folder}/{SESSION}"
     found = (
-        *configuration_requirements.by_itself(session, package, file),
-        *configuration_requirements.open_default(session, file),
-        *configuration_requirements.pin_findings(session, router, file),
+        *configurations.by_itself(session, package, file),
+        *configurations.open_default(session, file),
+        *configurations.pin_findings(session, router, file),
     )
-    unmodelled, domains = configuration_requirements.unmodelled_setting(session, router=False), package.grant.domains
+    unmodelled, domains = configurations.unmodelled_setting(session, router=False), package.grant.domains
     return configuration_claim(CONNECT, package.subject, _SESSIONS, found, _EXPECTED, unmodelled, domains)
 
 

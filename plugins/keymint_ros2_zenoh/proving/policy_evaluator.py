@@ -16,11 +16,18 @@ from comarmor.values import dataclass
 from keymint.api import PolicyDecision
 from keymint.api.graph import Edge, Object
 from keymint.ir import Rule, SubjectRules
-from keymint_ros2_zenoh.keyexpr.key_expansion import ALPHABET
-from keymint_ros2_zenoh.keyexpr.key_expr import VERBATIM
-from keymint_ros2_zenoh.lowering.message_slots import GRAPH_SLOTS, USERS, Slot
-from keymint_ros2_zenoh.lowering.name_keys import ADVANCED, GRAPH, TOKEN_ENCLAVE, TYPE_AND_HASH, Place
-from keymint_ros2_zenoh.messages import Flow, Message
+from keymint_ros2_zenoh.documents.configuration import Flow, Message
+from keymint_ros2_zenoh.keyexpr import ALPHABET, VERBATIM
+from keymint_ros2_zenoh.lowering.permissions import (
+    ADVANCED,
+    GRAPH,
+    GRAPH_SLOTS,
+    TOKEN_ENCLAVE,
+    TYPE_AND_HASH,
+    USERS,
+    Place,
+    Slot,
+)
 
 _KIND = {
     "ros_publish": "ros_topic", "ros_subscribe": "ros_topic", "ros_call": "ros_service", "ros_execute": "ros_service",

@@ -15,16 +15,13 @@ from comarmor.patterns.printing import exact
 from comarmor.patterns.steps import step_counting_cache
 from comarmor.rules import Effect
 from comarmor.values import dataclass
-from keymint_ros2_zenoh.decision.message_access import KeyLists
-from keymint_ros2_zenoh.keyexpr.key_expansion import key_exprs
-from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr
+from keymint_ros2_zenoh.decision import KeyLists
+from keymint_ros2_zenoh.documents.configuration import Flow, Message
+from keymint_ros2_zenoh.keyexpr import KeyExpr, key_exprs
 from keymint_ros2_zenoh.lowering.key_rules import slot_rules
-from keymint_ros2_zenoh.lowering.message_slots import GRAPH_SLOTS, USERS, Slot
-from keymint_ros2_zenoh.lowering.name_keys import Place, graph_key, name_key, own_tokens_key
 from keymint_ros2_zenoh.lowering.name_rules import NameRules
-from keymint_ros2_zenoh.messages import Flow, Message
-from keymint_ros2_zenoh.proving.automaton import Automaton
-from keymint_ros2_zenoh.proving.key_search import difference, side_of
+from keymint_ros2_zenoh.lowering.permissions import GRAPH_SLOTS, USERS, Place, Slot, graph_key, name_key, own_tokens_key
+from keymint_ros2_zenoh.proving.key_search import Automaton, difference, side_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +57,7 @@ class PolicySide:
         """Return what one list of denials can express: where permissions share a message, more than :meth:`permitted`.
 
         It permits a reply on names that one permission is denied and another one is allowed on other names of the same
-        rule; see :data:`keymint_ros2_zenoh.lowering.message_slots.SLOTS` for why this is no right.
+        rule; see :data:`keymint_ros2_zenoh.lowering.permissions.SLOTS` for why this is no right.
         """
         lists: dict[Effect, list[KeyExpr]] = {effect: [] for effect in Effect}
         for effect, slots, pattern, _ in slot_rules(self.names):

@@ -1,29 +1,155 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prove claims across subjects: how the router knows them, and that no wildcard carries a message around a denial."""
+"""Prove claims across subjects: how the router knows them, and that no wildcard carries a message around a denial.
+
+A denial hides the keys that it includes. A sender that may also send a wider key expression can address the denied name
+with it, and a receiver gets the message if its rights include that expression too. The smallest such expressions are
+the denied one with one ``$*`` or ``**`` inserted. So for a denied name without wildcards their absence is a proof;
+otherwise the answer may be unknown.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from functools import lru_cache
 
+from comarmor.values import dataclass
 from keymint.api import Claim, Package, Proof, SharedProofTask
 from keymint.errors import KeymintError
-from keymint_ros2_zenoh import configuration_requirements
-from keymint_ros2_zenoh.authority_roles import ACCESS
-from keymint_ros2_zenoh.decision.admission import first_common_name
-from keymint_ros2_zenoh.decision.message_access import LinkAccess
-from keymint_ros2_zenoh.documents.configuration import Configuration
+from keymint_ros2_zenoh.decision import LinkAccess, first_common_name
+from keymint_ros2_zenoh.documents.configuration import Configuration, Flow, Message
 from keymint_ros2_zenoh.documents.configuration_reader import read
-from keymint_ros2_zenoh.emission import common_name
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, ROUTER
-from keymint_ros2_zenoh.keyexpr.key_expr import parse
-from keymint_ros2_zenoh.keyexpr.key_relations import includes, intersects
-from keymint_ros2_zenoh.lowering.name_keys import ADVANCED
-from keymint_ros2_zenoh.messages import Flow, Message
-from keymint_ros2_zenoh.proving.anchor_check import router_differences
-from keymint_ros2_zenoh.proving.claims import MODEL
-from keymint_ros2_zenoh.proving.enclave_proof import configuration_claim, router_access
-from keymint_ros2_zenoh.proving.wildcard_leaks import Leak, Rights, leaks
-from keymint_ros2_zenoh.settings import is_router
+from keymint_ros2_zenoh.examine import configurations
+from keymint_ros2_zenoh.examine.enclaves import router_differences
+from keymint_ros2_zenoh.identities import common_name
+from keymint_ros2_zenoh.keyexpr import (
+    ANY_CHARACTERS,
+    ANY_CHUNK,
+    ANY_CHUNKS,
+    VERBATIM,
+    KeyExpr,
+    KeyExprError,
+    includes,
+    intersects,
+    of_chunks,
+    parse,
+)
+from keymint_ros2_zenoh.lowering.permissions import ADVANCED, TYPE_AND_HASH
+from keymint_ros2_zenoh.proving.enclave_proof import MODEL, configuration_claim, router_access
+from keymint_ros2_zenoh.settings import ACCESS, is_router
+
+
+@dataclass(frozen=True, slots=True)
+class Rights:
+    """What a subject may send, or receive, of one message.
+
+    Attributes:
+        subject: the subject.
+        allowed: key expressions that are allowed.
+        denied: key expressions that are denied.
+    """
+
+    subject: str
+    allowed: tuple[KeyExpr, ...]
+    denied: tuple[KeyExpr, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Leak:
+    """A way around a denial.
+
+    Attributes:
+        sender: who is denied.
+        receiver: who receives.
+        denied: the denied key expression.
+        key: the key expression that carries the message; None if it is not known whether there is one.
+    """
+
+    sender: str
+    receiver: str
+    denied: KeyExpr
+    key: KeyExpr | None
+
+
+def leaks(senders: Iterable[Rights], receivers: Sequence[Rights]) -> Iterator[Leak]:
+    """Yield at most one leak for each denied key expression of a sender."""
+    groups = _groups(receivers)
+    for sender in senders:
+        wild = [each for each in sender.allowed if not each.is_literal]
+        for denied in sender.denied:
+            around = [each for each in wild if intersects(each, denied) and not includes(denied, each)]
+            if around:
+                yield from _first(_past(sender, denied, around, groups))
+
+
+_Group = tuple[tuple[KeyExpr, ...], tuple[KeyExpr, ...], list[str]]
+"""Key expressions with wildcards that are allowed, those that are denied, and the subjects that have both."""
+
+
+def _groups(receivers: Iterable[Rights]) -> list[_Group]:
+    """Return the receivers by what they may receive: many have the same rights."""
+    groups: dict[tuple[tuple[KeyExpr, ...], tuple[KeyExpr, ...]], list[str]] = {}
+    for each in receivers:
+        wild = tuple(allowed for allowed in each.allowed if not allowed.is_literal)
+        if wild:
+            groups.setdefault((wild, each.denied), []).append(each.subject)
+    return [(allowed, denied, subjects) for (allowed, denied), subjects in groups.items()]
+
+
+def _first(found: Iterable[Leak]) -> Iterator[Leak]:
+    """Yield the first leak whose key is known, else the first one."""
+    unknown = None
+    for leak in found:
+        if leak.key is not None:
+            yield leak
+            return
+        unknown = unknown or leak
+    if unknown is not None:
+        yield unknown
+
+
+def _past(sender: Rights, denied: KeyExpr, around: list[KeyExpr], groups: Iterable[_Group]) -> Iterator[Leak]:
+    """Yield the leaks past a denied key expression, one for each right of each group."""
+    sent = [key for key in (*wider(denied), *around) if any(includes(each, key) for each in around)]
+    for allowed, hidden, subjects in groups:
+        receiver = next((subject for subject in subjects if subject != sender.subject), None)
+        for right in allowed if receiver else ():
+            if not intersects(right, denied) or includes(denied, right):
+                continue
+            fitting = [key for key in sent if includes(right, key)]
+            fitting += [right] * any(includes(each, right) for each in around)
+            denials = (*sender.denied, *hidden)
+            key = next((key for key in fitting if not any(includes(each, key) for each in denials)), None)
+            meeting = any(intersects(each, right) for each in around)
+            if key is not None or fitting or (meeting and not _is_plain(denied)):
+                yield Leak(sender.subject, str(receiver), denied, key)
+
+
+def _is_plain(denied: KeyExpr) -> bool:
+    """Return whether only type and hash of a denied key expression are open, and what follows a verbatim chunk."""
+    chunks = denied.chunks
+    if len(chunks) > 1 and chunks[-2].startswith(VERBATIM):
+        chunks = chunks[:-2]
+    return not any("*" in chunk for chunk in chunks[: -len(TYPE_AND_HASH)])
+
+
+@lru_cache(maxsize=1 << 12)
+def wider(denied: KeyExpr) -> tuple[KeyExpr, ...]:
+    """Return a key expression with one ``$*`` or ``**`` inserted, at each place where this makes a wider one."""
+    found: dict[KeyExpr, None] = {}
+    chunks = denied.chunks
+    for at, chunk in enumerate(chunks):
+        if chunk in (ANY_CHUNK, ANY_CHUNKS) or chunk.startswith(VERBATIM):
+            continue
+        for split in range(len(chunk) + 1):
+            with suppress(KeyExprError):  # within a "$*"
+                inserted = f"{chunk[:split]}{ANY_CHARACTERS}{chunk[split:]}"
+                found[of_chunks((*chunks[:at], inserted, *chunks[at + 1 :]))] = None
+    for at in range(len(chunks) + 1):
+        found[of_chunks((*chunks[:at], ANY_CHUNKS, *chunks[at:]))] = None
+    return tuple(each for each in found if not includes(denied, each))
+
 
 ROUTE, IDENTIFY, ADDRESS = "route", "identify", "address"
 _ROUTE = "all links of the router"
@@ -60,18 +186,18 @@ def _route(task: SharedProofTask, configuration: Configuration, file: str) -> Cl
     routers = [package for package in task.packages if is_router(package)]
     if len(routers) != 1:
         return Claim(MODEL, ROUTE, (), _ROUTE, Proof.UNKNOWN, f"the workspace has {len(routers)} packages of routers")
-    found = tuple(configuration_requirements.by_itself(configuration, routers[0], file))
+    found = tuple(configurations.by_itself(configuration, routers[0], file))
     expected = "the router must decide on every message, by the certificate of its sender"
-    unmodelled = configuration_requirements.unmodelled_setting(configuration, router=True)
+    unmodelled = configurations.unmodelled_setting(configuration, router=True)
     return configuration_claim(ROUTE, routers[0].subject, _ROUTE, found, expected, unmodelled)
 
 
 def _identify(configuration: Configuration, names: Mapping[str, str], file: str) -> Claim:
     """Return the claim that each enclave has the rights of one entry, and nobody else has any."""
     found = (
-        *configuration_requirements.open_default(configuration, file),
-        *configuration_requirements.entries(configuration),
-        *configuration_requirements.holders(configuration, names, file),
+        *configurations.open_default(configuration, file),
+        *configurations.entries(configuration),
+        *configurations.holders(configuration, names, file),
     )
     expected = "each enclave must have one subject entry with its common name, and nobody else one"
     return configuration_claim(IDENTIFY, "", _IDENTIFY, found, expected)

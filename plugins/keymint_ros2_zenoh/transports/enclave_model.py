@@ -1,27 +1,122 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The model's decisions about installed enclaves, and the simulated transport that gives them.
+"""Installed enclaves as the model sees them, and the simulated transport that gives its decisions.
 
-Both ends of a link decide: the router, and the session's own access control.
+Both ends of a link decide: the router, and the session's own access control. Configurations name certificates and keys
+by absolute paths on the robot. Here they are looked for in the install space or its copy: at the longest end of the
+path that exists there. So a configuration that names the files of another enclave, or none, is read as it stands.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.api.graph import Edge
-from keymint.api.transports import EnclavesBySubject
+from keymint.api.transports import EnclavesBySubject, installed_file
+from keymint.errors import KeymintError
 from keymint.pki import certificates
-from keymint_ros2_zenoh.decision import admission
-from keymint_ros2_zenoh.decision.message_access import AccessDecision, Link
-from keymint_ros2_zenoh.decision.operations import Operation, OperationRequest, operations
+from keymint_ros2_zenoh import decision
+from keymint_ros2_zenoh.decision import AccessDecision, AccessModel, Link
+from keymint_ros2_zenoh.documents import configuration_reader as documents
+from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.enclave_layout import ROUTER, SESSION
-from keymint_ros2_zenoh.transports import installed_configurations
-from keymint_ros2_zenoh.transports.installed_configurations import InstalledConfiguration
+from keymint_ros2_zenoh.keyexpr import ANY_CHARACTERS, ANY_CHUNKS
+from keymint_ros2_zenoh.lowering.permissions import TYPE_AND_HASH, Operation, OperationRequest, operations
 from keymint_ros2_zenoh.vendors import loopback
+
+
+@dataclass(frozen=True, slots=True)
+class InstalledConfiguration:
+    """An installed configuration and its certificates.
+
+    Attributes:
+        file: its absolute path.
+        install: the install space that it belongs to.
+        configuration: what it says.
+        access: the decisions of its access control.
+    """
+
+    file: Path
+    install: Path
+    configuration: Configuration
+    access: AccessModel
+
+    def local(self, path: str) -> Path | None:
+        """Return where a file that the configuration names is in this install space; None if it is not there."""
+        names = PurePosixPath(path).parts[1:]
+        candidates = (self.install.joinpath(*names[start:]) for start in range(len(names)))
+        return next((each for each in candidates if each.is_file()), None)
+
+    def content(self, path: str) -> bytes:
+        """Return a file that the configuration names.
+
+        Raises:
+            KeymintError: it is not in the install space, or cannot be read.
+        """
+        return installed_file(self._there(path))
+
+    def _there(self, path: str) -> Path:
+        found = self.local(path)
+        if found is not None:
+            return found
+        missing = "does not name the certificates and keys that it needs"
+        if path:
+            missing = f"names {path!r}, which is not in the install space"
+        where, help_ = Origin(str(self.file)), "run 'keymint install'"
+        raise KeymintError(f"{self.file.name} {missing}", where=where, help=help_, code="enclave-file")
+
+    def common_name(self, path: str) -> str:
+        """Return the common name by which the other side knows a certificate that the configuration names.
+
+        Raises:
+            KeymintError: it cannot be read.
+        """
+        found = self._there(path)
+        return decision.common_name(certificates.load_bundle(installed_file(found), Origin(str(found)))[0])
+
+
+def configuration(file: Path, install: Path, environment: Environment) -> InstalledConfiguration:
+    """Return the configuration of a session, or of the router; one that was read before in this run is not read again.
+
+    Args:
+        file: its absolute path.
+        install: the install space that it belongs to.
+        environment: what was read before.
+
+    Raises:
+        KeymintError: it cannot be read, or Zenoh would refuse it.
+    """
+    content = installed_file(file)
+    digest = hashlib.sha256(f"zenoh {file}\n".encode() + content).digest()
+    found = environment.opened.get(digest)
+    if not isinstance(found, InstalledConfiguration):
+        read = documents.read(content, str(file))
+        access = AccessModel(read.access_control)
+        found = environment.opened[digest] = InstalledConfiguration(file, install, read, access)
+    return found
+
+
+def installed_names(enclave: Enclave) -> tuple[str, ...]:
+    """Return expressions of names like those in the router's rights; see :class:`keymint.api.InstalledNames`."""
+    try:
+        content = installed_file(enclave.install / ROUTER)
+        rules = documents.read(content, ROUTER).access_control.rules
+    except KeymintError:
+        return ()
+    return tuple(dict.fromkeys(_name(key) for rule in rules for key in rule.key_exprs if "@" not in key))
+
+
+def _name(key: str) -> str:
+    """Return an expression of the names in the keys that a key expression includes, or of all names."""
+    _, *name = key.replace(ANY_CHUNKS, "*").replace(ANY_CHARACTERS, "*").split("/")
+    if ANY_CHUNKS in key.split("/")[-len(TYPE_AND_HASH) :]:
+        return f"/{'/'.join(name).rstrip('/*')}*"
+    return f"/{'/'.join(name[: -len(TYPE_AND_HASH)])}"
+
 
 NAMELESS = Verdict(allowed=False, reason="no key of Zenoh can have this name")
 
@@ -45,7 +140,7 @@ class ZenohEnclaveModel:
     """
 
     def __init__(self, enclave: Enclave, router: InstalledConfiguration, environment: Environment) -> None:
-        self.files = installed_configurations.configuration(enclave.folder / SESSION, enclave.install, environment)
+        self.files = configuration(enclave.folder / SESSION, enclave.install, environment)
         own_name = self.files.common_name(self.files.configuration.connect_certificate)
         others_name = router.common_name(router.configuration.listen_certificate)
         self.refusal = _refusal(self.files, router, environment)
@@ -120,9 +215,7 @@ class InstalledModels:
             KeymintError: it cannot be read.
         """
         if install not in self._routers:
-            self._routers[install] = installed_configurations.configuration(
-                install / ROUTER, install, self._environment
-            )
+            self._routers[install] = configuration(install / ROUTER, install, self._environment)
         return self._routers[install]
 
 
@@ -134,14 +227,14 @@ def _refusal(session: InstalledConfiguration, router: InstalledConfiguration, en
     if not endpoints:
         return "the session does not connect to a port of the router"
     certificate = session.content(own.connect_certificate)
-    reason = admission.refusal(certificate, router.content(other.root_ca), environment.now, server=False)
+    reason = decision.refusal(certificate, router.content(other.root_ca), environment.now, server=False)
     if reason:
         return f"the router refuses the certificate of the session: {reason}"
     certificate = router.content(other.listen_certificate)
-    reason = admission.refusal(certificate, session.content(own.root_ca), environment.now, server=True)
+    reason = decision.refusal(certificate, session.content(own.root_ca), environment.now, server=True)
     if not reason and own.verify_name:
         leaf = certificates.load_bundle(certificate)[0]
-        if not any(admission.names_host(leaf, loopback.host(endpoint)) for endpoint in endpoints):
+        if not any(decision.names_host(leaf, loopback.host(endpoint)) for endpoint in endpoints):
             reason = "no subjectAltName of it is the host that the session connects to"
     return f"the session refuses the certificate of the router: {reason}" if reason else ""
 

@@ -1,7 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Processes with real Zenoh sessions, routers among them; :mod:`session_program` lists their commands.
+"""Processes with real Zenoh sessions, routers among them, and their decisions, which they write into their log.
 
-They need Zenoh's library for Python: a wheel with access control, TLS, and routers.
+They need Zenoh's library for Python: a wheel with access control, TLS, and routers. :mod:`session_program` lists their
+commands.
+
+With :data:`FILTER` in ``RUST_LOG`` each decision is a line. When a session declares a publisher on a literal key, both
+ends of its link decide on this key at once, for all messages and both flows, and nothing is sent. For a key with
+wildcards only the messages that are really sent are decided. If several subjects match a link, each has its line, and
+one that allows is enough. A link that no subject matches is decided when it opens, once for all messages.
 """
 
 from __future__ import annotations
@@ -12,14 +18,81 @@ import json
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
+from comarmor.regex import lazy_regex
+from comarmor.values import dataclass
 from keymint.host.vendor_process import GRACE_SECONDS, CommandProcess, MissingVendorError, ProcessFailedError
-from keymint_ros2_zenoh.vendors import access_log
-from keymint_ros2_zenoh.vendors.access_log import LoggedDecision
+
+FILTER = "zenoh::net::routing::interceptor::access_control=trace"
+
+MESSAGES = {
+    "Put": "put",
+    "Delete": "delete",
+    "Query": "query",
+    "Reply": "reply",
+    "Subscriber": "declare_subscriber",
+    "Queryable": "declare_queryable",
+    "Liveliness Token": "liveliness_token",
+    "Liveliness Query": "liveliness_query",
+    "Liveliness Subscriber": "declare_liveliness_subscriber",
+}
+"""The names of messages in a configuration by those in the log, without ``Declare`` and ``Undeclare``."""
+
+_COLOUR = lazy_regex(r"\x1b\[[0-9;]*m")
+_DECISION = lazy_regex(
+    r" (?:(?P<zid>[0-9a-f]+) on Interface\(.*|Using cached result: (?P<cached>[0-9a-f]+)) "
+    r"is (?P<refused>un)?authorized to (?:Declare/Undeclare |Declare |Undeclare )?"
+    r"(?P<message>" + "|".join(sorted(MESSAGES, key=len, reverse=True)) + r") "
+    r"\((?P<flow>ingress|egress)\) on (?P<key>.+)\n"
+)
+_NO_SUBJECT = lazy_regex(
+    r" (?P<zid>[0-9a-f]+) did not match any configured ACL subject\. Default permission `(?P<default>Allow|Deny)`"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedDecision:
+    """A decision of Zenoh, or of one of several subjects that match the link.
+
+    Attributes:
+        zid: identifier of the session at the other end of the link.
+        allowed: the decision.
+        message: as configurations name it; empty if no subject matches the link, which decides all its messages.
+        flow: ``ingress`` or ``egress``, as seen from the process that decides; empty for all messages.
+        key: the key expression of the message; empty for all messages.
+    """
+
+    zid: str
+    allowed: bool
+    message: str = ""
+    flow: str = ""
+    key: str = ""
+
+
+def combined_decisions(lines: Iterable[LoggedDecision]) -> list[LoggedDecision]:
+    """Return one decision for each link, message, flow and key: allowed if one of the subjects allows."""
+    found: dict[LoggedDecision, bool] = {}
+    for line in lines:
+        what = replace(line, allowed=False)
+        found[what] = found.get(what, False) or line.allowed
+    return [replace(what, allowed=allowed) for what, allowed in found.items()]
+
+
+def lines(log: str) -> Iterator[LoggedDecision]:
+    """Yield the lines of a log that are decisions, in order; an unfinished last line is none."""
+    for coloured in log.splitlines(keepends=True):
+        line = _COLOUR.sub("", coloured)
+        if found := _DECISION.search(line):
+            allowed, zid = not found["refused"], found["zid"] or found["cached"]
+            yield LoggedDecision(zid, allowed, MESSAGES[found["message"]], found["flow"], found["key"])
+        elif found := _NO_SUBJECT.search(line):
+            yield LoggedDecision(found["zid"], found["default"] == "Allow")
+
 
 DISTRIBUTION = "eclipse-zenoh"
 OLDEST = (1, 6)
@@ -57,7 +130,7 @@ class ZenohSystem(ExitStack):
         """Start a process without sessions.
 
         Args:
-            log: what the library logs, as in ``RUST_LOG``; :data:`access_log.FILTER` for decisions.
+            log: what the library logs, as in ``RUST_LOG``; :data:`FILTER` for decisions.
         """
         self._started += 1
         file = self._folder / f"log{self._started}"
@@ -124,7 +197,7 @@ class ZenohProcess(CommandProcess):
             content = log.read()
         complete = content[: content.rfind(b"\n") + 1]
         self._log_offset += len(complete)
-        return list(access_log.lines(complete.decode(errors="replace")))
+        return list(lines(complete.decode(errors="replace")))
 
     def await_decisions(self, zid: str, fence: str) -> list[LoggedDecision]:
         """Return the decisions about a session that were logged since the last call.
@@ -148,7 +221,7 @@ class ZenohProcess(CommandProcess):
                 raise self._died("log")
             time.sleep(0.002)
             found += [each for each in self.decisions() if each.zid == zid]
-        return access_log.combined_decisions(each for each in found if each.key != fence)
+        return combined_decisions(each for each in found if each.key != fence)
 
 
 def installed_version() -> str:

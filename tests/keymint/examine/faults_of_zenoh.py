@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from cryptography import x509
-from keymint_ros2_zenoh import signature
+
+from keymint.pki import cms
 
 from .fault import Fault
 from .fault_keystores import (
@@ -48,7 +49,8 @@ def signer(keystore: Keystore) -> Issuer:
 
 def write_router(keystore: Keystore, content: bytes, issuer: Issuer | None = None) -> None:
     put(keystore.ws / ROUTER, content)
-    put(keystore.ws / f"{ROUTER}.p7s", signature.sign(content, issuer or signer(keystore)))  # type: ignore[arg-type]
+    by = issuer or signer(keystore)
+    put(keystore.ws / f"{ROUTER}.p7s", cms.sign(content, by.certificate, by.key))  # type: ignore[arg-type]
 
 
 def _router(edit: Edit, *, signed: bool = True) -> Callable[[Keystore], None]:

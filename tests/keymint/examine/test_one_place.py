@@ -20,9 +20,7 @@ JUDGES = (
     "plugins/keymint_ros2_dds/check.py",
     "plugins/keymint_ros2_dds/examine.py",
     "plugins/keymint_ros2_dds/keystores/found_",
-    "plugins/keymint_ros2_zenoh/check.py",
-    "plugins/keymint_ros2_zenoh/configuration_requirements.py",
-    "plugins/keymint_ros2_zenoh/proving/anchor_check.py",
+    "plugins/keymint_ros2_zenoh/examine/",
 )
 """The modules that judge the bytes of installed files."""
 VIEW = "plugins/keymint_ros2_dds/keystores/found_enclaves.py"

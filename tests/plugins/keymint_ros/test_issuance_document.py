@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from keymint_ros import package_type
 from keymint_ros2_dds.decision import subject_names
 from keymint_ros2_dds.subject_name_text import subject_name_of
-from keymint_ros2_zenoh import emission
+from keymint_ros2_zenoh import identities
 
 from keymint.api import Issuance, IssuanceFiles, Package
 from keymint.errors import KeymintError
@@ -84,7 +84,7 @@ def test_the_form_of_sros2_has_no_generation() -> None:
 def test_each_form_of_a_common_name_has_the_generation_for_zenoh(form: str) -> None:
     workspace = Workspace.new(replace(REQUEST, build_types=("keymint_ros2_zenoh",)))
     workspace = workspace.edit("profile/package.defaults/identities.xml", "OU={unique},CN={common_name}", form)
-    names = {generation: emission.common_name(loaded(workspace, generation)) for generation in GENERATIONS}
+    names = {generation: identities.common_name(loaded(workspace, generation)) for generation in GENERATIONS}
     assert names[0] == ("robot1/talker" if form == "CN={name}" else "/robot1/talker")
     assert names[2] == f"{names[0]}.2"
 
@@ -92,7 +92,7 @@ def test_each_form_of_a_common_name_has_the_generation_for_zenoh(form: str) -> N
 @pytest.mark.parametrize("build_types", [("keymint_ros2_zenoh",), ("keymint_ros2_dds", "keymint_ros2_zenoh")])
 def test_the_common_name_has_the_generation_for_zenoh(build_types: tuple[str, ...]) -> None:
     workspace = Workspace.new(replace(REQUEST, build_types=build_types))
-    names = {generation: emission.common_name(loaded(workspace, generation)) for generation in GENERATIONS}
+    names = {generation: identities.common_name(loaded(workspace, generation)) for generation in GENERATIONS}
     assert names[0] == "/robot1/talker"
     assert names[10] == "/robot1/talker.10"
     assert len({*names.values()}) == len(GENERATIONS)

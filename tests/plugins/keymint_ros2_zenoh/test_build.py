@@ -11,13 +11,12 @@ from types import ModuleType
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from keymint_ros2_zenoh import configuration_requirements
 from keymint_ros2_zenoh.build import build, build_shared
-from keymint_ros2_zenoh.documents.configuration import Configuration
+from keymint_ros2_zenoh.documents.configuration import Configuration, Flow, Message, Permission
 from keymint_ros2_zenoh.documents.configuration_reader import read
-from keymint_ros2_zenoh.key_limits import check_identity
+from keymint_ros2_zenoh.examine import configurations
+from keymint_ros2_zenoh.identities import check_identity
 from keymint_ros2_zenoh.lowering.key_rules import combined_rules, lower_package
-from keymint_ros2_zenoh.messages import Flow, Message, Permission
 from keymint_ros2_zenoh.settings import Router
 
 from comarmor.errors import Severity
@@ -127,8 +126,8 @@ def test_every_policy_gives_the_sound_shape(first: list[Rule], second: list[Rule
     packages = package(*first), package(*second, subject="/b")
     found = router(*packages)
     assert not [
-        *configuration_requirements.open_default(found, "router.json5"),
-        *configuration_requirements.entries(found),
+        *configurations.open_default(found, "router.json5"),
+        *configurations.entries(found),
     ]
     assert len(found.access_control.subjects) == 2
     rules = {each.id: each for each in found.access_control.rules}
@@ -137,12 +136,12 @@ def test_every_policy_gives_the_sound_shape(first: list[Rule], second: list[Rule
             (rules[name].permission, rules[name].messages, rules[name].flows, rules[name].key_exprs)
             for name in policy.rules
         ]
-        lowered = combined_rules(lower_package(own).rules)
-        assert [keys for *_, keys in written] == [tuple(map(str, each.key_exprs)) for each in lowered]
+        lowered = combined_rules(lower_package(own)[0])
+        assert [keys for *_, keys in written] == [each.key_exprs for each in lowered]
         assert [(messages, flows) for _, messages, flows, _ in written] == [
             (each.messages, each.flows) for each in lowered
         ]
-        assert [permission.value for permission, *_ in written] == [each.effect.value.lower() for each in lowered]
+        assert [permission for permission, *_ in written] == [each.permission for each in lowered]
 
 
 def test_fewer_rules_are_reported_with_the_size_of_all_of_them() -> None:

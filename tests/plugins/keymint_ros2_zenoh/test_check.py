@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_zenoh import build_type
-from keymint_ros2_zenoh import signature as signatures
-from keymint_ros2_zenoh.proving import anchor_check
+from keymint_ros2_zenoh.examine.enclaves import router_differences
 
 from comarmor.errors import Severity
 from keymint.api import Extension, Package, TrustAnchor
+from keymint.pki import cms
 from tests.effort import tries
 from tests.plugins.examined import examined
 
@@ -171,13 +171,14 @@ def test_a_session_that_zenoh_refuses(talker: dict[str, bytes]) -> None:
 
 def router_codes(files: Mapping[str, bytes], **fields: Any) -> list[str]:
     access = TrustAnchor("access", "public/permissions_ca.cert.pem", pem("permissions_ca"))
-    anchored = anchor_check.router_differences(files, "install", access)
+    anchored = router_differences(files, "install", access)
     own = build_type.check_shared(shared_inspection(PACKAGES, files, **fields))
     return sorted(each.code for each in (*own, *anchored))
 
 
 def signed(content: bytes, by: str = "permissions_ca") -> dict[str, bytes]:
-    return {ROUTER: content, SIGNATURE: signatures.sign(content, authority(by))}
+    signer = authority(by)
+    return {ROUTER: content, SIGNATURE: cms.sign(content, signer.certificate, signer.key)}
 
 
 ROUTER_FAULTS = [

@@ -8,9 +8,17 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from keymint_ros2_zenoh.documents.configuration import AccessControl, AclPolicy, AclRule, AclSubject, Configuration
+from keymint_ros2_zenoh.documents.configuration import (
+    AccessControl,
+    AclPolicy,
+    AclRule,
+    AclSubject,
+    Configuration,
+    Flow,
+    Message,
+    Permission,
+)
 from keymint_ros2_zenoh.documents.configuration_reader import read
-from keymint_ros2_zenoh.messages import Flow, Message, Permission
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError

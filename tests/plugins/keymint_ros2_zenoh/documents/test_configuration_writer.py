@@ -10,10 +10,18 @@ from typing import Any
 
 from hypothesis import given
 from hypothesis import strategies as st
-from keymint_ros2_zenoh.documents.configuration import AccessControl, AclPolicy, AclRule, AclSubject, Configuration
+from keymint_ros2_zenoh.documents.configuration import (
+    AccessControl,
+    AclPolicy,
+    AclRule,
+    AclSubject,
+    Configuration,
+    Flow,
+    Message,
+    Permission,
+)
 from keymint_ros2_zenoh.documents.configuration_reader import read
 from keymint_ros2_zenoh.documents.configuration_writer import write
-from keymint_ros2_zenoh.messages import Flow, Message, Permission
 
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=8)
 KEYS = st.sampled_from(["0/**", "a/*/b", "a$*/@adv/**", "@ros2_lv/0/**", "0/chatter/*/*"])

@@ -7,10 +7,8 @@ import re
 from collections.abc import Iterable
 
 from hypothesis import strategies as st
-from keymint_ros2_zenoh.keyexpr.key_expr import parse
-from keymint_ros2_zenoh.keyexpr.key_relations import includes
-from keymint_ros2_zenoh.lowering.key_rules import KeyRule
-from keymint_ros2_zenoh.messages import Flow, Message
+from keymint_ros2_zenoh.documents.configuration import AclRule, Flow, Message, Permission
+from keymint_ros2_zenoh.keyexpr import includes, parse
 
 from comarmor.errors import Origin
 from comarmor.rules import Effect, Rule
@@ -65,12 +63,12 @@ def policy_allows(rules: SubjectRules, permission: str, name: str) -> bool:
     return matched(rules, Effect.ALLOW, permission, name) and not matched(rules, Effect.DENY, permission, name)
 
 
-def router_permits(rules: Iterable[KeyRule], message: Message, flow: Flow, key: str) -> bool:
+def router_permits(rules: Iterable[AclRule], message: Message, flow: Flow, key: str) -> bool:
     """Decide as a router does by the rules of one subject, whose default is to deny."""
     including = {
-        each.effect
+        each.permission
         for each in rules
         if message in each.messages and flow in each.flows
-        and any(includes(expression, parse(key)) for expression in each.key_exprs)
+        and any(includes(parse(expression), parse(key)) for expression in each.key_exprs)
     }  # fmt: skip
-    return including == {Effect.ALLOW}
+    return including == {Permission.ALLOW}

@@ -8,12 +8,11 @@ import sys
 
 import pytest
 from hypothesis import given, settings
-from keymint_ros2_zenoh.lowering.key_rules import MAX_DOMAINS, LoweredKeys, lower
-from keymint_ros2_zenoh.lowering.message_slots import SLOTS, USERS, Slot
-from keymint_ros2_zenoh.lowering.name_keys import Place
-from keymint_ros2_zenoh.messages import Flow, Message
+from keymint_ros2_zenoh.documents.configuration import AclRule, Flow, Message, Permission
+from keymint_ros2_zenoh.lowering.key_rules import MAX_DOMAINS, lower
+from keymint_ros2_zenoh.lowering.permissions import SLOTS, USERS, Place, Slot
 
-from comarmor.errors import Origin
+from comarmor.errors import Diagnostic, Origin
 from comarmor.rules import PARTS, Effect, Rule
 from keymint.api import DomainRange
 from keymint.errors import KeymintError
@@ -25,6 +24,7 @@ from .policies import KIND, NAMES, TYPED, matched, policies, policy_allows, rout
 
 WHERE = Origin("package.xml", 7)
 IN, OUT = Flow.INGRESS, Flow.EGRESS
+LoweredKeys = tuple[tuple[AclRule, ...], tuple[Diagnostic, ...]]
 
 
 def lowered(rules: SubjectRules, *domains: DomainRange) -> LoweredKeys:
@@ -32,7 +32,7 @@ def lowered(rules: SubjectRules, *domains: DomainRange) -> LoweredKeys:
 
 
 def permits(result: LoweredKeys, message: Message, flow: Flow, key: str) -> bool:
-    return router_permits(result.rules, message, flow, key)
+    return router_permits(result[0], message, flow, key)
 
 
 def key(name: str, slot: Slot) -> str:
@@ -113,10 +113,10 @@ def test_a_denial_of_everything_denies_all_messages_in_both_flows() -> None:
         rule("ALLOW", "ros_topic", ["ros_publish", "ros_subscribe"], "/*"),
         rule("DENY", "ros_topic", ["ros_publish", "ros_subscribe"], "/x"),
     )
-    [denial] = [each for each in lowered(rules).rules if each.effect is Effect.DENY]
+    [denial] = [each for each in lowered(rules)[0] if each.permission is Permission.DENY]
     assert denial.messages == tuple(Message)
     assert denial.flows == (IN, OUT)
-    assert [each.text for each in denial.key_exprs] == ["0/x/*/*", "0/x/*/*/@adv/**"]
+    assert denial.key_exprs == ("0/x/*/*", "0/x/*/*/@adv/**")
 
 
 def test_replies_that_both_uses_deny_are_denied() -> None:
@@ -181,7 +181,7 @@ def test_the_order_of_rules_is_the_same_in_every_process() -> None:
         "    rule('ALLOW', 'ros_service', ['ros_call', 'ros_execute'], '/*', line=2),\n"
         "    rule('DENY', 'ros_service', ['ros_call'], '/ab*', line=3),\n"
         "    rule('DENY', 'ros_service', ['ros_execute'], '/ac*', line=4),\n"
-        ")).rules)\n"
+        "))[0])\n"
     )
     printed = {
         subprocess.run(
@@ -206,15 +206,13 @@ def raw(effect: str, *permissions: str, partitions: tuple[str, ...] = ()) -> Rul
 def test_the_infrastructure_of_dds_is_left_out_and_reported_once() -> None:
     both = raw("ALLOW", "publish", "subscribe")
     result = lowered(subject_rules(both, both))
-    assert result.rules == lowered(subject_rules()).rules
-    assert [(each.code, str(each.where)) for each in result.diagnostics] == [
-        ("zenoh-infrastructure", "common/graph.xml:4")
-    ]
+    assert result[0] == lowered(subject_rules())[0]
+    assert [(each.code, str(each.where)) for each in result[1]] == [("zenoh-infrastructure", "common/graph.xml:4")]
 
 
 def test_a_warning_before_it_does_not_hide_that_it_is_left_out() -> None:
     result = lowered(subject_rules(rule("ALLOW", "ros_topic", ["ros_publish"], "a"), raw("ALLOW", "publish")))
-    assert [each.code for each in result.diagnostics] == ["never-matches", "zenoh-infrastructure"]
+    assert [each.code for each in result[1]] == ["never-matches", "zenoh-infrastructure"]
 
 
 @pytest.mark.parametrize(

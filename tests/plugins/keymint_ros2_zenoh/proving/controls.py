@@ -6,14 +6,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-from keymint_ros2_zenoh.decision.message_access import AccessModel
-from keymint_ros2_zenoh.documents.configuration import AccessControl, AclPolicy, AclRule, AclSubject
+from keymint_ros2_zenoh.decision import AccessModel
+from keymint_ros2_zenoh.documents.configuration import AccessControl, AclPolicy, AclRule, AclSubject, Permission
 from keymint_ros2_zenoh.lowering.key_rules import lower
-from keymint_ros2_zenoh.messages import Permission
-from keymint_ros2_zenoh.proving.claims import prove_rights
+from keymint_ros2_zenoh.proving.enclave_proof import prove_rights
 
 from comarmor.errors import Origin
-from comarmor.rules import Effect
 from keymint.api import Claim, DomainRange, ProofTask, TrustAnchors
 from keymint.ir import SubjectRules
 from tests.plugins.keymint_ros2_zenoh.workspaces import package
@@ -26,14 +24,12 @@ def control_of(subjects: Mapping[str, SubjectRules]) -> AccessControl:
     """Return the access control for the rules of subjects by their common names."""
     rules, entries, policies = [], [], []
     for name, own in subjects.items():
-        lowered = lower(own, "jazzy", DOMAINS, Origin("package.xml")).rules
+        lowered = lower(own, "jazzy", DOMAINS, Origin("package.xml"))[0]
         ids = []
         for rule in lowered:
             ids.append(f"{name} {len(ids) + 1}")
-            permission = Permission.ALLOW if rule.effect is Effect.ALLOW else Permission.DENY
-            keys = tuple(key.text for key in rule.key_exprs)
             where = Origin(FILE, len(rules) + 10)
-            rules.append(AclRule(ids[-1], rule.messages, rule.flows, permission, keys, where))
+            rules.append(replace(rule, id=ids[-1], where=where))
         entries.append(AclSubject(name, (name,), where=Origin(FILE, 1000 + len(entries))))
         policies.append(AclPolicy(tuple(ids), (name,)))
     return AccessControl(True, Permission.DENY, tuple(rules), tuple(entries), tuple(policies), Origin(FILE, 5))

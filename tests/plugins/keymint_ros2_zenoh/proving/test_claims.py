@@ -8,11 +8,17 @@ from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
-from keymint_ros2_zenoh.decision.message_access import AccessModel, Link
-from keymint_ros2_zenoh.documents.configuration import AccessControl, AclPolicy, AclRule, AclSubject
-from keymint_ros2_zenoh.lowering.message_slots import SLOTS
-from keymint_ros2_zenoh.lowering.name_keys import Place
-from keymint_ros2_zenoh.messages import Flow, Message, Permission
+from keymint_ros2_zenoh.decision import AccessModel, Link
+from keymint_ros2_zenoh.documents.configuration import (
+    AccessControl,
+    AclPolicy,
+    AclRule,
+    AclSubject,
+    Flow,
+    Message,
+    Permission,
+)
+from keymint_ros2_zenoh.lowering.permissions import SLOTS, Place
 
 from comarmor.errors import Origin
 from keymint.api import Claim, Proof

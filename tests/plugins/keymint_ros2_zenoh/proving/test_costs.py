@@ -6,7 +6,7 @@ from __future__ import annotations
 from random import Random
 
 import pytest
-from keymint_ros2_zenoh.keyexpr.key_expansion import key_exprs
+from keymint_ros2_zenoh.keyexpr import key_exprs
 from keymint_ros2_zenoh.proving.policy_side import proven_exact
 
 from comarmor.patterns import glob

@@ -6,8 +6,7 @@ from __future__ import annotations
 import random
 
 import pytest
-from keymint_ros2_zenoh.keyexpr.key_expansion import TooManyAlternativesError
-from keymint_ros2_zenoh.keyexpr.key_expr import parse
+from keymint_ros2_zenoh.keyexpr import TooManyAlternativesError, parse
 from keymint_ros2_zenoh.proving import policy_side
 from keymint_ros2_zenoh.proving.policy_side import proven_exact
 

@@ -9,12 +9,20 @@ from functools import cache
 from typing import Any
 
 import pytest
-from keymint_ros2_zenoh.documents.configuration import AccessControl, AclPolicy, AclRule, AclSubject, Configuration
+from keymint_ros2_zenoh.documents.configuration import (
+    AccessControl,
+    AclPolicy,
+    AclRule,
+    AclSubject,
+    Configuration,
+    Flow,
+    Message,
+    Permission,
+)
 from keymint_ros2_zenoh.documents.configuration_reader import read
 from keymint_ros2_zenoh.documents.configuration_writer import write
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, ROUTER, SESSION, SIGNATURE
-from keymint_ros2_zenoh.messages import Flow, Message, Permission
-from keymint_ros2_zenoh.proving.anchor_check import differences, terms
+from keymint_ros2_zenoh.examine.enclaves import differences, terms
 from keymint_ros2_zenoh.proving.enclave_proof import ASSUMPTIONS, prove
 from keymint_ros2_zenoh.proving.shared_proof import prove_shared
 

@@ -9,10 +9,8 @@ from itertools import product
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr, canonical, parse
-from keymint_ros2_zenoh.keyexpr.key_relations import includes
-from keymint_ros2_zenoh.proving.automaton import Automaton
-from keymint_ros2_zenoh.proving.key_search import Side, difference, side_of
+from keymint_ros2_zenoh.keyexpr import KeyExpr, canonical, includes, parse
+from keymint_ros2_zenoh.proving.key_search import Automaton, Side, difference, side_of
 
 from comarmor.patterns.decision_lists import Equal, SearchBudget, Unknown, Witness
 from tests.effort import tries

@@ -8,9 +8,8 @@ from itertools import product
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr, KeyExprError, canonical, parse
-from keymint_ros2_zenoh.keyexpr.key_relations import includes, intersects
-from keymint_ros2_zenoh.proving.wildcard_leaks import Leak, Rights, leaks, wider
+from keymint_ros2_zenoh.keyexpr import KeyExpr, KeyExprError, canonical, includes, intersects, parse
+from keymint_ros2_zenoh.proving.shared_proof import Leak, Rights, leaks, wider
 
 from tests.effort import tries
 

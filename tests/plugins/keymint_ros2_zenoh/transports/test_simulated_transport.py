@@ -8,8 +8,8 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from keymint_ros2_zenoh.decision.message_access import AccessModel
-from keymint_ros2_zenoh.transports import installed_configurations, zenoh_1
+from keymint_ros2_zenoh.decision import AccessModel
+from keymint_ros2_zenoh.transports import zenoh_1
 
 from keymint.api import Enclave, Environment, Tier, Verdict
 from keymint.api.graph import Edge, Object
@@ -54,7 +54,8 @@ def test_the_rights_of_all_enclaves_are_read_once_although_each_enclave_is_asked
 ) -> None:
     made = []
     monkeypatch.setattr(
-        installed_configurations, "AccessModel", lambda control: made.append(control) or AccessModel(control)
+        "keymint_ros2_zenoh.transports.enclave_model.AccessModel",
+        lambda control: made.append(control) or AccessModel(control),
     )
     transport = zenoh_1.open(Environment(datetime.now(UTC), Path("/nowhere")))
     for enclave in space.write():

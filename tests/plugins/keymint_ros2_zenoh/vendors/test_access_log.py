@@ -3,16 +3,16 @@
 
 from __future__ import annotations
 
-from keymint_ros2_zenoh.messages import Message
-from keymint_ros2_zenoh.vendors import access_log
-from keymint_ros2_zenoh.vendors.access_log import LoggedDecision
+from keymint_ros2_zenoh.documents.configuration import Message
+from keymint_ros2_zenoh.vendors import zenoh_processes
+from keymint_ros2_zenoh.vendors.zenoh_processes import LoggedDecision
 
 PREFIX = "\x1b[2m2026-11-22T10:46:21Z\x1b[0m \x1b[35mTRACE\x1b[0m \x1b[2mzenoh::acl\x1b[0m\x1b[2m:\x1b[0m "
 LINK = "a336 on Interface(lo)+CertCommonName(/a)+Transport(Tls)+a336"
 
 
 def read(*lines: str) -> list[LoggedDecision]:
-    return list(access_log.lines("".join(f"{PREFIX}{line}\n" for line in lines)))
+    return list(zenoh_processes.lines("".join(f"{PREFIX}{line}\n" for line in lines)))
 
 
 def test_decisions_of_all_kinds_of_lines() -> None:
@@ -38,14 +38,17 @@ def test_a_link_without_subject_is_decided_for_all_messages() -> None:
 
 
 def test_an_unfinished_line_is_none() -> None:
-    assert list(access_log.lines(f"{PREFIX}{LINK} is authorized to Put (ingress) on 0/x")) == []
+    assert list(zenoh_processes.lines(f"{PREFIX}{LINK} is authorized to Put (ingress) on 0/x")) == []
 
 
 def test_one_allowing_subject_is_enough() -> None:
     lines = [LoggedDecision("a", allowed, "put", "ingress", "0/x") for allowed in (False, True, False)]
     other = LoggedDecision("a", False, "put", "egress", "0/x")
-    assert access_log.combined_decisions([*lines, other]) == [LoggedDecision("a", True, "put", "ingress", "0/x"), other]
+    assert zenoh_processes.combined_decisions([*lines, other]) == [
+        LoggedDecision("a", True, "put", "ingress", "0/x"),
+        other,
+    ]
 
 
 def test_every_message_of_access_control_has_its_name_in_the_log() -> None:
-    assert set(access_log.MESSAGES.values()) == set(Message)
+    assert set(zenoh_processes.MESSAGES.values()) == set(Message)

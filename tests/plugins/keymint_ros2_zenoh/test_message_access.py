@@ -6,9 +6,16 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from keymint_ros2_zenoh.decision.message_access import AccessModel, Link
-from keymint_ros2_zenoh.documents.configuration import AccessControl, AclPolicy, AclRule, AclSubject
-from keymint_ros2_zenoh.messages import Flow, Message, Permission
+from keymint_ros2_zenoh.decision import AccessModel, Link
+from keymint_ros2_zenoh.documents.configuration import (
+    AccessControl,
+    AclPolicy,
+    AclRule,
+    AclSubject,
+    Flow,
+    Message,
+    Permission,
+)
 
 from comarmor.errors import Origin
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from cryptography import x509
-from keymint_ros2_zenoh.decision import admission
+from keymint_ros2_zenoh import decision
 
 from tests.plugins.keymint_ros2_zenoh.install_spaces import InstallSpace
 
@@ -20,7 +20,7 @@ def space(tmp_path: Path) -> InstallSpace:
 
 def refusal(space: InstallSpace, certificate: bytes, *, server: bool = False, days: float = 0) -> str:
     at = datetime.now(UTC) + timedelta(days=days)
-    return admission.refusal(certificate, space.authority, at, server=server)
+    return decision.refusal(certificate, space.authority, at, server=server)
 
 
 def test_a_node_and_a_router_are_admitted_in_their_roles_only(space: InstallSpace) -> None:
@@ -46,15 +46,15 @@ def test_an_authority_that_the_file_brings_along_is_not_trusted(space: InstallSp
 
 def test_only_the_first_common_name_counts(space: InstallSpace) -> None:
     certificate = x509.load_pem_x509_certificate(space.issue("/talker")[0])
-    assert admission.common_name(certificate) == "/talker"
+    assert decision.common_name(certificate) == "/talker"
 
 
 def test_hosts_are_compared_with_alternative_names_only(space: InstallSpace) -> None:
     router = x509.load_pem_x509_certificate(space.issue("robot.local", server=True)[0])
-    assert admission.names_host(router, "LOCALHOST")
-    assert not admission.names_host(router, "robot.local")
-    assert not admission.names_host(router, "127.0.0.1")
-    assert not admission.names_host(x509.load_pem_x509_certificate(space.issue("x")[0]), "localhost")
+    assert decision.names_host(router, "LOCALHOST")
+    assert not decision.names_host(router, "robot.local")
+    assert not decision.names_host(router, "127.0.0.1")
+    assert not decision.names_host(x509.load_pem_x509_certificate(space.issue("x")[0]), "localhost")
 
 
 @pytest.mark.parametrize(
@@ -76,4 +76,4 @@ def test_hosts_are_compared_with_alternative_names_only(space: InstallSpace) -> 
 def test_wildcards_of_hosts(space: InstallSpace, name: str, host: str, fits: bool) -> None:
     """As sessions of Zenoh 1.10.2 do, measured with these names for 127.0.0.1."""
     certificate = x509.load_pem_x509_certificate(space.issue("router", server=True, host=name)[0])
-    assert admission.names_host(certificate, host) == fits
+    assert decision.names_host(certificate, host) == fits

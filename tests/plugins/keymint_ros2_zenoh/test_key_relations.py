@@ -11,8 +11,7 @@ from types import ModuleType
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr, canonical, parse
-from keymint_ros2_zenoh.keyexpr.key_relations import includes, intersects
+from keymint_ros2_zenoh.keyexpr import KeyExpr, canonical, includes, intersects, parse
 
 from tests.effort import tries
 

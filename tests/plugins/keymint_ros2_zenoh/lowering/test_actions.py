@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_zenoh.decision.operations import actions, operations
+from keymint_ros2_zenoh.lowering.permissions import actions, operations
 
 from comarmor.rules import PARTS
 from keymint.api.graph import Edge, Object

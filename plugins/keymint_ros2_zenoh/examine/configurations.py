@@ -8,16 +8,25 @@ with what :func:`required_settings` says by itself, whatever the compiler writes
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from itertools import chain
 from typing import Any
 
-from comarmor.errors import Diagnostic, Severity
+from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.text import quoted
 from keymint.api import Package
-from keymint_ros2_zenoh.documents.configuration import TLS, AclSubject, Configuration
-from keymint_ros2_zenoh.emission import ROUTER_SETTINGS, SESSION_SETTINGS
+from keymint.errors import KeymintError
+from keymint_ros2_zenoh.documents.configuration import (
+    ROUTER_SETTINGS,
+    SESSION_SETTINGS,
+    TLS,
+    AclSubject,
+    Configuration,
+    Permission,
+)
+from keymint_ros2_zenoh.documents.configuration_reader import read
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, enclave_folder
-from keymint_ros2_zenoh.messages import Permission
 from keymint_ros2_zenoh.settings import is_router, settings_of
 
 AUTHENTICATED = ("tls", "quic")
@@ -60,6 +69,34 @@ def as_built(found: Configuration, expected: Configuration, file: str) -> Iterat
         if value != other:
             message = f"{path} is {_shown(value)}, expected {_shown(other)}"
             yield Diagnostic("zenoh-setting", Severity.WARNING, message, found.place(path, file))
+
+
+def check_findings(
+    content: bytes, built: bytes, file: str, help_: str, more: Callable[[Configuration], Iterable[Diagnostic]]
+) -> Iterator[Diagnostic]:
+    """Yield findings on a configuration.
+
+    Args:
+        content: the installed one.
+        built: what the sources build.
+        file: the installed file as the user would type it.
+        help_: help for findings without one.
+        more: returns further findings on what it says.
+    """
+    if content != built:
+        message = "the sources build another document: they changed, or the built one was edited by hand"
+        yield Diagnostic.warning("drift", message, Origin(file), help_)
+    try:
+        found = read(content, file)
+    except KeymintError as error:
+        yield from error.diagnostics
+        return
+    usual = (
+        as_built(found, read(built, file), file),
+        open_default(found, file),
+    )
+    for each in (*chain(*usual), *entries(found), *more(found)):
+        yield replace(each, help=each.help or help_)
 
 
 def by_itself(found: Configuration, package: Package, file: str) -> Iterator[Diagnostic]:

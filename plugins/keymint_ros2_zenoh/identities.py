@@ -1,13 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What Zenoh's TLS accepts of keys and certificates (measured with Zenoh 1.10.2, which has rustls)."""
+"""The identities of a router and its enclaves: their names, and what Zenoh's TLS accepts of keys and certificates.
+
+Measured with Zenoh 1.10.2, which has rustls.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from ipaddress import ip_address
 
-from comarmor.errors import Diagnostic, Origin
+from comarmor.errors import Defects, Diagnostic, Origin
 from keymint.api import CertificateSpec, Extension, Package
+from keymint.errors import KeymintError
+from keymint.pki import distinguished_names
 from keymint_ros2_zenoh.settings import is_address, is_router, settings_of
 
 _CURVES = ("SECP256R1", "SECP384R1")
@@ -94,3 +99,66 @@ def _same_name(one: str, other: str) -> bool:
     if kind == "IP" and other.startswith("IP:") and is_address(value):
         return ip_address(value) == ip_address(other.removeprefix("IP:"))
     return one.casefold() == other.casefold()
+
+
+def common_name(package: Package) -> str:
+    """Return the first common name of a package's certificate, by which a router knows it.
+
+    Raises:
+        KeymintError: the subject name has none.
+    """
+    origin = package.identity.origin
+    for kind, value in distinguished_names.attributes(distinguished_names.parse(package.identity.subject_name, origin)):
+        if kind == "CN":
+            return value
+    raise KeymintError(
+        f"the subject name {package.identity.subject_name!r} has no common name, by which routers know a subject",
+        where=origin,
+        help="begin it with CN=",
+        code="zenoh-common-name",
+    )
+
+
+def router_of(package: Package) -> Package:
+    """Return the package of the router that a package's sessions connect to.
+
+    Raises:
+        KeymintError: the workspace has none.
+    """
+    wanted = settings_of(package).router
+    for other in (package, *package.infrastructure):
+        if other.name == wanted.name:
+            return other
+    raise KeymintError(
+        f"the workspace has no package of the router {wanted.name!r}",
+        where=wanted.origin,
+        help="'keymint create' creates it",
+        code="zenoh-router-missing",
+    )
+
+
+def require_distinct_names(packages: Iterable[Package]) -> None:
+    """Check that no two packages have the same common name.
+
+    Raises:
+        KeymintError: some have, or a package has none; with all of them.
+    """
+    holders: dict[str, Package] = {}
+    defects = Defects()
+    for package in packages:
+        with defects:
+            name = common_name(package)
+            other = holders.setdefault(name, package)
+            if other is not package:
+                message = (
+                    f"{package.subject} and {other.subject} (at {other.identity.origin}) have the same common name "
+                    f"{name!r}, by which alone routers know a subject"
+                )
+                where, help_ = package.identity.origin, "give one of them a subject_name with another CN"
+                defects.found.append(Diagnostic.error("zenoh-common-name", message, where, help_, package.subject))
+    defects.require_none()
+
+
+def enclaves_of(packages: Iterable[Package]) -> list[Package]:
+    """Return the packages of enclaves: all but the router's."""
+    return [package for package in packages if not is_router(package)]

@@ -10,9 +10,7 @@ from itertools import product
 from types import ModuleType
 
 import pytest
-from keymint_ros2_zenoh.keyexpr.key_expansion import MAX_ALTERNATIVES, TooManyAlternativesError, key_exprs
-from keymint_ros2_zenoh.keyexpr.key_expr import parse
-from keymint_ros2_zenoh.keyexpr.key_relations import includes
+from keymint_ros2_zenoh.keyexpr import MAX_ALTERNATIVES, TooManyAlternativesError, includes, key_exprs, parse
 
 from comarmor.patterns import glob
 from tests.effort import tries

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decide about messages on a link as the access control of Zenoh 1.6 and later does.
+"""The model of Zenoh: what its access control (1.6 and later) decides about a message on a link, and whom it admits.
 
 A link has the properties of the other end. A subject matches it when each property that the subject gives has the
 link's value; a property that it does not give matches any. Subjects with equal properties share their rules. Such an
@@ -8,19 +8,28 @@ allow rule includes it, or the default allows. The order of rules does not matte
 gets the default; otherwise it is enough that one entry allows.
 
 A rule applies to a key expression that it *includes*: one that only intersects it is untouched, also by a deny.
+
+A router or a session admits the other by its certificate. Measured on the library eclipse-zenoh 1.10.2 with mutual
+TLS; ``tests/real/test_zenoh_agreement.py`` compares the two on random configurations.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from datetime import datetime
+from ipaddress import ip_address
 from itertools import product
+
+from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
-from keymint_ros2_zenoh.documents.configuration import AccessControl, AclRule, AclSubject
-from keymint_ros2_zenoh.keyexpr.key_expr import KeyExpr, parse
-from keymint_ros2_zenoh.keyexpr.key_relations import includes
-from keymint_ros2_zenoh.messages import Flow, Message, Permission
+from keymint.errors import KeymintError
+from keymint.pki import certificates, certification_path, extensions
+from keymint_ros2_zenoh.documents.configuration import AccessControl, AclRule, AclSubject, Flow, Message, Permission
+from keymint_ros2_zenoh.keyexpr import KeyExpr, includes, parse
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,3 +227,68 @@ def _including(rules: Iterable[tuple[AclRule, KeyExpr]], asked: KeyExpr) -> tupl
 def _reason(found: tuple[AclRule, KeyExpr]) -> str:
     rule, key_expr = found
     return f"the {rule.permission} rule {rule.id!r} includes it by {key_expr.text}"
+
+
+def common_name(certificate: x509.Certificate) -> str:
+    """Return the common name that access control compares: the first one, or an empty text."""
+    names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    return str(names[0].value) if names else ""
+
+
+def first_common_name(pem: bytes) -> str:
+    """Return the common name of a certificate in PEM.
+
+    Raises:
+        KeymintError: no certificate.
+    """
+    return common_name(certificates.load(pem))
+
+
+def refusal(certificate: bytes, authorities: bytes, at: datetime, *, server: bool) -> str:
+    """Return why the other side of a link refuses a certificate, or an empty text.
+
+    Args:
+        certificate: PEM, with intermediate authorities behind it if there are any.
+        authorities: PEM of the certificates that the other side trusts.
+        at: the time.
+        server: it is the certificate of the listening side.
+    """
+    try:
+        leaf, *above = certificates.load_bundle(certificate)
+    except KeymintError as error:
+        return error.diagnostics[0].message
+    intermediates = b"".join(certificates.to_pem(each) for each in above if each.issuer != each.subject)
+    findings = certification_path.verify_chain(certificates.to_pem(leaf), intermediates + authorities, at)
+    if findings:
+        return findings[0].message
+    key = leaf.public_key()
+    if isinstance(key, ec.EllipticCurvePublicKey) and isinstance(key.curve, ec.SECP521R1):
+        return "its key is on the curve P-521, which TLS of Zenoh does not verify"
+    lacking = lacking_usage(leaf, server=server)
+    return lacking and f"its extended key usage lacks {lacking}"
+
+
+def lacking_usage(certificate: x509.Certificate, *, server: bool) -> str:
+    """Return the usage that the listening or the connecting side needs and a certificate lacks, or an empty text."""
+    server_auth, client_auth = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH
+    name, wanted = ("serverAuth", server_auth) if server else ("clientAuth", client_auth)
+    usages = extensions.value(certificate, x509.ExtendedKeyUsage)
+    return "" if usages is None or wanted in usages else name
+
+
+def names_host(certificate: x509.Certificate, host: str) -> bool:
+    """Tell whether a certificate is for a host: only its subject alternative names count, never its common name."""
+    names = extensions.value(certificate, x509.SubjectAlternativeName)
+    if names is None:
+        return False
+    try:
+        return ip_address(host) in names.get_values_for_type(x509.IPAddress)
+    except ValueError:
+        listed: Sequence[str] = names.get_values_for_type(x509.DNSName)
+        return any(_matches_host(name.lower(), host.lower()) for name in listed)
+
+
+def _matches_host(name: str, host: str) -> bool:
+    """Compare a name with a host; ``*`` stands for its first label (RFC 6125, 6.4.3), of three at least (rustls)."""
+    domain = host.partition(".")[2]
+    return name == host or ("." in domain and name == f"*.{domain}")

@@ -9,7 +9,7 @@ from types import ModuleType
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from keymint_ros2_zenoh.keyexpr.key_expr import KeyExprError, canonical, parse
+from keymint_ros2_zenoh.keyexpr import KeyExprError, canonical, parse
 
 from tests.effort import tries
 

@@ -1,32 +1,105 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``keymint check``: findings on installed enclaves, and on the router's configuration."""
+"""The rules about the files of an enclave, and what vouches for them and for the router's file.
+
+An enclave cannot vouch for itself, and no session or router looks at the signature over the router's file: CMS in DER
+(RFC 5652), for Keymint and ``openssl cms``. So proofs compare both with the authorities of the workspace
+(:func:`differences`); ``keymint check`` also says what the sources would make otherwise (:func:`check`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import timedelta
-from itertools import chain
+from functools import lru_cache
 
 from cryptography import x509
+from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import quoted
-from keymint.api import Inspection, SharedInspection
+from keymint.api import Inspection, SharedInspection, TrustAnchor, TrustAnchors, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.names import name_of
-from keymint.pki import extensions
-from keymint.pki.identity_check import IdentityCheck
-from keymint_ros2_zenoh import configuration_requirements
-from keymint_ros2_zenoh.decision.admission import first_common_name, lacking_usage, names_host
+from keymint.pki import certificates, cms, extensions
+from keymint.pki.identity_check import IdentityCheck, anchor_defects, certificate_terms
+from keymint_ros2_zenoh.decision import first_common_name, lacking_usage, names_host
 from keymint_ros2_zenoh.documents.configuration import Configuration
-from keymint_ros2_zenoh.documents.configuration_reader import read
-from keymint_ros2_zenoh.emission import common_name, enclaves_of, router_of
-from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, ROUTER, SESSION
-from keymint_ros2_zenoh.settings import is_router, settings_of
+from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, ROUTER, SESSION, SIGNATURE
+from keymint_ros2_zenoh.examine import configurations
+from keymint_ros2_zenoh.identities import common_name, enclaves_of, router_of
+from keymint_ros2_zenoh.settings import ACCESS, IDENTITY, is_router, settings_of
 
+_RESTORED = "'keymint install' restores it"
 _INSTALL = "'keymint build' and 'keymint install' write the document of the sources"
+
+
+def differences(
+    files: Mapping[str, bytes], folder: str, anchors: TrustAnchors, shared: Mapping[str, bytes], shared_folder: str
+) -> tuple[Diagnostic, ...]:
+    """Return what the workspace's authorities do not vouch for; see :meth:`keymint.api.Prover.differences`."""
+    identity, access = anchors.authorities[IDENTITY], anchors.authorities[ACCESS]
+    if missing := tuple(anchor_defects((identity, access))):
+        return missing
+    rules = IdentityCheck(files, folder, _RESTORED)
+    needed = (CERTIFICATE, IDENTITY_CA) if anchors.public_key else (CERTIFICATE, KEY, IDENTITY_CA)
+    own = (*rules.inventory(needed), *rules.anchored(IDENTITY_CA, identity), *rules.identity(identity.chain, anchors))
+    # An encrypted key cannot be read without its password.
+    readable = (each for each in own if each.code != "key-password")
+    return (*readable, *router_differences(shared, shared_folder, access))
+
+
+def router_differences(shared: Mapping[str, bytes], shared_folder: str, access: TrustAnchor) -> tuple[Diagnostic, ...]:
+    """Return why the router's file is not what the authority that signs the rights signed.
+
+    Args:
+        shared: installed shared files by path.
+        shared_folder: the folder of these paths, as the user would type it.
+        access: the authority.
+    """
+    if absent := tuple(IdentityCheck(shared, shared_folder, _RESTORED).inventory((ROUTER, SIGNATURE))):
+        return absent
+    problem = signature_problem(shared[ROUTER], shared[SIGNATURE], access.chain)
+    if not problem:
+        return ()
+    help_ = "find out who wrote it before 'keymint install' signs the file that the sources build"
+    return (Diagnostic.error("zenoh-signature", problem, Origin(f"{shared_folder}/{SIGNATURE}"), help_),)
+
+
+@lru_cache(maxsize=16)  # all enclaves rest on the same file
+def signature_problem(content: bytes, signature: bytes, authority: bytes) -> str:
+    """Return why a signature is not one by an authority over a router's configuration; empty if it is.
+
+    Args:
+        content: the router's configuration.
+        signature: the detached signature.
+        authority: PEM of the authority that must have made it, first.
+    """
+    try:
+        parsed = cms.parse(signature)
+    except ValueError as error:
+        return f"is not a detached signature: {error}"
+    signer = certificates.load_first(authority, with_lists=True)
+    if cms.verify(parsed, content, signer):
+        return ""
+    if parsed.certificate != signer.public_bytes(Encoding.DER):  # compared unread: it may be damaged
+        return "is by another certificate than that of the authority that signs the rights"
+    return "is not over the configuration beside it: one of them was altered, or is older than the other"
+
+
+def terms(
+    files: Mapping[str, bytes], folder: str, anchors: TrustAnchors, shared: Mapping[str, bytes], shared_folder: str
+) -> tuple[ValidityTerm, ...]:
+    """Return the periods of the certificates of an enclave; see :meth:`keymint.api.Prover.terms`.
+
+    Rights have no dates: they end with the certificate.
+
+    Raises:
+        KeymintError: a file is missing, or is no certificate.
+    """
+    del anchors, shared, shared_folder
+    return tuple(certificate_terms(files, folder, (CERTIFICATE, IDENTITY_CA)))
 
 
 def check(inspection: Inspection) -> tuple[Diagnostic, ...]:
@@ -47,38 +120,10 @@ def check_shared(inspection: SharedInspection) -> tuple[Diagnostic, ...]:
     names = {package.subject: common_name(package) for package in enclaves_of(inspection.packages)}
 
     def of_router(found: Configuration) -> Iterator[Diagnostic]:
-        yield from configuration_requirements.holders(found, names, file)
+        yield from configurations.holders(found, names, file)
         yield from _installed_names(inspection, names)
 
-    return tuple(_examined(content, inspection.documents[ROUTER], file, _INSTALL, of_router))
-
-
-def _examined(
-    content: bytes, built: bytes, file: str, help_: str, more: Callable[[Configuration], Iterable[Diagnostic]]
-) -> Iterator[Diagnostic]:
-    """Yield findings on a configuration.
-
-    Args:
-        content: the installed one.
-        built: what the sources build.
-        file: the installed file as the user would type it.
-        help_: help for findings without one.
-        more: returns further findings on what it says.
-    """
-    if content != built:
-        message = "the sources build another document: they changed, or the built one was edited by hand"
-        yield Diagnostic.warning("drift", message, Origin(file), help_)
-    try:
-        found = read(content, file)
-    except KeymintError as error:
-        yield from error.diagnostics
-        return
-    usual = (
-        configuration_requirements.as_built(found, read(built, file), file),
-        configuration_requirements.open_default(found, file),
-    )
-    for each in (*chain(*usual), *configuration_requirements.entries(found), *more(found)):
-        yield replace(each, help=each.help or help_)
+    return tuple(configurations.check_findings(content, inspection.documents[ROUTER], file, _INSTALL, of_router))
 
 
 def _installed_names(inspection: SharedInspection, names: Mapping[str, str]) -> Iterator[Diagnostic]:
@@ -140,7 +185,7 @@ class _EnclaveCheck(IdentityCheck):
         name, file = self._package.name, f"{self._inspection.folder}/{SESSION}"
         help_ = f"'keymint build -f {name}' and 'keymint install {name}' write the document of the sources"
         router = common_name(router_of(self._package))
-        for each in _examined(
-            content, built, file, help_, lambda found: configuration_requirements.pin_findings(found, router, file)
+        for each in configurations.check_findings(
+            content, built, file, help_, lambda found: configurations.pin_findings(found, router, file)
         ):
             yield replace(each, subject=self._subject, help=each.help or help_)
