@@ -13,7 +13,7 @@ from itertools import product
 from math import prod
 
 from comarmor.errors import ComArmorError
-from comarmor.patterns.printing import canonical, escape
+from comarmor.patterns.expression import canonical, escape
 from comarmor.patterns.tokens import COMARMOR, Bracket, next_token
 from comarmor.regex import lazy_regex
 from comarmor.text import did_you_mean, quoted

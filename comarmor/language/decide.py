@@ -12,8 +12,7 @@ from collections.abc import Iterable, Sequence
 
 from comarmor.errors import ComArmorError, Reason
 from comarmor.language.syntax import Decision
-from comarmor.patterns.expression import literal, literal_prefix, matches
-from comarmor.patterns.rule_matching import rule_matches_partition
+from comarmor.patterns.expression import literal, literal_prefix, matches, rule_matches_partition
 from comarmor.rules import PARTS, PERMISSIONS, Effect, Rule, suffixes
 from comarmor.text import did_you_mean, quoted
 from comarmor.values import dataclass

@@ -2,7 +2,7 @@
 """Search for a shortest word that some decision lists permit and another one denies.
 
 Such words are a union of cubes "matches p, and q, and none of these". This module makes the cubes;
-:mod:`comarmor.patterns.cube_search` searches each.
+:mod:`comarmor.patterns.derivatives` searches each.
 """
 
 from __future__ import annotations
@@ -10,12 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
 
-from comarmor.patterns.cube_search import CubeSearch
 from comarmor.patterns.decision_lists import DecisionList, Universe
-from comarmor.patterns.derivatives import Derivatives
+from comarmor.patterns.derivatives import CubeSearch, Derivatives
 from comarmor.patterns.evaluate import Evaluator, shortest
-from comarmor.patterns.glob import Glob, literal
-from comarmor.patterns.matching import matcher
+from comarmor.patterns.glob import Glob, literal, matcher
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.relations import disjoint, ends_differ
 

@@ -1,15 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Evaluate decision lists: decide about one word."""
+"""Decide about one word, and compare decision lists without a search.
+
+The comparison is fast, sound and incomplete: False means unknown, and the caller searches. It answers the ordinary
+question, in which both sides have the same patterns. Literal words are decided one by one. Of all other words a list
+permits the union, over its allowing patterns with wildcards, of the words that the pattern matches and no denial before
+it does. So a list implies another one if each of its allowing patterns occurs there as well (or a wider one does), and
+every denial before it there either comes before it here, or has no word in common.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from functools import cached_property
+from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Set as AbstractSet
+from functools import cached_property, lru_cache
 
-from comarmor.patterns.decision_lists import DecisionList
-from comarmor.patterns.glob import Glob, literal
-from comarmor.patterns.matching import Matcher, matcher, matches
+from comarmor.patterns.decision_lists import Block, DecisionList, Universe
+from comarmor.patterns.glob import EVERYTHING, Glob, Matcher, is_empty, literal, matcher, matches, prefix, suffix, words
 from comarmor.patterns.pattern_index import PatternIndex
+from comarmor.patterns.relations import disjoint
+from comarmor.patterns.tokens import STAR, Charset
 
 INDEX_FROM = 8
 """Number of patterns above which an index is faster than trying them one by one."""
@@ -87,3 +96,131 @@ class Evaluator:
 def shortest(words: Iterable[str]) -> str | None:
     """Return the shortest word, the first in order among several; None if there are no words."""
     return min(words, key=lambda word: (len(word), word), default=None)
+
+
+MAX_WORDS = 20_000
+"""Most words that the sets in a list's patterns are expanded to."""
+MAX_PAIRS = 2_000
+"""Pairs of patterns to compare before the question is left to the search."""
+
+
+def equal(a: DecisionList, b: Sequence[DecisionList], universe: Universe) -> bool:
+    """Return whether a list provably permits the same words as the conjunction of others; False means unknown.
+
+    Args:
+        a: a list.
+        b: lists, at least one; together they permit the words that every one of them permits.
+        universe: the words to compare.
+    """
+    left, right = _split(a), tuple(map(_split, b))
+    if not (any(_implies(each, left) for each in right) and all(_implies(left, each) for each in right)):
+        return False
+    words = left.literals | set().union(*(each.literals for each in right))
+    permitted = frozenset.intersection(*(each.permitted_among(words) for each in right))
+    return not any(word in universe for word in left.permitted_among(words) ^ permitted)
+
+
+def implies(a: DecisionList, b: DecisionList, universe: Universe) -> bool:
+    """Return whether another list provably permits every word that a list permits; False means unknown."""
+    left, right = _split(a), _split(b)
+    if not _implies(left, right):
+        return False
+    words = left.literals | right.literals
+    return not any(word in universe for word in left.permitted_among(words) - right.permitted_among(words))
+
+
+class _SplitList:
+    """A list as its literal words and its patterns with wildcards.
+
+    Args:
+        decisions: the list.
+
+    Attributes:
+        literals: the literal words.
+        allowed: patterns with wildcards that no earlier block denies, with the first block that allows each.
+        denied: patterns with wildcards that no earlier block allows, with the first block that denies each; in order.
+    """
+
+    __slots__ = ("_permits", "_permitted", "allowed", "denied", "literals")
+
+    def __init__(self, decisions: DecisionList) -> None:
+        evaluator = Evaluator(decisions)
+        if any(isinstance(token, Charset) for pattern in evaluator.wild for token in pattern):
+            evaluator = Evaluator(_expanded(decisions))
+        effects = evaluator.effects
+        self.literals: AbstractSet[str] = evaluator.literals.keys()
+        self.allowed = {pattern: block for pattern, block in evaluator.wild.items() if effects[block]}
+        self.denied = {pattern: block for pattern, block in evaluator.wild.items() if not effects[block]}
+        self._permits = evaluator.permits
+        self._permitted = frozenset(evaluator.permitted_literals())
+
+    def permitted_among(self, words: AbstractSet[str]) -> frozenset[str]:
+        """Return the permitted ones of some words, which include all its literals."""
+        if self.allowed and len(words) > len(self.literals):
+            return self._permitted.union(filter(self._permits, words - self.literals))
+        return self._permitted
+
+    def denies(self, pattern: Glob, before: int) -> bool:
+        """Return whether one of its patterns provably denies all that a pattern matches, before a block."""
+        return any(self.denied.get(wider, before) < before for wider in _wider(pattern))
+
+
+def _expanded(decisions: DecisionList) -> DecisionList:
+    """Replace patterns that match few words by these words, which can be decided one by one."""
+    remaining = MAX_WORDS
+    blocks: list[Block] = []
+    for block in decisions:
+        patterns: list[Glob] = []
+        for pattern in block.patterns:
+            expansion = words(pattern, remaining) if literal(pattern) is None else ()
+            remaining -= len(expansion)
+            patterns += ((word,) for word in expansion) if expansion else (pattern,)
+        blocks.append(Block(block.allows, tuple(patterns)))
+    return tuple(blocks)
+
+
+# An enclave asks about few lists, each several times: for each model, and in both directions.
+@lru_cache(maxsize=16)
+def _split(decisions: DecisionList) -> _SplitList:
+    return _SplitList(decisions)
+
+
+def _implies(inner: _SplitList, outer: _SplitList) -> bool:
+    """Return whether a list provably implies another one, except for words that are literals of either."""
+    extra: dict[tuple[int, int], list[Glob]] = {}
+    remaining = MAX_PAIRS
+    for pattern, block in inner.allowed.items():
+        for wider in _wider(pattern):
+            outer_block = outer.allowed.get(wider)
+            if outer_block is None:
+                continue
+            key = (block, outer_block)
+            if key not in extra:
+                extra[key] = list(_extra_denials(inner, block, outer, outer_block))
+            remaining -= len(extra[key])
+            if remaining < 0:
+                return False
+            if all(disjoint(denial, pattern) for denial in extra[key]):
+                break
+        else:
+            if not (inner.denies(pattern, block) or is_empty(pattern)):
+                return False
+    return True
+
+
+def _extra_denials(inner: _SplitList, block: int, outer: _SplitList, outer_block: int) -> Iterator[Glob]:
+    """Yield the denials before a block of the outer list that are not before a block of the inner one."""
+    for denial, number in outer.denied.items():
+        if number >= outer_block:
+            return
+        if inner.denied.get(denial, block) >= block:
+            yield denial
+
+
+def _wider(pattern: Glob) -> Iterator[Glob]:
+    """Yield a pattern, and patterns with one ``*`` at an end that match all that it matches."""
+    yield pattern
+    yield EVERYTHING
+    head, tail = prefix(pattern), suffix(pattern)
+    yield from ((head[:end], STAR) for end in range(1, len(head) + 1))
+    yield from ((STAR, tail[start:]) for start in range(len(tail)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Patterns as tuples of tokens, in a normal form.
+"""Patterns as tuples of tokens, in a normal form, and what they match.
 
 A :data:`Glob` is normalised: runs of literal characters are one string, sets of one character are literals, and in
 a run of ``*`` and ``?`` the ``?`` come first and one ``*`` last. Equal tuples match the same names; so may
@@ -8,12 +8,25 @@ different ones.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import re
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache, lru_cache
 from itertools import product
 from math import prod
 
-from comarmor.patterns.tokens import ANY, POSIX, SPECIAL, STAR, Bracket, Charset, Dialect, Star, Token, tokenize
+from comarmor.patterns.tokens import (
+    ANY,
+    MAX_CODE,
+    POSIX,
+    SPECIAL,
+    STAR,
+    Bracket,
+    Charset,
+    Dialect,
+    Star,
+    Token,
+    tokenize,
+)
 
 Glob = tuple[Token, ...]
 EVERYTHING: Glob = (STAR,)
@@ -152,3 +165,59 @@ def _derive(tokens: tuple[Token, ...], char: str) -> Iterator[tuple[Token, ...]]
         if (token == char) if isinstance(token, str) else (char in token):
             yield tokens[index + 1 :]
         return
+
+
+Matcher = Callable[[str], bool]
+
+
+@lru_cache(maxsize=1 << 14)
+def matcher(glob: Glob) -> Matcher:  # noqa: PLR0911 - one for each shape
+    """Return a function that tells whether a pattern matches a name, in polynomial time."""
+    if (text := literal(glob)) is not None:
+        return text.__eq__
+    match glob:
+        case (Star(),):
+            return lambda _: True
+        case (str(head), Star()):
+            return lambda name: name.startswith(head)
+        case (Star(), str(tail)):
+            return lambda name: name.endswith(tail)
+        case (Star(), str(text), Star()):
+            return lambda name: text in name
+        case (str(head), Star(), str(tail)):
+            shortest = len(head) + len(tail)
+            return lambda name: len(name) >= shortest and name.startswith(head) and name.endswith(tail)
+    expression = re.compile(regex(glob), re.DOTALL)
+    return lambda name: expression.fullmatch(name) is not None
+
+
+def matches(glob: Glob, name: str) -> bool:
+    """Return whether a pattern matches a name."""
+    return matcher(glob)(name)
+
+
+def regex(glob: Glob) -> str:
+    """Return a regular expression for :func:`re.fullmatch` with :data:`re.DOTALL`, which needs polynomial time.
+
+    Between two ``*`` there is text of a fixed length. Its leftmost match is as good as any other, so that the search
+    for it can be an atomic group. Without these groups ``*a*a*a*b`` needs exponential time.
+    """
+    steps = [""]
+    for token in glob:
+        if isinstance(token, Star):
+            steps.append("")
+        elif isinstance(token, str):
+            steps[-1] += re.escape(token)
+        elif not token.ranges:
+            steps[-1] += "(?!)"
+        elif token == ANY:
+            steps[-1] += "."
+        else:
+            # A set that extends to the last code point takes long to compile; its complement does not.
+            negated = token.ranges[-1][1] == MAX_CODE
+            ranges = (token.complement() if negated else token).ranges
+            members = "".join(rf"\U{low:08x}-\U{high:08x}" for low, high in ranges)
+            steps[-1] += f"[{'^' * negated}{members}]"
+    if len(steps) == 1:
+        return steps[0]
+    return steps[0] + "".join(f"(?>.*?{step})" for step in steps[1:-1]) + ".*" + steps[-1]

@@ -9,8 +9,7 @@ from functools import cached_property
 from itertools import chain
 from typing import Generic, TypeVar
 
-from comarmor.patterns.glob import Glob, literal, prefix, suffix
-from comarmor.patterns.matching import Matcher, matcher
+from comarmor.patterns.glob import Glob, Matcher, literal, matcher, prefix, suffix
 from comarmor.patterns.relations import disjoint
 from comarmor.patterns.steps import spend
 

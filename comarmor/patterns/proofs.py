@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 
-from comarmor.patterns import fast_path
+from comarmor.patterns import evaluate
 from comarmor.patterns.counterexample_search import CounterexampleSearch
 from comarmor.patterns.decision_lists import (
     EVERY_WORD,
@@ -28,7 +28,6 @@ from comarmor.patterns.decision_lists import (
     Witness,
 )
 from comarmor.patterns.derivatives import Derivatives
-from comarmor.patterns.evaluate import permits
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.product_search import ProductSearch
 from comarmor.patterns.steps import StepLimitError, step_limit
@@ -85,13 +84,13 @@ def _within(budget: SearchBudget, answer: Callable[[], ProofResult]) -> ProofRes
 
 
 def _difference(a: DecisionList, b: Sequence[DecisionList], universe: Universe, budget: SearchBudget) -> ProofResult:
-    if fast_path.equal(a, b, universe):
+    if evaluate.equal(a, b, universe):
         return Equal()
     word = _shortest_difference(a, b, universe, budget)
     if word is None:
         return Equal()
-    left = permits(a, word)
-    if left is all(permits(each, word) for each in b):
+    left = evaluate.permits(a, word)
+    if left is all(evaluate.permits(each, word) for each in b):
         raise AssertionError(f"the lists do not differ on {word!r}")
     return Witness(word, left)
 
@@ -139,7 +138,7 @@ def _search_cubes(
         word = search((a,), each, best)
         best = best if word is None else word
     word = search(b[:1], a, best)
-    if word is not None and not all(permits(each, word) for each in b[1:]):
+    if word is not None and not all(evaluate.permits(each, word) for each in b[1:]):
         word = search(b, a, best)
     return best if word is None else word
 
@@ -147,14 +146,14 @@ def _search_cubes(
 def _escape(
     permitting: Sequence[DecisionList], denying: DecisionList, universe: Universe, budget: SearchBudget
 ) -> ProofResult:
-    if len(permitting) == 1 and fast_path.implies(permitting[0], denying, universe):
+    if len(permitting) == 1 and evaluate.implies(permitting[0], denying, universe):
         return Equal()
     derivatives = cache(lambda: Derivatives(_patterns((*permitting, denying)), universe))
     search = CounterexampleSearch(permitting, denying, universe, derivatives, budget.state_counter())
     word = search.shortest()
     if word is None:
         return Equal()
-    if not all(permits(each, word) for each in permitting) or permits(denying, word):
+    if not all(evaluate.permits(each, word) for each in permitting) or evaluate.permits(denying, word):
         raise AssertionError(f"the word {word!r} is no counterexample")
     return Witness(word, left=True)
 

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from comarmor.patterns.glob import EVERYTHING, Glob, is_empty, literal, normalise, prefix, suffix, units
-from comarmor.patterns.matching import matcher
+from comarmor.patterns.glob import EVERYTHING, Glob, is_empty, literal, matcher, normalise, prefix, suffix, units
 from comarmor.patterns.steps import StepLimitError, spend, step_counting_cache, step_limit
 from comarmor.patterns.tokens import ANY, STAR, Charset, Star, Token
 
@@ -170,9 +169,8 @@ def _union_covers(outers: tuple[Glob, ...], inner: Glob) -> bool | None:
 def _is_included(inner: Glob, outers: tuple[Glob, ...]) -> bool | None:
     """Search for a word that only ``inner`` matches; None if this was not decided."""
     # Few questions get here, and most runs have none.
-    from comarmor.patterns.cube_search import CubeSearch  # noqa: PLC0415
     from comarmor.patterns.decision_lists import EVERY_WORD, BudgetError, SearchBudget  # noqa: PLC0415
-    from comarmor.patterns.derivatives import Derivatives  # noqa: PLC0415
+    from comarmor.patterns.derivatives import CubeSearch, Derivatives  # noqa: PLC0415
 
     tokens = dict.fromkeys(token for each in (*outers, inner) for token in units(each))
     ranges = sum(len(token.ranges) for token in tokens if isinstance(token, Charset))

@@ -12,8 +12,7 @@ from functools import cache, partial
 from itertools import product
 
 from comarmor.patterns.decision_lists import Unknown, negate
-from comarmor.patterns.glob import Glob
-from comarmor.patterns.matching import matches
+from comarmor.patterns.glob import Glob, matches
 from comarmor.patterns.relations import disjoint
 from comarmor.rules import PARTS, PERMISSIONS, Effect
 from comarmor.values import dataclass

@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from comarmor.errors import Diagnostic, Origin, Spot
 from comarmor.patterns.decision_lists import Equal, Witness, negate
-from comarmor.patterns.glob import Glob, parse
-from comarmor.patterns.matching import matches
+from comarmor.patterns.glob import Glob, matches, parse
 from comarmor.patterns.relations import disjoint
 from comarmor.rules import Effect
 from comarmor.values import dataclass

@@ -11,12 +11,11 @@ import string
 from collections.abc import Iterable, Iterator, Sequence
 
 from comarmor.patterns.decision_lists import Block, DecisionList, Equal, ProofResult, SearchBudget, Universe
+from comarmor.patterns.expression import exact, rule_matches, rule_matches_partition
 from comarmor.patterns.glob import Glob, normalise, parse, right_quotient, surround, units
 from comarmor.patterns.possible_names import matches_ros_name
-from comarmor.patterns.printing import exact
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import TooComplexError, intersection
-from comarmor.patterns.rule_matching import rule_matches, rule_matches_partition
 from comarmor.patterns.tokens import ANY, MAX_CODE, STAR, charset
 from comarmor.rules import Effect, parts, suffixes
 from keymint.ir import Rule

@@ -13,8 +13,7 @@ from functools import partial
 from itertools import product
 
 from comarmor.patterns.decision_lists import Unknown, negate
-from comarmor.patterns.glob import Glob, literal, normalise, parse, right_quotient
-from comarmor.patterns.matching import matches
+from comarmor.patterns.glob import Glob, literal, matches, normalise, parse, right_quotient
 from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection, maximal
 from comarmor.patterns.tokens import STAR
 from comarmor.rules import PARTS, Effect, parts

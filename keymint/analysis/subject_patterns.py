@@ -12,8 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from operator import itemgetter
 
 from comarmor.patterns.decision_lists import Witness
-from comarmor.patterns.glob import Glob, literal, normalise, parse, units
-from comarmor.patterns.matching import matches
+from comarmor.patterns.glob import Glob, literal, matches, normalise, parse, units
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.possible_names import matches_ros_name
 from comarmor.patterns.relations import TooComplexError, covers, intersection

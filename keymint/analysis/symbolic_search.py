@@ -14,8 +14,7 @@ from functools import lru_cache
 from itertools import product
 
 from comarmor.patterns.decision_lists import Block, DecisionList, Equal, Universe, Unknown, negate
-from comarmor.patterns.glob import Glob, left_quotient, literal, normalise, parse, words
-from comarmor.patterns.matching import matches
+from comarmor.patterns.glob import Glob, left_quotient, literal, matches, normalise, parse, words
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import TooComplexError, intersection
 from comarmor.patterns.tokens import STAR, Charset, charset

@@ -8,8 +8,7 @@ from dataclasses import field
 
 from comarmor.errors import Origin
 from comarmor.patterns.decision_lists import ProofResult, Unknown, Witness
-from comarmor.patterns.glob import Glob, literal, right_quotient
-from comarmor.patterns.matching import matches
+from comarmor.patterns.glob import Glob, literal, matches, right_quotient
 from comarmor.rules import Effect, parts
 from comarmor.values import dataclass
 from keymint.analysis.query_budget import QueryBudget

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from comarmor.patterns.glob import Glob, literal
-from comarmor.patterns.matching import matcher
+from comarmor.patterns.glob import Glob, literal, matcher
 from comarmor.patterns.relations import TooComplexError, covers, disjoint, intersection, maximal
 from comarmor.patterns.steps import spend
 from comarmor.values import dataclass

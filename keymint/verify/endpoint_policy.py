@@ -12,7 +12,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 from comarmor.patterns import glob
-from comarmor.patterns.matching import matcher
+from comarmor.patterns.glob import matcher
 from keymint.api import LoadedPolicy, PolicyDecision, RowPolicy
 from keymint.api.graph import Column, Edge
 from keymint.verify.rows import RAW, EdgeRow, Naming, mapped_column

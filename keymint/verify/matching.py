@@ -7,8 +7,7 @@ from collections.abc import Iterable, Sequence
 
 from comarmor.errors import Origin
 from comarmor.patterns import glob
-from comarmor.patterns.expression import matches
-from comarmor.patterns.rule_matching import rule_matches, rule_matches_partition
+from comarmor.patterns.expression import matches, rule_matches, rule_matches_partition
 from comarmor.rules import Effect, parts
 from comarmor.text import nearest_word
 from comarmor.values import dataclass

@@ -10,7 +10,7 @@ from lxml import etree
 from comarmor.language import render
 from comarmor.language.source import INCLUDE
 from comarmor.language.syntax import Attachment, Profile, ProfileRule
-from comarmor.patterns.printing import escape
+from comarmor.patterns.expression import escape
 from comarmor.xml.reader import XINCLUDE
 from keymint.names import name_of
 from keymint_ros2_comarmor.learned_rules import NOWHERE, CommonPart, Need, fold, literal

@@ -8,7 +8,7 @@ from dataclasses import field
 
 from comarmor.errors import Origin
 from comarmor.language.syntax import Attachment, ProfileRule
-from comarmor.patterns.printing import escape
+from comarmor.patterns.expression import escape
 from comarmor.rules import PERMISSIONS, Effect
 from comarmor.values import dataclass
 from keymint.api.generated_names import generalised

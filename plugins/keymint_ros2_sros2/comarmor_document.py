@@ -11,7 +11,7 @@ from lxml import etree
 
 from comarmor.language import render
 from comarmor.language.formatting import canonical_form
-from comarmor.patterns.printing import escape
+from comarmor.patterns.expression import escape
 from comarmor.rules import PERMISSIONS, Effect
 from comarmor.xml.reader import XINCLUDE
 from keymint.names import name_of

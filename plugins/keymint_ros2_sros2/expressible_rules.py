@@ -7,10 +7,9 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 
 from comarmor.patterns import glob
-from comarmor.patterns.expression import matches
+from comarmor.patterns.expression import exact, matches
 from comarmor.patterns.glob import Glob
-from comarmor.patterns.matching import matches as matching
-from comarmor.patterns.printing import exact
+from comarmor.patterns.glob import matches as matching
 from comarmor.regex import lazy_regex
 from comarmor.rules import PARTS, Effect, Rule
 from comarmor.values import dataclass

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from comarmor.errors import ComArmorError
 from comarmor.language.attachments import MOST_CHARACTERS
-from comarmor.patterns.printing import canonical
+from comarmor.patterns.expression import canonical
 from comarmor.patterns.tokens import COMARMOR, tokenize
 from comarmor.regex import lazy_regex
 from comarmor.text import quoted

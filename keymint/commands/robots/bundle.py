@@ -9,8 +9,7 @@ from pathlib import Path
 
 import click
 
-from comarmor.patterns.glob import parse
-from comarmor.patterns.matching import matches
+from comarmor.patterns.glob import matches, parse
 from comarmor.patterns.tokens import SPECIAL
 from comarmor.text import did_you_mean
 from keymint.api import Phase

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import product
 
 from comarmor.patterns import glob
-from comarmor.patterns.matching import matcher
+from comarmor.patterns.glob import matcher
 from comarmor.rules import Effect
 from keymint.keymake.gather import Pattern, gather, similar
 from keymint_ros2_dds.lowering.dds_topics import TopicAction

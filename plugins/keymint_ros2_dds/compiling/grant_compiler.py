@@ -9,8 +9,8 @@ from contextlib import suppress
 from dataclasses import field, replace
 
 from comarmor.errors import Diagnostic, Severity
+from comarmor.patterns.expression import exact
 from comarmor.patterns.glob import Glob
-from comarmor.patterns.printing import exact
 from comarmor.patterns.relations import disjoint, sort_key
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.rules import Effect

@@ -16,8 +16,8 @@ from functools import lru_cache
 from typing import Self
 
 from comarmor.patterns import glob as globs
+from comarmor.patterns.expression import exact
 from comarmor.patterns.glob import EVERYTHING, Glob, literal
-from comarmor.patterns.printing import exact
 from comarmor.patterns.relations import (
     TooComplexError,
     covers,

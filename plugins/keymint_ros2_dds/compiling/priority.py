@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from comarmor.patterns import glob
-from comarmor.patterns.matching import matcher, matches
+from comarmor.patterns.glob import matcher, matches
 from comarmor.patterns.relations import all_disjoint
 from keymint_ros2_dds.compiling.gathering import GUARD
 from keymint_ros2_dds.lowering.dds_topics import TopicAction

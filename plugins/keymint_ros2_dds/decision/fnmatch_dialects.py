@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-from comarmor.patterns.glob import parse
-from comarmor.patterns.matching import regex
+from comarmor.patterns.glob import parse, regex
 from comarmor.patterns.tokens import SPECIAL, Dialect
 
 STANDARD = Dialect()
@@ -33,5 +32,5 @@ def is_plain(pattern: str) -> bool:
 
 @lru_cache(maxsize=65536)
 def translate(pattern: str, dialect: Dialect) -> str:
-    """Return a pattern (in bytes) as a regular expression; see :func:`comarmor.patterns.matching.regex`."""
+    """Return a pattern (in bytes) as a regular expression; see :func:`comarmor.patterns.glob.regex`."""
     return regex(parse(pattern, dialect))

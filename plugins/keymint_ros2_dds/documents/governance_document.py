@@ -11,8 +11,8 @@ from lxml import etree
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.patterns import glob
+from comarmor.patterns.expression import exact
 from comarmor.patterns.glob import EVERYTHING, Glob
-from comarmor.patterns.printing import exact
 from comarmor.patterns.relations import covers, union_covers
 from comarmor.regex import lazy_regex
 from keymint.errors import KeymintError

@@ -7,8 +7,7 @@ import re
 from collections.abc import Sequence
 from itertools import combinations, product
 
-from comarmor.patterns.glob import Glob, literal, parse
-from comarmor.patterns.matching import matcher, regex
+from comarmor.patterns.glob import Glob, literal, matcher, parse, regex
 from comarmor.patterns.relations import TooComplexError, intersection
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.patterns.tokens import ANY, Charset

@@ -12,9 +12,8 @@ from itertools import compress
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.patterns import glob
-from comarmor.patterns.glob import EVERYTHING, Glob
-from comarmor.patterns.matching import matches
-from comarmor.patterns.printing import canonical
+from comarmor.patterns.expression import canonical
+from comarmor.patterns.glob import EVERYTHING, Glob, matches
 from comarmor.patterns.relations import covers, disjoint
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.patterns.tokens import PatternError

@@ -11,9 +11,9 @@ from functools import lru_cache
 
 from comarmor.errors import Diagnostic
 from comarmor.patterns import glob
+from comarmor.patterns.expression import exact
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.possible_names import advice, matches_ros_name
-from comarmor.patterns.printing import exact
 from comarmor.rules import Effect
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass

@@ -11,8 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 
 from comarmor.patterns.decision_lists import Block, DecisionList
-from comarmor.patterns.glob import EVERYTHING, Glob, parse
-from comarmor.patterns.matching import matches
+from comarmor.patterns.glob import EVERYTHING, Glob, matches, parse
 from comarmor.rules import Effect
 from keymint_ros2_dds.decision.semantics import Semantics, TopicCheck
 from keymint_ros2_dds.lowering.dds_topics import TopicAction

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from comarmor.patterns import glob
-from comarmor.patterns.matching import matches
+from comarmor.patterns.glob import matches
 from comarmor.ros_names import is_fully_qualified
 from comarmor.rules import Effect, parts
 from keymint.api.graph import Edge, Object

@@ -8,8 +8,7 @@ from functools import lru_cache
 
 from comarmor.errors import Reason
 from comarmor.patterns import glob
-from comarmor.patterns.glob import Glob
-from comarmor.patterns.matching import matches
+from comarmor.patterns.glob import Glob, matches
 from comarmor.patterns.tokens import Charset, charset
 from comarmor.rules import Effect, parts
 from comarmor.values import dataclass

@@ -10,8 +10,8 @@ from collections.abc import Iterator, Sequence
 
 from comarmor.patterns import glob
 from comarmor.patterns.decision_lists import BudgetError, Equal, ProofResult, SearchBudget, Unknown
+from comarmor.patterns.expression import exact
 from comarmor.patterns.glob import Glob
-from comarmor.patterns.printing import exact
 from comarmor.patterns.steps import step_counting_cache
 from comarmor.rules import Effect
 from comarmor.values import dataclass

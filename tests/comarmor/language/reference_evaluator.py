@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from comarmor.errors import ComArmorError, Reason
 from comarmor.language.syntax import Decision
-from comarmor.patterns.rule_matching import rule_matches, rule_matches_partition
+from comarmor.patterns.expression import rule_matches, rule_matches_partition
 from comarmor.rules import PARTS, PERMISSIONS, Effect, Rule
 from comarmor.text import did_you_mean, quoted
 

@@ -23,7 +23,7 @@ from comarmor.language.attachments import (
     parts,
 )
 from comarmor.patterns import expression
-from comarmor.patterns.printing import escape
+from comarmor.patterns.expression import escape
 
 from .policies import allow, profile, topics
 

@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from comarmor import Attachment, Origin, Policy, Profile
-from comarmor.patterns.glob import parse
-from comarmor.patterns.matching import matches
+from comarmor.patterns.glob import matches, parse
 from tests.effort import calls_of
 
 from .policies import allow, include, profile, profiles, rule

@@ -6,7 +6,7 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from comarmor.patterns.matching import matches
+from comarmor.patterns.glob import matches
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.relations import disjoint
 from tests.effort import tries

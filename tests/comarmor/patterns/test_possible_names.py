@@ -10,8 +10,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from comarmor.patterns.glob import parse
-from comarmor.patterns.matching import matches
+from comarmor.patterns.glob import matches, parse
 from comarmor.patterns.possible_names import advice, matches_ros_name
 from comarmor.ros_names import is_fully_qualified
 

@@ -11,8 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from comarmor.patterns import glob
-from comarmor.patterns.glob import EVERYTHING, parse
-from comarmor.patterns.matching import matches
+from comarmor.patterns.glob import EVERYTHING, matches, parse
 from comarmor.patterns.relations import (
     TooComplexError,
     all_disjoint,

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from comarmor.patterns.glob import parse
-from comarmor.patterns.matching import matches
+from comarmor.patterns.glob import matches, parse
 from comarmor.patterns.tokens import ANY, COMARMOR, NOTHING, POSIX, STAR, Bracket, Dialect, PatternError, tokenize
 
 PLAIN = Dialect()

@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from comarmor.errors import Origin
-from comarmor.patterns.glob import parse
-from comarmor.patterns.matching import matches
+from comarmor.patterns.glob import matches, parse
 from comarmor.rules import Effect
 from keymint.analysis.policy_diff import diff_policies, has_gains
 from keymint.analysis.query_budget import STATES, QueryBudget

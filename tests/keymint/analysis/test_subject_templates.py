@@ -8,8 +8,7 @@ from itertools import product
 from hypothesis import given
 from hypothesis import strategies as st
 
-from comarmor.patterns.glob import Glob, literal, parse, units
-from comarmor.patterns.matching import matches
+from comarmor.patterns.glob import Glob, literal, matches, parse, units
 from comarmor.patterns.tokens import STAR, Charset, Star
 from keymint.analysis.subject_templates import NAME, NAMESPACE, concrete_name, fill_placeholders, fit_pattern
 

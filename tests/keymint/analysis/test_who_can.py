@@ -94,7 +94,7 @@ def test_no_result_is_a_proof(tmp_path: Path, written: list[tuple[str, str, str]
         if not each.unknown:
             assert policy.decide(Edge(each.subject, PUB[1], Object(PUB[0], each.word))).allowed
     if not found:
-        from comarmor.patterns.matching import matches
+        from comarmor.patterns.glob import matches
 
         asked_for = [one for one in NAMES if matches(parse(name), one)]
         for subject in SUBJECTS:

@@ -8,8 +8,7 @@ import itertools
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from comarmor.patterns.glob import parse
-from comarmor.patterns.matching import matches
+from comarmor.patterns.glob import matches, parse
 from comarmor.rules import PARTS, parts
 from keymint.keymake.order import arrange, early_rules
 from tests.effort import calls_of

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from comarmor.errors import Origin
 from comarmor.patterns import glob
-from comarmor.patterns.matching import matcher
+from comarmor.patterns.glob import matcher
 from comarmor.rules import Effect
 from keymint.api.graph import Edge, Object
 from keymint.ir import Rule, SubjectRules

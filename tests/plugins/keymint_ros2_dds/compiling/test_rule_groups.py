@@ -13,8 +13,7 @@ from keymint_ros2_dds.compiling.rule_groups import denied_partitions, merged_rul
 from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, GrantRule
 
-from comarmor.patterns.glob import parse
-from comarmor.patterns.matching import matches
+from comarmor.patterns.glob import matches, parse
 from comarmor.rules import Effect
 
 PUBLISH, SUBSCRIBE = TopicAction.PUBLISH, TopicAction.SUBSCRIBE

@@ -16,8 +16,8 @@ from lxml import etree
 
 from comarmor.errors import Severity
 from comarmor.patterns import expression
+from comarmor.patterns.expression import exact
 from comarmor.patterns.glob import parse
-from comarmor.patterns.printing import exact
 from comarmor.rules import Effect
 from keymint.api import BuildOptions
 from keymint.api.graph import Edge, Object

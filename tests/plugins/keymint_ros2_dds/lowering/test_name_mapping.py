@@ -7,8 +7,8 @@ import pytest
 from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS, DdsTopic, TopicAction
 from keymint_ros2_dds.lowering.name_mapping import DISTROS, check_distro, dds_patterns
 
+from comarmor.patterns.expression import exact
 from comarmor.patterns.glob import parse
-from comarmor.patterns.printing import exact
 from keymint.errors import KeymintError
 
 TOPIC = DDS_TOPICS["ros_publish"][0]

@@ -17,8 +17,8 @@ from keymint_ros2_dds.lowering.portable_expressions import (
 )
 
 from comarmor.patterns import glob
-from comarmor.patterns.matching import matches
-from comarmor.patterns.printing import exact
+from comarmor.patterns.expression import exact
+from comarmor.patterns.glob import matches
 from tests.effort import tries
 from tests.plugins.keymint_ros2_dds.oracles import matches_any
 

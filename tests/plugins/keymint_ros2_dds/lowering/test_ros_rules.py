@@ -11,8 +11,8 @@ from keymint_ros2_dds.lowering.lowered_rules import lower
 from keymint_ros2_dds.lowering.ros_rules import in_ros
 
 from comarmor.errors import Origin
+from comarmor.patterns.expression import canonical
 from comarmor.patterns.glob import Glob, parse
-from comarmor.patterns.printing import canonical
 from comarmor.rules import PERMISSIONS, Effect, Rule
 from keymint.ir import SubjectRules
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from keymint_ros2_dds.decision import fnmatch_dialects
 from keymint_ros2_dds.proving.octets import read
 
-from comarmor.patterns.matching import matches
+from comarmor.patterns.glob import matches
 from comarmor.patterns.tokens import PatternError
 from tests.effort import tries
 

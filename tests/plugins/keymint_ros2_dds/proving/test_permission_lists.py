@@ -17,7 +17,7 @@ from keymint_ros2_dds.proving import permission_lists, policy_evaluator
 from keymint_ros2_dds.proving.octets import read
 
 from comarmor.patterns.evaluate import permits
-from comarmor.patterns.matching import matches
+from comarmor.patterns.glob import matches
 from comarmor.patterns.tokens import PatternError
 from keymint.ir import SubjectRules
 from tests.effort import tries
