@@ -51,7 +51,7 @@ def test_help_imports_nothing_slow(option: str) -> None:
 def test_packages_and_policies_are_read_without_modules_for_networks() -> None:
     """The helpers of xml.sax that escape texts load them."""
     script = (
-        "import sys, comarmor.language.loading, keymint_ros2_table.policy, keymint_ros2_sros2.common_files\n"
+        "import sys, comarmor.language.loading, keymint_ros2_table.policy, keymint_ros2_sros2.translate\n"
         "import keymint_ros.package_writer, keymint_ros.taken_over, keymint_ros.package_reader\n"
         "print({'http.client', 'ssl', 'urllib.request'} & set(sys.modules))"
     )

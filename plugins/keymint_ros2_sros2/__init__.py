@@ -31,7 +31,7 @@ class Sros2PolicyType:
     BUILD_TYPE = "keymint_ros2_dds"
 
     fingerprint = staticmethod(file_fingerprint)
-    load = lazy("keymint_ros2_sros2.loaded:load")
+    load = lazy("keymint_ros2_sros2.translate:load")
     exported = lazy("keymint_ros2_sros2.export:export_policy")
     translated = lazy("keymint_ros2_sros2.translate:translate_policy")
 

@@ -9,8 +9,7 @@ from dataclasses import replace
 from comarmor.errors import ComArmorError, Diagnostic
 from comarmor.ros_names import is_subject
 from comarmor.text import quoted
-from keymint_ros2_sros2.names import as_read, enforced_name, expression
-from keymint_ros2_sros2.syntax import Entry, RosNode, SourcePolicy, Sros2Enclave
+from keymint_ros2_sros2.syntax import Entry, RosNode, SourcePolicy, Sros2Enclave, as_read, enforced_name, expression
 
 _LONGEST_PATH = 1024
 _LONGEST_SEGMENT = 255

@@ -13,9 +13,7 @@ from collections.abc import Iterable, Iterator
 from lxml import etree
 
 from comarmor.rules import Effect
-from keymint_ros2_sros2.names import enforced_name
-from keymint_ros2_sros2.rules import GRAPH_TOPIC
-from keymint_ros2_sros2.syntax import NodeGroup, RosNode, RuleList, Sros2Enclave
+from keymint_ros2_sros2.syntax import GRAPH_TOPIC, NodeGroup, RosNode, RuleList, Sros2Enclave, enforced_name
 
 _XSI = "http://www.w3.org/2001/XMLSchema-instance"
 _SCHEMA = "http://www.omg.org/spec/DDS-SECURITY/20170901/omg_shared_ca_permissions.xsd"
@@ -34,7 +32,7 @@ def subject_name(enclave: Sros2Enclave) -> str:
     return f"CN={enclave.path}"
 
 
-def document(enclave: Sros2Enclave, *, graph: bool) -> bytes:
+def permissions_document(enclave: Sros2Enclave, *, graph: bool) -> bytes:
     """Return the permissions document that SROS2 writes for an enclave, for domain 0.
 
     Args:

@@ -2,7 +2,8 @@
 """Read the files of an SROS2 policy, and go through its elements with what it includes in the place of the includes.
 
 SROS2 resolves ``xi:include`` with libxml2, which reads any file of the machine. Here they are read as those of ComArmor
-are (:mod:`comarmor.language.source`): within the policy's folder, bounded, and with the place of every element.
+are (:mod:`comarmor.language.source`): within the policy's folder, bounded, and with the place of every element. The
+reader of XML removes comments; they are found again: each belongs to the element that follows it.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from xml.parsers import expat
 
 from lxml import etree
 
@@ -24,7 +26,55 @@ from comarmor.values import dataclass
 from comarmor.xml import schema
 from comarmor.xml.reader import XINCLUDE
 from comarmor.xml.sandboxed_paths import path_text
-from keymint_ros2_sros2.comments import Comments, comments_of
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comments:
+    """The comments of a document.
+
+    Attributes:
+        before: those between an element and the one before it in its parent, or the parent's start.
+        closing: those after the last child of an element.
+    """
+
+    before: Mapping[etree._Element, tuple[str, ...]]
+    closing: Mapping[etree._Element, tuple[str, ...]]
+
+
+def comments_of(content: bytes, root: etree._Element) -> Comments:
+    """Return the comments of a document.
+
+    Args:
+        content: the document.
+        root: its root element, from :func:`comarmor.xml.reader.parse`.
+    """
+    before: dict[etree._Element, tuple[str, ...]] = {}
+    closing: dict[etree._Element, tuple[str, ...]] = {}
+    around: list[etree._Element] = []
+    pending: list[str] = []
+    elements = root.iter()
+
+    def start(_tag: str, _attributes: Mapping[str, str]) -> None:
+        around.append(next(elements))
+        assign(before)
+
+    def end(_tag: str) -> None:
+        assign(closing)
+        around.pop()
+
+    def assign(to: dict[etree._Element, tuple[str, ...]]) -> None:
+        if pending:
+            to[around[-1]] = tuple(pending)
+            pending.clear()
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.CommentHandler = pending.append
+    parser.Parse(content, True)
+    closing[root] = (*closing.get(root, ()), *pending)
+    return Comments(before, closing)
+
 
 _DRAFT = "http://www.w3.org/2003/XInclude"
 _XPOINTER = lazy_regex(r"\s*xpointer\(\s*((?:/(?:\w+|\*))+)\s*\)\s*")

@@ -1,14 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The abstract syntax of an SROS2 policy, with includes resolved."""
+r"""What an SROS2 policy says, with includes resolved: its syntax, the names in it, and the rules that it means.
+
+SROS2's stylesheet resolves names without a look at the rules of ROS names: it trims nothing, and ``~x`` in the node
+``/ns/n`` becomes ``/ns/nx``. What it makes of a name is *enforced*; a person who reads the policy expects another
+name, or an error. DDS compares the result as an ``fnmatch`` expression, in which braces mean themselves. As a policy
+reads, the rules of an enclave are the union of its nodes, in which any DENY overrides every ALLOW.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from comarmor.errors import Diagnostic, Origin
-from comarmor.rules import Effect
+from comarmor.errors import ComArmorError, Diagnostic, Origin
+from comarmor.language.attachments import MOST_CHARACTERS
+from comarmor.patterns.printing import canonical
+from comarmor.patterns.tokens import COMARMOR, tokenize
+from comarmor.regex import lazy_regex
+from comarmor.rules import Effect, Rule
+from comarmor.text import quoted
 from comarmor.values import dataclass
 
 NEW = "0.2.0"
@@ -130,3 +141,85 @@ class SourcePolicy:
     def has_graph(self) -> bool:
         """Whether SROS2 allows the topic of the graph to every enclave by itself."""
         return self.version == NEW
+
+
+_PLAIN = lazy_regex(r"[\w/~.]*")
+"""Names in which no character has a meaning: most names."""
+
+
+def enforced_name(node: RosNode, text: str) -> str:
+    """Return a name as SROS2's stylesheet resolves it in a node."""
+    return _resolved(node.ns, node.name, text)
+
+
+def as_read(node: RosNode, text: str) -> str:
+    """Return a name as it reads: trimmed, ``~x`` as ``~/x``, in a namespace that begins with ``/``."""
+    text, ns = text.strip(), node.ns.strip()
+    if text.startswith("~") and text[1:2] not in ("", "/"):
+        text = f"~/{text[1:]}"
+    return _resolved(ns if ns.startswith("/") or not ns else f"/{ns}", node.name.strip(), text)
+
+
+def _resolved(ns: str, node: str, text: str) -> str:
+    base = "" if ns in ("", "/") else ns.removesuffix("/")
+    if text.startswith("/"):
+        return text
+    if text.startswith("~"):
+        return f"{base}/{node}{text[1:]}"
+    return f"{base}/{text}"
+
+
+def expression(name: str, entry: Entry) -> str:
+    """Return the expression of ComArmor that matches what the standard's ``fnmatch`` matches.
+
+    Args:
+        name: a resolved name.
+        entry: where it is written.
+
+    Raises:
+        ComArmorError: the name is too long, or contains notation that POSIX leaves undefined; with ``file:line``.
+    """
+    try:
+        written = name if _PLAIN.fullmatch(name) else canonical(tokenize(name, COMARMOR))
+    except ComArmorError as error:
+        (diagnostic,) = error.diagnostics
+        raise ComArmorError(
+            f"{quoted(entry.text)}: {diagnostic.message}", where=entry.where, help=diagnostic.help, code="expression"
+        ) from None
+    if len(written) > MOST_CHARACTERS:
+        raise ComArmorError(
+            f"the name is longer than {MOST_CHARACTERS:,} characters", where=entry.where, code="expression"
+        )
+    return written
+
+
+GRAPH_TOPIC = "ros_discovery_info"
+"""The topic by which participants tell each other their nodes. From Foxy on SROS2 allows it to every enclave."""
+
+
+def rules_of(enclaves: Iterable[Sros2Enclave], *, graph: bool) -> tuple[Rule, ...]:
+    """Return the rules of the enclaves of one path.
+
+    Args:
+        enclaves: the enclaves.
+        graph: with the rule that SROS2 adds by itself (:attr:`~keymint_ros2_sros2.syntax.SourcePolicy.has_graph`).
+
+    Raises:
+        ComArmorError: a name is not an expression, with ``file:line``.
+    """
+    found: list[Rule] = []
+    for enclave in enclaves:
+        for node in enclave.nodes():
+            found += (rule for rules in node.lists for rule in _of_list(node, rules))
+        if graph:
+            permissions = ("publish", "subscribe")
+            found.append(Rule(Effect.ALLOW, "topic", permissions, (GRAPH_TOPIC,), (), False, enclave.where))
+    return tuple(found)
+
+
+def _of_list(node: RosNode, rules: RuleList) -> Iterator[Rule]:
+    names = tuple(dict.fromkeys(expression(as_read(node, entry.text), entry) for entry in rules.entries))
+    for effect in Effect:
+        permissions = tuple(permission for permission, given in rules.effects.items() if given is effect)
+        if permissions and names:
+            yield Rule(effect, KINDS[rules.tag], permissions, names, (), False, rules.where)

@@ -1,22 +1,238 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Translate an SROS2 policy to ComArmor, and give what SROS2 writes from it, so that both can be compared."""
+"""Translate an SROS2 policy to ComArmor: load it, so that every verb that reads a policy can read it, or write it anew.
+
+An enclave is a profile; one that is written has the comments of the policy, and the names of its nodes as comments. To
+compare both, what SROS2 writes from the policy is given too.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from types import MappingProxyType
 
-from comarmor.errors import Diagnostic, Severity
+from keymint_comarmor.loaded import ComArmorPolicy
+from lxml import etree
+
+import comarmor
+from comarmor.errors import ComArmorError, Diagnostic, Severity
+from comarmor.language import render
+from comarmor.language.formatting import canonical_form
+from comarmor.language.loading import load_included
 from comarmor.language.parse import parse as parse_comarmor
+from comarmor.language.policy import Policy
 from comarmor.language.source import read_document
-from keymint.api import ImportedPolicy, ImportedSubject, ImportRequest
+from comarmor.language.syntax import Attachment, Profile, ProfileRule
+from comarmor.patterns.printing import escape
+from comarmor.rules import PERMISSIONS, Effect, Rule
+from comarmor.xml.reader import XINCLUDE
+from keymint.api import ImportedPolicy, ImportedSubject, ImportRequest, PolicySource
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
-from keymint_ros2_sros2 import comarmor_document, permissions
+from keymint.names import name_of
 from keymint_ros2_sros2.deviations import ACCEPTABLE, deviations
-from keymint_ros2_sros2.names import as_read
 from keymint_ros2_sros2.parse import parse
-from keymint_ros2_sros2.syntax import SourcePolicy, Sros2Enclave
+from keymint_ros2_sros2.permissions import permissions_document, subject_name
+from keymint_ros2_sros2.syntax import (
+    GRAPH_TOPIC,
+    KINDS,
+    RosNode,
+    RuleList,
+    SourcePolicy,
+    Sros2Enclave,
+    as_read,
+    expression,
+    rules_of,
+)
+
+
+def load(
+    sources: Sequence[PolicySource], library: Path | None = None, library_shown: Path | None = None
+) -> ComArmorPolicy:
+    """Load policies as one; see :meth:`keymint.api.PolicyType.load`.
+
+    Raises:
+        KeymintError: a policy is not valid, or SROS2 enforces something else than it reads; with ``file:line``.
+    """
+    del library, library_shown  # includes are in the policy's own folder
+    seen: dict[Path, bytes] = {}
+    profiles: dict[str, Profile] = {}
+    for source in sources:
+        policy = parse(source.path)
+        if found := deviations(policy):
+            raise KeymintError.of(found)
+        seen |= policy.seen
+        for enclave in policy.enclaves:
+            if enclave.path in profiles:
+                raise ComArmorError(
+                    f"the enclave {enclave.path} is also at {profiles[enclave.path].where}", where=enclave.where,
+                    help="write one <enclave>", code="sros2-path-twice",
+                )  # fmt: skip
+            profiles[enclave.path] = _loaded_profile(enclave, graph=policy.has_graph)
+    return ComArmorPolicy(comarmor.Policy(tuple(profiles.values()), seen=MappingProxyType(seen)))
+
+
+def _loaded_profile(enclave: Sros2Enclave, *, graph: bool) -> Profile:
+    rules = (
+        ProfileRule(
+            rule.effect, rule.kind, rule.permissions,
+            tuple(Attachment(expression, rule.origin) for expression in rule.expressions),
+            rule.partitions, rule.audit, rule.origin,
+        )
+        for rule in rules_of([enclave], graph=graph)
+    )  # fmt: skip
+    where = enclave.where
+    return Profile(enclave.path, False, (Attachment(enclave.path, where),), (), tuple(rules), where)
+
+
+Atom = tuple[Effect, str, str, str]
+"""Effect, kind, permission and expression of a part of a rule."""
+_FOLDER = "common"
+
+
+def atoms(rules: Collection[Rule]) -> frozenset[Atom]:
+    """Return the parts of rules: one for each effect, kind, permission and expression."""
+    return frozenset(
+        (rule.effect, rule.kind, permission, expression)
+        for rule in rules
+        for permission in rule.permissions
+        for expression in rule.expressions
+    )
+
+
+def common_files(library: Path, subject: str, wanted: Collection[Atom]) -> dict[str, frozenset[Atom]]:
+    """Return files of the library that a profile of a subject may include in place of rules, with what they grant.
+
+    Args:
+        library: folder of the library.
+        subject: the subject.
+        wanted: what the subject is granted; nothing beyond it is granted by the files.
+    """
+    left = set(wanted)
+    found: dict[str, frozenset[Atom]] = {}
+    candidates = [(name, atoms(policy.rules(subject))) for name, policy in _policies(library)]
+    for name, granted in sorted(candidates, key=lambda each: (-len(each[1]), each[0])):
+        if granted and granted <= left:
+            found[name] = granted
+            left -= granted
+    return found
+
+
+@lru_cache(maxsize=4)
+def _policies(library: Path) -> tuple[tuple[str, Policy], ...]:
+    """Return the files of the library, each in a profile for all subjects; without those that need a tunable."""
+    found: list[tuple[str, Policy]] = []
+    for path in sorted((library / _FOLDER).rglob("*.xml")):
+        name = path.relative_to(library).as_posix()
+        try:
+            found.append((name, load_included(name, name, library)))
+        except ComArmorError as error:
+            if any(each.code != "tunable" for each in error.diagnostics):
+                raise
+    return tuple(found)
+
+
+_INCLUDE = f"{{{XINCLUDE}}}include"
+_GRAPH: frozenset[Atom] = frozenset((Effect.ALLOW, "topic", each, GRAPH_TOPIC) for each in ("publish", "subscribe"))
+"""What SROS2 allows by itself."""
+
+
+def comarmor_document(
+    enclaves: Iterable[Sequence[Sros2Enclave]], closing: Iterable[str], library: Path, *, graph: bool
+) -> bytes:
+    """Return a policy as a ComArmor document.
+
+    Args:
+        enclaves: its enclaves; those with the same path become one profile.
+        closing: the comments at its end.
+        library: folder of the policy library.
+        graph: with what SROS2 allows by itself.
+    """
+    root = etree.Element("profiles", nsmap={"xi": XINCLUDE})
+    for group in enclaves:
+        root.append(_profile(group, library, graph=graph))
+    _comment(root, closing)
+    text = render.document(root)
+    # A prefix that nothing uses would only puzzle.
+    content = (text if "<xi:include" in text else text.replace(f' xmlns:xi="{XINCLUDE}"', "", 1)).encode()
+    return canonical_form(content, "the new policy") or content  # comments have the indentation of the old policy
+
+
+def _profile(enclaves: Sequence[Sros2Enclave], library: Path, *, graph: bool) -> etree._Element:
+    path = enclaves[0].path
+    profile = etree.Element("profile", name=name_of(path))
+    etree.SubElement(profile, "attachment").text = escape(path)
+    own = atoms([rule for rule in rules_of(enclaves, graph=False) if rule.origin.chain])
+    shared = common_files(library, path, own | _GRAPH if graph else own)
+    for name in shared:
+        etree.SubElement(profile, _INCLUDE, href=name, parse="xml")
+    written = {atom for granted in shared.values() for atom in granted}
+    for enclave in enclaves:
+        _comment(profile, enclave.comments)
+        for group in enclave.groups:
+            _comment(profile, group.comments)
+            for node in group.nodes:
+                _node(profile, node, written)
+            _comment(profile, group.closing)
+        _comment(profile, enclave.closing)
+    if graph and not written >= _GRAPH:
+        _comment(profile, [" SROS2 allows this to every enclave "])
+        profile.append(_rule(Effect.ALLOW, "topic", ("publish", "subscribe"), [(GRAPH_TOPIC, ())]))
+    return profile
+
+
+def _node(profile: etree._Element, node: RosNode, written: set[Atom]) -> None:
+    """Add the rules of a node; what the profile has of included files is not written twice."""
+    _comment(profile, [*node.comments, f" the node {node.name} in the namespace {node.ns or '/'} "])
+    for rules in node.lists:
+        made = list(_rules(node, rules, written))
+        _comment(profile, rules.introduction)
+        if made or not rules.included:
+            _comment(profile, rules.comments)
+            profile.extend(made)
+            _comment(profile, rules.closing)
+    _comment(profile, node.closing)
+
+
+def _rules(node: RosNode, rules: RuleList, written: set[Atom]) -> Iterator[etree._Element]:
+    """Yield the rules of a list: one for each effect, and for each set of permissions that names still need."""
+    kind = KINDS[rules.tag]
+    names = [(expression(as_read(node, entry.text), entry), entry.comments) for entry in rules.entries]
+    for effect in Effect:
+        given = [permission for permission, each in rules.effects.items() if each is effect]
+        needs: dict[tuple[str, ...], list[tuple[str, tuple[str, ...]]]] = {}
+        for name, comments in names:
+            missing = tuple(each for each in given if (effect, kind, each, name) not in written or not rules.included)
+            if missing:
+                needs.setdefault(missing, []).append((name, comments))
+            if rules.included:
+                written |= {(effect, kind, each, name) for each in missing}
+        for permissions, listed in needs.items():
+            yield _rule(effect, kind, permissions, listed)
+
+
+def _rule(
+    effect: Effect, kind: str, permissions: Sequence[str], names: Sequence[tuple[str, Sequence[str]]]
+) -> etree._Element:
+    element = etree.Element(kind, qualifier=effect.value)
+    holder = etree.SubElement(element, "attachments") if len(names) > 1 else element
+    for name, comments in names:
+        _comment(holder, comments)
+        etree.SubElement(holder, "attachment").text = name
+    granted = etree.SubElement(element, "permissions")
+    for permission in PERMISSIONS[kind]:
+        if permission in permissions:
+            etree.SubElement(granted, permission)
+    return element
+
+
+def _comment(parent: etree._Element, texts: Iterable[str]) -> None:
+    for text in texts:
+        plain = re.sub("-(?=-)", "- ", text)
+        parent.append(etree.Comment(f"{plain} " if plain.endswith("-") else plain))
 
 
 def translate_policy(request: ImportRequest) -> ImportedPolicy:
@@ -31,15 +247,15 @@ def translate_policy(request: ImportRequest) -> ImportedPolicy:
     if refused := [each for each in found if not (request.accept and each.code in ACCEPTABLE)]:
         raise KeymintError.of(refused)
     enclaves, graph = _by_path(policy), request.implicit and policy.has_graph
-    document = comarmor_document.document(enclaves.values(), policy.closing, request.library, graph=graph)
+    document = comarmor_document(enclaves.values(), policy.closing, request.library, graph=graph)
     loaded = parse_comarmor(read_document(document, request.name, request.library, request.library_shown))
     deviating = {each.subject for each in found}
     subjects = tuple(
         ImportedSubject(
             SubjectRules(path, loaded.rules(path)),
             # Of an enclave that stands twice, generate_artifacts uses the last.
-            permissions.document(group[-1], graph=graph),
-            permissions.subject_name(group[-1]),
+            permissions_document(group[-1], graph=graph),
+            subject_name(group[-1]),
             path in deviating,
         )
         for path, group in enclaves.items()

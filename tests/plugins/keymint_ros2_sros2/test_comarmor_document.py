@@ -6,8 +6,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from keymint_ros2_sros2.comarmor_document import document
 from keymint_ros2_sros2.parse import parse
+from keymint_ros2_sros2.translate import comarmor_document
 
 import comarmor
 from comarmor.data import locate
@@ -20,7 +20,7 @@ LIBRARY = locate("keymint_ros", "templates") / "comarmor.d" / "foxy"
 def written(path: Path, *, implicit: bool = True) -> str:
     found = parse(path)
     enclaves, graph = [[each] for each in found.enclaves], implicit and found.has_graph
-    text = document(enclaves, found.closing, LIBRARY, graph=graph).decode()
+    text = comarmor_document(enclaves, found.closing, LIBRARY, graph=graph).decode()
     new(path).parent.mkdir(exist_ok=True)
     new(path).write_text(text)
     comarmor.load(new(path), library=LIBRARY)  # it is a policy

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_sros2.common_files import atoms, common_files
+from keymint_ros2_sros2.translate import atoms, common_files
 
 from comarmor.data import locate
 from comarmor.errors import Origin

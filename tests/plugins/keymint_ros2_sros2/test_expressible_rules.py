@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_sros2.expressible_rules import UnsayableError, expressed_names, is_graph
+from keymint_ros2_sros2.export import UnsayableError, expressed_names, is_graph
 
 from comarmor.errors import Origin
 from comarmor.rules import Effect, Rule

@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_sros2.names import as_read, enforced_name, expression
-from keymint_ros2_sros2.syntax import Entry, RosNode
+from keymint_ros2_sros2.syntax import Entry, RosNode, as_read, enforced_name, expression
 
 from comarmor.errors import ComArmorError, Origin
 from comarmor.patterns.expression import matches

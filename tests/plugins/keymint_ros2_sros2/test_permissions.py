@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_sros2.parse import parse
-from keymint_ros2_sros2.permissions import document
+from keymint_ros2_sros2.permissions import permissions_document
 from lxml import etree
 
 from .sros2_policies import enclave, policy
@@ -14,7 +14,7 @@ from .sros2_policies import enclave, policy
 
 def written(path, at: int = 0, *, implicit: bool = True) -> etree._Element:
     found = parse(path)
-    content = document(found.enclaves[at], graph=implicit and found.has_graph)
+    content = permissions_document(found.enclaves[at], graph=implicit and found.has_graph)
     dds_xml.require_valid(content, "permissions", "permissions.xml")
     return etree.fromstring(content)
 

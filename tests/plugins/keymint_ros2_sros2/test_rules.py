@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from keymint_ros2_sros2.parse import parse
-from keymint_ros2_sros2.rules import rules_of
+from keymint_ros2_sros2.syntax import rules_of
 
 from comarmor.rules import Effect
 

@@ -101,10 +101,12 @@ def test_an_unknown_format(keymint) -> None:
 
 
 def test_a_document_that_is_not_proven_is_not_written(keymint, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from keymint_ros2_sros2 import permissions
+    from keymint_ros2_sros2 import export
 
-    right = permissions.document
-    monkeypatch.setattr(permissions, "document", lambda *a, **o: right(*a, **o).replace(b"rt/chatter<", b"rt/other<"))
+    right = export.permissions_document
+    monkeypatch.setattr(
+        export, "permissions_document", lambda *a, **o: right(*a, **o).replace(b"rt/chatter<", b"rt/other<")
+    )
     outcome = keymint("export", "source.xml", "--format", "sros2", "-o", "policy.xml", "--json")
     assert (outcome.code, outcome.codes()) == (1, ["import-unproven"])
     assert not (tmp_path / "policy.xml").exists()

@@ -124,11 +124,11 @@ def test_what_vendors_read_differently_is_noted(keymint, foreign: Path) -> None:
 
 
 def test_a_document_that_is_not_proven_is_not_written(keymint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from keymint_ros2_sros2 import permissions
+    from keymint_ros2_sros2 import translate
 
-    right = permissions.document
+    right = translate.permissions_document
     monkeypatch.setattr(
-        permissions, "document", lambda *a, **o: right(*a, **o).replace(b"rt/chatter<", b"rt/chatter*<")
+        translate, "permissions_document", lambda *a, **o: right(*a, **o).replace(b"rt/chatter<", b"rt/chatter*<")
     )
     outcome = keymint("import", "robot.policy.xml", "--json")
     assert (outcome.code, outcome.codes()) == (1, ["import-unproven"])
