@@ -50,7 +50,7 @@ class ComArmorPolicyType:
     expectations = lazy("comarmor.language.policy_tests:expectations")
     written_files = lazy("comarmor.language.formatting:written_files")
     formatted = lazy("comarmor.language.formatting:canonical_form")
-    policy_of = lazy("keymint_ros2_comarmor.policy_of_rules:policy_of")
+    policy_of = lazy("keymint_ros2_comarmor.policy_documents:policy_of")
     learn = lazy("keymint_ros2_comarmor.learn:learn")
 
 

@@ -2,24 +2,190 @@
 """Learn the smallest ComArmor policy that allows a graph, as aa-genprof generates AppArmor profiles.
 
 With the learned policy, a subject may do exactly what its edges require. An edge on an action or parameter requires all
-its parts, and an endpoint in several partitions requires each of them.
+its parts, and an endpoint in several partitions requires each of them. Rules that several subjects share move into
+included files, where that makes the policy shorter. An existing policy is compared with the graph: edges that it
+denies, and permissions that no edge uses, are reported.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 
 from keymint_comarmor.loaded import ComArmorPolicy
 
-from comarmor.errors import Diagnostic
+import comarmor
+from comarmor.errors import Diagnostic, Origin, Spot
+from comarmor.language.attachments import parts as subject_parts
+from comarmor.patterns.expression import matches
+from comarmor.rules import parts
+from comarmor.text import quoted
 from keymint.api import LearnedPolicy, LoadedPolicy
 from keymint.api.generated_names import generalised, is_generated
 from keymint.api.graph import Edge, Graph
 from keymint.errors import KeymintError
-from keymint_ros2_comarmor.common_parts import share
-from keymint_ros2_comarmor.learned_document import document, fragment
-from keymint_ros2_comarmor.learned_rules import needs_of
-from keymint_ros2_comarmor.review import conflict, unused_rule_notes
+from keymint_ros2_comarmor.policy_documents import (
+    INCLUDE_SIZE,
+    CommonPart,
+    Need,
+    document,
+    fold,
+    fragment,
+    fragment_size,
+    literal,
+    needs_of,
+    profile_size,
+    templates,
+)
+
+_NAME = "common_{number}.xml"
+
+
+def share(needs: Mapping[str, set[Need]]) -> tuple[CommonPart, ...]:
+    """Return the common parts that make the policy shorter, in bytes of all its files.
+
+    The needs that a group of subjects shares are one candidate. Larger groups are tried first.
+    """
+    remaining = {subject: set(own_needs) for subject, own_needs in needs.items()}
+    parts: list[CommonPart] = []
+    for subjects, shared in sorted(_candidates(remaining).items(), key=lambda item: (-len(item[0]), item[0])):
+        covered = {subject: frozenset(by_template.values()) for subject, by_template in shared.items()}
+        common = frozenset(next(iter(shared.values())))
+        if _saved_bytes(subjects, common, covered, remaining) > 0:
+            for subject, own_needs in covered.items():
+                remaining[subject] -= own_needs
+            parts.append(CommonPart(_NAME.format(number=len(parts) + 1), subjects, common, covered))
+    return tuple(parts)
+
+
+def _candidates(needs: Mapping[str, set[Need]]) -> dict[tuple[str, ...], dict[str, dict[Need, Need]]]:
+    """Return the candidates by group of subjects: for each subject its needs by their common template."""
+    holders: dict[Need, set[str]] = {}
+    for subject, own_needs in needs.items():
+        for need in own_needs:
+            for template in templates(need, subject):
+                holders.setdefault(template, set()).add(subject)
+    groups: dict[tuple[str, ...], dict[str, dict[Need, Need]]] = {}
+    for subject, own_needs in needs.items():
+        for need in own_needs:
+            best = max(templates(need, subject), key=lambda template: len(holders[template]))
+            if len(holders[best]) > 1:
+                groups.setdefault(tuple(sorted(holders[best])), {}).setdefault(subject, {})[best] = need
+    shared = {subjects: _shared_by_all(subjects, group) for subjects, group in groups.items()}
+    return {subjects: group for subjects, group in shared.items() if group}
+
+
+def _shared_by_all(subjects: tuple[str, ...], group: Mapping[str, Mapping[Need, Need]]) -> dict[str, dict[Need, Need]]:
+    """Return the needs that all subjects of a group share; empty if some share theirs better in another group."""
+    if len(group) < len(subjects):
+        return {}
+    common = frozenset.intersection(*(frozenset(by_template) for by_template in group.values()))
+    if not common:
+        return {}
+    return {subject: {each: by_template[each] for each in common} for subject, by_template in group.items()}
+
+
+def _saved_bytes(
+    subjects: tuple[str, ...],
+    common: frozenset[Need],
+    covered: Mapping[str, frozenset[Need]],
+    remaining: Mapping[str, set[Need]],
+) -> int:
+    """Return the bytes that a common part saves."""
+    saved = -fragment_size(fold(common))
+    for subject in subjects:
+        before = profile_size(fold(map(literal, remaining[subject])))
+        after = profile_size(fold(map(literal, remaining[subject] - covered[subject])))
+        saved += before - after - INCLUDE_SIZE
+    return saved
+
+
+_Need = tuple[str, str, str, tuple[str, ...]]
+"""Kind, permission, name and partitions of an elementary request."""
+_Unit = tuple[Spot, str]
+"""Place of an attachment, and a permission. The place, because the expanded text depends on the subject."""
+
+
+def conflict(edge: Edge, decision: comarmor.Decision) -> Diagnostic | None:
+    """Return a warning if a DENY rule denies an edge, or None if only an ALLOW rule is missing."""
+    denied = next((part for part in decision.parts or (decision,) if not part.allowed and part.rule), None)
+    if denied is None or denied.where is None:
+        return None
+    return Diagnostic.warning(
+        "learn-denied",
+        f"this rule denies {edge.subject} the {edge.permission} on {quoted(edge.object.name)} that the graph has",
+        denied.where.alone(),
+        "narrow the rule, or leave it: a DENY wins over every ALLOW",
+        edge.subject,
+    )
+
+
+def unused_rule_notes(policy: comarmor.Policy, graph: Graph) -> Iterator[Diagnostic]:
+    """Yield notes on rules that no edge of a graph uses, and on subjects of the policy that the graph does not have."""
+    units: dict[Spot, dict[_Unit, bool]] = {}
+    needs: dict[str, set[_Need]] = {}
+    for edge in graph.edges:
+        needs.setdefault(edge.subject, set()).update(_elementary(edge))
+    for subject in graph.subjects:
+        for rule in (rule for profile in policy.applicable(subject) for rule in profile.rules):
+            if rule.effect is comarmor.Effect.ALLOW:
+                usage = units.setdefault(rule.where.spot, {})
+                for unit, used in _used(rule, subject, needs.get(subject, ())):
+                    usage[unit] = usage.get(unit, False) or used
+    for place, usage in sorted(units.items()):
+        yield from _unused_units(place, usage)
+    for subject in policy.subjects():
+        if subject not in graph.subjects:
+            message = f"the policy names {subject}, which the graph does not have"
+            yield Diagnostic.note("learn-unused-subject", message, subject=subject)
+
+
+def _elementary(edge: Edge) -> Iterator[_Need]:
+    for kind, permission, suffix in parts(edge.object.kind, edge.permission):
+        yield kind, permission, edge.object.name + suffix, edge.object.partitions or ("",)
+
+
+def _used(rule: comarmor.ProfileRule, subject: str, needs: Iterable[_Need]) -> Iterator[tuple[_Unit, bool]]:
+    """Yield each attachment and permission of a rule, and whether the subject needs it."""
+    for permission in rule.permissions:
+        candidates = [
+            (name.removesuffix(suffix), partitions)
+            for kind, needed, name, partitions in needs
+            for part_kind, part_permission, suffix in parts(rule.kind, permission)
+            if (part_kind, part_permission) == (kind, needed) and name.endswith(suffix)
+        ]
+        for attachment in rule.attachments:
+            expression = attachment.for_parts(*subject_parts(subject))
+            used = any(
+                matches(expression, name) and any(_in_partition(rule, partition) for partition in partitions)
+                for name, partitions in candidates
+            )
+            yield (attachment.where.spot, permission), used
+
+
+def _in_partition(rule: comarmor.ProfileRule, partition: str) -> bool:
+    if rule.partitions:
+        return any(matches(expression, partition) for expression in rule.partitions)
+    return partition == ""
+
+
+def _unused_units(place: Spot, usage: dict[_Unit, bool]) -> Iterator[Diagnostic]:
+    """Yield notes on one rule that is not used, or on attachments and permissions of it that are not used."""
+    if not any(usage.values()):
+        permissions = ", ".join(dict.fromkeys(permission for _, permission in usage))
+        yield _note("learn-unused-rule", place, f"no subject in the graph uses this rule ({permissions})")
+        return
+    for attachment in dict.fromkeys(unit[0] for unit in usage):
+        if not any(used for unit, used in usage.items() if unit[0] == attachment):
+            yield _note("learn-unused-attachment", attachment, "no subject in the graph uses this attachment")
+    for permission in dict.fromkeys(unit[1] for unit in usage):
+        if not any(used for unit, used in usage.items() if unit[1] == permission):
+            yield _note("learn-unused-permission", place, f"no subject in the graph uses {permission} of this rule")
+
+
+def _note(code: str, place: Spot, message: str) -> Diagnostic:
+    file, line, column = place
+    where = Origin(file, line, (), column)
+    return Diagnostic.note(code, message, where, "remove it unless it is for a rare case")
 
 
 def learn(graph: Graph, existing: LoadedPolicy | None, fragments: str) -> LearnedPolicy:
@@ -50,7 +216,7 @@ def learn(graph: Graph, existing: LoadedPolicy | None, fragments: str) -> Learne
     needs = {subject: granted.get(subject, set()) for subject in sorted({*subjects, *granted})}
     parts = share(needs) if fragments else ()
     return LearnedPolicy(
-        document=document(needs, parts, fragments, _note(graph)) if needs else b"",
+        document=document(needs, parts, fragments, _domain_note(graph)) if needs else b"",
         fragments={part.name: fragment(part) for part in parts},
         missing=tuple(missing),
         conflicts=tuple(dict.fromkeys(conflicts)),
@@ -74,7 +240,7 @@ def _generated(edges: Iterable[Edge], subjects: Iterable[str]) -> Iterator[Diagn
         yield Diagnostic.note("learn-generated", message, None, help_, subject)
 
 
-def _note(graph: Graph) -> str:
+def _domain_note(graph: Graph) -> str:
     """Return a comment on the DDS domains of a graph, which a policy cannot express; empty for the default domain."""
     domains = sorted({edge.domain for edge in graph.edges})
     if domains in ([], [0]):

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from comarmor.errors import ComArmorError, Origin
 from comarmor.xml.sandboxed_paths import path_text, read_bounded, read_failure
-from keymint_ros2_table import csv_rows, sqlite_rows
-from keymint_ros2_table.rows import TableRow
+from keymint_ros2_table import sqlite_rows
+from keymint_ros2_table.rows import TableRow, is_header, rows_of_csv
 
 _MOST_CSV, _MOST_SQLITE = 16 * 2**20, 32 * 2**20
 """Bytes of a file."""
@@ -51,7 +51,7 @@ def read(path: Path) -> tuple[Iterator[TableRow | ComArmorError], Mapping[Path, 
             f"the table has more than the {most:,} bytes allowed", where=Origin(file), code="table-limit"
         )
     if not is_database:
-        return csv_rows.rows_of(content, file), seen
+        return rows_of_csv(content, file), seen
     for suffix in (_LOG, _JOURNAL):
         beside = real.with_name(f"{real.name}{suffix}")
         seen[beside] = _require_none(beside, file)
@@ -71,7 +71,7 @@ def recognises(path: Path) -> bool:
     if begin.startswith(sqlite_rows.MAGIC) or path.suffix.lower() == _CSV:
         return True
     first = begin.decode("utf-8-sig", "replace").lstrip("\r\n").splitlines()[:1]
-    return csv_rows.is_header("".join(first))
+    return is_header("".join(first))
 
 
 def _require_none(beside: Path, file: str) -> bytes:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rules as a policy set of XACML 3.0.
+r"""Rules as a policy set of XACML 3.0.
 
 What the rules do not decide is denied by the outer set (``deny-unless-permit``). That algorithm alone would let a
 permit override a denial, so all policies are in an inner set with ``deny-overrides``. A policy has the rules of one
@@ -7,6 +7,11 @@ subject. A rule for composite objects becomes one rule for each part: who asks f
 (:data:`comarmor.rules.PARTS`).
 
 A first policy denies what does not have exactly one value of each attribute: in XACML, one that matches is enough.
+
+Expressions of names become regular expressions of XPath 2.0, which the function ``string-regexp-match`` takes. XACML
+3.0, A.3.13 refers to ``xf:matches``: without anchors it looks for a part of the text, and without flags ``.`` matches
+no line feed. So they have anchors, and ``[\s\S]`` for any character, which implementations of other dialects (Java,
+Python) read alike. Identifiers are of XACML 3.0 (section 10.2 and appendices A to C), or begin with :data:`OWN`.
 """
 
 from __future__ import annotations
@@ -18,15 +23,122 @@ from urllib.parse import quote
 from lxml import etree
 
 from comarmor.errors import Diagnostic, Severity
+from comarmor.patterns.glob import literal, parse
+from comarmor.patterns.tokens import ANY, COMARMOR, MAX_CODE, Charset, Star, Token
 from comarmor.rules import Effect, Rule, parts
 from comarmor.text import printable, quoted
 from comarmor.values import dataclass
 from keymint.api import WrittenPolicy
 from keymint.errors import KeymintError, UnsayableError
 from keymint.ir import SubjectRules
-from keymint_xacml import identifiers as ids
-from keymint_xacml.identifiers import Attribute
-from keymint_xacml.regular_expressions import TextMatch, text_match
+
+NAMESPACE = "urn:oasis:names:tc:xacml:3.0:core:schema:wd-17"
+STRING = "http://www.w3.org/2001/XMLSchema#string"
+INTEGER = "http://www.w3.org/2001/XMLSchema#integer"
+
+DENY_UNLESS_PERMIT = "urn:oasis:names:tc:xacml:3.0:policy-combining-algorithm:deny-unless-permit"
+POLICIES_DENY_OVERRIDES = "urn:oasis:names:tc:xacml:3.0:policy-combining-algorithm:deny-overrides"
+RULES_DENY_OVERRIDES = "urn:oasis:names:tc:xacml:3.0:rule-combining-algorithm:deny-overrides"
+
+_FUNCTION = "urn:oasis:names:tc:xacml:1.0:function:"
+STRING_EQUAL = f"{_FUNCTION}string-equal"
+REGULAR_MATCH = f"{_FUNCTION}string-regexp-match"
+NOT, AND = f"{_FUNCTION}not", f"{_FUNCTION}and"
+INTEGER_EQUAL, BAG_SIZE = f"{_FUNCTION}integer-equal", f"{_FUNCTION}string-bag-size"
+
+OWN = "urn:keymint:xacml:1.0:"
+"""Begins the identifiers that are not of the standard."""
+AUDIT, ORIGIN = f"{OWN}advice:audit", f"{OWN}advice:origin"
+_RESOURCE = "urn:oasis:names:tc:xacml:3.0:attribute-category:resource"
+
+
+@dataclass(frozen=True, slots=True)
+class Attribute:
+    """An attribute of a request, a string."""
+
+    category: str
+    id: str
+
+
+SUBJECT = Attribute(
+    "urn:oasis:names:tc:xacml:1.0:subject-category:access-subject", "urn:oasis:names:tc:xacml:1.0:subject:subject-id"
+)
+NAME = Attribute(_RESOURCE, "urn:oasis:names:tc:xacml:1.0:resource:resource-id")
+ACTION = Attribute(
+    "urn:oasis:names:tc:xacml:3.0:attribute-category:action", "urn:oasis:names:tc:xacml:1.0:action:action-id"
+)
+KIND = Attribute(_RESOURCE, f"{OWN}resource:kind")
+PARTITION = Attribute(_RESOURCE, f"{OWN}resource:partition")
+ATTRIBUTES = (SUBJECT, NAME, KIND, PARTITION, ACTION)
+"""What a request has, each with one value; the partition is empty for the default one."""
+
+
+_XML = Charset(((9, 10), (13, 13), (32, 0xD7FF), (0xE000, 0xFFFD), (0x10000, MAX_CODE)))
+"""The characters of XML 1.0 (2.2): a policy and a request have no others."""
+_ANY = r"[\s\S]"
+_SPECIAL = {ord(char): f"\\{char}" for char in r"\|.-^?*+{}()[]$"} | {9: r"\t", 10: r"\n", 13: r"\r"}
+"""Escapes of single characters (XML Schema Part 2, F.1.1; XPath 2.0 Functions, 7.6.1, has the one of ``$``)."""
+
+
+@dataclass(frozen=True, slots=True)
+class TextMatch:
+    """How a text is compared.
+
+    Attributes:
+        text: the text, or a regular expression with both anchors.
+        is_regular: whether it is a regular expression.
+    """
+
+    text: str
+    is_regular: bool = False
+
+
+def text_match(expression: str, suffix: str = "") -> TextMatch:
+    """Return the comparison that matches the same names, as far as XML can contain them.
+
+    Args:
+        expression: an expression of a policy (:data:`comarmor.patterns.tokens.COMARMOR`).
+        suffix: follows what it matches.
+
+    Raises:
+        UnsayableError: the expression matches no text that XML can contain, or has a character that XML cannot contain.
+        PatternError: it is not an expression.
+    """
+    glob = parse(expression, COMARMOR)
+    text = literal(glob)
+    if text is None:
+        return TextMatch("".join(("^", *map(_token, glob), _token(suffix), "$")), is_regular=True)
+    _token(text)
+    return TextMatch(text + suffix)
+
+
+def _token(token: Token) -> str:
+    if isinstance(token, Star):
+        return f"{_ANY}*"
+    if isinstance(token, Charset):
+        return _set(token)
+    for char in token:
+        if char not in _XML:
+            raise UnsayableError(f"XML has no character U+{ord(char):04X}")
+    return token.translate(_SPECIAL)
+
+
+def _set(charset: Charset) -> str:
+    """Return a set; one that reaches the last character is written by those that are missing."""
+    if not charset.intersection(_XML).ranges:
+        raise UnsayableError("XML has none of the characters of a set")
+    missing = charset.complement().intersection(_XML).ranges
+    if charset == ANY or not missing:
+        return _ANY
+    is_negated = charset.ranges[-1][1] == MAX_CODE
+    ranges = missing if is_negated else charset.intersection(_XML).ranges
+    members = "".join(_char(low) if low == high else f"{_char(low)}-{_char(high)}" for low, high in ranges)
+    return f"[{'^' if is_negated else ''}{members}]"
+
+
+def _char(code: int) -> str:
+    return _SPECIAL.get(code, chr(code))
+
 
 _DESCRIPTION = (
     "Ask with one value of each attribute; that of the partition is empty for the default one. An object that has "
@@ -104,18 +216,18 @@ def _unsayable(rule: Rule, reason: str, subject: str, *, lossy: bool) -> Diagnos
 
 
 def _document(subjects: Iterable[tuple[str, Sequence[_XacmlRule]]]) -> bytes:
-    attributes = _of_policy_set("policies", ids.DENY_UNLESS_PERMIT)
-    outer = etree.Element(f"{{{ids.NAMESPACE}}}PolicySet", attributes, nsmap={None: ids.NAMESPACE})  # type: ignore[dict-item]
+    attributes = _of_policy_set("policies", DENY_UNLESS_PERMIT)
+    outer = etree.Element(f"{{{NAMESPACE}}}PolicySet", attributes, nsmap={None: NAMESPACE})  # type: ignore[dict-item]
     _child(outer, "Description", _DESCRIPTION)
     _child(outer, "Target")
-    inner = _child(outer, "PolicySet", **_of_policy_set("subjects", ids.POLICIES_DENY_OVERRIDES))
+    inner = _child(outer, "PolicySet", **_of_policy_set("subjects", POLICIES_DENY_OVERRIDES))
     _child(inner, "Target")
     _guard(inner)
     for subject, rules in subjects:
         if not rules:
             continue  # the outer set denies everything
         policy = _policy(inner, f"subject:{quote(subject)}", subject)
-        _any_of(_child(policy, "Target"), ids.SUBJECT, [TextMatch(subject)])
+        _any_of(_child(policy, "Target"), SUBJECT, [TextMatch(subject)])
         for number, rule in enumerate(rules, 1):
             _rule(policy, number, rule)
     etree.indent(outer)
@@ -124,20 +236,18 @@ def _document(subjects: Iterable[tuple[str, Sequence[_XacmlRule]]]) -> bytes:
 
 
 def _child(parent: etree._Element, tag: str, text: str = "", **attributes: str) -> etree._Element:
-    element = etree.SubElement(parent, f"{{{ids.NAMESPACE}}}{tag}", attributes)
+    element = etree.SubElement(parent, f"{{{NAMESPACE}}}{tag}", attributes)
     element.text = text or None
     return element
 
 
 def _of_policy_set(name: str, algorithm: str) -> dict[str, str]:
     """Return the attributes of a policy set."""
-    return {"PolicySetId": f"{ids.OWN}{name}", "Version": "1.0", "PolicyCombiningAlgId": algorithm}
+    return {"PolicySetId": f"{OWN}{name}", "Version": "1.0", "PolicyCombiningAlgId": algorithm}
 
 
 def _policy(parent: etree._Element, name: str, description: str) -> etree._Element:
-    policy = _child(
-        parent, "Policy", PolicyId=f"{ids.OWN}{name}", Version="1.0", RuleCombiningAlgId=ids.RULES_DENY_OVERRIDES
-    )
+    policy = _child(parent, "Policy", PolicyId=f"{OWN}{name}", Version="1.0", RuleCombiningAlgId=RULES_DENY_OVERRIDES)
     _child(policy, "Description", description)
     return policy
 
@@ -147,11 +257,11 @@ def _guard(parent: etree._Element) -> None:
     policy = _policy(parent, "one-value-of-each-attribute", "Without exactly one value of each attribute.")
     _child(policy, "Target")
     condition = _child(_child(policy, "Rule", RuleId="1", Effect="Deny"), "Condition")
-    all_of = _child(_child(condition, "Apply", FunctionId=ids.NOT), "Apply", FunctionId=ids.AND)
-    for attribute in ids.ATTRIBUTES:
-        equal = _child(all_of, "Apply", FunctionId=ids.INTEGER_EQUAL)
-        _designator(_child(equal, "Apply", FunctionId=ids.BAG_SIZE), attribute)
-        _child(equal, "AttributeValue", "1", DataType=ids.INTEGER)
+    all_of = _child(_child(condition, "Apply", FunctionId=NOT), "Apply", FunctionId=AND)
+    for attribute in ATTRIBUTES:
+        equal = _child(all_of, "Apply", FunctionId=INTEGER_EQUAL)
+        _designator(_child(equal, "Apply", FunctionId=BAG_SIZE), attribute)
+        _child(equal, "AttributeValue", "1", DataType=INTEGER)
 
 
 def _rule(policy: etree._Element, number: int, said: _XacmlRule) -> None:
@@ -161,30 +271,30 @@ def _rule(policy: etree._Element, number: int, said: _XacmlRule) -> None:
     rule = _child(policy, "Rule", RuleId=str(number), Effect=effect)
     _child(rule, "Description", origin)
     target = _child(rule, "Target")
-    _any_of(target, ids.KIND, [TextMatch(said.kind)])
-    _any_of(target, ids.ACTION, map(TextMatch, said.permissions))
-    _any_of(target, ids.NAME, said.names)
+    _any_of(target, KIND, [TextMatch(said.kind)])
+    _any_of(target, ACTION, map(TextMatch, said.permissions))
+    _any_of(target, NAME, said.names)
     if said.partitions:
-        _any_of(target, ids.PARTITION, said.partitions)
+        _any_of(target, PARTITION, said.partitions)
     if said.rule.audit:
-        advice = _child(_child(rule, "AdviceExpressions"), "AdviceExpression", AdviceId=ids.AUDIT, AppliesTo=effect)
+        advice = _child(_child(rule, "AdviceExpressions"), "AdviceExpression", AdviceId=AUDIT, AppliesTo=effect)
         _child(
-            _child(advice, "AttributeAssignmentExpression", AttributeId=ids.ORIGIN),
-            "AttributeValue", origin, DataType=ids.STRING,
+            _child(advice, "AttributeAssignmentExpression", AttributeId=ORIGIN),
+            "AttributeValue", origin, DataType=STRING,
         )  # fmt: skip
 
 
 def _any_of(target: etree._Element, attribute: Attribute, matches: Iterable[TextMatch]) -> None:
     any_of = _child(target, "AnyOf")
     for each in matches:
-        function = ids.REGULAR_MATCH if each.is_regular else ids.STRING_EQUAL
+        function = REGULAR_MATCH if each.is_regular else STRING_EQUAL
         match = _child(_child(any_of, "AllOf"), "Match", MatchId=function)
-        _child(match, "AttributeValue", each.text, DataType=ids.STRING)
+        _child(match, "AttributeValue", each.text, DataType=STRING)
         _designator(match, attribute)
 
 
 def _designator(parent: etree._Element, attribute: Attribute) -> None:
     _child(
         parent, "AttributeDesignator",
-        Category=attribute.category, AttributeId=attribute.id, DataType=ids.STRING, MustBePresent="false",
+        Category=attribute.category, AttributeId=attribute.id, DataType=STRING, MustBePresent="false",
     )  # fmt: skip

@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from keymint_comarmor.structure import structure
+from keymint_comarmor.loaded import structure
 
 import comarmor
 from keymint.api import PolicyStructure

@@ -6,8 +6,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from keymint_ros2_comarmor.learned_document import document, fragment, fragment_size, profile_size
-from keymint_ros2_comarmor.learned_rules import CommonPart, Need, fold
+from keymint_ros2_comarmor.policy_documents import (
+    CommonPart,
+    Need,
+    document,
+    fold,
+    fragment,
+    fragment_size,
+    profile_size,
+)
 
 import comarmor
 

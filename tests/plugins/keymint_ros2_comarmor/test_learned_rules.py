@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from hypothesis import given
 from hypothesis import strategies as st
-from keymint_ros2_comarmor.learned_rules import fold, literal, needs_of, templates
+from keymint_ros2_comarmor.policy_documents import fold, literal, needs_of, templates
 
 from comarmor.language.attachments import expand, for_parts, parse, parts
 from comarmor.patterns.expression import literal as only_name

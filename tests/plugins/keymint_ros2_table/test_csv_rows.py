@@ -4,15 +4,14 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_table import csv_rows
-from keymint_ros2_table.rows import TableRow
+from keymint_ros2_table.rows import TableRow, is_header, rows_of_csv
 
 from comarmor.errors import ComArmorError
 from tests.plugins.keymint_ros2_table.tables import HEADER
 
 
 def rows(text: str | bytes) -> list[TableRow | ComArmorError]:
-    return list(csv_rows.rows_of(text if isinstance(text, bytes) else text.encode(), "t.csv"))
+    return list(rows_of_csv(text if isinstance(text, bytes) else text.encode(), "t.csv"))
 
 
 def message(text: str | bytes) -> str:
@@ -72,7 +71,7 @@ def test_a_row_with_other_fields_and_one_with_a_forged_source_are_errors_of_the_
 
 
 def test_there_may_be_no_more_rows(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(csv_rows, "MOST_ROWS", 2)
+    monkeypatch.setattr("keymint_ros2_table.rows.MOST_ROWS", 2)
     assert len(rows(HEADER + 2 * "/s,k,p,/x,ALLOW,,\n")) == 2
     assert message(HEADER + 3 * "/s,k,p,/x,ALLOW,,\n") == "t.csv:4: the table has more than the 2 rows allowed"
 
@@ -82,4 +81,4 @@ def test_there_may_be_no_more_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     [(HEADER, True), (HEADER.replace(",", ";"), True), ("Subject\tObject\tKind", True), ("a,b,c", False), ("", False)],
 )
 def test_headers(line: str, is_one: bool) -> None:
-    assert csv_rows.is_header(line) is is_one
+    assert is_header(line) is is_one

@@ -6,7 +6,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from keymint_xacml.regular_expressions import TextMatch, text_match
+from keymint_xacml.policy_set import TextMatch, text_match
 
 from comarmor.patterns.expression import matches
 from keymint.errors import UnsayableError
