@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from comarmor.errors import Diagnostic as Diagnostic
     from comarmor.errors import Origin as Origin
     from comarmor.errors import Severity as Severity
+    from comarmor.language.formatting import render as render
     from comarmor.language.loading import load as load
     from comarmor.language.loading import load_all as load_all
     from comarmor.language.policy import Policy as Policy
-    from comarmor.language.render import render as render
     from comarmor.language.syntax import Attachment as Attachment
     from comarmor.language.syntax import Decision as Decision
     from comarmor.language.syntax import Profile as Profile
@@ -40,7 +40,7 @@ _MODULES = {
     "comarmor.errors": ("ComArmorError", "Diagnostic", "Origin", "Severity"),
     "comarmor.language.loading": ("load", "load_all"),
     "comarmor.language.policy": ("Policy",),
-    "comarmor.language.render": ("render",),
+    "comarmor.language.formatting": ("render",),
     "comarmor.language.syntax": ("Decision", "Attachment", "Profile", "ProfileRule"),
     "comarmor.rules": ("PARTS", "PERMISSIONS", "Effect", "Rule"),
 }

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rules, and their vocabulary: effects, and the kinds of objects with their permissions."""
+"""Rules, and their vocabulary: effects, the kinds of objects with their permissions, and legal ROS names.
+
+Such names are ``/`` and segments of letters, digits and ``_`` that do not begin with a digit (ROS 2 design, "Topic and
+Service name mapping to DDS").
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,7 @@ from enum import StrEnum
 from types import MappingProxyType
 
 from comarmor.errors import Origin
+from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 
 
@@ -126,3 +131,24 @@ def suffixes(rule: Rule, kind: str, permission: str) -> Iterator[str]:
         for part_kind, part, suffix in PARTS.get((rule.kind, granted), ()):
             if (part_kind, part) == (kind, permission):
                 yield suffix
+
+
+RAW_PREFIXES = ("rt/", "rq/", "rr/", "rs/", "ra/")
+"""What ROS 2 puts before the names of raw topics: of topics, requests, replies, services and actions."""
+_SEGMENT = lazy_regex(r"[A-Za-z_][A-Za-z0-9_]*")
+_FULLY_QUALIFIED = lazy_regex(rf"(?:/{_SEGMENT.pattern})+")
+
+
+def is_segment(text: str) -> bool:
+    """Whether a text is a legal segment of a ROS name, e.g. ``talker``."""
+    return _SEGMENT.fullmatch(text) is not None
+
+
+def is_fully_qualified(name: str) -> bool:
+    """Whether a text is a legal fully qualified ROS name, e.g. ``/robot1/talker``."""
+    return _FULLY_QUALIFIED.fullmatch(name) is not None
+
+
+def is_subject(name: str) -> bool:
+    """Whether a text is a legal name of a subject: a fully qualified name, or ``/``, the root enclave."""
+    return name == "/" or is_fully_qualified(name)

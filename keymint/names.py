@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Check the names of subjects, which become names of packages and paths of folders.
 
-A subject is a fully qualified ROS name (:mod:`comarmor.ros_names`). No name becomes a path before it is checked here.
+A subject is a fully qualified ROS name (:mod:`comarmor.rules`). No name becomes a path before it is checked here.
 """
 
 from __future__ import annotations
@@ -10,8 +10,7 @@ from collections.abc import Iterable, Sequence
 from itertools import accumulate
 
 from comarmor.errors import Origin
-from comarmor.ros_names import is_segment
-from comarmor.rules import KIND_OF, PERMISSIONS
+from comarmor.rules import KIND_OF, PERMISSIONS, is_segment
 from comarmor.text import did_you_mean, quoted
 from keymint.errors import ExitCode, KeymintError
 

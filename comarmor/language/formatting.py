@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The canonical form of ComArmor files: profiles, what they include, and policy tests (``docs/language.md``)."""
+"""The canonical form of ComArmor files (profiles, what they include, and policy tests: ``docs/language.md``).
+
+Also of policies that are rendered as XML: with tunables and includes expanded, in one dialect.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +15,65 @@ from lxml import etree
 from comarmor.data import locate
 from comarmor.errors import ComArmorError, Origin
 from comarmor.language.attachments import strip
+from comarmor.language.policy import Policy
+from comarmor.language.syntax import Profile, ProfileRule
 from comarmor.rules import PERMISSIONS
 from comarmor.xml import schema
 from comarmor.xml.layout import DocumentLayout, laid_out, markup, nodes
 from comarmor.xml.reader import parse
 from comarmor.xml.sandboxed_paths import path_text, read_failure
+
+
+def render(policy: Policy) -> str:
+    """Return a policy as one XML document without includes and tunables.
+
+    The document decides every request as the policy does. Loading and rendering it again gives the same text.
+    """
+    root = etree.Element("profiles")
+    root.extend(map(profile, policy.profiles))
+    return document(root)
+
+
+def document(root: etree._Element) -> str:
+    """Return an element as an XML document in canonical form; see :mod:`comarmor.language.formatting`."""
+    etree.indent(root)
+    for permissions in root.iter("permissions"):
+        permissions.text = None
+        for permission in permissions:
+            permission.tail = None
+    text = etree.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
+
+
+def profile(source: Profile) -> etree._Element:
+    """Return the element of a profile."""
+    element = _attached(etree.Element("profile", name=source.name), source)
+    element.extend(map(_rule, source.rules))
+    element.extend(map(profile, source.profiles))
+    return element
+
+
+def _attached(element: etree._Element, source: Profile | ProfileRule) -> etree._Element:
+    """Return the element of a profile or a rule, with its modifier and attachments."""
+    if source.audit:
+        element.set("modifier", "AUDIT")
+    for attachment in source.attachments:
+        etree.SubElement(element, "attachment").text = attachment.text
+    return element
+
+
+def _rule(rule: ProfileRule) -> etree._Element:
+    element = _attached(etree.Element(rule.kind, qualifier=rule.effect.value), rule)
+    permissions = etree.SubElement(element, "permissions")
+    for permission in PERMISSIONS[rule.kind]:
+        if permission in rule.permissions:
+            etree.SubElement(permissions, permission)
+    if rule.partitions:
+        partitions = etree.SubElement(element, "partitions")
+        for partition in rule.partitions:
+            etree.SubElement(partitions, "partition").text = partition
+    return element
+
 
 LAYOUT = DocumentLayout(
     text=frozenset(("attachment", "value", "partition")),

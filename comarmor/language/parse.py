@@ -10,16 +10,14 @@ from lxml import etree
 
 from comarmor.data import locate
 from comarmor.errors import ComArmorError, Diagnostic, Origin
+from comarmor.language.attachments import MOST_EXPANDED_CHARACTERS, ExpansionBudget, TunableScope, strip
 from comarmor.language.attachments import parse as parse_attachment
-from comarmor.language.attachments import strip
 from comarmor.language.policy import Policy
 from comarmor.language.policy_files import PolicyFile, PolicyFiles
 from comarmor.language.source import INCLUDE
 from comarmor.language.syntax import Attachment, Inclusion, Profile, ProfileRule
-from comarmor.language.tunables import MOST_CHARACTERS, ExpansionBudget, TunableScope
 from comarmor.patterns.expression import literal
-from comarmor.ros_names import is_subject
-from comarmor.rules import PERMISSIONS, Effect
+from comarmor.rules import PERMISSIONS, Effect, is_subject
 from comarmor.text import quoted
 from comarmor.values import dataclass
 from comarmor.xml import schema
@@ -134,7 +132,7 @@ class _PolicyParser:
         if key not in self.fragments:
             self.fragments[key] = _PolicyParser(fragments=self.fragments).alone(*key)
         fragment = self.fragments[key]
-        return fragment if fragment and self.budget.used + fragment.characters <= MOST_CHARACTERS else None
+        return fragment if fragment and self.budget.used + fragment.characters <= MOST_EXPANDED_CHARACTERS else None
 
     def alone(self, document: PolicyFile, audit: bool) -> _Fragment | None:
         """Return the rules of a file; None if it has other elements, needs tunables, or has defects."""

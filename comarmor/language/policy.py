@@ -8,9 +8,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
 
-from comarmor.language.attachments import parts
+from comarmor.language.attachments import Tunable, parts
 from comarmor.language.decide import Row, RuleIndex
-from comarmor.language.syntax import Decision, Inclusion, Profile, ProfileRule, Tunable, files
+from comarmor.language.syntax import Decision, Inclusion, Profile, ProfileRule, files
 from comarmor.patterns.expression import literal, matches
 from comarmor.patterns.glob import parse
 from comarmor.patterns.pattern_index import PatternIndex

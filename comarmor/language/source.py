@@ -22,12 +22,14 @@ from comarmor.language.policy_files import IncludeFormat, PolicyFile, PolicyFile
 from comarmor.rules import PERMISSIONS
 from comarmor.text import quoted
 from comarmor.values import dataclass
-from comarmor.xml import includes
 from comarmor.xml.package_folders import PackageFolders, ShippedFile
 from comarmor.xml.reader import LIMITS, XINCLUDE, Limits, parse, place
 from comarmor.xml.sandboxed_paths import (
     SandboxedFolder,
+    checked_path,
     exists,
+    package_path,
+    path_of,
     path_text,
     read_failure,
     read_in,
@@ -281,14 +283,14 @@ class _PolicyReader:
         if key in self.included:  # many profiles include the same few files
             return self.included[key]
         chain = (where.alone(), *where.chain)
-        shipped = includes.package_path(href, where)
+        shipped = package_path(href, where)
         if shipped is not None:
             package, target = shipped
             inner, path = self.package(package, where), ""
         else:
-            path = posixpath.normpath(includes.path_of(href, where))
+            path = posixpath.normpath(path_of(href, where))
             target = posixpath.normpath(posixpath.join(key[1], path))
-            inner, target = folder, includes.checked_path(target, where) if folder.package else target
+            inner, target = folder, checked_path(target, where) if folder.package else target
         is_there = exists(inner, target, where)
         if not is_there:
             self.seen[inner.place(target)] = b""
@@ -325,7 +327,7 @@ class _PolicyReader:
         first = path_text(str(folder.place(target))) if folder.package else folder.name(target)
         places, near = [first], similar_file(folder, target, where.file) or self.form.advice
         if self.library is not None and not folder.package:
-            from_root = posixpath.normpath(includes.path_of(href, where))
+            from_root = posixpath.normpath(path_of(href, where))
             places.append(self.library.name(from_root))
             near = near or similar_file(self.library, from_root)
         looked = f"looked for {' and '.join(quoted(each, 200) for each in dict.fromkeys(places))}"

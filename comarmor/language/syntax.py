@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The abstract syntax of a policy (profiles, rules, tunables), and decisions."""
+"""The abstract syntax of a policy (profiles and rules), and decisions."""
 
 from __future__ import annotations
 
@@ -38,15 +38,6 @@ class Attachment:
     def included(self, chain: tuple[Origin, ...]) -> Attachment:
         """Return the attachment of a file that other places include, innermost first."""
         return Attachment(self.text, self.where.included(chain), self.value)
-
-
-@dataclass(frozen=True, slots=True)
-class Tunable:
-    """A variable: its name, its expanded values, and where it is declared."""
-
-    name: str
-    values: tuple[Value, ...]
-    where: Origin
 
 
 @dataclass(frozen=True, slots=True)

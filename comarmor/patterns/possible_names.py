@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Test whether a pattern can match a fully qualified ROS name, and advise what to write instead.
 
-See :mod:`comarmor.ros_names` for the form of these names.
+See :mod:`comarmor.rules` for the form of these names.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from functools import lru_cache
 from comarmor.patterns.glob import Glob, parse
 from comarmor.patterns.tokens import PatternError, Star
 from comarmor.regex import lazy_regex
-from comarmor.ros_names import RAW_PREFIXES
+from comarmor.rules import RAW_PREFIXES
 
 _START, _SLASH, _SEGMENT = 1, 2, 4
 """The previous character: none, a ``/``, or one of a segment; as bits, for a set of these. A name ends in a segment."""

@@ -15,8 +15,14 @@ from typing import Protocol
 from comarmor.errors import ComArmorError, Origin
 from comarmor.text import counted, did_you_mean, quoted
 from comarmor.values import dataclass
-from comarmor.xml.includes import PACKAGE, is_package_name
-from comarmor.xml.sandboxed_paths import FOLLOW_LINKS, SandboxedFolder, path_text, read_failure
+from comarmor.xml.sandboxed_paths import (
+    FOLLOW_LINKS,
+    PACKAGE,
+    SandboxedFolder,
+    is_package_name,
+    path_text,
+    read_failure,
+)
 
 SEARCH_PATH = "AMENT_PREFIX_PATH"
 """The environment variable that lists the prefixes, the first one first (ament_index, of ROS 2)."""

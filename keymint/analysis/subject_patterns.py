@@ -18,7 +18,7 @@ from comarmor.patterns.possible_names import matches_ros_name
 from comarmor.patterns.relations import TooComplexError, covers, intersection
 from comarmor.patterns.steps import StepLimitError, spend, step_counting_cache, step_limit
 from comarmor.patterns.tokens import Charset, Star
-from comarmor.ros_names import is_fully_qualified, is_subject
+from comarmor.rules import is_fully_qualified, is_subject
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.analysis.rule_lists import allow_only, find_permitted, overlap, pattern_text

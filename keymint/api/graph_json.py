@@ -9,8 +9,7 @@ from typing import Any, NoReturn
 
 from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
-from comarmor.ros_names import is_fully_qualified, is_subject
-from comarmor.rules import KIND_OF, PERMISSIONS
+from comarmor.rules import KIND_OF, PERMISSIONS, is_fully_qualified, is_subject
 from comarmor.text import did_you_mean
 from keymint.api.graph import Edge, Graph, Object
 from keymint.errors import KeymintError

@@ -12,7 +12,7 @@ from urllib.parse import quote
 
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.values import dataclass
-from comarmor.xml.includes import PACKAGE
+from comarmor.xml.sandboxed_paths import PACKAGE
 from keymint import __version__
 
 _SCHEMA = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json"

@@ -26,8 +26,8 @@ from comarmor.regex import lazy_regex
 from comarmor.rules import Effect
 from comarmor.values import dataclass
 from comarmor.xml import reader
-from comarmor.xml.includes import PACKAGE
 from comarmor.xml.reader import line
+from comarmor.xml.sandboxed_paths import PACKAGE
 from keymint.api.source_documents import Reader, place
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules

@@ -47,7 +47,7 @@ class ComArmorPolicyType:
         return ComArmorPolicy(loaded)
 
     fingerprint = lazy("comarmor.language.source:fingerprint")
-    expectations = lazy("comarmor.language.policy_tests:expectations")
+    expectations = lazy("comarmor.language.loading:expectations")
     written_files = lazy("comarmor.language.formatting:written_files")
     formatted = lazy("comarmor.language.formatting:canonical_form")
     policy_of = lazy("keymint_ros2_comarmor.policy_documents:policy_of")

@@ -14,12 +14,12 @@ from lxml import etree
 
 import comarmor
 from comarmor.errors import ComArmorError, Diagnostic, Origin
-from comarmor.language import render
+from comarmor.language import formatting
 from comarmor.language.attachments import MOST_CHARACTERS
 from comarmor.language.parse import parse
 from comarmor.language.source import INCLUDE, read_document
 from comarmor.language.syntax import Attachment, Profile, ProfileRule
-from comarmor.patterns.printing import escape
+from comarmor.patterns.expression import escape
 from comarmor.rules import PERMISSIONS, Effect, Rule
 from comarmor.values import dataclass
 from comarmor.xml.reader import XINCLUDE
@@ -158,7 +158,7 @@ def fragment(part: CommonPart) -> bytes:
 
 def _fragment(rules: tuple[ProfileRule, ...], name: str) -> bytes:
     profile = _profile(name, _ANY_SUBJECT, rules)
-    return render.document(profile if len(rules) > 1 else profile[1]).encode()
+    return formatting.document(profile if len(rules) > 1 else profile[1]).encode()
 
 
 def fragment_size(rules: tuple[ProfileRule, ...]) -> int:
@@ -185,14 +185,16 @@ def profiles(subjects: Mapping[str, tuple[ProfileRule, ...]], note: str = "") ->
 
 
 def _noted(root: etree._Element, note: str) -> bytes:
-    policy = render.document(root).encode()
+    policy = formatting.document(root).encode()
     return policy.replace(b"<profiles", f"<!-- {note} -->\n<profiles".encode(), 1) if note else policy
 
 
 def _profile(name: str, attachment: str, rules: tuple[ProfileRule, ...]) -> etree._Element:
     """Return the element of a profile with one attachment."""
     attachments = (Attachment(attachment, NOWHERE),)
-    return render.profile(Profile(name, audit=False, attachments=attachments, profiles=(), parts=rules, where=NOWHERE))
+    return formatting.profile(
+        Profile(name, audit=False, attachments=attachments, profiles=(), parts=rules, where=NOWHERE)
+    )
 
 
 def policy_of(subjects: Sequence[SubjectRules], name: str, note: str = "") -> PolicyOfRules:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from comarmor.errors import ComArmorError, Diagnostic
-from comarmor.ros_names import is_subject
+from comarmor.rules import is_subject
 from comarmor.text import quoted
 from keymint_ros2_sros2.syntax import Entry, RosNode, SourcePolicy, Sros2Enclave, as_read, enforced_name, expression
 

@@ -14,15 +14,14 @@ from types import MappingProxyType
 from lxml import etree
 
 from comarmor.errors import Diagnostic, Origin
-from comarmor.language import render
+from comarmor.language import formatting
 from comarmor.patterns import glob
 from comarmor.patterns.expression import matches
 from comarmor.patterns.glob import Glob
-from comarmor.patterns.matching import matches as matching
-from comarmor.patterns.printing import exact
+from comarmor.patterns.glob import matches as matching
+from comarmor.patterns.expression import exact
 from comarmor.regex import lazy_regex
-from comarmor.ros_names import is_subject
-from comarmor.rules import PARTS, Effect, Rule
+from comarmor.rules import PARTS, Effect, Rule, is_subject
 from comarmor.text import quoted
 from comarmor.values import dataclass
 from keymint.api import ExportedPolicy, ImportedSubject
@@ -311,4 +310,4 @@ def _document(enclaves: Iterable[Sros2Enclave]) -> bytes:
                         listed.set(attribute, rules.effects[permission].value)
                 for entry in rules.entries:
                     etree.SubElement(listed, rules.tag.removesuffix("s")).text = entry.text
-    return render.document(root).encode()
+    return formatting.document(root).encode()

@@ -15,7 +15,7 @@ from types import MappingProxyType
 
 from comarmor.errors import ComArmorError, Diagnostic, Origin
 from comarmor.language.attachments import MOST_CHARACTERS
-from comarmor.patterns.printing import canonical
+from comarmor.patterns.expression import canonical
 from comarmor.patterns.tokens import COMARMOR, tokenize
 from comarmor.regex import lazy_regex
 from comarmor.rules import Effect, Rule

@@ -19,14 +19,14 @@ from lxml import etree
 
 import comarmor
 from comarmor.errors import ComArmorError, Diagnostic, Severity
-from comarmor.language import render
+from comarmor.language import formatting
 from comarmor.language.formatting import canonical_form
 from comarmor.language.loading import load_included
 from comarmor.language.parse import parse as parse_comarmor
 from comarmor.language.policy import Policy
 from comarmor.language.source import read_document
 from comarmor.language.syntax import Attachment, Profile, ProfileRule
-from comarmor.patterns.printing import escape
+from comarmor.patterns.expression import escape
 from comarmor.rules import PERMISSIONS, Effect, Rule
 from comarmor.xml.reader import XINCLUDE
 from keymint.api import ImportedPolicy, ImportedSubject, ImportRequest, PolicySource
@@ -155,7 +155,7 @@ def comarmor_document(
     for group in enclaves:
         root.append(_profile(group, library, graph=graph))
     _comment(root, closing)
-    text = render.document(root)
+    text = formatting.document(root)
     # A prefix that nothing uses would only puzzle.
     content = (text if "<xi:include" in text else text.replace(f' xmlns:xi="{XINCLUDE}"', "", 1)).encode()
     return canonical_form(content, "the new policy") or content  # comments have the indentation of the old policy

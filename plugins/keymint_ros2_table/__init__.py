@@ -23,7 +23,7 @@ class TablePolicyType:
 
     load = lazy("keymint_ros2_table.policy:load")
     recognises = lazy("keymint_ros2_table.files:recognises")
-    expectations = lazy("comarmor.language.policy_tests:expectations")
+    expectations = lazy("comarmor.language.loading:expectations")
     fingerprint = staticmethod(file_fingerprint)
 
 

@@ -13,7 +13,7 @@ import click
 from comarmor.errors import Diagnostic
 from comarmor.patterns.decision_lists import Equal
 from comarmor.patterns.glob import literal, parse
-from comarmor.ros_names import RAW_PREFIXES
+from comarmor.rules import RAW_PREFIXES
 from comarmor.text import counted
 from keymint.analysis.channels import Channel, ChannelSearch
 from keymint.analysis.effective_permissions import EffectivePermission, effective_permissions

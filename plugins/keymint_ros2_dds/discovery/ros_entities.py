@@ -8,7 +8,7 @@ namespace into the partition: ``chatter`` in ``rt``, ``chatter`` in ``rt/robot1`
 from __future__ import annotations
 
 from comarmor.regex import lazy_regex
-from comarmor.ros_names import is_fully_qualified
+from comarmor.rules import is_fully_qualified
 from keymint.api.graph import Edge
 from keymint_ros2_dds.lowering.endpoints import meanings
 from keymint_ros2_dds.lowering.name_mapping import ARDENT

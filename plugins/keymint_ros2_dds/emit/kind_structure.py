@@ -12,7 +12,7 @@ from comarmor.patterns.relations import TooComplexError, intersection
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.patterns.tokens import ANY, Charset
 from comarmor.regex import lazy_regex
-from comarmor.ros_names import is_fully_qualified
+from comarmor.rules import is_fully_qualified
 from comarmor.values import dataclass
 from keymint.keymake.kinds import Arguments, Kind
 from keymint_ros2_dds.lowering.dds_topics import needed_topics

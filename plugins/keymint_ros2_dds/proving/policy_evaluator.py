@@ -10,8 +10,7 @@ from collections.abc import Iterator
 
 from comarmor.patterns import glob
 from comarmor.patterns.glob import matches
-from comarmor.ros_names import is_fully_qualified
-from comarmor.rules import Effect, parts
+from comarmor.rules import Effect, is_fully_qualified, parts
 from keymint.api.graph import Edge, Object
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_dds.decision import fnmatch_dialects

@@ -16,9 +16,8 @@ from lxml import etree
 
 from comarmor import ComArmorError, data
 from comarmor.language import formatting
-from comarmor.language.formatting import canonical_form
+from comarmor.language.formatting import canonical_form, render
 from comarmor.language.parse import parse
-from comarmor.language.render import render
 from comarmor.language.source import read_document
 from tests import generated
 from tests.conftest import CHECKOUT

@@ -9,7 +9,7 @@ import pytest
 
 import comarmor
 from comarmor.errors import ComArmorError
-from comarmor.language.policy_tests import expectations
+from comarmor.language.loading import expectations
 
 ONE = '<tests>\n<test name="t">\n<allow subject="/a" permission="publish" object="/x"/></test></tests>'
 POLICY = '<profiles><profile name="a"><attachment>/a</attachment></profile></profiles>'

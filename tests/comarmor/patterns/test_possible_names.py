@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from comarmor.patterns.glob import matches, parse
 from comarmor.patterns.possible_names import advice, matches_ros_name
-from comarmor.ros_names import is_fully_qualified
+from comarmor.rules import is_fully_qualified
 
 NAMES = [name for size in range(7) for name in map("".join, product("/a0", repeat=size)) if is_fully_qualified(name)]
 """All names of up to six characters over an alphabet that has one of each kind."""

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis.strategies import text
 
 from comarmor.errors import ComArmorError, Origin
-from comarmor.xml.includes import package_path, path_of
+from comarmor.xml.sandboxed_paths import package_path, path_of
 
 WHERE = Origin("policy.xml", 3)
 

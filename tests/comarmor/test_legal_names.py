@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from comarmor.ros_names import is_fully_qualified, is_segment, is_subject
+from comarmor.rules import is_fully_qualified, is_segment, is_subject
 
 
 @pytest.mark.parametrize("name", ["/a", "/robot1/talker", "/_x/Y_2"])
