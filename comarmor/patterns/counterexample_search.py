@@ -133,7 +133,7 @@ class CounterexampleSearch:
             word = CubeSearch(self._derivatives(), positives, considered, self._count_state).shortest(bound)
             if word is None:
                 return None
-            matching = [pattern for patterns, blocks in excluded for pattern in patterns.glob(word, blocks)]
+            matching = [pattern for patterns, blocks in excluded for pattern in patterns.matching(word, blocks)]
             if not matching:
                 return word
             considered.update(dict.fromkeys(matching))

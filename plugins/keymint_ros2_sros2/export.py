@@ -16,10 +16,9 @@ from lxml import etree
 from comarmor.errors import Diagnostic, Origin
 from comarmor.language import formatting
 from comarmor.patterns import glob
-from comarmor.patterns.expression import matches
+from comarmor.patterns.expression import exact, matches
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.glob import matches as matching
-from comarmor.patterns.expression import exact
 from comarmor.regex import lazy_regex
 from comarmor.rules import PARTS, Effect, Rule, is_subject
 from comarmor.text import quoted
