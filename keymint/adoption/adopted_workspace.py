@@ -29,8 +29,7 @@ from keymint.api import (
     KeystoreFile,
     KeystoreFiles,
 )
-from keymint.authority.authority_renewal import plan_import
-from keymint.authority.given_authority import GivenAuthority
+from keymint.authority.authority_changes import GivenAuthority, plan_import
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.life.workspace_register import complete_register, register_change

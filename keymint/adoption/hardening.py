@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from keymint.api import HardenedPackageType, HardenedProfileType, Validity
-from keymint.authority.authority_issuance import authority_named
+from keymint.authority.authorities import authority_named
 from keymint.errors import KeymintError
 from keymint.store.changes import Action, Plan, Step, changed_below
 from keymint.workspace.session import Session

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The authorities of a workspace: a key and a certificate for each, minted once and kept."""
+"""The authorities of a workspace: a key and a certificate for each, minted once and kept.
+
+The profile keeps what was decided about them. A private key may lie in a PKCS #11 token.
+"""
 
 from __future__ import annotations
 
@@ -10,18 +13,56 @@ from cryptography import x509
 
 from comarmor.errors import Defects, Diagnostic
 from comarmor.values import dataclass
-from keymint.api import SigningAuthority
-from keymint.authority import authority_files, token_authorities
+from keymint.api import Authority, AuthorityIssuance, AuthorityIssuanceFiles, SigningAuthority
+from keymint.authority import authority_files
 from keymint.authority.authority_files import AuthorityFiles
-from keymint.authority.authority_issuance import STAGE, authority_named
-from keymint.errors import KeymintError
+from keymint.errors import ExitCode, KeymintError, known_authority
 from keymint.pki import certificates, keys
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, folder_changes, secret_file
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed_below, folder_changes, secret_file
 from keymint.workspace import key_record
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.stored_keys import password
 
-__all__ = ["STAGE", "MintedAuthority", "plan_authorities"]
+STAGE = "authorities"
+
+
+def authority_named(session: Session, name: str) -> Authority:
+    """Return an authority of the profile.
+
+    Raises:
+        KeymintError: there is none of this name; exit code 2.
+    """
+    known = {authority.name: authority for authority in session.profile.authorities}
+    return known[known_authority(name, known, None, exit_code=ExitCode.USAGE)]
+
+
+def plan_authority_issuance(session: Session, name: str, new: AuthorityIssuance, detail: str) -> Plan:
+    """Plan what was decided about an authority; of the others it stays.
+
+    Args:
+        session: the workspace and its profile.
+        name: the authority.
+        new: what was decided.
+        detail: a few words for the user.
+
+    Raises:
+        KeymintError: the type of the profile cannot keep it.
+    """
+    profile = session.profile
+    plugin = session.profile_type
+    if not isinstance(plugin, AuthorityIssuanceFiles):
+        raise KeymintError(
+            f"the profile type {profile.profile_type!r} cannot keep what is decided about authorities",
+            where=session.profile_marker(),
+            help="change the dates in the profile instead, and run 'keymint install'",
+            code="profile-without-issuance",
+        )
+    issuance = {**{each.name: each.issuance for each in profile.authorities}, name: new}
+    changes = changed_below(session.tree, session.workspace.profile, plugin.with_authority_issuance(issuance))
+    if not changes:
+        return Plan((), session.state)
+    return Plan((Step(STAGE, "", Action.UPDATED, changes, detail),), session.state)
+
 
 _OPTION = "--new-authority"
 
@@ -117,7 +158,7 @@ def _plan_authority(
     changes: tuple[FolderChange, ...] = ()
     pem, is_new = files.key or b"", renew
     if spec.key.uri:  # the token is opened only if a certificate must be issued
-        key, pem = token_authorities.load(inputs, files, renew=renew), b""
+        key, pem = token_key(inputs, files, renew=renew), b""
     elif files.key is None or renew:
         if not renew:
             authority_files.require_unused(files)
@@ -135,7 +176,7 @@ def _plan_authority(
     changes += _stored(inputs, name, certificate)
     signer = SigningAuthority(name, certificate, pem, secret, token_key=key if spec.key.uri else None)
     issuer = certificates.Issuer(certificates.load(certificate), key)
-    left_over = token_authorities.left_over(files) if spec.key.uri else ()
+    left_over = key_copies(files) if spec.key.uri else ()
     return MintedAuthority(issuer.certificate, (issuer, signer)), changes, (*warnings, *left_over)
 
 
@@ -239,3 +280,70 @@ def _without_key(files: AuthorityFiles, above: MintedAuthority | None, signing_e
     ):
         raise signing_error
     return MintedAuthority(certificate, signing_error)
+
+
+def token_key(inputs: Inputs, files: AuthorityFiles, *, renew: bool) -> keys.PrivateKey:
+    """Return the private key of an authority, which the profile names by its URI.
+
+    The token is opened only if there is no certificate that says what its public key is. Otherwise it is opened when
+    the key first signs, and must then be the key of the certificate.
+
+    Args:
+        inputs: the workspace.
+        files: the authority and its files.
+        renew: the authority gets a new certificate, for a key that the user has put into the token.
+
+    Raises:
+        KeymintError: enclaves trust an authority whose certificate is missing; the key is not of the specified kind, or
+            for a new authority still the old one; or those of :class:`keymint.pki.tokens.token_sessions.Tokens`.
+    """
+    spec, name = files.authority.certificate, files.name
+    present = files.certificate
+    if present is not None and not renew:
+        public, where = certificates.public_key(present), files.certificate_file
+    else:
+        if not renew:
+            authority_files.require_unused(files)
+        public, where = inputs.tokens.public_key(spec.key, spec.origin), spec.origin
+    if not keys.fits(public, spec.key):
+        raise KeymintError(
+            f"the key of the authority {name!r} is not {keys.key_description(spec.key)}, which {spec.origin} asks for",
+            where=where,
+            help="write the type of the token's key into <asymmetric_type>",
+            code="key-kind",
+        )
+    if renew and present is not None and certificates.public_key(present) == public:
+        raise KeymintError(
+            f"the token still has the key of the present authority {name!r}",
+            where=spec.origin,
+            help="make a new key in the token, and name it in <pkcs11>; a new certificate for the same key needs no "
+            "new authority",
+            code="authority-key-same",
+        )
+    return inputs.tokens.private_key(spec.key, public, spec.origin)
+
+
+def key_copies(files: AuthorityFiles) -> Iterator[Diagnostic]:
+    """Yield a warning if the private key lies in a file as well as in its token."""
+    if files.key is not None:
+        yield Diagnostic.warning(
+            "authority-key-copy",
+            f"is a private key of the authority {files.name!r}, whose key is to lie in a token only",
+            files.key_file,
+            "move it to a safe place that is no computer's disk, or destroy it",
+        )
+
+
+def only_in_token(authority: Authority, help_: str) -> KeymintError:
+    """Return the error on a request for the file of a private key that lies in a token.
+
+    Args:
+        authority: the authority.
+        help_: what to do.
+    """
+    return KeymintError(
+        f"the private key of the authority {authority.name!r} lies in a token, not in a file",
+        where=authority.certificate.origin,
+        help=help_,
+        code="authority-in-token",
+    )

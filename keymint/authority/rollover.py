@@ -8,22 +8,29 @@ private key that is not in force lies beside the other one, as ``NAME.next.key.p
   after which they trust the next one alone;
 * second keystore: ``stage`` (another keystore, by the next one, lies beside), and its end.
 
+The authorities that are trusted beside those in force revoke what they issued, by lists of their own.
 Each exchange of keys is one group of changes. A run that was killed within it is recognised by the key in force.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from cryptography import x509
 
-from keymint.api import Authority, AuthorityIssuance, Phase, Rollover
-from keymint.authority import authority_files, token_authorities
-from keymint.authority.authorities import plan_authorities
+from keymint.api import Authority, AuthorityIssuance, Phase, Rollover, SigningAuthority
+from keymint.authority import authority_files
+from keymint.authority.authorities import (
+    STAGE,
+    MintedAuthority,
+    authority_named,
+    only_in_token,
+    plan_authorities,
+    plan_authority_issuance,
+)
+from keymint.authority.authority_changes import GivenAuthority, begin_of, cert_and_key, issued_like, issuer_of
 from keymint.authority.authority_files import FORMER, NEXT
-from keymint.authority.authority_issuance import STAGE, authority_named, plan_authority_issuance
-from keymint.authority.authority_renewal import begin_of, issued_like, issuer_of
-from keymint.authority.given_authority import GivenAuthority, cert_and_key
 from keymint.errors import KeymintError
 from keymint.pki import certificates, extensions, keys
 from keymint.store.changes import Action, File, FolderChange, Plan, Step, secret_file
@@ -53,7 +60,7 @@ def plan_begin(session: Session, name: str, phase: Phase, given: GivenAuthority 
     authority = authority_named(session, name)
     _require_free_names(session, name)
     if authority.certificate.key.uri:
-        raise token_authorities.only_in_token(
+        raise only_in_token(
             authority,
             "phases exchange keys in files. Make a new key in the token, name it in <pkcs11>, and run 'keymint install "
             f"--new-authority {name}': then all enclaves change at one restart",
@@ -209,7 +216,7 @@ def _given(
     """Return a next authority that was made elsewhere: its certificate, and its private key or nothing.
 
     Raises:
-        KeymintError: as :func:`keymint.authority.given_authority.cert_and_key`; or it has the present key.
+        KeymintError: as :func:`keymint.authority.authority_changes.cert_and_key`; or it has the present key.
     """
     certificate, key = cert_and_key(session, authority, given)
     if certificate.public_key() == present.public_key():
@@ -308,3 +315,40 @@ def _require_free_names(session: Session, name: str) -> None:
                 help="rename it",
                 code="authority-name-taken",
             )
+
+
+def other_authorities(session: Session) -> Mapping[str, tuple[str, MintedAuthority]]:
+    """Return the authorities that enclaves trust beside those in force, by the name of their files.
+
+    Returns:
+        Each with the name of the authority in force.
+    """
+    return {
+        authority_files.other(each): (each.name, _other(session, each, rollover.certificate))
+        for each in session.profile.authorities
+        if (rollover := authority_files.current_rollover(each))
+    }
+
+
+def list_removals(session: Session, stage: str) -> Iterator[Step]:
+    """Yield what removes the revocation lists of authorities that enclaves trust no more, or not yet."""
+    for each in session.profile.authorities:
+        for suffix in (NEXT, FORMER):
+            name = f"{each.name}.{suffix}"
+            path = session.workspace.revocation_list(name)
+            if name != authority_files.other(each) and session.tree.has_file(path):
+                yield Step(stage, name, Action.REMOVED, (FolderChange(path.parent, removed=(path.name,)),))
+
+
+def _other(session: Session, authority: Authority, pem: bytes) -> MintedAuthority:
+    certificate, name = certificates.load(pem), authority_files.other(authority)
+    try:
+        found = authority_files.stored_key(session, authority, name)
+    except KeymintError as error:
+        return MintedAuthority(certificate, error)
+    if found and keys.matches(found[1], certificate):
+        signer = SigningAuthority(authority.name, pem, found[0], password(session, authority.certificate))
+        return MintedAuthority(certificate, (certificates.Issuer(certificate, found[1]), signer))
+    where = session.workspace.origin(session.workspace.authority_key(name))
+    missing = authority_files.key_elsewhere(name, where, "restore it: it signs a revocation list")
+    return MintedAuthority(certificate, missing)

@@ -11,7 +11,8 @@ from cryptography import x509
 
 from comarmor.errors import Defects, Diagnostic
 from keymint.api import ValidityTerm
-from keymint.authority import authority_files, token_authorities
+from keymint.authority import authority_files
+from keymint.authority.authorities import key_copies
 from keymint.authority.authority_files import AuthorityFiles
 from keymint.errors import KeymintError
 from keymint.life import terms
@@ -73,7 +74,7 @@ _DECIDED_BY_A_PERSON = frozenset(
 def _key(inputs: Inputs, files: AuthorityFiles) -> Generator[Diagnostic, None, keys.PublicKey | None]:
     """Check the private key; the generator returns its public key if it can be read."""
     if files.authority.certificate.key.uri:
-        yield from token_authorities.left_over(files)
+        yield from key_copies(files)
     elif files.key is not None:
         try:
             return authority_files.load_private_key(inputs, files).public_key()

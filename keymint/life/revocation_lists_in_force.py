@@ -12,8 +12,9 @@ from datetime import datetime
 from cryptography import x509
 
 from comarmor.errors import Origin
-from keymint.authority import authority_files, rollover_lists
+from keymint.authority import authority_files
 from keymint.authority.authorities import MintedAuthority
+from keymint.authority.rollover import list_removals, other_authorities
 from keymint.errors import KeymintError
 from keymint.life.issued_certificates import Register
 from keymint.life.workspace_register import issuer_of, register_change, register_of
@@ -86,8 +87,8 @@ def plan_lists(
             issued by an authority that cannot sign lists or whose key is not here.
     """
     register = register_of(session) if register is None else register
-    steps: list[Step] = [*rollover_lists.list_removals(session, STAGE)]
-    others = rollover_lists.others(session)
+    steps: list[Step] = [*list_removals(session, STAGE)]
+    others = other_authorities(session)
     all_authorities = {**authorities, **{name: minted for name, (_, minted) in others.items()}}
     present_lists = {name: _present(session, name, minted, refresh) for name, minted in all_authorities.items()}
     issuers = {name: issuer_of(minted.certificate) for name, minted in all_authorities.items()}

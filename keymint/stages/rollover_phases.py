@@ -11,9 +11,9 @@ from comarmor.text import counted
 from comarmor.values import dataclass
 from keymint.api import Phase
 from keymint.authority import rollover
-from keymint.authority.authority_issuance import authority_named
+from keymint.authority.authorities import authority_named
+from keymint.authority.authority_changes import GivenAuthority
 from keymint.authority.authority_uses import refusing_implementations
-from keymint.authority.given_authority import GivenAuthority
 from keymint.errors import KeymintError, usage_error
 from keymint.names import subject_of
 from keymint.pki import certificates

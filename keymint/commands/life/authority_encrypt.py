@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from keymint.authority.authority_encryption import plan_encryption
+from keymint.authority.authority_changes import plan_encryption
 from keymint.command_line.options import authority_argument
 from keymint.command_line.verb import verb
 from keymint.output.report import Report

@@ -9,8 +9,8 @@ from pathlib import Path
 import click
 
 from comarmor.errors import Diagnostic, Origin
-from keymint.authority import authority_files, token_authorities
-from keymint.authority.authority_issuance import authority_named
+from keymint.authority import authority_files
+from keymint.authority.authorities import authority_named, only_in_token
 from keymint.command_line.named_files import deliver, write_outputs
 from keymint.command_line.options import FILE, authority_argument
 from keymint.command_line.verb import verb
@@ -71,7 +71,7 @@ def _export_key(run: Run, files: authority_files.AuthorityFiles, key_file: Path)
         KeymintError: it is not here, or lies in a token, or the file cannot be written.
     """
     if files.authority.certificate.key.uri:
-        raise token_authorities.only_in_token(files.authority, "it returns none")
+        raise only_in_token(files.authority, "it returns none")
     if files.key is None:
         raise authority_files.key_elsewhere(files.name, files.key_file, "export it where it is")
     return write_outputs(run, key_file, files.key, secret=True)

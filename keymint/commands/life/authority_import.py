@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from keymint.authority.authority_renewal import plan_import
+from keymint.authority.authority_changes import plan_import
 from keymint.command_line.authority_change import given_authority, issued_again
 from keymint.command_line.options import FILE, authority_argument, flag_day_option
 from keymint.command_line.verb import verb

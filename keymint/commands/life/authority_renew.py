@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from keymint.authority.authority_renewal import plan_renewal
+from keymint.authority.authority_changes import plan_renewal
 from keymint.command_line.authority_change import issued_again
 from keymint.command_line.options import authority_argument, flag_day_option
 from keymint.command_line.verb import verb

@@ -12,7 +12,7 @@ import click
 
 from comarmor.errors import Diagnostic
 from comarmor.text import counted
-from keymint.authority.authority_issuance import authority_named
+from keymint.authority.authorities import authority_named
 from keymint.command_line.options import complete_authority
 from keymint.command_line.verb import verb
 from keymint.examine.weaknesses import lacks

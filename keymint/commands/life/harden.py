@@ -10,7 +10,7 @@ import click
 
 from comarmor.text import first_few
 from keymint.adoption.hardening import plan_authority, plan_names
-from keymint.authority.authority_renewal import plan_renewal
+from keymint.authority.authority_changes import plan_renewal
 from keymint.command_line.authority_change import issued_again
 from keymint.command_line.options import flag_day_option, packages_argument
 from keymint.command_line.verb import verb

@@ -1,23 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Issue an authority's certificate again for the same key, with later dates, and take one from outside."""
+"""Changes of one authority: issued again with later dates, taken from outside, or its stored key encrypted."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import field, replace
 from datetime import datetime, timedelta
 
 from cryptography import x509
 
+from comarmor.errors import Diagnostic, Origin
+from comarmor.values import dataclass
 from keymint.api import Authority, AuthorityIssuance, Validity
 from keymint.authority import authority_files
-from keymint.authority.authorities import MintedAuthority, plan_authorities
-from keymint.authority.authority_issuance import STAGE, authority_named, plan_authority_issuance
-from keymint.authority.given_authority import GivenAuthority, cert_and_key
+from keymint.authority.authorities import (
+    STAGE,
+    MintedAuthority,
+    authority_named,
+    only_in_token,
+    plan_authorities,
+    plan_authority_issuance,
+)
 from keymint.errors import KeymintError
 from keymint.pki import certificates, distinguished_names, foreign_authorities, keys
 from keymint.store.changes import Action, File, FolderChange, Plan, Step, folder_changes, secret_file
 from keymint.workspace import key_record
 from keymint.workspace.session import Session
+from keymint.workspace.stored_keys import password
 
 
 def begin_of(now: datetime) -> datetime:
@@ -135,7 +143,7 @@ def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
     elsewhere, or is here already.
 
     Raises:
-        KeymintError: as :func:`keymint.authority.given_authority.cert_and_key`; or installed enclaves trust another key
+        KeymintError: as :func:`cert_and_key`; or installed enclaves trust another key
             of this authority.
     """
     authority = authority_named(session, name)
@@ -161,3 +169,101 @@ def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
     fingerprint = keys.fingerprint(public)
     state = key_record.record(session.state, key_record.AUTHORITIES, {name: fingerprint})
     return replace(plan, steps=(*plan.steps, *((files_step,) if changes else ())), state=state)
+
+
+@dataclass(frozen=True, slots=True)
+class GivenAuthority:
+    """Files that the user names.
+
+    Attributes:
+        certificate: a file with a certificate.
+        where: this file, for messages.
+        key: a file with its private key, encrypted with the authority's password or not; empty if none is given.
+        key_file: this file, for messages; None if none is given.
+        exposed: others could read the private key.
+    """
+
+    certificate: bytes
+    where: Origin
+    key: bytes = field(default=b"", repr=False)
+    key_file: Origin | None = None
+    exposed: bool = False
+
+
+def cert_and_key(session: Session, authority: Authority, given: GivenAuthority) -> tuple[x509.Certificate, bytes]:
+    """Return the certificate, and the private key as it is to be stored: PEM, or empty if none is given.
+
+    Args:
+        session: the workspace and its profile.
+        authority: the authority whose certificate it is to be.
+        given: the files.
+
+    Raises:
+        KeymintError: the certificate is not that of an authority, or not issued by its issuer in the profile; the key
+            is another one, or is to lie in a token.
+    """
+    certificate = foreign_authorities.require_authority(given.certificate, given.where)
+    _require_issuer(session, authority.certificate.issuer, certificate, given.where)
+    if not given.key:
+        return certificate, b""
+    spec = authority.certificate
+    if spec.key.uri:
+        raise only_in_token(authority, "import it with the token's own tool")
+    secret = password(session, spec)
+    private = keys.from_pem(given.key, secret, given.key_file)
+    of, help_ = str(given.where), "name the files that belong together"
+    authority_files.require_pair(private, certificate, given.key_file, of, help_)
+    return certificate, keys.to_pem(private, secret)
+
+
+def _require_issuer(session: Session, issuer: str, certificate: x509.Certificate, where: Origin) -> None:
+    """Require that a certificate was issued by the authority above it in the profile, or by itself.
+
+    Raises:
+        KeymintError: it was not: enclaves need all authorities up to a self-signed one.
+    """
+    above = authority_files.stored_certificate(session, issuer) if issuer else certificate
+    if not certificates.is_issued_by(certificate, above):
+        expected = f"the authority {issuer!r}" if issuer else "itself"
+        raise KeymintError(
+            f"was issued by {distinguished_names.to_text(certificate.issuer)!r}, but the profile expects {expected}",
+            where=where,
+            help="add its issuer to authorities.xml and name it in <issuer_name>; then import the issuer first",
+            code="authority-issuer-elsewhere",
+        )
+
+
+def plan_encryption(session: Session, name: str) -> Plan:
+    """Plan to encrypt the private key of an authority; while it is replaced, both keys.
+
+    Args:
+        session: the workspace and its profile.
+        name: the authority.
+
+    Raises:
+        KeymintError: there is no such authority, the profile does not ask for encryption, the key is elsewhere or
+            damaged, or its password is not set or wrong.
+    """
+    authority = authority_named(session, name)
+    spec, files = authority.certificate, authority_files.read_files(session, authority)
+    if not spec.key.password_env:
+        raise KeymintError(
+            f"the profile does not ask for an encrypted key of the authority {name!r}",
+            where=spec.origin,
+            help="write BestAvailableEncryption and a <password_env>, there or in the defaults of authorities",
+            code="encryption-unasked",
+        )
+    if files.key is None:
+        raise authority_files.key_elsewhere(name, files.key_file, "encrypt it where it is")
+    encrypted = []
+    for file in filter(None, (name, authority_files.other(authority))):
+        path, stored = session.workspace.authority_key(file), authority_files.stored_key(session, authority, file)
+        if stored and not keys.is_encrypted(stored[0]):
+            encrypted.append(secret_file(path, keys.to_pem(stored[1], password(session, spec))))
+    if not encrypted:
+        return Plan((Step(STAGE, name, Action.UNCHANGED),), session.state)
+    message, where = "backups and copies of this file still hold the plain key", files.key_file
+    help_ = f"delete them, or make a new key with 'keymint authority replace {name}'"
+    copies = Diagnostic.warning("key-copies", message, where, help_)
+    step = Step(STAGE, name, Action.UPDATED, tuple(encrypted), "private key encrypted")
+    return Plan((step,), session.state, (copies,))
