@@ -132,7 +132,7 @@ class Client:
 
         Args:
             subjects: the subjects.
-            reason: one of :data:`keymint.life.issued_certificates.REASONS`.
+            reason: one of :data:`keymint.life.register.REASONS`.
 
         Returns:
             The enclaves to deploy and restart: those with a new revocation list or a new certificate.

@@ -34,8 +34,8 @@ from keymint.authority.authority_files import chains_digest
 from keymint.errors import KeymintError
 from keymint.examine.weaknesses import signing_issuers
 from keymint.ir import DeferredRules, Rule, SubjectRules
-from keymint.life import earlier_rights, register_database
-from keymint.life.issued_certificates import SignedRights
+from keymint.life import earlier_rights
+from keymint.life.register import SignedRights, register_error
 from keymint.life.workspace_register import has_register, issuer_of, register_of
 from keymint.names import ROOT, package_name, subject_of
 from keymint.pki import certificates, distinguished_names, smime
@@ -174,7 +174,7 @@ def _earlier(session: Session) -> Mapping[bytes, SignedRights]:
         rights = (each for each in register_of(session).rights if each.not_after >= session.now)
         return {each.content: each for each in rights}
     except ValueError:
-        raise register_database.register_error(session.workspace.origin(session.workspace.register)) from None
+        raise register_error(session.workspace.origin(session.workspace.register)) from None
 
 
 def _dump(now: datetime, outliving: Iterable[_Outliving]) -> str:

@@ -16,7 +16,7 @@ from keymint.authority import authority_files
 from keymint.authority.authorities import MintedAuthority
 from keymint.authority.rollover import list_removals, other_authorities
 from keymint.errors import KeymintError
-from keymint.life.issued_certificates import Register
+from keymint.life.register import Register
 from keymint.life.workspace_register import issuer_of, register_change, register_of
 from keymint.pki import revocation_lists
 from keymint.pki.revocation_lists import Revocation, RevocationList

@@ -11,8 +11,8 @@ from comarmor.text import counted, did_you_mean
 from comarmor.values import dataclass
 from keymint.api import RevocationReader
 from keymint.errors import KeymintError
-from keymint.life.issued_certificates import SUPERSEDED, IssuedCertificate, Register
 from keymint.life.package_issuance import plan_issuance
+from keymint.life.register import SUPERSEDED, IssuedCertificate, Register
 from keymint.life.workspace_register import complete_register, register_change
 from keymint.names import subject_of
 from keymint.store.changes import Action, Plan, Step
@@ -51,7 +51,7 @@ def plan_revocation(session: Session, names: Sequence[str], reason: str) -> Revo
     Args:
         session: the workspace and its profile.
         names: packages; those without sources have certificates in the register.
-        reason: one of :data:`keymint.life.issued_certificates.REASONS`.
+        reason: one of :data:`keymint.life.register.REASONS`.
 
     Raises:
         KeymintError: a package never had a certificate, or the register is missing and cannot be restored.

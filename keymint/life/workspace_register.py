@@ -13,8 +13,7 @@ from comarmor.errors import Origin
 from keymint.api import BuildType, Package, Presentation
 from keymint.authority import authority_files
 from keymint.errors import KeymintError
-from keymint.life import register_database
-from keymint.life.issued_certificates import IssuedCertificate, Register, SignedRights
+from keymint.life.register import IssuedCertificate, Register, SignedRights, loaded_register, register_file
 from keymint.names import subject_of
 from keymint.pki import certificates, revocation_lists, smime
 from keymint.pki.distinguished_names import to_text
@@ -39,7 +38,7 @@ def register_of(session: Session) -> Register:
 # Each stage of a run reads it.
 @lru_cache(maxsize=2)
 def _load(content: bytes, shown: str) -> Register:
-    return register_database.load(content, Origin(shown))
+    return loaded_register(content, Origin(shown))
 
 
 def has_register(inputs: Inputs) -> bool:
@@ -130,7 +129,7 @@ def register_change(session: Session, register: Register) -> tuple[FolderChange,
     """Return what writes a register, if it differs from the one on the disk."""
     if register == register_of(session):
         return ()
-    return (secret_file(session.workspace.register, register_database.dump(register)),)
+    return (secret_file(session.workspace.register, register_file(register)),)
 
 
 @lru_cache(maxsize=64)

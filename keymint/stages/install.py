@@ -15,7 +15,7 @@ from keymint.authority.authorities import MintedAuthority
 from keymint.authority.authority_files import chains_digest
 from keymint.errors import KeymintError
 from keymint.life import earlier_rights, revocation_lists_in_force, terms
-from keymint.life.issued_certificates import SignedRights
+from keymint.life.register import SignedRights
 from keymint.life.terms import iso_time
 from keymint.life.workspace_register import (
     complete_register,

@@ -14,7 +14,7 @@ from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.api import Artifact, BuildOptions
 from keymint.errors import KeymintError
-from keymint.life.issued_certificates import IssuedCertificate, SignedRights
+from keymint.life.register import IssuedCertificate, SignedRights
 from keymint.life.terms import Term
 from keymint.store.changes import Action, Plan, Step
 from keymint.view.stamps import Stamp, State
@@ -42,7 +42,7 @@ class PackagePlan:
         issued: the certificate of its enclave and the rights that were signed for it, if its enclave changes.
         signed: the documents that its holder presents, if its enclave changes.
         withdrawn: why no certificate is issued to it, although it is built; see
-            :meth:`keymint.life.issued_certificates.Register.barred`.
+            :meth:`keymint.life.register.Register.barred`.
     """
 
     name: str

@@ -16,7 +16,7 @@ from keymint.api import BuildOptions, LoadedPolicy, Role
 from keymint.authority.authorities import MintedAuthority, plan_authorities
 from keymint.authority.authority_files import current_rollover, trusted_chains
 from keymint.life.earlier_rights import RIGHTS_OUTLIVE
-from keymint.life.issued_certificates import SUPERSEDED
+from keymint.life.register import SUPERSEDED
 from keymint.life.revocation_lists_in_force import enclave_lists, plan_lists, require_nothing_lost
 from keymint.life.revoking import plan_revocation
 from keymint.life.workspace_register import complete_register

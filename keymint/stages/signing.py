@@ -13,8 +13,8 @@ from keymint.api import Artifact, EnclaveCredentials, Package, SigningAuthority
 from keymint.authority.authorities import MintedAuthority
 from keymint.authority.authority_files import trusted_chains
 from keymint.errors import KeymintError, known_authority
-from keymint.life.issued_certificates import SUPERSEDED, IssuedCertificate, Register
 from keymint.life.package_issuance import place_of
+from keymint.life.register import SUPERSEDED, IssuedCertificate, Register
 from keymint.life.revocation_lists_in_force import enclave_lists
 from keymint.life.workspace_register import entry_of, issuer_of, register_of
 from keymint.pki import certificates, keys

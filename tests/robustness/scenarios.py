@@ -16,8 +16,7 @@ from lxml import etree
 
 from comarmor.errors import Origin
 from keymint import cli
-from keymint.life import register_database
-from keymint.life.issued_certificates import Register
+from keymint.life.register import Register, loaded_register
 from keymint.pki import smime
 
 _RULES = """<ros_topic qualifier="ALLOW">
@@ -233,7 +232,7 @@ def registered(workspace: Path) -> Register:
     """Return the register of issued certificates."""
     path = workspace / "private/register.sqlite3"
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
-    return register_database.load(path.read_bytes(), Origin(str(path)))
+    return loaded_register(path.read_bytes(), Origin(str(path)))
 
 
 def require_registered(workspace: Path) -> None:

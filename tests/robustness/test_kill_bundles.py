@@ -18,7 +18,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
 from comarmor.errors import Origin
-from keymint.life import register_database
+from keymint.life.register import loaded_register
 from keymint.pki import keys
 from keymint.robots import bundle
 from keymint.robots import certification_request as request
@@ -190,7 +190,7 @@ def test_no_serial_and_no_number_is_given_twice(workspace: Path, memory: Path, k
 
     def check(_: Struck, folder: Path) -> None:
         scenarios.require_whole_files(folder / "ws")
-        register = register_database.load((folder / "ws/private/register.sqlite3").read_bytes(), WHERE)
+        register = loaded_register((folder / "ws/private/register.sqlite3").read_bytes(), WHERE)
         serials = {serial: each for (_, serial), each in register.certificates.items()}
         assert len(serials) == len(register.certificates)
         for path in (folder / "ws/install/enclaves").rglob("cert.pem"):

@@ -20,7 +20,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from comarmor.errors import Origin
-from keymint.life import register_database
+from keymint.life.register import loaded_register
 from keymint.pki import certificates, keys
 from keymint.robots import bundle, certification_request
 from tests import sros2_keystore
@@ -193,7 +193,7 @@ def issued(workspace: Path) -> dict[int, Any]:
     path = workspace / "private/register.sqlite3"
     if not path.exists():
         return {}
-    found = register_database.load(path.read_bytes(), Origin("test")).certificates
+    found = loaded_register(path.read_bytes(), Origin("test")).certificates
     serials = {serial: each for (_, serial), each in found.items()}
     assert len(serials) == len(found)
     return serials

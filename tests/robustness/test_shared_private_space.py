@@ -12,8 +12,7 @@ from typing import Any
 import pytest
 
 from comarmor.errors import Origin
-from keymint.life import register_database
-from keymint.life.issued_certificates import Register
+from keymint.life.register import Register, loaded_register
 
 from . import scenarios, tracing
 
@@ -100,7 +99,7 @@ def ended(run: subprocess.Popen[str]) -> tuple[int, str]:
 
 def register(folder: Path) -> Register:
     path = folder / VAULT / "register.sqlite3"
-    return register_database.load(path.read_bytes(), Origin(str(path)))
+    return loaded_register(path.read_bytes(), Origin(str(path)))
 
 
 def revoked(folder: Path) -> set[str]:

@@ -13,7 +13,7 @@ from comarmor.text import counted
 from keymint.command_line.options import complete_package, prove_option
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError
-from keymint.life.issued_certificates import REASONS, SUPERSEDED, IssuedCertificate
+from keymint.life.register import REASONS, SUPERSEDED, IssuedCertificate
 from keymint.life.revoking import Revoking, plan_revocation
 from keymint.names import package_name, subject_list, subject_of
 from keymint.output.report import Report, members

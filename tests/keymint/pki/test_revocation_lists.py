@@ -14,7 +14,7 @@ from cryptography.hazmat.primitives.serialization import Encoding
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError
-from keymint.life.issued_certificates import REASONS
+from keymint.life.register import REASONS
 from keymint.pki import certificates, keys, revocation_lists
 from keymint.pki.certificates import Issuer
 from keymint.pki.revocation_lists import Revocation

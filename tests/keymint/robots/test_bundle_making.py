@@ -11,7 +11,7 @@ import pytest
 from comarmor.errors import Origin
 from keymint.authority.authorities import plan_authorities
 from keymint.errors import KeymintError
-from keymint.life import register_database
+from keymint.life.register import loaded_register
 from keymint.robots import bundle
 from keymint.robots.bundle_making import MadeBundle, plan_bundles
 from keymint.robots.certification_request import CertificationRequest
@@ -32,7 +32,7 @@ def test_the_register_has_the_number_first(ws: Path) -> None:
     plan, bundles = plan_bundles(session, dict.fromkeys(["robot1/listener", "talker"]), authorities)
     assert [each.manifest.name for each in bundles] == ["robot1/listener", "talker"]
     [change] = plan.first
-    register = register_database.load(change.files["register.sqlite3"].content, Origin("register"))
+    register = loaded_register(change.files["register.sqlite3"].content, Origin("register"))
     assert register.bundles == {"robot1/listener": NOW, "talker": NOW}
     assert plan.steps == ()
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from cryptography import x509
 
-from keymint.life.issued_certificates import REASONS
+from keymint.life.register import REASONS
 from tests.conftest import NOW, snapshot
 
 NAMES = ("robot1/listener", "talker")

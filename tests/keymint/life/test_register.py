@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from keymint.life.issued_certificates import REASONS, SUPERSEDED, IssuedCertificate, Register, SignedRights
+from keymint.life.register import REASONS, SUPERSEDED, IssuedCertificate, Register, SignedRights
 
 NOW = datetime(2027, 1, 15, tzinfo=UTC)
 FIRST = IssuedCertificate("ca", 1, "identity_ca", "talker", 0, NOW - timedelta(9), NOW + timedelta(90), "key 1")

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError
-from keymint.life import register_database
-from keymint.life.issued_certificates import REASONS, IssuedCertificate, Register
+from keymint.life.register import REASONS, IssuedCertificate, Register, loaded_register, register_file
 
 WHERE = Origin("private/register.sqlite3")
 moments = st.datetimes(datetime(1950, 1, 1), datetime(9999, 12, 31), timezones=st.just(UTC))  # noqa: DTZ001 - bounds
@@ -38,15 +37,15 @@ numbers = st.dictionaries(texts, st.integers(1, 2**40), max_size=3)
 @given(st.lists(entries(), max_size=5), numbers, numbers)
 def test_round_trip(issued: list[IssuedCertificate], lists: dict[str, int], bundles: dict[str, int]) -> None:
     register = Register({(each.issuer, each.serial): each for each in issued}, lists, bundles)
-    content = register_database.dump(register)
-    read = register_database.load(content, WHERE)
+    content = register_file(register)
+    read = loaded_register(content, WHERE)
     assert read == register
     assert list(read.certificates) == list(register.certificates)
-    assert register_database.dump(read) == content
+    assert register_file(read) == content
 
 
 ONE = IssuedCertificate("a" * 64, 7, "ca", "talker", 0, *2 * (datetime(2027, 1, 1, tzinfo=UTC),), "b" * 64)
-FILE = register_database.dump(Register().with_issued([ONE]).with_number(ONE.issuer, 3))
+FILE = register_file(Register().with_issued([ONE]).with_number(ONE.issuer, 3))
 
 
 def changed(statement: str) -> bytes:
@@ -79,7 +78,7 @@ def changed(statement: str) -> bytes:
 )
 def test_a_damaged_file(content: bytes) -> None:
     with pytest.raises(KeymintError) as caught:
-        register_database.load(content, WHERE)
+        loaded_register(content, WHERE)
     (found,) = caught.value.diagnostics
     assert (found.code, found.where) in {("register-damaged", WHERE), ("register-version", WHERE)}
 
@@ -87,16 +86,16 @@ def test_a_damaged_file(content: bytes) -> None:
 def test_a_tool_that_looked_into_it_may_leave_its_mode(tmp_path: Path) -> None:
     path = tmp_path / "register.sqlite3"
     register = Register({}, {"ca": 7}, {})
-    path.write_bytes(register_database.dump(register))
+    path.write_bytes(register_file(register))
     with contextlib.closing(sqlite3.connect(path)) as opened:
         assert opened.execute("PRAGMA journal_mode = wal").fetchone() == ("wal",)
-    assert path.read_bytes() != register_database.dump(register)
-    assert register_database.load(path.read_bytes(), WHERE) == register
+    assert path.read_bytes() != register_file(register)
+    assert loaded_register(path.read_bytes(), WHERE) == register
 
 
 def test_a_later_version() -> None:
     with pytest.raises(KeymintError, match="version 3, expected 2"):
-        register_database.load(changed("PRAGMA user_version = 3"), WHERE)
+        loaded_register(changed("PRAGMA user_version = 3"), WHERE)
 
 
 @given(st.integers(0, len(FILE) - 1), st.integers(1, 255))
@@ -104,4 +103,4 @@ def test_no_byte_makes_it_fail_in_another_way(position: int, difference: int) ->
     damaged = bytearray(FILE)
     damaged[position] ^= difference
     with contextlib.suppress(KeymintError):
-        register_database.load(bytes(damaged), WHERE)
+        loaded_register(bytes(damaged), WHERE)
