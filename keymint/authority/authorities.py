@@ -19,9 +19,8 @@ from keymint.authority.authority_files import AuthorityFiles
 from keymint.errors import ExitCode, KeymintError, known_authority
 from keymint.pki import certificates, keys
 from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed_below, folder_changes, secret_file
-from keymint.workspace import key_record
 from keymint.workspace.session import Inputs, Session
-from keymint.workspace.stored_keys import password
+from keymint.workspace.stored_keys import AUTHORITY_KEYS, password, with_recorded_keys
 
 STAGE = "authorities"
 
@@ -140,7 +139,7 @@ def plan_authorities(session: Session, new: Sequence[str] = ()) -> tuple[Plan, M
     defects.require_none()  # one token may fail several authorities
     fingerprints = {name: certificates.fingerprint(each.certificate) for name, each in minted.items()}
     authority_files.require_own_keys(session, fingerprints)
-    state = key_record.record(session.state, key_record.AUTHORITIES, fingerprints)
+    state = with_recorded_keys(session.state, AUTHORITY_KEYS, fingerprints)
     return Plan(tuple(steps), state, tuple(warnings)), minted
 
 

@@ -23,9 +23,8 @@ from keymint.authority.authorities import (
 from keymint.errors import KeymintError
 from keymint.pki import certificates, distinguished_names, foreign_authorities, keys
 from keymint.store.changes import Action, File, FolderChange, Plan, Step, folder_changes, secret_file
-from keymint.workspace import key_record
 from keymint.workspace.session import Session
-from keymint.workspace.stored_keys import password
+from keymint.workspace.stored_keys import AUTHORITY_KEYS, password, with_recorded_keys
 
 
 def begin_of(now: datetime) -> datetime:
@@ -167,7 +166,7 @@ def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
     changes += folder_changes(session.tree, path.parent, {path.name: File(decided.adopted)})
     files_step = Step(STAGE, name, Action.UPDATED, tuple(changes), "certificate authority")
     fingerprint = keys.fingerprint(public)
-    state = key_record.record(session.state, key_record.AUTHORITIES, {name: fingerprint})
+    state = with_recorded_keys(session.state, AUTHORITY_KEYS, {name: fingerprint})
     return replace(plan, steps=(*plan.steps, *((files_step,) if changes else ())), state=state)
 
 

@@ -18,10 +18,9 @@ from keymint.api import Authority, CertificateSpec, Phase, Rollover
 from keymint.errors import KeymintError
 from keymint.pki import certificates, distinguished_names, keys
 from keymint.view.stamps import digest_files
-from keymint.workspace import key_record
 from keymint.workspace.installed_enclaves import INSTALLED, deployed_authorities
 from keymint.workspace.session import Inputs, Session, once
-from keymint.workspace.stored_keys import load_key, password
+from keymint.workspace.stored_keys import AUTHORITY_KEYS, load_key, password, recorded_key
 
 COST = "no deployed enclave trusts it until all are redeployed"
 """The consequence of a new authority, for messages."""
@@ -103,7 +102,7 @@ def read_files(session: Session, authority: Authority, *, deployed: bool = True)
         key=tree.read(key_path),
         content=content,
         certificate=certificates.certificate_in(content),
-        recorded=key_record.recorded_key(state, key_record.AUTHORITIES, authority.name) if is_trusted else "",
+        recorded=recorded_key(state, AUTHORITY_KEYS, authority.name) if is_trusted else "",
         deployed=functools.partial(deployed_authorities, session) if deployed else tuple,
     )
 
@@ -421,7 +420,7 @@ def require_own_keys(session: Session, fingerprints: Mapping[str, str]) -> None:
     for name, fingerprint in fingerprints.items():
         other = owners.setdefault(fingerprint, name)
         if other != name:
-            stamped = key_record.recorded_key(session.state, key_record.AUTHORITIES, other) == fingerprint
+            stamped = recorded_key(session.state, AUTHORITY_KEYS, other) == fingerprint
             wrong = name if stamped else other
             raise KeymintError(
                 f"the authorities {other!r} and {name!r} have one and the same key",

@@ -34,9 +34,8 @@ from keymint.authority.authority_files import FORMER, NEXT
 from keymint.errors import KeymintError
 from keymint.pki import certificates, extensions, keys
 from keymint.store.changes import Action, File, FolderChange, Plan, Step, secret_file
-from keymint.workspace import key_record
 from keymint.workspace.session import Session
-from keymint.workspace.stored_keys import password
+from keymint.workspace.stored_keys import AUTHORITY_KEYS, password, with_recorded_keys
 
 
 def phase_of(session: Session, name: str) -> Phase | None:
@@ -118,7 +117,7 @@ def plan_switch(session: Session, name: str) -> Plan:
     )
     exchanged = Step(STAGE, name, Action.UPDATED, tuple(each for each in changes if each.files or each.removed), "key")
     fingerprint = certificates.fingerprint(following)
-    state = key_record.record(session.state, key_record.AUTHORITIES, {name: fingerprint})
+    state = with_recorded_keys(session.state, AUTHORITY_KEYS, {name: fingerprint})
     return replace(decided, steps=(exchanged, *decided.steps), state=state)
 
 

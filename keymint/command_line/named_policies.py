@@ -13,8 +13,7 @@ from keymint.api import LoadedPolicy, PolicySource
 from keymint.command_line.options import DEFAULT_DISTRO, PolicyOptions
 from keymint.errors import KeymintError
 from keymint.run.run import Run
-from keymint.workspace.policy_loading import accepted_policy, load_policy
-from keymint.workspace.policy_types import foreign_policy
+from keymint.workspace.policy_loading import accepted_policy, foreign_policy, load_policy
 from keymint.workspace.session import Session
 from keymint.workspace.shipped_profiles import load_with
 from keymint.workspace.workspace import Workspace

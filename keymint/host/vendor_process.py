@@ -8,8 +8,12 @@ import select
 import subprocess
 import tempfile
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import IO, cast
+
+from keymint.api.transports import Availability, Environment
 
 GRACE_SECONDS = 30.0
 """How long an answer may take beyond the time of its command before the process counts as hung."""
@@ -97,3 +101,33 @@ class CommandProcess:
                 stream.close()
             except BrokenPipeError:
                 continue
+
+
+class VendorTransport(ABC):
+    """What such transports have in common; a subclass has the other methods of :class:`keymint.api.Transport`.
+
+    Args:
+        environment: the cache, and the environment variables of processes.
+    """
+
+    def __init__(self, environment: Environment) -> None:
+        self._environment = environment
+
+    def usable(self) -> Availability:
+        """Return whether it can be used here; determined once."""
+        return self._usable
+
+    @cached_property
+    def _usable(self) -> Availability:
+        try:
+            return self._installed()
+        except MissingVendorError as error:
+            return Availability(usable=False, reason=error.reason, help=error.help)
+
+    @abstractmethod
+    def _installed(self) -> Availability:
+        """Look for the vendor's software.
+
+        Raises:
+            MissingVendorError: it is not there, or too old.
+        """

@@ -19,10 +19,9 @@ from keymint.names import subject_of
 from keymint.pki import certificates, keys, public_keys
 from keymint.store.changes import FolderChange, secret_file
 from keymint.view.stamps import digest
-from keymint.workspace import key_record
 from keymint.workspace.installed_enclaves import INSTALLED, KEY, enclave_names, installed_certificate
 from keymint.workspace.session import Inputs, Session
-from keymint.workspace.stored_keys import load_key
+from keymint.workspace.stored_keys import IDENTITY_KEYS, load_key, recorded_key
 
 
 def _remedy(name: str) -> str:
@@ -181,7 +180,7 @@ def known_fingerprint(session: Session, name: str) -> str:
     That is the recorded key, or if the record was lost the key of the installed certificate. Before anything is
     installed the subject has none: the user may replace the minted key with one of their own.
     """
-    recorded = key_record.recorded_key(session.state, key_record.IDENTITIES, name)
+    recorded = recorded_key(session.state, IDENTITY_KEYS, name)
     if recorded and session.state.stamp(INSTALLED, name):
         return recorded
     certificate = installed_certificate(session, name)
@@ -224,7 +223,7 @@ class Keyring:
                 help=_remedy(name),
                 code="key-replaced",
             )
-        if key_record.recorded_key(state, key_record.IDENTITIES, name) != fingerprint:  # so it may not be its own
+        if recorded_key(state, IDENTITY_KEYS, name) != fingerprint:  # so it may not be its own
             for other in self._owners.get(fingerprint, ()):
                 if other != name:
                     raise _shared(session, name, subject_of(other))
@@ -257,7 +256,7 @@ class Keyring:
     @functools.cached_property
     def _owners(self) -> Mapping[str, Sequence[str]]:
         """Packages by the fingerprints of their keys."""
-        recorded = self._session.state.stamps.get(key_record.IDENTITIES, {})
+        recorded = self._session.state.stamps.get(IDENTITY_KEYS, {})
         owners: dict[str, list[str]] = {}
         for name in sorted({*recorded, *enclave_names(self._session)}):
             if name in recorded:

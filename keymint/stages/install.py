@@ -36,7 +36,6 @@ from keymint.stages.shared_install import plan_shared_install
 from keymint.stages.signing import sign
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.view.stamps import Stamp, digest, digest_files
-from keymint.workspace import key_record
 from keymint.workspace.enclave_changes import (
     EnclaveChanges,
     build_types_in_use,
@@ -59,6 +58,7 @@ from keymint.workspace.installed_enclaves import (
 )
 from keymint.workspace.package_build_types import build_types_of, inputs_digest, is_build_current
 from keymint.workspace.session import Inputs, Session
+from keymint.workspace.stored_keys import IDENTITY_KEYS, without_recorded_keys
 
 STAGE = INSTALLED
 
@@ -116,7 +116,7 @@ class InstallStage:
             require_sources(session)
             diagnostics += _still_good(session, removed)
             steps += [removal_step(session, name, changes) for name in removed]
-            state = key_record.forget(state, key_record.IDENTITIES, removed)
+            state = without_recorded_keys(state, IDENTITY_KEYS, removed)
         steps += obsolete_steps(session, copies, steps)
         return Plan(tuple(steps), state, tuple(diagnostics), _register(session, planned))
 

@@ -18,8 +18,8 @@ from keymint.life.register import IssuedCertificate, SignedRights
 from keymint.life.terms import Term
 from keymint.store.changes import Action, Plan, Step
 from keymint.view.stamps import Stamp, State
-from keymint.workspace import key_record
 from keymint.workspace.session import Session
+from keymint.workspace.stored_keys import IDENTITY_KEYS, with_recorded_keys
 
 _T_co = TypeVar("_T_co", covariant=True)
 
@@ -105,7 +105,7 @@ def state_after(state: State, stage: str, planned: Sequence[PackagePlan], remove
     removed = {*removed, *(each.name for each in planned if each.step and each.step.action is Action.REMOVED)}
     state = state.updated(stage, {each.name: each.stamp for each in planned if each.stamp}, removed)
     fingerprints = {each.name: each.fingerprint for each in planned if each.fingerprint}
-    return key_record.record(state, key_record.IDENTITIES, fingerprints)
+    return with_recorded_keys(state, IDENTITY_KEYS, fingerprints)
 
 
 def session_after(session: Session, stage: str, planned: Sequence[PackagePlan]) -> Session:

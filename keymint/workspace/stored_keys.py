@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import TypeVar
 
@@ -12,6 +12,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.api import CertificateSpec
 from keymint.errors import KeymintError
 from keymint.pki import keys
+from keymint.view.stamps import Stamp, State
 from keymint.workspace.session import Inputs
 
 _Key = TypeVar("_Key", bound=keys.PrivateKey | keys.PublicKey)
@@ -97,3 +98,24 @@ def _help(diagnostic: Diagnostic, spec: CertificateSpec, remedy: str) -> str:
     if diagnostic.code == "key-password":
         return f"set {variable} to the password that the file was encrypted with, or {remedy}"
     return diagnostic.help
+
+
+AUTHORITY_KEYS = "authority-keys"
+IDENTITY_KEYS = "identity-keys"
+
+
+def recorded_key(state: State, stage: str, name: str) -> str:
+    """Return the fingerprint of the key that the record has for an authority or a package, or an empty text."""
+    stamp = state.stamp(stage, name)
+    return stamp.inputs if stamp else ""
+
+
+def with_recorded_keys(state: State, stage: str, fingerprints: Mapping[str, str]) -> State:
+    """Return the state with these keys on record; unchanged if they already are."""
+    new = {name: value for name, value in fingerprints.items() if recorded_key(state, stage, name) != value}
+    return state.updated(stage, {name: Stamp(value, {}) for name, value in new.items()}) if new else state
+
+
+def without_recorded_keys(state: State, stage: str, names: tuple[str, ...]) -> State:
+    """Return the state without the keys of these authorities or packages."""
+    return state.updated(stage, {}, names) if any(recorded_key(state, stage, name) for name in names) else state

@@ -14,7 +14,7 @@ from keymint.command_line.options import PolicyOptions
 from keymint.run.run import Run
 from keymint.stages.proof.proof_diagnostics import effort_of
 from keymint.stages.workspace_start import policy_path
-from keymint.workspace.policy_types import foreign_policy
+from keymint.workspace.policy_loading import foreign_policy
 from keymint.workspace.workspace import Workspace
 
 STATES = 50_000

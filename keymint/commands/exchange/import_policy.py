@@ -22,7 +22,7 @@ from keymint.examine.nodes import node_notes
 from keymint.output.report import Report
 from keymint.run.run import Run
 from keymint.stages.proof.proof_diagnostics import STATES, effort_of
-from keymint.workspace.policy_types import foreign_policy
+from keymint.workspace.policy_loading import foreign_policy
 
 
 @verb(workspace=False, dry_run=True, name="import")

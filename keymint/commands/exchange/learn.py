@@ -25,7 +25,7 @@ from keymint.commands.exchange.learn_keystore import from_keystore, refuse_repla
 from keymint.errors import KeymintError, usage_error
 from keymint.output.report import Report, findings_if
 from keymint.run.run import Run
-from keymint.workspace.policy_types import foreign_policy
+from keymint.workspace.policy_loading import foreign_policy
 
 
 @verb(workspace=False, dry_run=True)

@@ -30,7 +30,7 @@ from keymint.run.run import Run
 from keymint.stages.work import Work
 from keymint.stages.workspace_start import plan_init, policy_path, refuse_unsupported
 from keymint.store.changes import Action, Plan, Step
-from keymint.workspace.policy_types import foreign_policy
+from keymint.workspace.policy_loading import foreign_policy
 from keymint.workspace.session import Inputs
 from keymint.workspace.workspace import PROFILE_MARKER, Workspace
 

@@ -23,7 +23,7 @@ from keymint.output.report import Report, findings_if
 from keymint.output.unified_diff import file_diff, first_difference
 from keymint.run.run import Run
 from keymint.view.tree import MAX_FILE
-from keymint.workspace.policy_types import foreign_policy
+from keymint.workspace.policy_loading import foreign_policy
 from keymint.workspace.workspace import Workspace
 
 _STANDARD = Path("-")

@@ -10,8 +10,7 @@ from typing import ClassVar
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.api.graph import Column, Edge
 from keymint.errors import KeymintError
-from keymint.host.vendor_process import MissingVendorError
-from keymint.host.vendor_transports import VendorTransport
+from keymint.host.vendor_process import MissingVendorError, VendorTransport
 from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, FASTDDS_3_3, Variation
 from keymint_ros2_dds.transports import admission, enclave_files
 from keymint_ros2_dds.transports.admission import Opener

@@ -11,8 +11,7 @@ from comarmor.regex import lazy_regex
 from keymint.api import Availability, Enclave, Tier, Verdict
 from keymint.api.graph import Edge
 from keymint.errors import KeymintError
-from keymint.host.vendor_process import MissingVendorError, ProcessDiedError, ProcessFailedError
-from keymint.host.vendor_transports import VendorTransport
+from keymint.host.vendor_process import MissingVendorError, ProcessDiedError, ProcessFailedError, VendorTransport
 from keymint_ros2_dds.decision import of_version
 from keymint_ros2_dds.lowering.endpoints import endpoints, meanings
 from keymint_ros2_dds.lowering.name_mapping import DISTROS

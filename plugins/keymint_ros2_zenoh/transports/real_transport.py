@@ -22,7 +22,7 @@ from itertools import chain, groupby
 from comarmor.values import dataclass
 from keymint.api import Availability, Enclave, Tier, Verdict
 from keymint.api.graph import Edge
-from keymint.host.vendor_transports import VendorTransport
+from keymint.host.vendor_process import VendorTransport
 from keymint_ros2_zenoh.lowering.permissions import CALL, OTHER_END, PUBLISH, SUBSCRIBE, Operation
 from keymint_ros2_zenoh.transports.enclave_model import NAMELESS, InstalledModels, ZenohEnclaveModel
 from keymint_ros2_zenoh.transports.logged_decisions import (
