@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from keymint.errors import KeymintError
 from keymint.run.workers import Workers
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.store.journal import Intent
-from keymint.store.staged import Staged
+from keymint.store.staged import Exchange
 from keymint.store.store import Store
 from keymint.store.workspace_lock import clock
 from keymint.view.stamps import State
@@ -95,19 +95,18 @@ def require_register(plan: Plan, workspace: Workspace, tree: Tree) -> None:
             )
 
 
-def _staged(plan: Plan, record: FolderChange, store: Store, workers: Workers) -> list[Staged]:
+def _staged(plan: Plan, record: FolderChange, store: Store, workers: Workers) -> Sequence[Exchange]:
     """Stage a plan and its record. What other processes hold comes before what is removed."""
     if not any(change.held for change in plan.changes()):
-        return [store.stage((*plan.changes(), record))]
+        return store.stage((*plan.changes(), record))
     removals = Plan(tuple(step for step in plan.steps if step.action is Action.REMOVED), plan.state)
     others = replace(plan, steps=tuple(step for step in plan.steps if step.action is not Action.REMOVED))
-    staged: list[Staged] = []
+    staged: list[Exchange] = []
     try:
-        staged.append(store.stage(others.changes()))
+        staged += store.stage(others.changes())
         staged += workers.stage(store)
-        staged.append(store.stage((*removals.changes(), record)))
+        staged += store.stage((*removals.changes(), record))
     except BaseException:
-        for each in staged:
-            store.discard(each)
+        store.discard(staged)
         raise
     return staged

@@ -24,7 +24,7 @@ from keymint.errors import KeymintError, process_ended
 from keymint.host.streams_and_signals import held_signals
 from keymint.stages.package_stage import PackagePlan, PackageStage, session_after
 from keymint.store.changes import Action, FolderChange
-from keymint.store.staged import Staged
+from keymint.store.staged import Exchange
 from keymint.store.store import Store
 from keymint.workspace.package_build_types import may_share
 from keymint.workspace.session import Session
@@ -101,7 +101,7 @@ class Workers:
             return [stage.package(name) for name in names]
         return [each for pipe in self._pipes for each in _answer(pipe)]
 
-    def stage(self, store: Store) -> list[Staged]:
+    def stage(self, store: Store) -> list[Exchange]:
         """Let the processes stage what they planned, and return it in the order of stages.
 
         Args:
@@ -113,7 +113,7 @@ class Workers:
         for pipe in self._pipes:
             with contextlib.suppress(OSError):  # the process ended, which its missing answer tells
                 pipe.send(None)
-        by_process: list[list[Staged]] = []
+        by_process: list[list[Sequence[Exchange]]] = []
         errors: list[KeymintError] = []
         for pipe in self._pipes:
             try:
@@ -124,7 +124,7 @@ class Workers:
             for staged in itertools.chain(*by_process):
                 store.discard(staged)
             raise errors[0]
-        return list(itertools.chain(*zip(*by_process, strict=True)))
+        return [each for of_stage in zip(*by_process, strict=True) for staged in of_stage for each in staged]
 
     def give_up(self) -> None:
         """End all processes, and start no others: the caller's process plans everything."""

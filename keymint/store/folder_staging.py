@@ -25,6 +25,7 @@ from keymint.store.file_writing import (
     create,
     give,
     is_temporary,
+    mount_of,
     opened_folder,
     reported,
     require_regular,
@@ -214,15 +215,6 @@ def _copy_attributes(old: int, new: int) -> None:
         for name in names:
             with contextlib.suppress(OSError):
                 os.setxattr(new, name, os.getxattr(old, name))
-
-
-def mount_of(opened: int) -> str:
-    """Return an identifier of the mount of an open folder; one file system may be mounted more than once."""
-    with contextlib.suppress(OSError), open(f"/proc/self/fdinfo/{opened}", encoding="ascii") as info:  # noqa: PTH123
-        for line in info:
-            if line.startswith("mnt_id:"):
-                return line
-    return str(os.fstat(opened).st_dev)
 
 
 def refuse_mount(shown: str) -> NoReturn:

@@ -14,37 +14,47 @@ import os
 import stat
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from keymint.store import folder_swap
-from keymint.store.file_writing import SUFFIX, is_temporary, opened_folder, reported, temporary
+from keymint.store.file_writing import (
+    FEW,
+    SUFFIX,
+    UNABLE,
+    exchange_names,
+    is_temporary,
+    opened_folder,
+    reported,
+    sync_file_system,
+    sync_tree,
+    temporary,
+)
 from keymint.store.folder_staging import NOT_EMPTY
 from keymint.store.open_folders import OpenFolders, Roots, close_to_others
-from keymint.store.staged import Exchange, Staged, remove_staged
-from keymint.store.syncing import FEW, sync_file_system, sync_tree
+from keymint.store.staged import Exchange, remove_staged
 
 WAITING = ".next"
 """Suffix of the name of a complete new folder whose place is being cleared."""
 
 
-def commit(roots: Roots, staged: Sequence[Staged], ready: Callable[[tuple[Exchange, ...]], None] | None = None) -> None:
+def commit(
+    roots: Roots, exchanges: Sequence[Exchange], ready: Callable[[tuple[Exchange, ...]], None] | None = None
+) -> None:
     """Make staged changes visible, in order.
 
     Args:
         roots: the roots of the store.
-        staged: what was staged, by this process or by others.
+        exchanges: the names that change, in order, by what this process or others staged.
         ready: records the names that change, in order, once all of it is durable and before anything is visible.
 
     Raises:
         KeymintError: the system refuses. What is not visible yet is removed, unless it was recorded: then the next run
             finishes it. If it could not be synchronised, nothing became visible.
     """
-    exchanges = [exchange for each in staged for exchange in each.exchanges]
     inner = _inside_replaced(exchanges)
     groups = _in_order(_outer_first(exchanges, inner), roots)
     recorded = False
     old: list[tuple[Exchange, str]] = []
     with OpenFolders(roots, create=False) as folders:
         try:
-            _sync(exchanges, folders, sum(each.size for each in staged), staged=True)
+            _sync(exchanges, folders, sum(each.size for each in exchanges), staged=True)
             if ready is not None:
                 # Their temporary names must be durable as well, since the next run looks for them.
                 _sync(exchanges, folders, len({each.folder for each in exchanges}), staged=False)
@@ -141,9 +151,9 @@ def _replace_folder(parent: int, exchange: Exchange, staged: str) -> str | None:
     waiting = waiting_name(staged)
     if staged != waiting:
         try:
-            folder_swap.exchange(parent, staged, exchange.name)
+            exchange_names(parent, staged, exchange.name)
         except OSError as error:
-            if error.errno not in folder_swap.UNABLE:
+            if error.errno not in UNABLE:
                 raise
         else:
             return staged
@@ -246,7 +256,7 @@ def _inside_replaced(exchanges: Iterable[Exchange]) -> dict[str, list[Exchange]]
     return inside
 
 
-def _outer_first(exchanges: list[Exchange], inner: Mapping[str, Sequence[Exchange]]) -> list[Exchange]:
+def _outer_first(exchanges: Sequence[Exchange], inner: Mapping[str, Sequence[Exchange]]) -> Sequence[Exchange]:
     """Return exchanges in order, but that of a folder before those inside of it."""
     if not inner:
         return exchanges

@@ -22,7 +22,7 @@ from keymint.names import subject_list
 from keymint.store.file_writing import check_component, is_temporary
 from keymint.store.group_commit import commit, waiting_name
 from keymint.store.open_folders import OpenFolders, Roots
-from keymint.store.staged import Exchange, Staged
+from keymint.store.staged import Exchange
 from keymint.view.stamps import digest, sealed_document, unsealed_document
 
 MARK = "running"
@@ -170,12 +170,12 @@ def recover(journal: Journal, roots: Roots) -> Journal:
     exchanges = journal.exchanges
     for exchange in exchanges:
         if waiting := _waiting(exchange):  # it may be the only complete copy
-            commit(roots, [Staged((replace(exchange, staged=waiting),))], lambda _: None)
+            commit(roots, [replace(exchange, staged=waiting)], lambda _: None)
     finished = journal.finished or not (all(map(_is_pending, exchanges)) or any(map(_is_lost, exchanges)))
     if finished:
         for exchange in exchanges:
             if _is_pending(exchange):  # asked late, since one may contain another one
-                commit(roots, [Staged((exchange,))], lambda _: None)
+                commit(roots, [exchange], lambda _: None)
         synced: set[str] = set()
         with OpenFolders(roots, create=False) as folders:
             for folder in {each.folder for each in exchanges if os.path.isdir(each.folder)}:

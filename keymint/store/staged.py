@@ -11,7 +11,7 @@ import contextlib
 import os
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import field, replace
+from dataclasses import field
 
 from comarmor.values import dataclass
 from keymint.store.changes import File, FolderChange
@@ -19,13 +19,14 @@ from keymint.store.file_writing import (
     FOLDER,
     check_component,
     create,
+    mount_of,
     opened_folder,
     refuse,
     reported,
     require_regular,
     temporary,
 )
-from keymint.store.folder_staging import FolderContent, add, mount_of, refuse_mount, stage
+from keymint.store.folder_staging import FolderContent, add, refuse_mount, stage
 from keymint.store.open_folders import OpenFolders, Roots, close_to_others
 
 
@@ -42,6 +43,7 @@ class Exchange:
         replaces: it is the name of a folder that is replaced or removed.
         changed: the files that change in that folder and below it, each with its new digest, or None if it is removed.
         carried: the inode of each file in that folder or below it that its replacement has as well, by its path.
+        size: number of files that were written for it.
     """
 
     order: int
@@ -52,18 +54,6 @@ class Exchange:
     replaces: bool = False
     changed: Mapping[str, str | None] = field(default_factory=dict)
     carried: Mapping[str, int] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class Staged:
-    """Changes that were staged.
-
-    Attributes:
-        exchanges: the names that change, in order.
-        size: number of files that were written.
-    """
-
-    exchanges: tuple[Exchange, ...] = ()
     size: int = 0
 
 
@@ -82,17 +72,15 @@ class Staging:
         self._checked: set[str] = set()
         self._exchanges: list[Exchange] = []
 
-    def stage(self, changes: Iterable[FolderChange]) -> Staged:
-        """Stage changes; all of them are checked before the first one is staged.
+    def stage(self, changes: Iterable[FolderChange]) -> tuple[Exchange, ...]:
+        """Return the names that staged changes exchange, in order; all are checked before the first one is staged.
 
         Raises:
             KeymintError: a path is not below a root, a symbolic link is in the way, or the system refuses. Then nothing
                 is left behind.
         """
-        size = 0
         for order, change in enumerate(changes):
             self._add(order, change)
-            size += len(change.files)
         with OpenFolders(self._roots) as folders:
             try:
                 for root, tree in self._trees.items():
@@ -104,7 +92,7 @@ class Staging:
             except BaseException:
                 remove_staged(self._exchanges, folders)
                 raise
-        return Staged(tuple(sorted(self._exchanges, key=lambda each: each.order)), size)
+        return tuple(sorted(self._exchanges, key=lambda each: each.order))
 
     # -- what changes --------------------------------------------------------------------------------------------
 
@@ -149,7 +137,8 @@ class Staging:
                 old = os.open(name, FOLDER, dir_fd=opened)
             except FileNotFoundError:
                 if inner.writes():
-                    with self._temporary(inner.order, opened, shown, name) as staged:
+                    written = sum(value is not None for _, value in inner.changed())
+                    with self._staging(opened, Exchange(inner.order, shown, name, temporary(), size=written)) as staged:
                         add(opened, staged, f"{shown}/{name}", inner)
                 continue
             except OSError as error:
@@ -174,10 +163,12 @@ class Staging:
                 if mount_of(old) != mount_of(parent):
                     refuse_mount(shown)
                 carried: dict[str, int] = {}
-                with self._temporary(content.order, parent, around, name) as staged:
+                exchange = Exchange(
+                    content.order, around, name, temporary(),
+                    replaces=True, changed=dict(content.changed()), carried=carried, size=len(changing),
+                )  # fmt: skip
+                with self._staging(parent, exchange) as staged:
                     stage(old, parent, staged, shown, content, carried)
-            new = dict(content.changed())
-            self._exchanges[-1] = replace(self._exchanges[-1], replaces=True, changed=new, carried=carried)
             return
         if content.private:
             with reported(shown):
@@ -201,19 +192,19 @@ class Staging:
             self._exchanges.append(Exchange(order, shown, name, None, file=True))
             return
         replaced = require_regular(folder, shown, name, or_link=file.replaces_link) or os.fstat(folder)
-        with self._temporary(order, folder, shown, name, file=True) as staged:
+        with self._staging(folder, Exchange(order, shown, name, temporary(), file=True, size=1)) as staged:
             create(folder, shown, staged, file, (replaced.st_uid, replaced.st_gid))
 
     @contextlib.contextmanager
-    def _temporary(self, order: int, folder: int, shown: str, name: str, *, file: bool = False) -> Iterator[str]:
-        """Yield the temporary name of what is staged for a name; it is removed again after an error."""
-        staged = temporary()
+    def _staging(self, folder: int, exchange: Exchange) -> Iterator[str]:
+        """Yield the temporary name of what is staged for an exchange; it is removed again after an error."""
+        staged = str(exchange.staged)
         try:
             yield staged
         except BaseException:
             remove(folder, staged)
             raise
-        self._exchanges.append(Exchange(order, shown, name, staged, file))
+        self._exchanges.append(exchange)
 
 
 def _is_emptied(old: int, content: FolderContent) -> bool:

@@ -5,7 +5,7 @@
 * Changes are staged under temporary names, and committed together: nothing is visible before all of it is written and
   synchronised. See :mod:`keymint.store.staged` and :mod:`keymint.store.group_commit`.
 * A new folder appears complete. A folder in which several files change is swapped in one step; see
-  :mod:`keymint.store.folder_staging` and :mod:`keymint.store.folder_swap`.
+  :mod:`keymint.store.folder_staging` and :mod:`keymint.store.file_writing`.
 * A secret is 0600 from its first byte and its folder 0700, whatever the umask.
 * What a killed run made visible in part, the next run finishes; the rest of it is removed. See
   :mod:`keymint.store.journal`.
@@ -27,7 +27,7 @@ from keymint.store.file_writing import is_temporary, reported
 from keymint.store.group_commit import commit
 from keymint.store.journal import Intent, Journal
 from keymint.store.open_folders import OpenFolders, Roots
-from keymint.store.staged import Exchange, Staged, Staging, remove_staged
+from keymint.store.staged import Exchange, Staging, remove_staged
 from keymint.store.workspace_lock import LOCK, folder_lock, wait_for_lock
 from keymint.view.stamps import MAX_RECORD
 from keymint.view.tree import read_file
@@ -149,7 +149,7 @@ class Store:
 
     # -- writing -------------------------------------------------------------------------------------------------
 
-    def stage(self, changes: Iterable[FolderChange]) -> Staged:
+    def stage(self, changes: Iterable[FolderChange]) -> tuple[Exchange, ...]:
         """Write changes beside their places, so that nothing of them is visible yet.
 
         Several processes may stage at the same time, if none of their changes is in a folder of another's.
@@ -168,7 +168,7 @@ class Store:
         """
         return Staging(self._roots).stage(changes)
 
-    def commit(self, staged: Sequence[Staged]) -> None:
+    def commit(self, staged: Sequence[Exchange]) -> None:
         """Make staged changes visible and durable, in order; see :mod:`keymint.store.group_commit`.
 
         After :meth:`begin`, the next run finishes them if this one is killed or refused on the way.
@@ -184,14 +184,14 @@ class Store:
 
         commit(self._roots, staged, ready if begun else None)
 
-    def discard(self, staged: Staged) -> None:
+    def discard(self, staged: Iterable[Exchange]) -> None:
         """Remove what was staged."""
         with OpenFolders(self._roots, create=False) as folders:
-            remove_staged(staged.exchanges, folders)
+            remove_staged(staged, folders)
 
     def change(self, changes: Iterable[FolderChange]) -> None:
         """Write and remove files; see :meth:`stage` and :meth:`commit`."""
-        commit(self._roots, [self.stage(changes)])
+        commit(self._roots, self.stage(changes))
 
     def write(self, folder: Path, files: Mapping[str, File], *, private: bool = False) -> None:
         """Write files into a folder, all in one step; see :meth:`change`."""

@@ -25,7 +25,7 @@ import traceback
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from keymint.store import folder_swap
+from keymint.store.file_writing import exchange_names
 
 _NOWHERE = "/nonexistent/robustness"
 _PATIENCE = 60
@@ -38,7 +38,7 @@ def _unlink_at() -> None:
 
 def _exchange() -> None:
     with contextlib.suppress(OSError):
-        folder_swap.exchange(_FOLDER, "robustness", "robustness")
+        exchange_names(_FOLDER, "robustness", "robustness")
 
 
 _FOLDER = os.open("/proc/self", os.O_RDONLY | os.O_DIRECTORY)

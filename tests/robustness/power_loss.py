@@ -27,7 +27,7 @@ from typing import Any
 
 import pytest
 
-from keymint.store import folder_swap, group_commit
+from keymint.store import group_commit
 
 Entry = tuple[int, str]
 """A name in a folder."""
@@ -121,7 +121,9 @@ class Recorder:
         with pytest.MonkeyPatch.context() as patch:
             for call in ("open", "write", "mkdir", "rename", "link", "unlink", "rmdir", "fsync", "fchmod", "chmod"):
                 patch.setattr(os, call, functools.partial(getattr(self, f"_{call}"), getattr(os, call)))
-            patch.setattr(folder_swap, "exchange", functools.partial(self._exchange, folder_swap.exchange))
+            patch.setattr(
+                group_commit, "exchange_names", functools.partial(self._exchange, group_commit.exchange_names)
+            )
             whole = functools.partial(self._syncfs, group_commit.sync_file_system)
             patch.setattr(group_commit, "sync_file_system", whole)
             yield self.recording

@@ -17,7 +17,7 @@ import pytest
 from comarmor.errors import Origin
 from keymint.pki import keys
 from keymint.robots import bundle, certification_request
-from keymint.store.staged import Staged
+from keymint.store.staged import Exchange
 from keymint.store.store import Store
 from tests.effort import tries
 
@@ -146,10 +146,10 @@ def test_the_model_finds_a_key_that_is_removed_too_early(
     (memory / "policy.xml").write_text(policy("/robot/talker"))
     assert keymint("provision", memory / "policy.xml", "-w", memory / "ws").code == 0
     trust = sign(memory, robot, keymint)
-    enclave: list[Sequence[Staged]] = []
+    enclave: list[Sequence[Exchange]] = []
     commit = Store.commit
 
-    def other_way_round(self: Store, staged: Sequence[Staged]) -> None:
+    def other_way_round(self: Store, staged: Sequence[Exchange]) -> None:
         if enclave:
             commit(self, staged)
             commit(self, enclave[0])

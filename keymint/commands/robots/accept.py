@@ -70,9 +70,9 @@ def accept(run: Run, files: tuple[Path, ...], folder: Path | None, fingerprints:
             taken = [_taken(run, there, file, each, owner) for file, each in read]
             answered = [there.forget(each.bundle.manifest.name) for each in taken if each.acceptance.answered]
             store.begin(run.intent())
-            store.commit([store.stage(change for each in taken for change in each.step.changes)])
+            store.commit(store.stage(change for each in taken for change in each.step.changes))
             # A key must be in its enclave, durably, before it is removed here.
-            store.commit([store.stage(answered)])
+            store.commit(store.stage(answered))
     restart = [each.bundle.manifest.enclave for each in taken if each.step.writes()]
     if not run.dry_run:
         run.console.lines(f"restart the processes of {each}: they read their files when they start" for each in restart)

@@ -88,7 +88,7 @@ def request(
             made = _made(run, there, keystore, name, rekey=rekey, kind=kind)
             content = made.request
             store.begin(run.intent())
-            store.commit([store.stage([there.wait(name, content, made.new_key)])])
+            store.commit(store.stage([there.wait(name, content, made.new_key)]))
             there = keystore.read()
         elif rekey and not uri and (waiting := there.pending(name)) is not None and not waiting.key:
             raise KeymintError(

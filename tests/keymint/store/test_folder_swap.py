@@ -21,10 +21,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from keymint.errors import KeymintError
-from keymint.store import folder_swap
+from keymint.store import group_commit
 from keymint.store.changes import File, FolderChange
 from keymint.store.journal import Intent
-from keymint.store.staged import Staged
+from keymint.store.staged import Exchange
 from keymint.store.store import Store
 
 Folders = dict[str, dict[str, bytes]]
@@ -97,7 +97,7 @@ class Watched:
         with pytest.MonkeyPatch.context() as patch:
             for name in MUTATORS:
                 patch.setattr(os, name, self._wrapped(getattr(os, name)))
-            patch.setattr(folder_swap, "exchange", self._wrapped(self._exchange(folder_swap.exchange)))
+            patch.setattr(group_commit, "exchange_names", self._wrapped(self._exchange(group_commit.exchange_names)))
             patch.setattr(os, "rename", self._rename(os.rename))
             yield
 
@@ -183,7 +183,7 @@ def test_every_folder_is_wholly_old_or_wholly_new_and_a_kill_loses_nothing(
             store = store_at(root)
             store.begin(Intent())
             with contextlib.suppress(KilledError), watched.patched():
-                store.commit([store.stage(changes_of(top, edits))])
+                store.commit(store.stage(changes_of(top, edits)))
                 store.end()
             if kill == -1:
                 assert visible(top) == new
@@ -313,9 +313,9 @@ def test_folders_that_change_together_change_in_one_exchange(root: Path, enclave
     for name in ("a", "b", "c/d"):
         store_at(root).write(enclave / name, NEW)
     count = []
-    real = folder_swap.exchange
+    real = group_commit.exchange_names
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(folder_swap, "exchange", lambda *arguments: (count.append(arguments), real(*arguments)))
+        patch.setattr(group_commit, "exchange_names", lambda *arguments: (count.append(arguments), real(*arguments)))
         names = ("c/d", "", "a", "b", "talker")
         store_at(root).change([FolderChange(enclave / name, NEW) for name in names])
     assert len(count) == 1
@@ -330,7 +330,7 @@ def test_a_single_file_is_replaced_where_it_is(root: Path, enclave: Path) -> Non
 
 
 def test_what_somebody_adds_at_the_last_moment_is_not_lost(root: Path, enclave: Path) -> None:
-    real = folder_swap.exchange
+    real = group_commit.exchange_names
 
     def late(*arguments: Any) -> None:
         (enclave / "late.pem").write_bytes(b"late")
@@ -341,7 +341,7 @@ def test_what_somebody_adds_at_the_last_moment_is_not_lost(root: Path, enclave: 
         real(*arguments)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(folder_swap, "exchange", late)
+        patch.setattr(group_commit, "exchange_names", late)
         store_at(root).write(enclave, NEW)
     assert (enclave / "late.pem").read_bytes() == b"late"
     assert (enclave / "talker" / "late" / "x").read_bytes() == b"late"
@@ -438,7 +438,7 @@ def test_on_overlayfs_a_kill_loses_nothing(overlay: Path, at: int) -> None:
     new = {**old, "robot": {name: file.content for name, file in NEW.items()} | {"crl.pem": b"a user's"}}
     store.begin(Intent())
     with contextlib.suppress(KilledError), Watched(at).patched():
-        store.commit([store.stage([FolderChange(overlay / "install" / "robot", NEW)])])
+        store.commit(store.stage([FolderChange(overlay / "install" / "robot", NEW)]))
     store_at(overlay).recover()
     assert visible(overlay / "install") in (old, new)
     assert left_behind(overlay) == []
@@ -540,7 +540,7 @@ def test_the_library_has_the_call(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
         (tmp_path / name / name).touch()
     opened = os.open(tmp_path, os.O_RDONLY | os.O_DIRECTORY)
-    folder_swap.exchange(opened, "a", "b")
+    group_commit.exchange_names(opened, "a", "b")
     os.close(opened)
     assert [path.name for path in (tmp_path / "a").iterdir()] == ["b"]
     shutil.rmtree(tmp_path / "a")
@@ -571,10 +571,10 @@ def test_a_kill_loses_nothing_of_what_processes_staged_inside_of_each_other(tmp_
         "robot/in": {"a": b"new"},
     }
 
-    def staged(store: Store, top: Path) -> list[Staged]:
-        return [
-            store.stage([FolderChange(top / path, {"a": File(b"new"), "b": File(b"new")})]) for path in ("", "robot")
-        ] + [store.stage([FolderChange(top / "robot/in", {"a": File(b"new")})])]
+    def staged(store: Store, top: Path) -> list[Exchange]:
+        edits = (("", ("a", "b")), ("robot", ("a", "b")), ("robot/in", ("a",)))
+        changes = (FolderChange(top / path, {name: File(b"new") for name in names}) for path, names in edits)
+        return [exchange for change in changes for exchange in store.stage([change])]
 
     seen = set()
     for kill in range(200):

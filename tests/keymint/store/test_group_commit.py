@@ -16,9 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from keymint.errors import KeymintError
-from keymint.store import group_commit, syncing
+from keymint.store import file_writing, group_commit
 from keymint.store.changes import File, FolderChange
-from keymint.store.staged import Staged
+from keymint.store.staged import Exchange
 from keymint.store.store import Store
 from tests.effort import tries
 
@@ -42,7 +42,7 @@ def test_what_is_staged_is_invisible_until_it_is_committed(root: Path, store: St
     staged = store.stage([*changes(root, "old", "new"), FolderChange(root / "private", {"key.pem": SECRET})])
     assert files(root) == before
     assert len(files(root, temporary=True)) == len(before) + 5
-    store.commit([staged])
+    store.commit(staged)
     assert files(root, temporary=True) == {
         *(f"install/enclaves/{name}/{file}" for name in ("old", "new") for file in ENCLAVE),
         "private/key.pem",
@@ -57,7 +57,7 @@ def test_what_is_discarded_leaves_nothing(root: Path, store: Store) -> None:
     assert files(root, temporary=True) == before
     store.discard(staged)
     with pytest.raises(KeymintError, match="No such file"):
-        store.commit([staged])
+        store.commit(staged)
     assert files(root, temporary=True) == before
 
 
@@ -70,12 +70,12 @@ def test_processes_stage_and_one_commits(root: Path, store: Store, together: boo
     if not together:
         (root / "install" / "enclaves").mkdir(parents=True)
     fork = multiprocessing.get_context("fork")
-    staged: list[Staged] = []
+    staged: list[Exchange] = []
     for number in range(3):
         receiving, sending = fork.Pipe(duplex=False)
         process = fork.Process(target=_stage, args=(store, changes(root, f"{number}/a", f"{number}/b"), sending))
         process.start()
-        staged.append(pickle.loads(receiving.recv_bytes()))
+        staged += pickle.loads(receiving.recv_bytes())
         process.join()
     assert files(root) == set()
     store.commit(staged)
@@ -85,7 +85,10 @@ def test_processes_stage_and_one_commits(root: Path, store: Store, together: boo
 
 def test_a_merged_folder_is_closed_if_one_of_both_is_private(root: Path, store: Store) -> None:
     folder = root / "install" / "a"
-    staged = [store.stage([FolderChange(folder, {name: file})]) for name, file in (("one", PUBLIC), ("two", SECRET))]
+    staged = [
+        *store.stage([FolderChange(folder, {"one": PUBLIC})]),
+        *store.stage([FolderChange(folder, {"two": SECRET})]),
+    ]
     store.commit(staged)
     assert {path.name for path in folder.iterdir()} == {"one", "two"}
     assert folder.stat().st_mode & 0o777 == 0o700
@@ -97,7 +100,7 @@ def test_what_another_process_staged_inside_a_replaced_folder_moves_along(
     root: Path, store: Store, first: bool, unable: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if unable:
-        monkeypatch.setattr("keymint.store.folder_swap.exchange", refuse(unable))
+        monkeypatch.setattr("keymint.store.group_commit.exchange_names", refuse(unable))
     store.change([*changes(root, "robot", "other"), FolderChange(root / "install" / "enclaves", {"g.xml": PUBLIC})])
     shared = FolderChange(root / "install" / "enclaves", {"g.xml": File(b"new"), "g.p7s": File(b"new")})
     inner = [
@@ -106,7 +109,7 @@ def test_what_another_process_staged_inside_a_replaced_folder_moves_along(
         *changes(root, "more"),
     ]
     staged = {number: store.stage(listed) for number, listed in (((0, [shared]), (1, inner))[:: 1 if first else -1])}
-    store.commit([staged[0], staged[1]])
+    store.commit((*staged[0], *staged[1]))
     top = root / "install" / "enclaves"
     assert files(root, temporary=True) == {
         *(f"install/enclaves/{name}/{file}" for name in ("robot", "other", "more") for file in ENCLAVE),
@@ -124,7 +127,7 @@ def test_files_of_a_folder_are_removed_while_another_process_changes_what_is_ins
         FolderChange(top / "talker", {name: File(b"new") for name in ENCLAVE}),
         *changes(root, "robot/more"),
     ]
-    staged = [store.stage(inner), store.stage([FolderChange(top, removed=tuple(ENCLAVE))])]
+    staged = (*store.stage(inner), *store.stage([FolderChange(top, removed=tuple(ENCLAVE))]))
     inode = (top / "talker").stat().st_ino
     store.commit(staged)
     assert files(root, temporary=True) == {
@@ -152,8 +155,8 @@ def test_if_synchronising_fails_nothing_becomes_visible(
         monkeypatch.setattr(os, "fsync", refuse(number))
     else:
         monkeypatch.setattr(group_commit, "FEW", -1)
-        monkeypatch.setattr(syncing, "_kind_of", lambda _: "ext4")
-        monkeypatch.setattr(syncing, "_syncfs", lambda: lambda _: set_error(number))
+        monkeypatch.setattr(file_writing, "_kind_of", lambda _: "ext4")
+        monkeypatch.setattr(file_writing, "_syncfs", lambda: lambda _: set_error(number))
     with pytest.raises(KeymintError) as caught:
         store.change([FolderChange(root / "install" / "enclaves" / name, {"a": PUBLIC, "b": PUBLIC}) for name in "xy"])
     assert os.strerror(number) in str(caught.value)
@@ -162,7 +165,7 @@ def test_if_synchronising_fails_nothing_becomes_visible(
 
 
 def set_error(number: int) -> int:
-    syncing.ctypes.set_errno(number)
+    file_writing.ctypes.set_errno(number)
     return -1
 
 
@@ -230,7 +233,7 @@ def test_a_file_that_someone_adds_to_a_removed_folder_stays(
     top = root / "install" / "enclaves" / "a"
     staged = store.stage([FolderChange(top / name, {}, tuple(ENCLAVE)) for name in ("", "inner")])
     (top / "inner" / "late.pem").write_bytes(b"late")
-    store.commit([staged])
+    store.commit(staged)
     assert files(root, temporary=True) == {"install/enclaves/a/inner/late.pem"}
     assert {path.name for path in (root / "install" / "enclaves").iterdir()} == {"a"}
 
@@ -252,6 +255,6 @@ def test_one_group_or_several_lead_to_the_same_files(
         # Members below one top namespace stay together.
         tops = sorted({name.split("/")[0] for name in written})
         groups = [changes(root, *(name for name in sorted(written) if name.split("/")[0] == top)) for top in tops]
-    store.commit([store.stage(group) for group in groups])
+    store.commit([exchange for group in groups for exchange in store.stage(group)])
     expected = {f"install/enclaves/{name}/{file}" for name in before | written for file in ENCLAVE}
     assert files(root, temporary=True) == expected

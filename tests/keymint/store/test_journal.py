@@ -63,7 +63,7 @@ def stopped(root: Path, monkeypatch: pytest.MonkeyPatch, at: int, *, again: bool
             FolderChange(root / "src/a", {"x": File(b"new"), "y": File(b"new")}, ("gone",)),
             FolderChange(root / "src/c", removed=("z",)),
         )
-        store.commit([store.stage(changes)])
+        store.commit(store.stage(changes))
 
 
 @pytest.mark.parametrize("at", range(4))
@@ -119,7 +119,7 @@ def test_what_was_staged_and_is_lost_is_dropped_with_the_rest(root: Path, monkey
     staged = store.stage(new)
     monkeypatch.setattr(group_commit, "make_visible", stopping)
     with pytest.raises(KeyboardInterrupt):
-        store.commit([staged])
+        store.commit(staged)
     monkeypatch.undo()
     (new_folder,) = (root / "src").glob(".keymint-*")  # a workspace that shares the folder swept it away
     shutil.rmtree(new_folder)

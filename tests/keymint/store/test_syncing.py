@@ -13,9 +13,8 @@ from typing import Any
 
 import pytest
 
-from keymint.store import syncing
-from keymint.store.file_writing import FOLDER
-from keymint.store.syncing import sync_file_system, sync_tree
+from keymint.store import file_writing
+from keymint.store.file_writing import FOLDER, sync_file_system, sync_tree
 
 
 @pytest.fixture
@@ -34,7 +33,7 @@ def called(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         calls.append(opened)
         return 0
 
-    monkeypatch.setattr(syncing, "_syncfs", lambda: syncfs)
+    monkeypatch.setattr(file_writing, "_syncfs", lambda: syncfs)
     return calls
 
 
@@ -42,7 +41,7 @@ def called(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 def test_a_local_file_system_is_synchronised_at_once(
     folder: int, called: list[int], kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(syncing, "_kind_of", lambda _: kind)
+    monkeypatch.setattr(file_writing, "_kind_of", lambda _: kind)
     assert sync_file_system(folder)
     assert called == [folder]
 
@@ -51,7 +50,7 @@ def test_a_local_file_system_is_synchronised_at_once(
 def test_a_shared_or_unknown_file_system_is_not(
     folder: int, called: list[int], kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(syncing, "_kind_of", lambda _: kind)
+    monkeypatch.setattr(file_writing, "_kind_of", lambda _: kind)
     assert not sync_file_system(folder)
     assert called == []
 
@@ -64,8 +63,8 @@ def test_a_refused_call_means_file_by_file_and_an_error_is_an_error(
         ctypes.set_errno(number)
         return -1
 
-    monkeypatch.setattr(syncing, "_kind_of", lambda _: "ext4")
-    monkeypatch.setattr(syncing, "_syncfs", lambda: failing)
+    monkeypatch.setattr(file_writing, "_kind_of", lambda _: "ext4")
+    monkeypatch.setattr(file_writing, "_syncfs", lambda: failing)
     if refused:
         assert not sync_file_system(folder)
         return
@@ -89,16 +88,16 @@ def test_a_kernel_that_reports_no_errors_is_not_trusted(
 ) -> None:
     uname: Any = os.uname_result((system, "host", release, "version", "machine"))
     monkeypatch.setattr(os, "uname", lambda: uname)
-    assert (syncing._syncfs.__wrapped__() is not None) is usable
+    assert (file_writing._syncfs.__wrapped__() is not None) is usable
 
 
 def test_the_real_call_on_the_real_file_system(folder: int) -> None:
     if platform.system() != "Linux":
         pytest.skip("syncfs is a call of Linux")
     known = Path("/proc/self/mountinfo").read_text().splitlines()
-    identifier = syncing.mount_of(folder).split()[1]
+    identifier = file_writing.mount_of(folder).split()[1]
     [kind] = [line.split(" - ")[1].split()[0] for line in known if line.split()[0] == identifier]
-    assert sync_file_system(folder) is (kind in syncing._LOCAL)
+    assert sync_file_system(folder) is (kind in file_writing._LOCAL)
 
 
 def test_a_tree_is_synchronised_without_following_links_or_waiting_for_pipes(
