@@ -189,6 +189,12 @@ def period(crl: x509.CertificateRevocationList) -> tuple[datetime, datetime]:
     return crl.last_update_utc, crl.next_update_utc or _LAST
 
 
+def period_in(pem: bytes) -> tuple[datetime, datetime] | None:
+    """Return when the first revocation list of a file is in force, UTC; None if it has none that can be read."""
+    crl = first(pem)
+    return None if crl is None else period(crl)
+
+
 def is_by(crl: x509.CertificateRevocationList, authority: x509.Certificate) -> bool:
     """Tell whether an authority issued a revocation list: it has its name, and the signature of its key."""
     try:

@@ -44,18 +44,18 @@ class DdsSecurity:
     revocation_files = lazy("keymint_ros2_dds.install:revocation_files")
     keystore_variables = lazy("keymint_ros2_dds.process_environment:keystore_variables")
     enclave_variables = lazy("keymint_ros2_dds.process_environment:enclave_variables")
-    check = lazy("keymint_ros2_dds.check:check")
-    check_all = lazy("keymint_ros2_dds.check:check_all")
+    check = lazy("keymint_ros2_dds.examine.check:check")
+    check_all = lazy("keymint_ros2_dds.examine.check:check_all")
 
     check_rules = lazy("keymint_ros2_dds.rule_check:check_rules")
     check_node = lazy("keymint_ros2_dds.node_start:check_node")
-    compare = lazy("keymint_ros2_dds.keystores.document_comparison:compare")
+    compare = lazy("keymint_ros2_dds.keystores.foreign_documents:compare")
     compared = lazy("keymint_ros2_dds.proving.document_relation:compare_document")
     compared_with = lazy("keymint_ros2_dds.proving.document_relation:compared_with")
     granted = lazy("keymint_ros2_dds.keystores.grants_as_rules:granted_rules")
 
-    found = lazy("keymint_ros2_dds.keystores.found_keystore:examine_keystore")
-    not_kept = lazy("keymint_ros2_dds.keystores.kept_documents:not_kept")
+    found = lazy("keymint_ros2_dds.examine.adopted_keystore:examine_keystore")
+    not_kept = lazy("keymint_ros2_dds.keystores.foreign_documents:not_kept")
 
     endpoints = lazy("keymint_ros2_dds.lowering.endpoints:endpoints")
     actions = lazy("keymint_ros2_dds.lowering.endpoints:actions")
@@ -67,9 +67,9 @@ class DdsSecurity:
     VENDORS = ("cyclonedds", "fastdds")
     installed_vendors = lazy("keymint_ros2_dds.vendors.advisories:installed_vendors")
     advisories = lazy("keymint_ros2_dds.vendors.advisories:advisories")
-    differences = lazy("keymint_ros2_dds.examine:differences")
-    prove = lazy("keymint_ros2_dds.proving:prove")
-    terms = lazy("keymint_ros2_dds.proving:terms")
+    differences = lazy("keymint_ros2_dds.examine.enclave_rules:differences")
+    prove = lazy("keymint_ros2_dds.enclave_proof:prove")
+    terms = lazy("keymint_ros2_dds.enclave_proof:terms")
     PRESENTED = PERMISSIONS_P7S
     presented_until = lazy("keymint_ros2_dds.proving.presented:presented_until")
     choosers = lazy("keymint_ros2_dds.proving.presented:choosers")
@@ -81,9 +81,9 @@ class DdsSecurity:
     receive = lazy("keymint_ros2_dds.emit.compiled_elsewhere:receive")
     compiling = lazy("keymint_ros2_dds.emit.compiled_elsewhere:part_compiler")
 
-    question = lazy("keymint_ros2_dds.proving.enclave_proof:remote_question")
-    know = lazy("keymint_ros2_dds.proving.enclave_proof:receive")
-    proving = lazy("keymint_ros2_dds.proving.enclave_proof:part_prover")
+    question = lazy("keymint_ros2_dds.enclave_proof:remote_question")
+    know = lazy("keymint_ros2_dds.enclave_proof:receive")
+    proving = lazy("keymint_ros2_dds.enclave_proof:part_prover")
 
 
 build_type = DdsSecurity()

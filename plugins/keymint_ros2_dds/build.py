@@ -15,7 +15,7 @@ from keymint_ros2_dds.documents import governance_document
 from keymint_ros2_dds.domains import in_words, uncovered_domains
 from keymint_ros2_dds.emit.kind_members import emit_by_kind
 from keymint_ros2_dds.enclave_layout import GOVERNANCE, GOVERNANCE_XML, PERMISSIONS, PERMISSIONS_XML
-from keymint_ros2_dds.keystores import kept_documents
+from keymint_ros2_dds.keystores import foreign_documents
 from keymint_ros2_dds.settings import settings_of, validity_of
 
 
@@ -33,13 +33,13 @@ def build(package: Package, options: BuildOptions) -> BuildResult:
     defects, notes = Defects(), list[Diagnostic]()
     emitted, governance = None, b""
     with defects:
-        emitted = kept_documents.kept_permissions(package) or emit_by_kind(package, options)
+        emitted = foreign_documents.kept_permissions(package) or emit_by_kind(package, options)
         notes += emitted.diagnostics
     with defects:
         governance, remarks = governance_document.build(
             settings_of(package).governance, package.subject, package.distro, allow_vendor_specific=lenient
         )
-        governance = kept_documents.governance(package, governance)
+        governance = foreign_documents.kept_governance(package, governance)
         notes += (*remarks, *governance_warnings.findings(package, emitted.lowered if emitted else None))
     defects.found += [item for item in checks if item.severity is Severity.ERROR]
     if defects.found or emitted is None:

@@ -1,2 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keystores that other tools made: where their files are, and what is right and wrong about them."""
+"""Keystores that other tools made: what their files contain, what their documents grant, and which are kept.
+
+Start at :mod:`~keymint_ros2_dds.keystores.keystore_contents`. What is right and wrong about them is judged in
+:mod:`keymint_ros2_dds.examine`.
+"""

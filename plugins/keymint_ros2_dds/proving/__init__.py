@@ -9,8 +9,7 @@ counterexample is checked again by evaluating the policy's rules, and by the dec
 from __future__ import annotations
 
 from keymint_ros2_dds.proving.claims import ASSUMPTIONS, prove_document
-from keymint_ros2_dds.proving.enclave_proof import prove, terms
 from keymint_ros2_dds.proving.proof_cache import prove_content
 from keymint_ros2_dds.proving.questions import ProofQuestion
 
-__all__ = ["ASSUMPTIONS", "ProofQuestion", "prove", "prove_content", "prove_document", "terms"]
+__all__ = ["ASSUMPTIONS", "ProofQuestion", "prove_content", "prove_document"]

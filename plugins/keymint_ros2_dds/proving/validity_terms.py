@@ -11,11 +11,11 @@ from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
 from keymint.api import ValidityTerm
 from keymint.errors import KeymintError
+from keymint.pki import revocation_lists
 from keymint.pki.identity_check import certificate_terms
 from keymint_ros2_dds import subject_name_text
 from keymint_ros2_dds.decision import VARIATIONS, read
 from keymint_ros2_dds.enclave_layout import CA, CERTIFICATE, CRL, IDENTITY_CA, PERMISSIONS_CA
-from keymint_ros2_dds.examine import revocation_period
 from keymint_ros2_dds.proving.grant_periods import next_second
 
 Period = tuple[datetime, datetime]
@@ -32,7 +32,7 @@ def of_certificates(files: Mapping[str, bytes], folder: str) -> Iterator[Validit
     """
     names = (name for name in (CERTIFICATE, IDENTITY_CA, PERMISSIONS_CA, CA) if name in files)
     yield from certificate_terms(files, folder, names)
-    if CRL in files and (revocations := revocation_period(files[CRL])):
+    if CRL in files and (revocations := revocation_lists.period_in(files[CRL])):
         yield ValidityTerm("revocation-list", "the revocation list", Origin(f"{folder}/{CRL}"), (revocations,))
 
 

@@ -23,7 +23,7 @@ def test_a_document_that_the_sources_cannot_mean(keymint, tmp_path: Path, monkey
     """A wrong comparison would be found by the build, which is planned before anything is written."""
     made(tmp_path / "ks")
     (tmp_path / "policy.xml").write_text(POLICY)
-    monkeypatch.setattr("keymint_ros2_dds.keystores.kept_documents.not_kept", lambda *_: "it is something else")
+    monkeypatch.setattr("keymint_ros2_dds.keystores.foreign_documents.not_kept", lambda *_: "it is something else")
     outcome = keymint("adopt", "ks", "policy.xml", "--apply", "-w", "ws")
     assert outcome.code == 1
     assert "cannot be kept as it is signed: it is something else" in outcome.err

@@ -17,13 +17,11 @@ JUDGES = (
     "keymint/stages/proof/trust_anchors.py",
     "keymint/robots/bundle_acceptance.py",
     "keymint/adoption/keystore_files.py",
-    "plugins/keymint_ros2_dds/check.py",
-    "plugins/keymint_ros2_dds/examine.py",
-    "plugins/keymint_ros2_dds/keystores/found_",
+    "plugins/keymint_ros2_dds/examine/",
     "plugins/keymint_ros2_zenoh/examine/",
 )
 """The modules that judge the bytes of installed files."""
-VIEW = "plugins/keymint_ros2_dds/keystores/found_enclaves.py"
+VIEW = "plugins/keymint_ros2_dds/examine/adopted_enclave.py"
 """Its table says what the answer of a rule means for a keystore that is taken over; it raises ``adopt-*`` only."""
 TWICE = {
     "dates of one file, along the path of a certificate, and as each model of a proof reads them": {

@@ -13,7 +13,7 @@ from keymint.api import BuildOptions, DomainRange, Proof
 from tests.plugins.keymint_ros2_dds.enclaves import installed
 from tests.plugins.keymint_ros2_dds.packages import domain_rule, package, protection, rule
 from tests.plugins.keymint_ros2_dds.packages import governed as with_governance
-from tests.plugins.keymint_ros2_dds.proving.test_enclave_proof import MODELS, PLAIN, claims, refuted, sign
+from tests.plugins.keymint_ros2_dds.test_enclave_proof import MODELS, PLAIN, claims, refuted, sign
 
 READ, WRITE = "enable_read_access_control", "enable_write_access_control"
 JOIN, UNAUTHENTICATED = "enable_join_access_control", "allow_unauthenticated_participants"

@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from keymint_ros2_dds import decision, proving
+from keymint_ros2_dds import decision, enclave_proof
 from keymint_ros2_dds.decision import VARIATIONS, DocumentEvaluator
 from keymint_ros2_dds.proving.validity_terms import joined_periods, of_grants
 
@@ -114,7 +114,7 @@ def test_terms_of_a_document_that_cannot_be_read_are_an_error_with_its_place():
 def test_an_enclave_has_a_term_for_its_grant_and_each_of_its_certificates():
     loaded = package(rule("ALLOW", "ros_topic", "ros_publish", "/chatter"))
     files = installed(loaded)
-    found = proving.terms(files, "install/talker", anchors(loaded))
+    found = enclave_proof.terms(files, "install/talker", anchors(loaded))
     assert [(term.code, term.where.file.rpartition("/")[2]) for term in found] == [
         ("grant", "permissions.xml"),
         ("certificate", "cert.pem"),
@@ -122,7 +122,7 @@ def test_an_enclave_has_a_term_for_its_grant_and_each_of_its_certificates():
         ("authority", "permissions_ca.cert.pem"),
     ]
     with pytest.raises(KeymintError, match="missing"):
-        proving.terms({}, "install/talker", anchors(loaded))
+        enclave_proof.terms({}, "install/talker", anchors(loaded))
 
 
 def day(number: int) -> datetime:

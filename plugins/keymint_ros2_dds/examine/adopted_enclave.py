@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Examine an enclave that another tool made: what it has, and what is wrong with it.
 
-The rules are those of ``keymint check`` (:mod:`keymint_ros2_dds.examine`). What an answer means for a keystore that is
-to be taken over stands in a table; a few more rules ask what only a workspace requires.
+The rules are those of ``keymint check`` (:mod:`~keymint_ros2_dds.examine.enclave_rules`). What an answer means for a
+keystore that is to be taken over stands in a table; a few more rules ask what only a workspace requires.
 """
 
 from __future__ import annotations
@@ -34,9 +34,8 @@ from keymint_ros2_dds.enclave_layout import (
     PERMISSIONS_P7S,
     PERMISSIONS_XML,
 )
-from keymint_ros2_dds.examine import AUTHORITY_FILES, EnclaveRules
-from keymint_ros2_dds.keystores.enclave_places import EnclavePlace
-from keymint_ros2_dds.keystores.file_contents import Contents
+from keymint_ros2_dds.examine.enclave_rules import AUTHORITY_FILES, EnclaveRules
+from keymint_ros2_dds.keystores.keystore_contents import Contents, EnclavePlace
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, as_ranges
 
 _ISSUE = "issue it again with the tool that made it, here and on the robots"
@@ -222,17 +221,6 @@ class _Enclave(EnclaveRules):
         grants = self._grants()
         return grants[0] if len(grants) == 1 else None
 
-    def _rights(self) -> FoundGrant | None:
-        grant, signed = self._only_grant(), self.permissions.signed
-        if grant is None or signed is None:
-            return None
-        return FoundGrant(signed.content, self._where(PERMISSIONS_P7S).file, signed.lines_before, grant.subject_name)
-
-    def _grant_validity(self) -> Validity | None:
-        grant = self._only_grant()
-        period = STANDARD.period(grant) if grant else None
-        return Validity(*period) if period and period[0] < period[1] else None
-
     def _domains(self) -> tuple[DomainRange, ...]:
         """Return the domains of the only grant; none if its rules have different ones."""
         grant = self._only_grant()
@@ -241,9 +229,13 @@ class _Enclave(EnclaveRules):
 
     def found(self) -> FoundEnclave:
         """Return what the enclave has."""
-        certificate, has_key = self.certificate, self._key_state() == "matches"
+        certificate, has_key, grant = self.certificate, self._key_state() == "matches", self._only_grant()
         permissions, governance = self.permissions.signed, self.governance.signed if self.governance.document else None
-        signed = {PERMISSIONS_XML: permissions, GOVERNANCE_XML: governance}
+        signed, rights = {PERMISSIONS_XML: permissions, GOVERNANCE_XML: governance}, None
+        if grant and permissions:
+            place = self._where(PERMISSIONS_P7S).file, permissions.lines_before
+            rights = FoundGrant(permissions.content, *place, grant.subject_name)
+        period = STANDARD.period(grant) if grant else None
         return FoundEnclave(
             subject=self._subject,
             files=self._enclave.files,
@@ -252,10 +244,10 @@ class _Enclave(EnclaveRules):
             key_spec=keys.kind_of(certificates.public_key(certificate)) if certificate else None,
             subject_name=to_text(certificate.subject) if certificate else "",
             validity=Validity(*certificates.period(certificate)) if certificate else None,
-            grant_validity=self._grant_validity(),
+            grant_validity=Validity(*period) if period and period[0] < period[1] else None,
             domains=self._domains(),
             documents={name: each.content for name, each in signed.items() if each},
-            grant=self._rights(),
+            grant=rights,
             facts=self._facts(),
             exposed=has_key and is_exposed(self._contents, self._enclave.files[KEY]),
         )
@@ -280,7 +272,10 @@ class _Enclave(EnclaveRules):
             "key": self._key_state(),
             "signatures": {PERMISSIONS: signed is not None, GOVERNANCE: self.governance.signed is not None},
             "same_text": plain == signed.content if plain and signed else None,
-            "grants": [_grant_facts(each) for each in self._grants()],
+            "grants": [
+                {"subject_name": each.subject_name, "not_before": each.not_before, "not_after": each.not_after}
+                for each in self._grants()
+            ],
             "domains": _as_json(self._domains()),
             "governance_domains": _as_json(merged_domains(governed)),
         }
@@ -292,8 +287,8 @@ def _as_json(domains: Sequence[DomainRange]) -> list[list[int]]:
 
 def dates_of(certificate: x509.Certificate) -> dict[str, str]:
     """Return the period of a certificate as a report has it."""
-    begin, end = map(_shown, certificates.period(certificate))
-    return {"not_before": begin, "not_after": end}
+    begin, end = certificates.period(certificate)
+    return {"not_before": f"{begin:%Y-%m-%dT%H:%M:%SZ}", "not_after": f"{end:%Y-%m-%dT%H:%M:%SZ}"}
 
 
 def is_exposed(contents: Contents, path: str) -> bool:
@@ -315,11 +310,3 @@ def exposure(contents: Contents, path: str, subject: str) -> Iterator[Diagnostic
         end = f"'keymint renew --rekey {name_of(subject)}'" if subject else "'keymint authority replace'"
         help_ = f"chmod 600, here and on the robot; {end} ends it if someone may have copied it"
         yield contents.warning("adopt-key-exposed", path, message, help_)
-
-
-def _grant_facts(grant: DocumentGrant) -> dict[str, Any]:
-    return {"subject_name": grant.subject_name, "not_before": grant.not_before, "not_after": grant.not_after}
-
-
-def _shown(moment: object) -> str:
-    return f"{moment:%Y-%m-%dT%H:%M:%SZ}"

@@ -15,7 +15,7 @@ from keymint.pki.identity_check import enclave_file
 from keymint_ros2_dds import authority_roles as roles
 from keymint_ros2_dds.decision import OMG, shipped_models
 from keymint_ros2_dds.enclave_layout import CERTIFICATE, GOVERNANCE, PERMISSIONS
-from keymint_ros2_dds.examine import differences
+from keymint_ros2_dds.examine.enclave_rules import differences
 from keymint_ros2_dds.proving import validity_terms
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
 from keymint_ros2_dds.proving.proof_cache import know, prove_content

@@ -9,7 +9,7 @@ from itertools import chain, combinations
 
 import pytest
 from keymint_ros2_dds import build_type
-from keymint_ros2_dds.proving import prove
+from keymint_ros2_dds.enclave_proof import prove
 
 from keymint.api import KeySpec, Proof, ProofTask
 from keymint.errors import KeymintError

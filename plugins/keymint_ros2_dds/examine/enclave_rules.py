@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The rules about the files of one enclave, each in one place.
 
-A view asks some of them and says what an answer weighs: ``keymint check`` (:mod:`keymint_ros2_dds.check`), proofs
-(:func:`differences`) and ``keymint adopt`` (:mod:`keymint_ros2_dds.keystores.found_enclaves`), which compares a
-keystore of another tool with the authorities that it has itself.
+A view asks some of them and says what an answer weighs: ``keymint check`` (:mod:`~keymint_ros2_dds.examine.check`),
+proofs (:func:`differences`) and ``keymint adopt`` (:mod:`~keymint_ros2_dds.examine.adopted_enclave`), which compares
+a keystore of another tool with the authorities that it has itself.
 """
 
 from __future__ import annotations
@@ -224,7 +224,7 @@ class EnclaveRules(IdentityCheck):
     def periods(self, when: When) -> Iterator[Diagnostic]:
         """Yield the findings on the dates of the certificate and of the revocation list."""
         yield from self.certificate_period(when, _DROPPED)
-        if period := revocation_period(self._files.get(CRL, b"")):
+        if period := revocation_lists.period_in(self._files.get(CRL, b"")):
             yield from self._period("revocation list", CRL, period, when, "keymint crl --refresh", _NONE_STARTS)
 
     def documents(
@@ -283,9 +283,3 @@ class EnclaveRules(IdentityCheck):
             is_renewable = now - _SLACK >= begin and end - begin > 2 * _SLACK
             help_ = f"'{self._renew}' issues it again, with later dates" if is_renewable else _UTC
             yield self._warning("grant-slack", PERMISSIONS_P7S, message, help_)
-
-
-def revocation_period(pem: bytes) -> tuple[datetime, datetime] | None:
-    """Return the validity period of a revocation list, in UTC; None for bytes that are not a revocation list."""
-    crl = revocation_lists.first(pem)
-    return None if crl is None else revocation_lists.period(crl)

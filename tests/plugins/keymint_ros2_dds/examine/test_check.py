@@ -17,9 +17,8 @@ from keymint.pki import certificates, smime
 from tests.effort import tries
 from tests.plugins.examined import examined
 from tests.plugins.keymint_ros2_dds.builds import CHATTER
-
-from .enclaves import NOW, authority, inspection, installed, revoking
-from .packages import VALIDITY, package, rule
+from tests.plugins.keymint_ros2_dds.enclaves import NOW, authority, inspection, installed, revoking
+from tests.plugins.keymint_ros2_dds.packages import VALIDITY, package, rule
 
 TALKER = package(CHATTER)
 

@@ -10,9 +10,8 @@ from dataclasses import replace
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from keymint_ros2_dds import build_type, decision, proving
+from keymint_ros2_dds import build_type, decision, enclave_proof, proving
 from keymint_ros2_dds.lowering.lowered_rules import lower
-from keymint_ros2_dds.proving import enclave_proof
 from keymint_ros2_dds.transports.enclave_files import subject_name
 
 from comarmor.errors import Origin
@@ -294,7 +293,7 @@ def test_only_the_models_that_are_asked_for(models):
 
 
 def test_only_the_standard_is_claimed_if_deviations_are_accepted():
-    found = proving.prove(obligation(PLAIN, ENCLAVE, standard_only=True))
+    found = enclave_proof.prove(obligation(PLAIN, ENCLAVE, standard_only=True))
     assert {claim.model for claim in found} == {"omg"}
 
 
@@ -308,7 +307,9 @@ def test_a_document_that_is_not_signed_yet(old, new):
     )
     question = proving.ProofQuestion(decision.read(content), held, lower(rules, PLAIN.distro))
     found = proving.prove_document(question)
-    signed = proving.prove(obligation(PLAIN, {**ENCLAVE, "permissions.xml": content, "permissions.p7s": sign(content)}))
+    signed = enclave_proof.prove(
+        obligation(PLAIN, {**ENCLAVE, "permissions.xml": content, "permissions.p7s": sign(content)})
+    )
     assert [(claim.model, claim.action, claim.proof) for claim in found] == [
         (claim.model, claim.action, claim.proof) for claim in signed
     ]

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import pytest
 from cryptography import x509
-from keymint_ros2_dds.examine import EnclaveRules, revocation_period
+from keymint_ros2_dds.examine.enclave_rules import EnclaveRules
 
+from keymint.pki import revocation_lists
 from tests.plugins.keymint_ros2_dds.builds import CHATTER
 from tests.plugins.keymint_ros2_dds.enclaves import NOW, authority, installed, revoking
 from tests.plugins.keymint_ros2_dds.packages import package
@@ -49,7 +50,7 @@ def test_a_list_of_another_authority(identity: bytes) -> None:
 @pytest.mark.parametrize("pem", [b"", b"garbage", b"-----BEGIN X509 CRL-----\nAAAA\n-----END X509 CRL-----\n"])
 def test_what_is_no_list(identity: bytes, pem: bytes) -> None:
     assert "in PEM" in problem(pem, identity)
-    assert revocation_period(pem) is None
+    assert revocation_lists.period_in(pem) is None
 
 
 def test_a_certificate_that_cannot_be_read_is_no_problem_of_the_list() -> None:
@@ -57,6 +58,6 @@ def test_a_certificate_that_cannot_be_read_is_no_problem_of_the_list() -> None:
 
 
 def test_the_period() -> None:
-    period = revocation_period(revoking("identity_ca", 1))
+    period = revocation_lists.period_in(revoking("identity_ca", 1))
     assert period is not None
     assert period[0] < NOW < period[1]

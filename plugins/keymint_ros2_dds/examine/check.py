@@ -31,8 +31,8 @@ from keymint_ros2_dds.enclave_layout import (
     enclave_files,
     has_one_authority,
 )
-from keymint_ros2_dds.examine import Document, EnclaveRules, SignedFact
-from keymint_ros2_dds.keystores.kept_documents import not_kept
+from keymint_ros2_dds.examine.enclave_rules import Document, EnclaveRules, SignedFact
+from keymint_ros2_dds.keystores.foreign_documents import not_kept
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance, cuts
 from keymint_ros2_dds.proving.protection import STRICT, Weaker, weaker
 from keymint_ros2_dds.reading import signed_permissions
@@ -41,7 +41,8 @@ from keymint_ros2_dds.reading import signed_permissions
 def check(inspection: Inspection) -> tuple[Diagnostic, ...]:
     """Return findings on one installed enclave.
 
-    What the workspace's authorities vouch for is asked apart: :func:`keymint_ros2_dds.examine.differences`.
+    What the workspace's authorities vouch for is asked apart
+    (:func:`~keymint_ros2_dds.examine.enclave_rules.differences`).
     """
     return tuple(_InstalledEnclave(inspection).findings())
 

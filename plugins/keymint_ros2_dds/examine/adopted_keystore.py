@@ -1,0 +1,314 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a keystore of another tool has, and what is wrong with it: the answer to ``keymint adopt``.
+
+A revocation that got lost would be taken back, so that is an error. Whether vendors take the list of an enclave, and
+whether it revokes the certificate beside it, are rules about every enclave
+(:mod:`keymint_ros2_dds.examine.enclave_rules`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from cryptography import x509
+
+from comarmor.errors import Diagnostic
+from comarmor.text import counted
+from keymint.api import FoundAuthority, FoundEnclave, FoundKeystore, KeystoreFiles, TrustAnchor
+from keymint.errors import KeymintError
+from keymint.pki import certificates, extensions, foreign_authorities, key_files, keys, revocation_lists
+from keymint.pki.distinguished_names import to_text
+from keymint.pki.revocation_lists import RevocationList
+from keymint_ros2_dds.authority_roles import IDENTITY, PERMISSIONS
+from keymint_ros2_dds.enclave_layout import CA, CRL, GOVERNANCE, GOVERNANCE_P7S, GOVERNANCE_XML, KEY, LAYOUTS, files
+from keymint_ros2_dds.examine.adopted_enclave import dates_of, examine_enclave, exposure, is_exposed
+from keymint_ros2_dds.examine.enclave_rules import AUTHORITY_FILES
+from keymint_ros2_dds.keystores import foreign_documents
+from keymint_ros2_dds.keystores.keystore_contents import FORMS, Contents, EnclavePlace, contents, places
+
+_READ = frozenset(name for layout in LAYOUTS for name in files(layout))
+"""Names of the files that participants read."""
+_REVOCATIONS = "adopt-revocations"
+_NAMES = {IDENTITY: "identity_ca", PERMISSIONS: "permissions_ca"}
+BOTH = "ca"
+"""Name of an authority that has both roles."""
+
+
+def examine_keystore(keystore: KeystoreFiles) -> FoundKeystore:
+    """Return what a keystore has: see :meth:`keymint.api.KeystoreReader.found`.
+
+    Raises:
+        KeymintError: it has no enclave.
+    """
+    content = contents(keystore)
+    layout, found, kept = places(content)
+    trusted, diagnostics = _authorities(content, found)
+    issuer = next((each for each in trusted if IDENTITY in each.roles), None)
+    newest, of_lists = _newest_list(content, layout, found, issuer) if issuer else ("", [])
+    diagnostics += of_lists
+    listed = {CRL: newest} if newest and not layout else {}
+    anchors = {
+        role: TrustAnchor(each.name, str(content.place(each.file)), each.certificate)
+        for each in trusted
+        for role in each.roles
+    }
+    enclaves: list[FoundEnclave] = []
+    for place in found:
+        enclave, own = examine_enclave(content, replace(place, files={**place.files, **listed}), anchors)
+        enclaves.append(enclave)
+        diagnostics += own
+    defaults, of_governance = _defaults(content, enclaves, trusted)
+    diagnostics += of_governance
+    diagnostics += _doubled(content, enclaves)
+    secrets = {content.read(path) for each in trusted for path in each.key_files}
+    diagnostics += _in_the_way(content, found, kept, secrets)
+    return FoundKeystore(
+        form=FORMS[layout],
+        layout=layout,
+        subject_format="sros2" if all(each.subject_name == f"CN={each.subject}" for each in enclaves) else "",
+        authorities=trusted,
+        enclaves=tuple(enclaves),
+        kept=tuple(path for path in kept if content.read(path) not in secrets),  # nor links to them
+        defaults=defaults,
+        diagnostics=tuple(diagnostics),
+        revocation_lists={issuer.name: content.read(newest)} if issuer and newest else {},
+    )
+
+
+def _defaults(
+    content: Contents, enclaves: Sequence[FoundEnclave], trusted: Sequence[FoundAuthority]
+) -> tuple[Mapping[str, bytes], list[Diagnostic]]:
+    """Return the governance as the source of all packages, and why it cannot become that."""
+    governed = [each for each in enclaves if GOVERNANCE_XML in each.documents]
+    signer = next((each.name for each in trusted if PERMISSIONS in each.roles), "")
+    if not governed or not signer:
+        return {}, []
+    findings = []
+    first, document = governed[0], governed[0].documents[GOVERNANCE_XML]
+    path = first.files[GOVERNANCE_P7S]
+    for other in governed:
+        if not foreign_documents.is_same(document, other.documents[GOVERNANCE_XML]):
+            message = f"protects other topics or domains than the governance of {first.subject}, {content.place(path)}"
+            help_ = "all participants of a domain need the same: adopt these enclaves as a keystore of their own"
+            own = other.files[GOVERNANCE_P7S]
+            findings.append(content.error("adopt-governance", own, message, help_, other.subject))
+    made = foreign_documents.governance_source(document, signer)
+    if made is None:
+        message = "has several domain rules, and a profile's defaults have one"
+        help_ = "sign a governance with one domain rule, which may have several domains"
+        findings.append(content.error("adopt-governance", path, message, help_))
+        return {}, findings
+    return {GOVERNANCE: made}, findings
+
+
+def _in_the_way(
+    content: Contents, enclaves: Sequence[EnclavePlace], kept: Sequence[str], secrets: Collection[bytes]
+) -> Iterator[Diagnostic]:
+    """Yield an error for each file that robots need and must not have, and for each that nobody can tell.
+
+    Args:
+        content: what the files of the keystore contain.
+        enclaves: where those of its enclaves are.
+        kept: the files that an install space has at the same place.
+        secrets: the files with an authority's private key.
+    """
+    own = {enclave.files[KEY] for enclave in enclaves if KEY in enclave.files}
+    needed = {path: each for each in enclaves for name, path in each.files.items() if name in _READ}
+    for path, enclave in needed.items():
+        if content.read(path) in secrets:
+            message = "has the private key of an authority, and participants read this file"
+            help_ = "give the enclave a key of its own, and leave the authority's to private/"
+            yield content.error("adopt-key-shared", path, message, help_, enclave.subject)
+    sealed = set(map(content.read, content.sealed))
+    for path in kept:
+        if path in own or content.read(path) not in sealed:
+            continue
+        message = "has a private key that cannot be read, perhaps an authority's, where robots' files are taken from"
+        help_ = "move it out of that folder, e.g. to private/, if no robot needs it; else decrypt it (openssl pkey)"
+        yield content.error("adopt-key-sealed", path, message, help_)
+
+
+def _doubled(content: Contents, enclaves: Sequence[FoundEnclave]) -> Iterator[Diagnostic]:
+    """Yield an error for a subject or a key that two enclaves have."""
+    seen: dict[str, FoundEnclave] = {}
+    for each in enclaves:
+        key = keys.fingerprint(keys.public_of(each.key)) if each.key else ""
+        for what, name in ((f"the subject {each.subject}", each.subject), ("one private key", key)):
+            other = seen.setdefault(name, each) if name else each
+            if other is not each:
+                message = f"has {what}, like {other.subject} ({other.facts['place']})"
+                help_ = "each enclave needs a name and a key of its own: remove one, or make a new key for it"
+                yield content.error("adopt-doubled", str(each.facts["place"]), message, help_, each.subject)
+
+
+# -- authorities ------------------------------------------------------------------------------------------------------
+
+
+def _authorities(
+    contents: Contents, enclaves: Iterable[EnclavePlace]
+) -> tuple[tuple[FoundAuthority, ...], list[Diagnostic]]:
+    """Return the authorities that the first enclaves trust, and the findings on them.
+
+    The other enclaves are compared with them (:meth:`keymint_ros2_dds.examine.enclave_rules.EnclaveRules.trust`).
+
+    Args:
+        contents: what the files of the keystore contain.
+        enclaves: where the files of its enclaves are.
+    """
+    findings: list[Diagnostic] = []
+    trusted: dict[str, str] = {}
+    for role, name in AUTHORITY_FILES.items():
+        for enclave in enclaves:
+            if path := enclave.files.get(name) or enclave.files.get(CA):
+                trusted.setdefault(role, path)
+    by_content: dict[bytes, list[str]] = {}
+    for role, path in trusted.items():
+        by_content.setdefault(contents.read(path), []).append(role)
+    found = []
+    for roles in map(tuple, by_content.values()):
+        path = trusted[roles[0]]
+        authority, own = _authority(contents, path, roles)
+        found += [authority] if authority else []
+        findings += own
+    if len({each.facts["fingerprint"] for each in found}) < len(found):
+        message = "both authorities have one and the same key"
+        help_ = "make a certificate for one of them alone the file of both"
+        findings.append(contents.error("adopt-authority-key", found[0].file, message, help_))
+    return tuple(found), findings
+
+
+def _authority(contents: Contents, path: str, roles: tuple[str, ...]) -> tuple[FoundAuthority | None, list[Diagnostic]]:
+    content, where = contents.read(path), contents.place(path)
+    findings: list[Diagnostic] = []
+    try:
+        certificate = foreign_authorities.require_authority(content, where)
+    except KeymintError as error:
+        return None, list(error.diagnostics)
+    if content != certificates.to_pem(certificate):
+        message = "has text around its certificate, or encodes it in another way; enclaves would get another file"
+        help_ = f"rewrite it, here and on the robots: openssl x509 -in {where} -out {where}"
+        findings.append(contents.error("adopt-encoding", path, message, help_))
+    if not certificates.is_issued_by(certificate, certificate):
+        message = f"was issued by {to_text(certificate.issuer)!r}, and not by itself"
+        help_ = "Keymint takes over self-signed authorities only; Cyclone DDS refuses others as well"
+        findings.append(contents.error("adopt-intermediate", path, message, help_))
+    name, end = BOTH if len(roles) > 1 else _NAMES[roles[0]], certificate.not_valid_after_utc
+    if end < contents.keystore.now:
+        message = f"expired on {end:%Y-%m-%d}: no participant starts"
+        help_ = f"'keymint authority renew {name}' afterwards"
+        findings.append(contents.warning("adopt-authority-expired", path, message, help_))
+    key_paths = contents.keys_of(certificate)
+    findings += _about_key(contents, key_paths, name, path)
+    findings += _lacking(certificate, roles, path, name, contents)
+    public = certificates.public_key(certificate)
+    kind = keys.kind_of(public)
+    facts: dict[str, Any] = {
+        "subject_name": to_text(certificate.subject),
+        "fingerprint": keys.fingerprint(public),
+        "key_kind": f"RSA {kind.size}" if kind.algorithm == "rsa" else kind.curve,
+        **dates_of(certificate),
+        "key_usage": extensions.usages(certificate),
+        "subject_key_identifier": extensions.value(certificate, x509.SubjectKeyIdentifier) is not None,
+        "authority_key_identifier": extensions.value(certificate, x509.AuthorityKeyIdentifier) is not None,
+        "path_length": getattr(extensions.value(certificate, x509.BasicConstraints), "path_length", None),
+        "key_file": str(contents.place(key_paths[0])) if key_paths else None,
+    }
+    key = key_files.pem_of(contents.read(key_paths[0]), public) if key_paths else b""
+    exposed = any(is_exposed(contents, each) for each in key_paths)
+    return FoundAuthority(name, roles, content, path, key, tuple(key_paths), facts, exposed), findings
+
+
+def _about_key(contents: Contents, key_paths: Sequence[str], name: str, path: str) -> Iterator[Diagnostic]:
+    for each in key_paths:
+        yield from exposure(contents, each, "")
+    if key_paths:
+        return
+    message = f"has no private key here: the authority {name!r} is taken over without it, and signs nothing here"
+    help_ = f"'keymint authority import {name} {contents.place(path)} --key FILE' brings it later"
+    if contents.sealed:
+        names = ", ".join(str(contents.place(each)) for each in contents.sealed)
+        help_ = f"if it is one of {names}, which are encrypted or containers: decrypt it (openssl pkey), then {help_}"
+    yield contents.note("adopt-authority-elsewhere", path, message, help_)
+
+
+def _lacking(
+    certificate: x509.Certificate, roles: Sequence[str], path: str, name: str, contents: Contents
+) -> Iterator[Diagnostic]:
+    """Yield a note for what the certificate lacks, or has too much of; each is the matter of a later step."""
+    if len(roles) > 1:
+        message = (
+            "issues identities and signs permissions: on old vendors, any identity can sign permissions for itself"
+        )
+        help_ = "CVE-2023-24010; 'keymint harden authority' makes a second one afterwards"
+        yield contents.note("adopt-one-authority", path, message, help_)
+    lacks = ", and ".join(each.message for each in foreign_authorities.defects(certificate, name, contents.place(path)))
+    if lacks:
+        help_ = "'keymint harden identifiers' adds it afterwards"
+        yield contents.note("adopt-extensions", path, lacks, help_)
+
+
+# -- revocation lists -----------------------------------------------------------------------------------------------
+
+
+def _newest_list(
+    contents: Contents, layout: str, enclaves: Sequence[EnclavePlace], issuer: FoundAuthority
+) -> tuple[str, list[Diagnostic]]:
+    """Return the path of the revocation list in force, empty if there is none, and the findings on all lists.
+
+    Args:
+        contents: what the files of the keystore contain.
+        layout: the layout of the keystore.
+        enclaves: where the files of its enclaves are.
+        issuer: the authority of identities.
+    """
+    used = {enclave.files[CRL] for enclave in enclaves if CRL in enclave.files}
+    authority = certificates.load(issuer.certificate)
+    lists: dict[str, RevocationList] = {}
+    findings: list[Diagnostic] = []
+    for path in sorted({*contents.revocation_lists, *used}):
+        content, place = contents.read(path), contents.place(path)
+        if revocation_lists.problem(content, authority):
+            if path not in used:  # else it is reported with the enclave
+                message = f"is no revocation list of the authority {issuer.name!r}"
+                help_ = "nothing, if it concerns no identity of this keystore; it is not taken over"
+                findings.append(contents.warning(_REVOCATIONS, path, message, help_))
+            continue
+        try:
+            lists[path] = revocation_lists.load(content, place)
+        except KeymintError:
+            message = "has more than one revocation list, or text around it; enclaves would get another file"
+            help_ = f"rewrite it, here and on the robots: openssl crl -in {place} -out {place}"
+            findings.append(contents.error(_REVOCATIONS, path, message, help_))
+    newest = max(lists, key=lambda each: (lists[each].number, lists[each].this_update), default="")
+    if newest:
+        findings += _lost(contents, newest, lists)
+        count = counted(len(lists[newest].revocations), "certificate")
+        if layout == "sros2":
+            findings += _elsewhere(contents, newest, enclaves, count)
+        findings.append(contents.note(_REVOCATIONS, newest, f"revokes {count}, which stay revoked", "nothing"))
+    return newest, findings
+
+
+def _lost(contents: Contents, newest: str, lists: Mapping[str, RevocationList]) -> Iterator[Diagnostic]:
+    known = {each.serial for each in lists[newest].revocations}
+    for path, other in lists.items():
+        if lost := [each.serial for each in other.revocations if each.serial not in known]:
+            message = f"does not revoke all that {contents.place(path)} revokes, e.g. the serial number {lost[0]:x}"
+            help_ = "issue a list with all of it; or remove the older one, if these certificates may be accepted again"
+            yield contents.error(_REVOCATIONS, newest, message, help_)
+
+
+def _elsewhere(contents: Contents, newest: str, enclaves: Sequence[EnclavePlace], count: str) -> Iterator[Diagnostic]:
+    """Yield an error for each enclave that has another list, or none: the next installation would change it."""
+    for enclave in enclaves:
+        path = enclave.files.get(CRL)
+        if path is None or contents.read(path) != contents.read(newest):
+            message = (
+                f"{'is missing' if path is None else 'is another list'}, and {contents.place(newest)}, the newest one, "
+                f"revokes {count}"
+            )
+            help_ = "copy the newest one there, here and on the robot; or leave all lists out, if nothing is revoked"
+            own = path or f"{enclave.place}/{CRL}"
+            yield contents.error(_REVOCATIONS, own, message, help_, enclave.subject)
