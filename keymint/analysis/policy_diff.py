@@ -11,15 +11,19 @@ from comarmor.patterns.decision_lists import Unknown
 from comarmor.patterns.glob import literal
 from comarmor.patterns.tokens import STAR
 from comarmor.values import dataclass
-from keymint.analysis.pattern_diff import KEYS, PatternComparison, PatternDifference
-from keymint.analysis.query_budget import QueryBudget
-from keymint.analysis.root_names import ROOT_ENCLAVE
-from keymint.analysis.rule_diff import PermissionChange, rule_changes, unknown_change
+from keymint.analysis.permission_changes import (
+    KEYS,
+    PatternComparison,
+    PatternDifference,
+    PermissionChange,
+    rule_changes,
+    unknown_change,
+)
 from keymint.analysis.rule_lists import SEPARATOR, pattern_text
 from keymint.analysis.subject_classes import ClassFinder
-from keymint.analysis.subject_patterns import EVERY, SubjectClass, structure
-from keymint.analysis.subject_templates import exact_halves, fill_placeholders
-from keymint.analysis.symbolic_rules import SymbolicRules
+from keymint.analysis.subject_patterns import EVERY, ROOT_ENCLAVE, SubjectClass, structure
+from keymint.analysis.symbolic_rules import SymbolicRules, exact_halves, fill_placeholders
+from keymint.analysis.symbolic_search import QueryBudget
 from keymint.api import LoadedPolicy
 from keymint.api.graph import Edge, Object
 from keymint.ir import Rule

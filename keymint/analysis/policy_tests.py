@@ -11,6 +11,7 @@ from comarmor.patterns.glob import Glob, matches, parse
 from comarmor.patterns.relations import disjoint
 from comarmor.rules import Effect
 from comarmor.values import dataclass
+from keymint.analysis.query import who_can
 from keymint.analysis.rule_lists import (
     allow_only,
     display_name,
@@ -23,7 +24,6 @@ from keymint.analysis.rule_lists import (
     query_pattern,
 )
 from keymint.analysis.subject_patterns import can_exist, named_subjects, pattern_examples, rules_of, unknown_subject
-from keymint.analysis.who_can import who_can
 from keymint.api import Expectation, LoadedPolicy
 from keymint.errors import KeymintError
 from keymint.ir import Rule

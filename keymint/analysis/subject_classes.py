@@ -18,9 +18,7 @@ from comarmor.patterns.relations import TooComplexError, covers, disjoint, inter
 from comarmor.patterns.tokens import STAR
 from comarmor.rules import PARTS, Effect, parts
 from comarmor.values import dataclass
-from keymint.analysis.pattern_diff import KEYS, PatternComparison, PatternDifference
-from keymint.analysis.query_budget import QueryBudget
-from keymint.analysis.rule_diff import PermissionChange
+from keymint.analysis.permission_changes import KEYS, PatternComparison, PatternDifference, PermissionChange
 from keymint.analysis.rule_lists import (
     PermissionKey,
     allow_only,
@@ -30,19 +28,18 @@ from keymint.analysis.rule_lists import (
     part_patterns,
 )
 from keymint.analysis.subject_patterns import SubjectClass, rules_of
-from keymint.analysis.subject_templates import (
+from keymint.analysis.symbolic_rules import (
+    EVERYBODY,
+    Entries,
+    SymbolicEntry,
+    SymbolicRule,
+    SymbolicRules,
     exact_halves,
     fill_placeholders,
     fit_pattern,
     placeholders,
 )
-from keymint.analysis.symbolic_rules import SymbolicRule, SymbolicRules
-from keymint.analysis.symbolic_search import (
-    EVERYBODY,
-    SymbolicCondition,
-    SymbolicEntry,
-    find_subject,
-)
+from keymint.analysis.symbolic_search import QueryBudget, find_subject
 from keymint.api import LoadedPolicy
 
 _MOST_SPLITS = 256
@@ -148,14 +145,15 @@ class ClassFinder:
                 )
                 for effect in Effect
             }
+            denied, permitted = entries[Effect.DENY], entries[Effect.ALLOW]
             patterns = [each.object for both in entries.values() for each in both]
             if not any(map(placeholders, (objects, *patterns))):
                 continue
-            denied = SymbolicCondition(entries[Effect.DENY], some=allowed)
-            permitted = SymbolicCondition(entries[Effect.ALLOW], some=not allowed)
             check = partial(self._refutes, after, allowed, key, objects)
-            for conditions in ((denied,), (permitted,)) if allowed else ((permitted, denied),):
-                found = find_subject(key[0], area.like, objects, conditions, check, excluded, self.budget)
+            searches: Sequence[tuple[tuple[Entries, ...], Entries]]
+            searches = (((denied,), ()), ((), permitted)) if allowed else (((permitted,), denied),)
+            for some, none in searches:
+                found = find_subject(key[0], area.like, objects, some, none, check, excluded, self.budget)
                 if isinstance(found, Unknown):
                     raise _NotAlikeError(found.reason)
                 if found is not None:

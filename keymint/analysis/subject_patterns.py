@@ -25,6 +25,7 @@ from keymint.analysis.rule_lists import allow_only, find_permitted, overlap, pat
 from keymint.api import LoadedPolicy, PolicyStructure, StructuredPolicy, WrittenProfile, WrittenRule
 from keymint.ir import Rule
 
+ROOT_ENCLAVE = "/"
 EVERY = parse("/*")
 """Matches every subject."""
 _PREFERRED = "xyzabcdefghijklmnopqrstuvw0123456789_/ABCDEFGHIJKLMNOPQRSTUVWXYZ"

@@ -1,37 +1,60 @@
 # SPDX-License-Identifier: Apache-2.0
 r"""Search all subjects at once that a policy does not name, by patterns.
 
-A word is ``namespace NUL name NUL object``; the object is symbolic (:mod:`keymint.analysis.subject_templates`). Rules
+A word is ``namespace NUL name NUL object``; the object is symbolic (:mod:`keymint.analysis.symbolic_rules`). Rules
 are patterns of such words: nested profiles are products, never lists of subjects. "No such subject" is proven. A
 candidate is checked by its own rules in the policy. Sound, but incomplete: the answer may be unknown if patterns that
-depend on the subject overlap by coincidence.
+depend on the subject overlap by coincidence. All queries of a command share a budget of search states.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import field
 from functools import lru_cache
 from itertools import product
 
-from comarmor.patterns.decision_lists import Block, DecisionList, Equal, Universe, Unknown, negate
-from comarmor.patterns.glob import Glob, left_quotient, literal, matches, normalise, parse, words
+from comarmor.patterns.decision_lists import (
+    Block,
+    DecisionList,
+    Equal,
+    ProofResult,
+    SearchBudget,
+    Universe,
+    Unknown,
+    Witness,
+    negate,
+)
+from comarmor.patterns.glob import Glob, literal, matches, normalise, parse, words
 from comarmor.patterns.proofs import difference
 from comarmor.patterns.relations import TooComplexError, intersection
 from comarmor.patterns.tokens import STAR, Charset, charset
 from comarmor.values import dataclass
-from keymint.analysis.query_budget import QueryBudget
 from keymint.analysis.rule_lists import RAW, SEPARATOR, universe
-from keymint.analysis.subject_patterns import SubjectClass, example_subject, namespace_name_splits
-from keymint.analysis.subject_templates import (
+from keymint.analysis.subject_patterns import SubjectClass, example_subject
+from keymint.analysis.symbolic_rules import (
     NAME,
     NAMESPACE,
     PLACEHOLDERS,
+    Entries,
+    SymbolicEntry,
     concrete_name,
     fill_placeholders,
     fit_pattern,
+    namespace_name_pairs,
     placeholders,
 )
 
+STATES = 5_000_000
+"""Maximum number of states for all queries of a command."""
+QUERY = 50_000
+"""Maximum number of states for one query."""
+_STARTS = 4
+"""Calls of a query before an engine can have visited 256 states."""
+_FEW = 16
+"""States counted for each of these calls."""
+_TICK = 256
+"""States that an engine visits between two calls of :attr:`comarmor.patterns.decision_lists.SearchBudget.go_on`."""
 _MOST_WORDS = 16
 """Maximum number of words of a pattern that is replaced by its words."""
 _ROUNDS = 16
@@ -45,59 +68,70 @@ _ILLEGAL_OBJECTS = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class SymbolicEntry:
-    """An expression of a rule.
+@dataclass(slots=True)
+class QueryBudget:
+    """A budget shared by several queries.
 
     Attributes:
-        subjects: patterns of namespace and name that together match exactly its subjects.
-        object: pattern of symbolic words.
+        states: maximum number of states; each engine of each query counts for at least 16.
+        spent: number of visited states.
     """
 
-    subjects: tuple[tuple[Glob, Glob], ...]
-    object: Glob
+    states: int = STATES
+    spent: int = field(default=0, init=False)
 
+    def next_query(self, lists: int = 1) -> SearchBudget:
+        """Return the budget of the next query; a state counts once for each decision list."""
+        calls = 0
 
-EVERYBODY = ((STAR,), (STAR,))
+        def go_on() -> bool:
+            nonlocal calls
+            calls += 1
+            return self.spend(lists * (_FEW if calls <= _STARTS else _TICK))
 
+        return SearchBudget(max(1, min(QUERY // lists, self.states - self.spent)), go_on)
 
-@dataclass(frozen=True, slots=True)
-class SymbolicCondition:
-    """A condition for words.
+    def spend(self, states: int) -> bool:
+        """Count states; return True if any are left."""
+        self.spent += states
+        return not self.is_empty
 
-    Attributes:
-        entries: entries.
-        some: the word matches at least one of them; else it matches none.
-    """
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing is left."""
+        return self.spent >= self.states
 
-    entries: tuple[SymbolicEntry, ...]
-    some: bool
+    def verdict(self, outcome: ProofResult) -> bool | Unknown:
+        """Return whether a query found a word, or why it was not decided."""
+        if isinstance(outcome, Unknown):
+            return Unknown(self.reason(outcome.reason))
+        return isinstance(outcome, Witness)
+
+    def reason(self, own: str) -> str:
+        """Return why a query was not decided: the shared budget is spent, or the reason of the query itself.
+
+        An undecided query counts in full: it may have ended at its limit of steps, and a state takes many steps.
+        """
+        self.spend(QUERY)
+        return f"the budget of {self.states:,} states is spent" if self.is_empty else own
 
 
 SubjectCheck = Callable[[str], bool | Unknown]
 """Decides exactly, by a subject's own rules, whether it fulfils the conditions."""
 
 
-def namespace_name_pairs(subjects: Glob) -> tuple[tuple[Glob, Glob], ...]:
-    """Return patterns of namespace, without the leading ``/``, and name that together match the same subjects."""
-    return tuple(
-        dict.fromkeys(
-            (rest, name) for space, name in namespace_name_splits(subjects) for rest in left_quotient(space, "/")
-        )
-    )
-
-
 def find_subject(
     kind: str,
     subjects: Glob,
     shape: Glob,
-    conditions: Sequence[SymbolicCondition],
+    some: Sequence[Entries],
+    none: Entries,
     check: SubjectCheck,
     excluded: Iterable[Glob],
     budget: QueryBudget,
     listed: Sequence[SubjectClass] = (),
 ) -> str | Unknown | None:
-    """Find a subject with a word that fulfils all conditions; None if there is provably none.
+    """Find a subject with a word that matches some entries and none of others; None if there is provably none.
 
     An example of the pattern is tried first.
 
@@ -105,7 +139,8 @@ def find_subject(
         kind: kind of the objects.
         subjects: pattern of the subjects.
         shape: pattern of the symbolic words.
-        conditions: conditions for the word.
+        some: the word matches at least one entry of each of these.
+        none: the word matches none of these entries.
         check: decides on each candidate.
         excluded: patterns of subjects to ignore.
         budget: limit of the search.
@@ -119,7 +154,7 @@ def find_subject(
         excluded = (*excluded, (example,))
     undecided: Unknown | None = None
     for namespace, name in _singled(namespace_name_pairs(subjects), placeholders(shape)):
-        answer = _Search(kind, namespace, name, shape, conditions, budget).run(check, excluded, listed)
+        answer = _Search(kind, namespace, name, shape, some, none, budget).run(check, excluded, listed)
         if isinstance(answer, str):
             return answer
         undecided = undecided or answer
@@ -143,13 +178,14 @@ class _Search:
         namespace: Glob,
         name: Glob,
         shape: Glob,
-        conditions: Sequence[SymbolicCondition],
+        some: Sequence[Entries],
+        none: Entries,
         budget: QueryBudget,
     ) -> None:
         self._kind = kind
         self._namespace, self._name = namespace, name
         self._shape = self._fixed(shape, namespace, name)
-        self._conditions = conditions
+        self._some, self._none = some, none
         self._budget = budget
         self._universe = Universe(_alphabet(kind), 4 if kind == RAW else 3, SEPARATOR, last_nonempty=kind == RAW)
 
@@ -189,15 +225,13 @@ class _Search:
         return Unknown("rules that depend on {namespace} or {name} overlap others, and no example was found")
 
     def _lists(self) -> tuple[list[tuple[Glob, ...]], list[Glob]]:
-        """Return patterns of allowed words for each condition, and patterns of forbidden words."""
+        """Return patterns of allowed words, of which a word matches one of each tuple, and of forbidden words."""
         positives: list[tuple[Glob, ...]] = [(_word(self._namespace, self._name, self._shape),)]
+        for entries in self._some:
+            found = (word for entry in entries for word in self._entry_words(entry, wide=True))
+            positives.append(tuple(dict.fromkeys(found)))
         negatives = [*_illegal(self._kind), *self._surplus_placeholders()]
-        for condition in self._conditions:
-            found = [word for entry in condition.entries for word in self._entry_words(entry, wide=condition.some)]
-            if condition.some:
-                positives.append(tuple(dict.fromkeys(found)))
-            else:
-                negatives += found
+        negatives += (word for entry in self._none for word in self._entry_words(entry, wide=False))
         return positives, negatives
 
     def _entry_words(self, entry: SymbolicEntry, *, wide: bool) -> Iterator[Glob]:
@@ -227,18 +261,17 @@ class _Search:
     def _denied_for(self, namespace: str, name: str, word: str) -> Iterator[Glob]:
         """Yield the words that rules with placeholders deny for a namespace and name, if they deny a given word."""
         exact = (_text(namespace), _text(name))
-        for condition in self._conditions:
-            for entry in () if condition.some else condition.entries:
-                used = placeholders(entry.object)
-                if not used or not matches(fill_placeholders(entry.object, *exact), word):
+        for entry in self._none:
+            used = placeholders(entry.object)
+            if not used or not matches(fill_placeholders(entry.object, *exact), word):
+                continue
+            for one, other in entry.subjects:
+                if not (matches(one, namespace) and matches(other, name)):
                     continue
-                for one, other in entry.subjects:
-                    if not (matches(one, namespace) and matches(other, name)):
-                        continue
-                    narrow = SymbolicEntry(
-                        ((exact[0] if NAMESPACE in used else one, exact[1] if NAME in used else other),), entry.object
-                    )
-                    yield from self._entry_words(narrow, wide=False)
+                narrow = SymbolicEntry(
+                    ((exact[0] if NAMESPACE in used else one, exact[1] if NAME in used else other),), entry.object
+                )
+                yield from self._entry_words(narrow, wide=False)
 
     def _surplus_placeholders(self) -> Iterator[Glob]:
         """Yield the words with more placeholders than the shape: its stars match no placeholders."""

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 
 from comarmor.errors import Origin
 from comarmor.text import counted
+from keymint.analysis.permission_changes import PermissionChange
 from keymint.analysis.policy_diff import SubjectChanges
-from keymint.analysis.rule_diff import PermissionChange
 
 
 def as_text(differences: Sequence[SubjectChanges], place: Callable[[Origin | None], str]) -> Iterator[str]:

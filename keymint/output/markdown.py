@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator, Sequence
 
 from comarmor.errors import Origin, Spot
 from comarmor.regex import lazy_regex
+from keymint.analysis.permission_changes import PermissionChange
 from keymint.analysis.policy_diff import SubjectChanges
-from keymint.analysis.rule_diff import PermissionChange
 from keymint.output.differences import object_text, permission_text, subject_line, summary
 
 

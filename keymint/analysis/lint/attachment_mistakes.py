@@ -17,7 +17,7 @@ from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.patterns.tokens import STAR, Star
 from comarmor.rules import Effect
 from comarmor.text import first_few
-from keymint.analysis.findings import undecided_note
+from keymint.analysis.lint.findings import undecided_note
 from keymint.analysis.subject_patterns import fixed_expressions, profile_chain
 from keymint.api import PolicyStructure, WrittenProfile, WrittenRule
 

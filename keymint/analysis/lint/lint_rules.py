@@ -2,30 +2,38 @@
 """Report unreachable, redundant and suspicious policy rules.
 
 A rule is reported only if it has no effect for every subject that it applies to: those that the policy names, and an
-example of each pattern of subjects that its profiles match.
+example of each pattern of subjects that its profiles match. Build types check, without a package, whether rules can be
+compiled portably (:func:`portability`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 
-from comarmor.errors import Diagnostic, Origin, Spot
+from comarmor.errors import Diagnostic, Origin, Severity, Spot
 from comarmor.patterns.glob import parse
 from comarmor.patterns.possible_names import advice
 from comarmor.patterns.relations import TooComplexError
+from comarmor.patterns.steps import step_limit
 from comarmor.text import did_you_mean
-from keymint.analysis.expression_origins import ExpressionOrigins
-from keymint.analysis.findings import quoted_list, undecided_note
 from keymint.analysis.lint.attachment_mistakes import CODES as SLIPS
 from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
+from keymint.analysis.lint.findings import ExpressionOrigins, quoted_list, undecided_note
 from keymint.analysis.lint.name_similarity import similar_names, similar_subjects
 from keymint.analysis.lint.redundant_rules import MOST_PAIRS, RedundantRules, can_name_exist, within_bounds
-from keymint.analysis.root_names import CODES as ROOT_CODES
-from keymint.analysis.root_names import root_names
-from keymint.analysis.subject_patterns import can_exist, pattern_examples, profile_subjects, rules_of, structure
-from keymint.api import LoadedPolicy, PolicyStructure, WrittenProfile
-from keymint.ir import Rule
+from keymint.analysis.subject_patterns import (
+    ROOT_ENCLAVE,
+    can_exist,
+    pattern_examples,
+    profile_subjects,
+    rules_of,
+    structure,
+    with_distinct_rules,
+)
+from keymint.api import LoadedPolicy, PolicyStructure, RuleCheck, WrittenProfile
+from keymint.ir import Rule, SubjectRules
 
 CODES: Mapping[str, str] = {
     "rule-shadowed": "An ALLOW rule is unreachable: DENY rules override all of it.",
@@ -38,7 +46,7 @@ CODES: Mapping[str, str] = {
     "tunable-unused": "A tunable is declared but never used.",
     "name-similar": "A name is similar to one that would fit: a likely typo.",
     **SLIPS,
-    **ROOT_CODES,
+    "root-name": "A rule of the root enclave depends on the name of the subject.",
     "lint-unknown": "A check was not completed within its limit of steps.",
 }
 """Diagnostic codes of ``keymint lint`` with their descriptions."""
@@ -124,3 +132,67 @@ def _profiles(written: PolicyStructure) -> Iterator[Diagnostic]:
 def _never(profile: WrittenProfile, attachment: str, where: Origin, why: str) -> Diagnostic:
     help_ = did_you_mean(attachment, profile.around[-1], "fix the attachment, or move the profile out", similarity=0.8)
     return Diagnostic.warning("profile-never", f"profile {profile.name!r} never applies{why}", where, help_)
+
+
+STEPS = 40_000_000
+"""Steps after which no further subject is checked (:mod:`comarmor.patterns.steps`).
+
+Only work that is done counts: a subject that is like one this process compiled before costs next to nothing, so a
+second run in the same process may check more subjects than the first one, never fewer.
+"""
+
+
+def portability(
+    build_type: RuleCheck, distro: str, subjects: Iterable[tuple[str, tuple[Rule, ...]]]
+) -> Iterator[Diagnostic]:
+    """Yield rules of subjects that a build type cannot express, or that have no effect with it.
+
+    Args:
+        build_type: checks rules.
+        distro: ROS 2 distribution whose name mapping applies.
+        subjects: subjects with their rules.
+    """
+    reported: set[tuple[str, Origin | None, str]] = set()
+    spent = 0
+    for subject, rules in with_distinct_rules(subjects):
+        if spent > STEPS:
+            yield undecided_note(
+                f"{subject} and the subjects after it were not compiled: {STEPS:,} steps were spent on those before it",
+                None,
+                "'keymint build' compiles each of them; or lint parts of the policy",
+            )
+            return
+        with step_limit(None) as counter:
+            diagnostics = list(_of_subject(build_type, SubjectRules(subject, rules), distro, reported))
+        spent += counter.spent
+        yield from diagnostics
+
+
+def _of_subject(
+    build_type: RuleCheck, rules: SubjectRules, distro: str, reported: set[tuple[str, Origin | None, str]]
+) -> Iterator[Diagnostic]:
+    for each in build_type.check_rules(rules, distro):
+        where = each.where
+        if each.severity is Severity.NOTE or where is None:
+            continue
+        key = (each.code, where.alone(), each.message if each.code == "never-matches" else "")
+        if key not in reported:
+            reported.add(key)
+            yield replace(each, severity=Severity.WARNING, subject=each.subject or rules.subject)
+
+
+def root_names(policy: LoadedPolicy, written: PolicyStructure) -> Iterator[Diagnostic]:
+    """Yield a warning for each rule of the root enclave that contains ``{name}`` or ``{namespace}``."""
+    if ROOT_ENCLAVE not in policy.subjects():
+        return
+    depends = {each.rule.origin.spot for each in written.clauses if each.expand("/a/", "a") != each.expand("/b/", "b")}
+    for rule in rules_of(policy, ROOT_ENCLAVE):
+        if rule.origin.spot in depends:
+            yield Diagnostic.warning(
+                "root-name",
+                f"the root enclave '/' has no name, so this {rule.effect} {rule.kind} rule is about "
+                f"{quoted_list(rule.expressions)}, and about none of the nodes that use the enclave",
+                rule.origin,
+                "write the names of these nodes, with wildcards if they are not known, e.g. /*/get_parameters",
+                ROOT_ENCLAVE,
+            )

@@ -21,8 +21,7 @@ from comarmor.patterns.relations import TooComplexError
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.rules import Effect
 from comarmor.values import dataclass
-from keymint.analysis.expression_origins import ExpressionOrigin, ExpressionOrigins
-from keymint.analysis.findings import quoted_list, undecided_note
+from keymint.analysis.lint.findings import ExpressionOrigin, ExpressionOrigins, quoted_list, undecided_note
 from keymint.analysis.rule_lists import (
     PermissionKey,
     allow_only,
@@ -35,8 +34,7 @@ from keymint.analysis.rule_lists import (
     universe,
 )
 from keymint.analysis.subject_patterns import SubjectClass, profile_subjects, with_distinct_rules
-from keymint.analysis.subject_templates import placeholders, symbolic_patterns
-from keymint.analysis.symbolic_rules import SymbolicRules
+from keymint.analysis.symbolic_rules import SymbolicRules, placeholders, symbolic_patterns
 from keymint.api import PolicyStructure
 from keymint.ir import Rule
 

@@ -13,7 +13,7 @@ import click
 from comarmor.errors import Diagnostic, library_name
 from keymint.analysis.policy_diff import diff_policies as compare
 from keymint.analysis.policy_diff import has_gains
-from keymint.analysis.query_budget import STATES, QueryBudget
+from keymint.analysis.symbolic_search import STATES, QueryBudget
 from keymint.api import LoadedPolicy
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, policy_options

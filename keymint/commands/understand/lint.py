@@ -9,9 +9,8 @@ from pathlib import Path
 import click
 
 from comarmor.text import counted
-from keymint.analysis.lint.lint_rules import CODES, sorted_diagnostics
+from keymint.analysis.lint.lint_rules import CODES, portability, sorted_diagnostics
 from keymint.analysis.lint.lint_rules import lint as look
-from keymint.analysis.lint.portability import portability
 from keymint.analysis.subject_patterns import pattern_examples, rules_of
 from keymint.api import RuleCheck
 from keymint.command_line.named_files import write_outputs

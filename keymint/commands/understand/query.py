@@ -16,11 +16,18 @@ from comarmor.patterns.glob import literal, parse
 from comarmor.rules import RAW_PREFIXES
 from comarmor.text import counted
 from keymint.analysis.channels import Channel, ChannelSearch
-from keymint.analysis.effective_permissions import EffectivePermission, effective_permissions
-from keymint.analysis.query import FORMS, HEADS, PolicyQuery, parse_query
+from keymint.analysis.query import (
+    FORMS,
+    HEADS,
+    EffectivePermission,
+    PermissionHolder,
+    PolicyQuery,
+    effective_permissions,
+    parse_query,
+    who_can,
+)
 from keymint.analysis.rule_lists import RAW, allow_only, display_name, find_permitted, query_pattern
 from keymint.analysis.subject_patterns import rules_of, unknown_subject
-from keymint.analysis.who_can import PermissionHolder, who_can
 from keymint.api import LoadedPolicy
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions, kind_option, policy_options

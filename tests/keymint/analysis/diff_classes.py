@@ -14,7 +14,7 @@ from typing import Any
 from comarmor.patterns.expression import matches as expression_matches
 from comarmor.rules import PARTS, Rule, parts
 from keymint.analysis.policy_diff import diff_policies
-from keymint.analysis.query_budget import QueryBudget
+from keymint.analysis.symbolic_search import QueryBudget
 from keymint.api import LoadedPolicy
 from keymint.output.differences import as_text
 from keymint.output.json import differences_json

@@ -17,7 +17,7 @@ from comarmor.errors import Origin
 from comarmor.patterns.expression import matches
 from comarmor.patterns.glob import parse
 from keymint.analysis.policy_diff import SubjectChanges, diff_policies, has_gains
-from keymint.analysis.who_can import PermissionHolder, who_can
+from keymint.analysis.query import PermissionHolder, who_can
 from keymint.api import PolicySource
 from tests.comarmor.language.reference_evaluator import decide
 from tests.keymint.analysis.edits import OBJECTS, SEGMENTS, edited, random_policy

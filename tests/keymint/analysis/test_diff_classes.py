@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from keymint.analysis.policy_diff import diff_policies, has_gains
-from keymint.analysis.query_budget import QueryBudget
+from keymint.analysis.symbolic_search import QueryBudget
 from keymint.output.differences import as_text
 from tests.effort import tries
 from tests.keymint.analysis.diff_classes import Pair, judged, pair

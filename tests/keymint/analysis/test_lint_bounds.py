@@ -11,15 +11,15 @@ from random import Random
 import pytest
 
 from comarmor.errors import Diagnostic, Origin
-from comarmor.patterns.edit_distance import NameTrie
 from comarmor.patterns.glob import parse
 from comarmor.patterns.pattern_index import PatternIndex
 from comarmor.patterns.relations import disjoint
 from comarmor.patterns.steps import spend, step_limit
 from comarmor.rules import Effect
 from keymint.analysis import subject_patterns
-from keymint.analysis.lint import name_similarity, portability, redundant_rules
+from keymint.analysis.lint import lint_rules, name_similarity, redundant_rules
 from keymint.analysis.lint.lint_rules import lint
+from keymint.analysis.lint.name_similarity import NameTrie
 from keymint.ir import Rule, SubjectRules
 from tests.effort import calls_of
 from tests.families import FAMILIES
@@ -96,13 +96,13 @@ class Costly:
 
 @pytest.mark.parametrize(("limit", "codes"), [(9, ["lint-unknown"]), (10, [])])
 def test_the_compiler_ends_with_a_note(monkeypatch: pytest.MonkeyPatch, limit: int, codes: Found) -> None:
-    monkeypatch.setattr(portability, "STEPS", limit)
+    monkeypatch.setattr(lint_rules, "STEPS", limit)
     rules = {
         name: Rule(Effect.ALLOW, "topic", ("publish",), (name,), (), audit=False, origin=Origin("p.xml", 1))
         for name in "ab"
     }
     subjects = [(f"/{name}", (rule,)) for name, rule in rules.items()]
-    found = portability.portability(Costly(), "jazzy", subjects)
+    found = lint_rules.portability(Costly(), "jazzy", subjects)
     assert [each.code for each in found] == codes
 
 

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from comarmor.errors import Origin
 from comarmor.patterns.glob import matches, parse
 from comarmor.rules import Effect
+from keymint.analysis.permission_changes import rule_changes
 from keymint.analysis.policy_diff import diff_policies, has_gains
-from keymint.analysis.query_budget import STATES, QueryBudget
-from keymint.analysis.rule_diff import rule_changes
+from keymint.analysis.symbolic_search import STATES, QueryBudget
 from keymint.ir import Rule
 from keymint.output.differences import summary
 from tests.keymint.analysis.policies import deny, loaded, profile, rule

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from comarmor.errors import Origin
 from comarmor.patterns.glob import parse
+from keymint.analysis.permission_changes import PermissionChange
 from keymint.analysis.policy_diff import SubjectChanges
-from keymint.analysis.rule_diff import PermissionChange
 from keymint.output.differences import as_text, summary
 from keymint.output.markdown import _code, markdown
 

@@ -10,8 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from comarmor.patterns.glob import parse
+from keymint.analysis.query import who_can
 from keymint.analysis.rule_lists import query_pattern
-from keymint.analysis.who_can import who_can
 from keymint.api.graph import Edge, Object
 from keymint.names import typed_permission
 from tests.keymint.analysis.policies import deny, loaded, profile, rule

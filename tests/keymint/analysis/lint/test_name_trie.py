@@ -6,7 +6,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from comarmor.patterns.edit_distance import NameTrie
+from keymint.analysis.lint.name_similarity import NameTrie
 
 NAMES = st.text(alphabet="ab/", max_size=5)
 

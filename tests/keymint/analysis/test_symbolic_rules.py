@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from comarmor.patterns.glob import Glob, literal, matches, parse, units
 from comarmor.patterns.tokens import STAR, Charset, Star
-from keymint.analysis.subject_templates import NAME, NAMESPACE, concrete_name, fill_placeholders, fit_pattern
+from keymint.analysis.symbolic_rules import NAME, NAMESPACE, concrete_name, fill_placeholders, fit_pattern
 
 NAMESPACES = ("", "a/", "b/", "a/b/")
 NAMES = ("a", "b", "ab")

@@ -1,16 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find the attachment of a policy file that each expression of a rule comes from."""
+"""What findings say: notes and lists for messages, and the attachment that each expression of a rule comes from."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
-from comarmor.errors import Origin, Spot
+from comarmor.errors import Diagnostic, Origin, Spot
+from comarmor.text import first_few
 from comarmor.values import dataclass
 from keymint.analysis.subject_patterns import expressions_for
 from keymint.api import PolicyStructure, WrittenRule
 from keymint.ir import Rule
+
+
+def undecided_note(message: str, where: Origin | None, help_: str) -> Diagnostic:
+    """Return a note that a check ended at its limit of steps."""
+    return Diagnostic.note("lint-unknown", message, where, help_)
+
+
+def quoted_list(expressions: Sequence[str]) -> str:
+    """Return the first expressions for a message."""
+    return first_few([repr(each) for each in expressions], 3)
 
 
 @dataclass(frozen=True, slots=True)
