@@ -21,12 +21,12 @@ group                        protocol
 from __future__ import annotations
 
 from comarmor.rules import Expectation as Expectation
+from keymint.api.build_types import BuildType as BuildType
 from keymint.api.building import Artifact as Artifact
 from keymint.api.building import AuthorityChanges as AuthorityChanges
 from keymint.api.building import AuthorityRole as AuthorityRole
 from keymint.api.building import BuildOptions as BuildOptions
 from keymint.api.building import BuildResult as BuildResult
-from keymint.api.building import BuildType as BuildType
 from keymint.api.building import EnclaveCredentials as EnclaveCredentials
 from keymint.api.building import EnvironmentVariable as EnvironmentVariable
 from keymint.api.building import Hint as Hint
@@ -44,7 +44,6 @@ from keymint.api.capabilities import ProcessEnvironment as ProcessEnvironment
 from keymint.api.capabilities import RemoteCompiler as RemoteCompiler
 from keymint.api.capabilities import RevocationReader as RevocationReader
 from keymint.api.capabilities import RuleCheck as RuleCheck
-from keymint.api.capabilities import SharedDocuments as SharedDocuments
 from keymint.api.capabilities import VendorAdvisories as VendorAdvisories
 from keymint.api.capabilities import VendorModels as VendorModels
 from keymint.api.certificates import Authority as Authority
@@ -100,6 +99,7 @@ from keymint.api.policies import DivisiblePolicy as DivisiblePolicy
 from keymint.api.policies import LoadedPolicy as LoadedPolicy
 from keymint.api.policies import PackageIncludes as PackageIncludes
 from keymint.api.policies import PolicyDecision as PolicyDecision
+from keymint.api.policies import PolicySource as PolicySource
 from keymint.api.policies import PolicyStructure as PolicyStructure
 from keymint.api.policies import PolicyType as PolicyType
 from keymint.api.policies import PolicyTypeWithForm as PolicyTypeWithForm
@@ -121,7 +121,6 @@ from keymint.api.profiles import InfrastructurePackage as InfrastructurePackage
 from keymint.api.profiles import IssuanceFiles as IssuanceFiles
 from keymint.api.profiles import OwnValidity as OwnValidity
 from keymint.api.profiles import PackageType as PackageType
-from keymint.api.profiles import PolicySource as PolicySource
 from keymint.api.profiles import ProfileSettings as ProfileSettings
 from keymint.api.profiles import ProfileType as ProfileType
 from keymint.api.profiles import RuleLocator as RuleLocator
@@ -143,7 +142,6 @@ from keymint.api.proving import Prover as Prover
 from keymint.api.proving import Relation as Relation
 from keymint.api.proving import RemoteProver as RemoteProver
 from keymint.api.proving import SharedProofTask as SharedProofTask
-from keymint.api.proving import SharedProver as SharedProver
 from keymint.api.proving import TrustAnchor as TrustAnchor
 from keymint.api.proving import TrustAnchors as TrustAnchors
 from keymint.api.proving import ValidityTerm as ValidityTerm

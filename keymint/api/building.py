@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Build types: build unsigned documents of a package, sign and install them, and check installed enclaves."""
+"""What build types get and return: documents, authorities and their keys, files, and installed enclaves to check."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
 from keymint.api.graph import Edge
-from keymint.api.packages import Package, PackageSettings, PackageSources
+from keymint.api.packages import Package
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
@@ -212,94 +212,6 @@ class SharedInspection:
     chains: Mapping[str, bytes]
     now: datetime
     within_days: float
-
-
-class BuildType(Protocol):
-    """Builds a transport's documents from a package, and signs and checks them.
-
-    A package may have several build types. Their files lie in one enclave; ``cert.pem`` and ``key.pem``, the identity
-    and its private key, are common to all.
-    """
-
-    API: str
-    TRANSPORT: str
-    """Short unique name of the transport, for ``keymint init --transport``."""
-    LAYOUTS: Mapping[str, Layout]
-    """The layouts of the install space that it supports, by name; build types agree on the folder of enclaves."""
-    READS: tuple[str, ...]
-    """Suffixes of the files that the transport reads from an enclave, also through links.
-
-    The transport may read such a file although it cannot be read here, so nothing is claimed about an enclave with one.
-    """
-    KINDS: tuple[str, ...]
-    """The kinds of rules that it can express, keys of :data:`comarmor.rules.PERMISSIONS`; others are not asked."""
-    PARTS: tuple[str, ...]
-    """Names of the parts of a package that it reads beside identity and grant. The document of a part is usually
-    ``<name>.xml`` in the package, and its defaults are ``package.defaults/<name>.xml``."""
-
-    COPIED: tuple[str, ...]
-    """Names of the files of an enclave that :meth:`shared` looks at."""
-
-    def settings(self, sources: PackageSources) -> PackageSettings:
-        """Read the parts of a package.
-
-        Raises:
-            KeymintError: with ``file:line`` of each defect.
-        """
-
-    def files(self, layout: str) -> frozenset[str]:
-        """Return the names of all files of it that may lie in an enclave; others are reported as unexpected."""
-
-    def authorities(self, package: Package) -> Sequence[AuthorityRole]:
-        """Return the authorities that the enclave of a package rests on, one for each role.
-
-        Raises:
-            KeymintError: the package names several authorities where the transport has one.
-        """
-
-    def build(self, package: Package, options: BuildOptions) -> BuildResult:
-        """Return the unsigned documents of a package; a pure function of its arguments.
-
-        Raises:
-            KeymintError: the transport cannot express a rule; with the rule's ``file:line``.
-        """
-
-    def install(
-        self,
-        package: Package,
-        documents: Mapping[str, bytes],
-        credentials: EnclaveCredentials,
-        layout: str,
-        installed: Mapping[str, bytes],
-    ) -> Mapping[str, Artifact]:
-        """Return the files of the enclave by name, with signed documents.
-
-        Args:
-            package: the package.
-            documents: unsigned documents of the build space, which may have been edited by hand; those of the package's
-                other build types are among them.
-            credentials: keys and certificates.
-            layout: name of the layout, one of :attr:`LAYOUTS`.
-            installed: the enclave's current files; a signed file whose content and signer are unchanged is returned
-                unchanged.
-
-        Raises:
-            KeymintError: a document violates its schema.
-        """
-
-    def shared(self, artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapping[str, Artifact]:
-        """Return copies of enclaves' files that a layout has outside of them, by path relative to the install space.
-
-        Args:
-            artifacts: artifacts by subject, then file name; those that :attr:`COPIED` names.
-            layout: name of the layout.
-        """
-
-    def check(self, inspection: Inspection) -> Sequence[Diagnostic]:
-        """Return findings on one installed enclave; their codes are stable."""
-
-    def check_all(self, inspections: Sequence[Inspection]) -> Sequence[Diagnostic]:
-        """Return findings that involve several enclaves, e.g. names that a vendor confuses."""
 
 
 # -- what the implementations of a transport accept while the key or the certificate of an authority changes ----------

@@ -10,10 +10,7 @@ from comarmor.errors import Diagnostic
 from keymint.api.building import (
     Artifact,
     BuildOptions,
-    BuildResult,
     EnvironmentVariable,
-    SharedCredentials,
-    SharedInspection,
 )
 from keymint.api.graph import Edge
 from keymint.api.packages import Package
@@ -117,50 +114,6 @@ class RemoteCompiler(Protocol):
 
     def receive(self, package: Package, options: BuildOptions, compilation: object, *, trusted: bool) -> None:
         """Keep such an item for :meth:`BuildType.build`, which proves it before it uses it, unless it is trusted."""
-
-
-@runtime_checkable
-class SharedDocuments(Protocol):
-    """Optional capability of a build type: documents over all packages, where one place decides for all of them.
-
-    Their paths are relative to the install space. The files that belong to a document have its path, perhaps with a
-    suffix: ``rights/all.json`` and ``rights/all.json.sig``. No path begins with the folder of enclaves.
-    """
-
-    def build_shared(self, packages: Sequence[Package], options: BuildOptions) -> BuildResult:
-        """Return the unsigned documents by path; a pure function of its arguments.
-
-        Args:
-            packages: all packages of the workspace that have the build type, infrastructure included, sorted by name.
-            options: options of the build.
-
-        Raises:
-            KeymintError: the packages contradict each other; with the ``file:line`` of both.
-        """
-
-    def install_shared(
-        self,
-        packages: Sequence[Package],
-        documents: Mapping[str, bytes],
-        credentials: SharedCredentials,
-        layout: str,
-        installed: Mapping[str, bytes],
-    ) -> Mapping[str, Artifact]:
-        """Return the files to install by path: the documents, and what belongs to them, e.g. signatures.
-
-        Args:
-            packages: as for :meth:`build_shared`.
-            documents: unsigned documents of the build space by path, which may have been edited by hand.
-            credentials: the authorities.
-            layout: name of the layout.
-            installed: the current files; a signature whose content and signer are unchanged is returned unchanged.
-
-        Raises:
-            KeymintError: a document violates its schema.
-        """
-
-    def check_shared(self, inspection: SharedInspection) -> Sequence[Diagnostic]:
-        """Return findings on the installed shared documents; their codes are stable."""
 
 
 @runtime_checkable

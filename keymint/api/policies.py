@@ -12,11 +12,19 @@ from comarmor.errors import Origin, Reason
 from comarmor.rules import Expectation
 from comarmor.values import dataclass
 from keymint.api.graph import Edge
-from keymint.api.profiles import PolicySource
 from keymint.ir import Rule, SubjectRules
 
 if TYPE_CHECKING:
     from comarmor.xml.package_folders import PackageFolders, ShippedFile
+
+
+@dataclass(frozen=True, slots=True)
+class PolicySource:
+    """A policy that the profile names: a file or a directory."""
+
+    name: str
+    path: Path
+    origin: Origin
 
 
 @dataclass(frozen=True, slots=True)

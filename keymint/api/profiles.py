@@ -11,19 +11,11 @@ from typing import Protocol, runtime_checkable
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
-from keymint.api.building import BuildType
+from keymint.api.build_types import BuildType
 from keymint.api.certificates import Authority, AuthorityIssuance
 from keymint.api.packages import Issuance, Package, Role
+from keymint.api.policies import PolicySource
 from keymint.ir import SubjectRules
-
-
-@dataclass(frozen=True, slots=True)
-class PolicySource:
-    """A policy that the profile names: a file or a directory."""
-
-    name: str
-    path: Path
-    origin: Origin
 
 
 @dataclass(frozen=True, slots=True)

@@ -374,18 +374,6 @@ class RemoteProver(Protocol):
         """Keep proven claims for :meth:`Prover.prove`, which decides all others itself."""
 
 
-@runtime_checkable
-class SharedProver(Protocol):
-    """Optional capability of a build type with shared documents: proofs of claims across subjects."""
-
-    def prove_shared(self, task: SharedProofTask) -> Sequence[Claim]:
-        """Return the claims, e.g. that no receiver's rights include what another one's rules hide.
-
-        Raises:
-            KeymintError: a shared document cannot be read, or the anchors do not vouch for it.
-        """
-
-
 # -- comparison of a document that is in force with the rules of a policy: which of them permits more, and where ------
 
 

@@ -9,11 +9,10 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import cast
 
 from comarmor.errors import Defects, Diagnostic
 from comarmor.regex import lazy_regex
-from keymint.api import BuildOptions, BuildResult, BuildType, Package, SharedDocuments
+from keymint.api import BuildOptions, BuildResult, Package
 from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.stages.built_documents import kept_documents_step, refuse_edits
@@ -141,9 +140,9 @@ def build_shared(session: Session, name: str, loaded: Sequence[Package], options
         KeymintError: the packages contradict each other.
         ValueError: the build type breaks the rules for paths.
     """
-    builder = cast("SharedDocuments", session.plugins.build_type(name))
+    builder = session.plugins.build_type(name)
     result = builder.build_shared(loaded, options)
-    layout = cast("BuildType", builder).LAYOUTS[session.profile.layout]
+    layout = builder.LAYOUTS[session.profile.layout]
     for path in result.documents:
         if not _PATH.fullmatch(path) or (layout.enclaves and f"{path}/".startswith(f"{layout.enclaves}/")):
             raise ValueError(f"{name} has a shared document with an illegal path: {path!r}")

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import cast
 
 from comarmor.errors import Diagnostic
 from keymint import __version__
-from keymint.api import AuthorityRole, BuildOptions, BuildType, Package, SharedCredentials, SharedDocuments
+from keymint.api import AuthorityRole, BuildOptions, BuildType, Package, SharedCredentials
 from keymint.authority.authorities import MintedAuthority
 from keymint.authority.authority_files import chains_digest, trusted_chains
 from keymint.errors import KeymintError
@@ -185,9 +184,7 @@ def _plan_documents(
     )
     existing = installed_shared(session, documents)
     try:
-        artifacts = cast("SharedDocuments", build_type).install_shared(
-            loaded, documents, credentials, session.profile.layout, existing
-        )
+        artifacts = build_type.install_shared(loaded, documents, credentials, session.profile.layout, existing)
     except KeymintError as error:
         raise KeymintError.of([with_place(each, shared_folder(session)) for each in error.diagnostics]) from error
     if foreign := [path for path in artifacts if not belongs(path, documents)]:

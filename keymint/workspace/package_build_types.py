@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping, MutableMapping
 
 from comarmor.errors import Diagnostic
-from keymint.api import Artifact, AuthorityRole, BuildType, Package, Prover, RevocationReader, SharedDocuments
+from keymint.api import Artifact, AuthorityRole, BuildType, Package, Prover, RevocationReader
 from keymint.errors import KeymintError
 from keymint.view.stamps import digest
 from keymint.workspace.session import Session, once, once_of_sources
@@ -144,15 +144,15 @@ def is_build_current(session: Session, name: str) -> bool:
 
 
 @once
-def shared_builder(session: Session, name: str) -> SharedDocuments | None:
+def shared_builder(session: Session, name: str) -> BuildType | None:
     """Return a build type that has shared documents; None if it has none, or is not installed.
 
     The documents of such a build type name each other by absolute paths, so they depend on the install space.
     """
     if name not in session.plugins.names("keymint.build_types"):
         return None
-    build_type: object = session.plugins.build_type(name)
-    return build_type if isinstance(build_type, SharedDocuments) else None
+    build_type = session.plugins.build_type(name)
+    return build_type if build_type.SHARES else None
 
 
 @once

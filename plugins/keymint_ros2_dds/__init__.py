@@ -4,25 +4,15 @@
 from __future__ import annotations
 
 from comarmor.rules import PERMISSIONS
-from keymint.api import API_VERSION
+from keymint.api import API_VERSION, BuildType
 from keymint.api.lazy import lazy
-from keymint_ros2_dds.enclave_layout import COPIED, LAYOUTS, PERMISSIONS_P7S, READS, files
+from keymint_ros2_dds.enclave_layout import COPIED, LAYOUTS, PERMISSIONS_P7S, READS
 
 __all__ = ["DdsSecurity", "build_type"]
 
 
-class DdsSecurity:
-    """The build type for DDS Security 1.1 as Cyclone DDS and Fast DDS implement it.
-
-    Implements :class:`keymint.api.BuildType`, :class:`keymint.api.NameMapping`, :class:`keymint.api.ActionMapping`,
-    :class:`keymint.api.RuleCheck`, :class:`keymint.api.NodeCheck`, :class:`keymint.api.ForeignDocuments`,
-    :class:`keymint.api.DocumentComparer`, :class:`keymint.api.GrantReader`,
-    :class:`keymint.api.RevocationReader`, :class:`keymint.api.AuthorityChanges`,
-    :class:`keymint.api.RemoteCompiler`, :class:`keymint.api.ProcessEnvironment`,
-    :class:`keymint.api.KeystoreReader`, :class:`keymint.api.KeptDocuments`,
-    :class:`keymint.api.Prover`, :class:`keymint.api.VendorModels`, :class:`keymint.api.VendorAdvisories`,
-    :class:`keymint.api.RemoteProver` and :class:`keymint.api.Presentation`.
-    """
+class DdsSecurity(BuildType):
+    """The build type for DDS Security 1.1 as Cyclone DDS and Fast DDS implement it."""
 
     API = API_VERSION
     NOUN = "DDS topic"
@@ -34,7 +24,7 @@ class DdsSecurity:
     COPIED = COPIED
     KINDS = tuple(PERMISSIONS)
 
-    files = staticmethod(files)
+    files = lazy("keymint_ros2_dds.enclave_layout:files")
     authorities = lazy("keymint_ros2_dds.authority_roles:authorities")
     implementations = lazy("keymint_ros2_dds.authority_roles:implementations")
     settings = lazy("keymint_ros2_dds.governance_source:settings")

@@ -4,21 +4,15 @@
 from __future__ import annotations
 
 from comarmor.rules import PERMISSIONS
-from keymint.api import API_VERSION
+from keymint.api import API_VERSION, BuildType
 from keymint.api.lazy import lazy
-from keymint_ros2_zenoh.enclave_layout import LAYOUTS, READS, files
+from keymint_ros2_zenoh.enclave_layout import LAYOUTS, READS
 
 __all__ = ["Zenoh", "build_type"]
 
 
-class Zenoh:
-    """The build type for Zenoh's access control, as rmw_zenoh uses Zenoh.
-
-    Implements :class:`keymint.api.BuildType`, :class:`keymint.api.SharedDocuments`,
-    :class:`keymint.api.Infrastructure`, :class:`keymint.api.CommonNameIdentity`, :class:`keymint.api.RuleCheck`,
-    :class:`keymint.api.ActionMapping`, :class:`keymint.api.AuthorityChanges`,
-    :class:`keymint.api.ProcessEnvironment`, :class:`keymint.api.Prover` and :class:`keymint.api.SharedProver`.
-    """
+class Zenoh(BuildType):
+    """The build type for Zenoh's access control, as rmw_zenoh uses Zenoh."""
 
     API = API_VERSION
     NOUN = "key expression"
@@ -26,12 +20,12 @@ class Zenoh:
 
     TRANSPORT = "zenoh"
     PARTS = ("zenoh",)
-    COPIED = ()
+    SHARES = True
     LAYOUTS = LAYOUTS
     READS = READS
     KINDS = tuple(kind for kind in PERMISSIONS if kind != "topic")  # no key expression stands for a raw topic
 
-    files = staticmethod(files)
+    files = lazy("keymint_ros2_zenoh.enclave_layout:files")
     packages = lazy("keymint_ros2_zenoh.zenoh_source:packages")
     settings = lazy("keymint_ros2_zenoh.zenoh_source:settings")
     authorities = lazy("keymint_ros2_zenoh.settings:authorities")

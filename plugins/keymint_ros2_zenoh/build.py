@@ -69,7 +69,7 @@ def build(package: Package, options: BuildOptions) -> BuildResult:  # noqa: ARG0
 
 
 def build_shared(packages: Sequence[Package], options: BuildOptions) -> BuildResult:
-    """Return the router's configuration; see :meth:`keymint.api.SharedDocuments.build_shared`.
+    """Return the router's configuration; see :meth:`keymint.api.BuildType.build_shared`.
 
     Raises:
         KeymintError: the packages have different routers or signers, no router, or the same common name.

@@ -51,7 +51,7 @@ def install_shared(
     layout: str,  # noqa: ARG001 - it has one
     installed: Mapping[str, bytes],
 ) -> Mapping[str, Artifact]:
-    """Return the router's configuration and its signature; see :meth:`keymint.api.SharedDocuments.install_shared`.
+    """Return the router's configuration and its signature; see :meth:`keymint.api.BuildType.install_shared`.
 
     Raises:
         KeymintError: the configuration is missing or not valid.

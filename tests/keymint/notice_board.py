@@ -39,6 +39,7 @@ def lines(rules: SubjectRules) -> list[str]:
 class NoticeBoard(PlainBuildType):
     TRANSPORT = "board"
     DOCUMENT = NOTE
+    SHARES = True
     LAYOUTS: Mapping[str, api.Layout] = {"sros2": api.Layout("enclaves", reserved=("board",))}
 
     def files(self, layout: str) -> frozenset[str]:

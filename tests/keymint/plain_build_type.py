@@ -10,29 +10,22 @@ from keymint.api import (
     API_VERSION,
     Artifact,
     AuthorityRole,
+    BuildType,
     EnclaveCredentials,
     Inspection,
     Layout,
     Package,
-    PackageSettings,
-    PackageSources,
 )
 
 
-class PlainBuildType:
-    """Implements :class:`keymint.api.BuildType`, but for ``TRANSPORT``, the name of the document, and ``build``."""
+class PlainBuildType(BuildType):
+    """A build type but for ``TRANSPORT``, the name of the document, and ``build``."""
 
     API = API_VERSION
-    PARTS: tuple[str, ...] = ()
-    COPIED: tuple[str, ...] = ()
     LAYOUTS: Mapping[str, Layout] = {"sros2": Layout("enclaves")}
     READS = (".pem",)
     KINDS: tuple[str, ...] = ("ros_topic", "ros_service", "ros_action", "ros_parameter")
     DOCUMENT: str
-
-    def settings(self, sources: PackageSources) -> PackageSettings:
-        del sources
-        return PackageSettings(None)
 
     def files(self, layout: str) -> frozenset[str]:
         del layout
@@ -56,14 +49,6 @@ class PlainBuildType:
             "key.pem": Artifact(credentials.key, secret=True),
         }
 
-    def shared(self, artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapping[str, Artifact]:
-        del artifacts, layout
-        return {}
-
     def check(self, inspection: Inspection) -> Sequence[Diagnostic]:
         del inspection
-        return ()
-
-    def check_all(self, inspections: Sequence[Inspection]) -> Sequence[Diagnostic]:
-        del inspections
         return ()

@@ -22,12 +22,11 @@ from keymint.api import (
     AuthorityRole,
     BuildOptions,
     BuildResult,
+    BuildType,
     EnclaveCredentials,
     Inspection,
     Layout,
     Package,
-    PackageSettings,
-    PackageSources,
 )
 from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, smime
@@ -44,21 +43,14 @@ IDENTITY, RIGHTS = "identity", "rights"
 FILES = (SIGNED, CERTIFICATE, KEY, IDENTITY_CA, PERMISSIONS_CA)
 
 
-class JsonBuildType:
-    """Implements :class:`keymint.api.BuildType`."""
+class JsonBuildType(BuildType):
+    """Builds, signs and checks the rules of a package as JSON."""
 
     API = "2.0"
     TRANSPORT = "json"
     LAYOUTS: Mapping[str, Layout] = {"sros2": Layout("enclaves"), "flat": Layout("")}
     READS: tuple[str, ...] = (".pem", ".p7s")
     KINDS: tuple[str, ...] = tuple(PERMISSIONS)
-    PARTS: tuple[str, ...] = ()
-    COPIED: tuple[str, ...] = ()
-
-    def settings(self, sources: PackageSources) -> PackageSettings:
-        """Read nothing: identity and grant have all that it needs."""
-        del sources
-        return PackageSettings(None)
 
     def files(self, layout: str) -> frozenset[str]:
         """Return the names of the files of an enclave."""
@@ -132,22 +124,12 @@ class JsonBuildType:
             PERMISSIONS_CA: Artifact(credentials.chains[RIGHTS]),
         }
 
-    def shared(self, artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapping[str, Artifact]:
-        """Return nothing: enclaves share no files."""
-        del artifacts, layout
-        return {}
-
     def check(self, inspection: Inspection) -> Sequence[Diagnostic]:
         """Return the defects of an installed enclave, and where it differs from what its sources build.
 
         Keymint itself checks file modes, and whether files changed since they were installed.
         """
         return tuple(_findings(inspection))
-
-    def check_all(self, inspections: Sequence[Inspection]) -> Sequence[Diagnostic]:
-        """Return nothing: no check compares several enclaves."""
-        del inspections
-        return ()
 
 
 def _findings(inspection: Inspection) -> Iterator[Diagnostic]:

@@ -22,7 +22,6 @@ from keymint.api import (
     RemoteProver,
     Role,
     SharedProofTask,
-    SharedProver,
     ValidityTerm,
     VendorModels,
 )
@@ -180,12 +179,12 @@ class ProofStage:
     def _across(self, names: Collection[str]) -> Iterator[EnclaveProof]:
         """Prove the claims across subjects of the build types that some packages have, unless these are cached."""
         for name, of_type in users(self._session).items():
-            build_type: object = self._session.plugins.build_type(name)
-            if isinstance(build_type, SharedProver) and not set(names).isdisjoint(of_type):
-                yield self._prove_across(name, of_type, build_type)
+            if not set(names).isdisjoint(of_type):
+                yield self._prove_across(name, of_type)
 
-    def _prove_across(self, name: str, names: Sequence[str], prover: SharedProver) -> EnclaveProof:
+    def _prove_across(self, name: str, names: Sequence[str]) -> EnclaveProof:
         session, key, folder = self._session, record_key(name), self._shared_folder
+        build_type = session.plugins.build_type(name)
         enclaves = shared_install.enclaves_of(session, name)
         inputs = shared_install.claims_digest(session, name, enclaves)
         stamp, subjects = session.state.stamp(STAGE, key), [subject_of(each) for each in names]
@@ -203,13 +202,13 @@ class ProofStage:
                 session.workspace.shown(session.workspace.build if self._unsigned else session.enclaves),
                 shared_install.installed_documents(session, name),
                 folder,
-                shared_anchors(session, packages, session.plugins.build_type(name)),
+                shared_anchors(session, packages, build_type),
                 self._effort.states,
                 self._effort.deadline(),
                 self._unsigned,
             )
             with self._effort.limit(rule for each in rules.values() for rule in each.rules):
-                claims = _with_rules(prover.prove_shared(task), rules.values())
+                claims = _with_rules(build_type.prove_shared(task), rules.values())
             proof = EnclaveProof(key, "", claims)
         except KeymintError as error:
             proof = EnclaveProof(key, "", diagnostics=tuple(error.diagnostics))

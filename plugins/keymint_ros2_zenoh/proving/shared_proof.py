@@ -160,7 +160,7 @@ _SENT = (Message.PUT, Message.DELETE, Message.QUERY)
 
 
 def prove_shared(task: SharedProofTask) -> tuple[Claim, ...]:
-    """Return the claims across subjects; see :meth:`keymint.api.SharedProver.prove_shared`.
+    """Return the claims across subjects; see :meth:`keymint.api.BuildType.prove_shared`.
 
     Raises:
         KeymintError: the router's file is missing, cannot be read, or does not rest on the workspace's authority.
