@@ -25,9 +25,9 @@ from keymint.api import (
     DomainRange,
     FoundKeystore,
     Issuance,
-    KeptDocuments,
     KeystoreFile,
     KeystoreFiles,
+    KeystoreReader,
 )
 from keymint.authority.authority_changes import GivenAuthority, plan_import
 from keymint.errors import KeymintError
@@ -55,7 +55,7 @@ class Adoption:
     """A keystore to take over.
 
     Attributes:
-        build_type: name of the build type that reads it.
+        reader: reads it.
         files: its files.
         found: what it has.
         policy: its policy.
@@ -63,7 +63,7 @@ class Adoption:
         request: the new profile.
     """
 
-    build_type: str
+    reader: KeystoreReader
     files: KeystoreFiles
     found: FoundKeystore
     policy: AdoptedPolicy
@@ -238,16 +238,13 @@ def _require_kept(adoption: Adoption, built: Work) -> None:
         KeymintError: it does not; says why.
     """
     session = built.session
-    build_type: object = session.plugins.build_type(adoption.build_type)
     errors: list[Diagnostic] = []
     for enclave in adoption.found.enclaves:
         name = package_name(enclave.subject)
         for document, content in enclave.documents.items():
             if session.tree.read(session.workspace.build / name / document) == content:
                 continue
-            why = isinstance(build_type, KeptDocuments) and build_type.not_kept(
-                session.package(name), document, content
-            )
+            why = adoption.reader.not_kept(session.package(name), document, content)
             message = f"cannot be kept as it is signed: {why or 'its rules cannot be written in the same way'}"
             place = f"{adoption.files.folder}/{enclave.facts['place']}/{document}"
             help_ = "sign it again with the tool that made it, without what is in the way"

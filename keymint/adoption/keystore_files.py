@@ -26,8 +26,10 @@ MOST_BYTES = 1 << 30
 """Bytes of all files together."""
 
 
-def found_in(plugins: Plugins, folder: Path, typed: str, now: datetime) -> tuple[str, KeystoreFiles, FoundKeystore]:
-    """Return the build type that reads a keystore, the files of the keystore, and what it has.
+def found_in(
+    plugins: Plugins, folder: Path, typed: str, now: datetime
+) -> tuple[str, KeystoreReader, KeystoreFiles, FoundKeystore]:
+    """Return the name of the build type that reads a keystore, its reader, the files of the keystore, and what it has.
 
     Files that cannot be read are findings.
 
@@ -42,10 +44,9 @@ def found_in(plugins: Plugins, folder: Path, typed: str, now: datetime) -> tuple
     """
     files, problems = read_keystore(folder, typed, now)
     for name in plugins.names("keymint.build_types"):
-        build_type: object = plugins.build_type(name)
-        if isinstance(build_type, KeystoreReader):
-            found = build_type.found(files)
-            return name, files, replace(found, diagnostics=(*problems, *found.diagnostics))
+        if reader := plugins.build_type(name).keystores:
+            found = reader.found(files)
+            return name, reader, files, replace(found, diagnostics=(*problems, *found.diagnostics))
     raise KeymintError(
         "no installed build type reads keystores", help="'keymint plugins' lists them", code="adopt-unsupported"
     )

@@ -11,12 +11,11 @@ from comarmor.values import dataclass
 from keymint.adoption.keystore_policy import differences
 from keymint.api import (
     ComparisonTask,
-    DocumentComparer,
     FoundEnclave,
     FoundKeystore,
     GrantedRules,
-    GrantReader,
     KeystoreFiles,
+    KeystoreReader,
     PolicyWriter,
     Relation,
 )
@@ -54,14 +53,14 @@ class Learning:
     """How a policy is learned.
 
     Attributes:
-        build_type: name of the build type that reads the keystore.
+        reader: reads the keystore.
         policy_type: name of the policy type that writes the policy.
         distro: ROS 2 distribution whose name mapping applies.
         name: path of the new policy, as the user would type it.
         effort: the limits of the search for one answer, and of the comparison of an enclave's documents.
     """
 
-    build_type: str
+    reader: KeystoreReader
     policy_type: str
     distro: str
     name: str
@@ -81,12 +80,7 @@ def learned_from(plugins: Plugins, files: KeystoreFiles, found: FoundKeystore, l
         KeymintError: a signature does not verify, a document grants what no policy can say, or the proof fails; each
             with its place.
     """
-    reader: object = plugins.build_type(learning.build_type)
     writer: object = plugins.policy_type(learning.policy_type)
-    if not isinstance(reader, GrantReader) or not isinstance(reader, DocumentComparer):
-        raise KeymintError(
-            f"the build type {learning.build_type} reads no rules from documents", code="learn-unsupported"
-        )
     if not isinstance(writer, PolicyWriter):
         raise KeymintError(f"the policy type {learning.policy_type!r} cannot write rules", code="learn-unsupported")
     if refused := [each for each in found.diagnostics if each.code in _REFUSED]:
@@ -96,13 +90,13 @@ def learned_from(plugins: Plugins, files: KeystoreFiles, found: FoundKeystore, l
     for enclave in found.enclaves:
         try:
             _check_name(files, enclave)
-            granted.append(reader.granted(files, enclave, learning.distro))
+            granted.append(learning.reader.granted(files, enclave, learning.distro))
         except KeymintError as error:
             errors += (replace(each, subject=enclave.subject) for each in error.diagnostics)
     if errors:
         raise KeymintError.of(errors)
     policy = writer.policy_of([each.rules for each in granted], learning.name, _NOTE)
-    if unproven := list(_unproven(reader, granted, policy.subjects, learning)):
+    if unproven := list(_unproven(granted, policy.subjects, learning)):
         raise KeymintError.of(unproven)
     defects = (each for each in found.diagnostics if each.severity is Severity.ERROR)
     warnings = (replace(each, severity=Severity.WARNING) for each in defects)
@@ -119,7 +113,7 @@ def _check_name(files: KeystoreFiles, enclave: FoundEnclave) -> None:
 
 
 def _unproven(
-    comparer: DocumentComparer, granted: Sequence[GrantedRules], written: Sequence[SubjectRules], learning: Learning
+    granted: Sequence[GrantedRules], written: Sequence[SubjectRules], learning: Learning
 ) -> Iterator[Diagnostic]:
     """Yield an error for each document that is not proven to mean what its subject's rules in the policy mean."""
     for each, rules in zip(granted, written, strict=True):
@@ -128,7 +122,7 @@ def _unproven(
             learning.effort.states, learning.effort.deadline(),
         )  # fmt: skip
         with learning.effort.limit(rules.rules):
-            comparison = comparer.compared(task)
+            comparison = learning.reader.compared(task)
         if comparison.relation is not Relation.EQUAL:
             reason = comparison.reason + costliest(rules.rules) if comparison.reason else differences(comparison)
             message = f"{rules.subject}: the learned rules are not proven to mean what {each.file} means: {reason}"

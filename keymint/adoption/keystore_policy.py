@@ -11,9 +11,9 @@ from comarmor.values import dataclass
 from keymint.api import (
     ComparisonTask,
     Counterexample,
-    DocumentComparer,
     DocumentComparison,
     FoundEnclave,
+    KeystoreReader,
     Relation,
 )
 from keymint.ir import SubjectRules
@@ -91,7 +91,7 @@ class Compared:
 
 
 def document_comparisons(
-    comparer: DocumentComparer,
+    reader: KeystoreReader,
     enclaves: Iterable[FoundEnclave],
     rules: Mapping[str, SubjectRules],
     distro: str,
@@ -100,7 +100,7 @@ def document_comparisons(
     """Compare the signed documents of a keystore with a policy.
 
     Args:
-        comparer: the build type.
+        reader: reads the documents.
         enclaves: the enclaves; those without rights that verify have a finding already.
         rules: the rules of the policy, by subject; a subject without any may do nothing.
         distro: ROS 2 distribution whose name mapping applies.
@@ -119,7 +119,7 @@ def document_comparisons(
                 effort.states, go_on,
             )  # fmt: skip
             with effort.limit(of_subject.rules):
-                found.append(Compared(each.subject, comparer.compared(task), grant.file))
+                found.append(Compared(each.subject, reader.compared(task), grant.file))
     return tuple(found)
 
 

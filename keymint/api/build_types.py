@@ -5,8 +5,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from typing import Any
 
 from comarmor.errors import Diagnostic
 from keymint.api.building import (
@@ -15,13 +15,44 @@ from keymint.api.building import (
     BuildOptions,
     BuildResult,
     EnclaveCredentials,
+    EnvironmentVariable,
+    Implementation,
     Inspection,
     Layout,
     SharedCredentials,
     SharedInspection,
 )
+from keymint.api.foreign_keystores import KeystoreReader
+from keymint.api.graph import Edge
 from keymint.api.packages import Package, PackageSettings, PackageSources
-from keymint.api.proving import Claim, SharedProofTask
+from keymint.api.profiles import InfrastructurePackage, WorkspaceProfile
+from keymint.api.proving import Claim, Prover, SharedProofTask
+from keymint.api.rights import Presentation
+from keymint.api.transports import Enclave, Endpoint
+from keymint.ir import SubjectRules
+
+
+class NameMapping(ABC):
+    """Maps edges on application names to endpoints of a transport.
+
+    Rules on application names and rules on transport names both apply to an endpoint.
+    """
+
+    @abstractmethod
+    def endpoints(self, distro: str, edge: Edge) -> Sequence[Edge]:
+        """Return the edges of kind ``topic`` that implement an edge; an edge of that kind implements itself.
+
+        Raises:
+            KeymintError: the distribution or the permission is not known.
+        """
+
+    @abstractmethod
+    def meanings(self, distro: str, endpoint: Edge) -> Sequence[Edge]:
+        """Return the elementary edges of other kinds that this edge of kind ``topic`` implements."""
+
+    @abstractmethod
+    def document_topics(self, enclave: Enclave) -> Sequence[tuple[str, Sequence[str]]]:
+        """Return the topic expressions in the signed documents of an enclave, each with its partitions."""
 
 
 class BuildType(ABC):
@@ -48,6 +79,14 @@ class BuildType(ABC):
     ``<name>.xml`` in the package, and its defaults are ``package.defaults/<name>.xml``."""
     COPIED: tuple[str, ...] = ()
     """Names of the files of an enclave that :meth:`shared` looks at."""
+    prover: Prover | None = None
+    """Proves claims about installed enclaves."""
+    presentation: Presentation | None = None
+    """What is known about the signed documents that its enclaves present to each other, if they do."""
+    keystores: KeystoreReader | None = None
+    """Reads keystores and documents that other tools made."""
+    names: NameMapping | None = None
+    """Maps names of the application to those of the transport, if these differ."""
 
     def settings(self, sources: PackageSources) -> PackageSettings:
         """Read the parts of a package.
@@ -118,9 +157,170 @@ class BuildType(ABC):
         """Return findings that involve several enclaves, e.g. names that a vendor confuses."""
         return ()
 
-    # -- documents over all packages, where one place decides for all of them -----------------------------------------
+    # -- what its transport does ---------------------------------------------------------------------------------------
 
-    SHARES: ClassVar[bool] = False
+    KNOWS_COMMON_NAMES_ONLY: bool = False
+    """It knows a subject by a common name alone.
+
+    Then the common name has the generation (:attr:`Issuance.generation`), so that a revoked identity loses its rights.
+    """
+
+    def revocation_files(self, distro: str, layout: str, revocations: bytes) -> Mapping[str, Artifact] | None:
+        """Return the files with which an enclave has a revocation list, by name; empty if the transport reads none.
+
+        None if it has no such lists at all.
+
+        Args:
+            distro: the ROS 2 distribution.
+            layout: name of the layout.
+            revocations: the list, PEM.
+        """
+        return None
+
+    def keystore_variables(self, distro: str, layout: str) -> Sequence[EnvironmentVariable]:
+        """Return the variables that all processes of a robot have.
+
+        Args:
+            distro: the ROS 2 distribution.
+            layout: name of the layout.
+        """
+        return ()
+
+    def enclave_variables(
+        self, distro: str, layout: str, subject: str, files: Collection[str]
+    ) -> Sequence[EnvironmentVariable]:
+        """Return the variables of one process that uses an enclave, those of all processes that it needs included.
+
+        Args:
+            distro: the ROS 2 distribution.
+            layout: name of the layout.
+            subject: the subject of the enclave, e.g. ``/robot1/talker``.
+            files: the names of the enclave's files.
+        """
+        return ()
+
+    def implementations(self) -> Sequence[Implementation]:
+        """Return the implementations of the transport that were measured; otherwise all subjects change together."""
+        return ()
+
+    def distro_of(self, paths: Iterable[str], content: Callable[[str], bytes | None]) -> str:
+        """Return the distribution of the signed documents among some files, or an empty text if they do not tell it.
+
+        Args:
+            paths: the paths of the files.
+            content: returns the content of a file; None if it cannot be read.
+        """
+        return ""
+
+    INFRASTRUCTURE: bool = False
+    """It needs identities that are no subjects of the policy.
+
+    The documents of such a workspace may name files by their absolute path, so they are built again when it moves.
+    """
+
+    def packages(self, profile: WorkspaceProfile) -> Sequence[InfrastructurePackage]:
+        """Return the packages that a workspace needs for them.
+
+        Raises:
+            KeymintError: with ``file:line`` of a defect of the profile, or the transport cannot serve it.
+        """
+        return ()
+
+    # -- which names and rules it has ----------------------------------------------------------------------------------
+
+    NOUN: str = ""
+    """The word for the names of its endpoints, e.g. ``topic``; empty if :meth:`actions` is not to be asked."""
+
+    def actions(self, distro: str, edge: Edge) -> Sequence[Endpoint]:
+        """Return the endpoints that the transport must all permit for an edge.
+
+        There are none if no name on the transport can stand for the object; the transport is not asked about it.
+
+        Args:
+            distro: ROS 2 distribution whose name mapping applies.
+            edge: an edge of a kind that the build type can express.
+
+        Raises:
+            KeymintError: the distribution or the permission is not known.
+        """
+        return ()
+
+    def installed_names(self, enclave: Enclave) -> Sequence[str]:
+        """Return expressions of application names like those in the shared documents; none if these cannot be read."""
+        return ()
+
+    def check_rules(self, rules: SubjectRules, distro: str) -> Sequence[Diagnostic] | None:
+        """Return the rules that it cannot express, that implementations read differently, or that have no effect.
+
+        Args:
+            rules: the policy's rules for a subject.
+            distro: ROS 2 distribution whose name mapping applies.
+
+        Returns:
+            Findings at the place of a rule, with stable codes; their severity is that of a build. None if it checks no
+            rules without a package.
+        """
+        return None
+
+    def check_node(self, rules: SubjectRules, distro: str) -> Iterable[Diagnostic]:
+        """Return notes on what cannot start with default options, each with a stable code and the subject.
+
+        Args:
+            rules: the rules of a subject.
+            distro: ROS 2 distribution of its nodes.
+        """
+        return ()
+
+    # -- which software reads its files --------------------------------------------------------------------------------
+
+    def models(self, distro: str = "") -> Mapping[str, str]:
+        """Return how each model that claims are made for is known: specified, measured, or from sources.
+
+        A simulated transport may have the name of a model.
+
+        Args:
+            distro: the ROS 2 distribution; empty for all models.
+        """
+        return {}
+
+    VENDORS: tuple[str, ...] = ()
+    """Names of the vendors that advisories are known for."""
+
+    def installed_vendors(self, environment: Mapping[str, str]) -> Mapping[str, Sequence[str]]:
+        """Return the versions of each vendor that are installed on this machine; none that is not found.
+
+        Args:
+            environment: variables, of which some name folders of installed software.
+        """
+        return {}
+
+    def advisories(self, vendor: str, version: str) -> Sequence[Diagnostic]:
+        """Return a finding for each known vulnerability of access control that affects a version of a vendor."""
+        return ()
+
+    # -- other machines, which nobody vouches for, may compile for it --------------------------------------------------
+
+    def is_remote(self, package: Package) -> bool:
+        """Tell whether another machine may compile a package: what it answers can be proven.
+
+        Then there are the two methods below.
+        """
+        return False
+
+    def compiling(self) -> Callable[[Any, Sequence[tuple[Package, BuildOptions]]], Sequence[object]]:
+        """Return the function of a module that a worker calls with packages; its annotation has the exact type.
+
+        Its result has an item for each package; None if there is more to say about the package than its documents.
+        """
+        raise NotImplementedError
+
+    def receive(self, package: Package, options: BuildOptions, compilation: object, *, trusted: bool) -> None:
+        """Keep such an item for :meth:`build`, which proves it before it uses it, unless it is trusted."""
+        raise NotImplementedError
+
+    # -- documents over all packages, where one place decides for all of them ------------------------------------------
+
+    SHARES: bool = False
     """It has such documents, and the four methods below.
 
     Their paths are relative to the install space. The files that belong to a document have its path, perhaps with a

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import field
 from datetime import datetime
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
@@ -214,9 +214,6 @@ class SharedInspection:
     within_days: float
 
 
-# -- what the implementations of a transport accept while the key or the certificate of an authority changes ----------
-
-
 @dataclass(frozen=True, slots=True)
 class Implementation:
     """An implementation of a transport, as it was measured.
@@ -234,14 +231,3 @@ class Implementation:
     title: str
     bundles: frozenset[str] = frozenset()
     reissues: frozenset[str] = frozenset()
-
-
-@runtime_checkable
-class AuthorityChanges(Protocol):
-    """Optional capability of a build type: tells how the authorities of installed enclaves can be changed.
-
-    Of a transport without it, nothing is assumed: all subjects change together.
-    """
-
-    def implementations(self) -> Sequence[Implementation]:
-        """Return the implementations of the transport that were measured."""

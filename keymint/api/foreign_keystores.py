@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
 from datetime import datetime
 from typing import Any, Protocol, runtime_checkable
@@ -11,8 +12,10 @@ from typing import Any, Protocol, runtime_checkable
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.api.certificates import KeySpec, Validity
+from keymint.api.foreign_policies import ImportedSubject
 from keymint.api.packages import DomainRange, Package
 from keymint.api.profiles import WorkspaceProfile
+from keymint.api.rights import Comparison, ComparisonTask, DocumentComparison
 from keymint.ir import SubjectRules
 
 
@@ -221,32 +224,6 @@ class HardenedProfileType(Protocol):
         """
 
 
-@runtime_checkable
-class KeystoreReader(Protocol):
-    """Optional capability of a build type: reads keystores that other tools made."""
-
-    def found(self, keystore: KeystoreFiles) -> FoundKeystore:
-        """Return what a keystore has: its authorities, enclaves and documents, examined.
-
-        Raises:
-            KeymintError: it has no enclave that the build type knows.
-        """
-
-
-@runtime_checkable
-class KeptDocuments(Protocol):
-    """Optional capability of a build type: keeps the documents that another tool signed (:attr:`Package.kept`)."""
-
-    def not_kept(self, package: Package, name: str, document: bytes) -> str:
-        """Return why a document is not one that the sources of a package could build; empty if it is.
-
-        Args:
-            package: the package.
-            name: name of the unsigned document (:attr:`BuildResult.documents`).
-            document: its content.
-        """
-
-
 # -- learn a policy from documents in force: a build type reads their rules, and a policy type writes them ------------
 
 
@@ -271,26 +248,6 @@ class GrantedRules:
     subject_name: str
     domains: tuple[DomainRange, ...]
     diagnostics: tuple[Diagnostic, ...] = ()
-
-
-@runtime_checkable
-class GrantReader(Protocol):
-    """Optional capability of a build type: reads the rules of signed documents."""
-
-    def granted(self, keystore: KeystoreFiles, enclave: FoundEnclave, distro: str) -> GrantedRules:
-        """Return what the signed document of an enclave grants.
-
-        Names of the application take the place of those of the transport where the latter say so.
-
-        Args:
-            keystore: the keystore.
-            enclave: an enclave in it.
-            distro: ROS 2 distribution whose name mapping applies.
-
-        Raises:
-            KeymintError: the signature does not verify, the document cannot be read, or no policy can say what it
-                grants; with ``file:line``.
-        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -320,4 +277,66 @@ class PolicyWriter(Protocol):
 
         Raises:
             KeymintError: the format cannot express a rule.
+        """
+
+
+class KeystoreReader(ABC):
+    """Reads keystores and documents that other tools made."""
+
+    @abstractmethod
+    def found(self, keystore: KeystoreFiles) -> FoundKeystore:
+        """Return what a keystore has: its authorities, enclaves and documents, examined.
+
+        Raises:
+            KeymintError: it has no enclave that the build type knows.
+        """
+
+    @abstractmethod
+    def not_kept(self, package: Package, name: str, document: bytes) -> str:
+        """Return why a document is not one that the sources of a package could build; empty if it is.
+
+        Args:
+            package: the package.
+            name: name of the unsigned document (:attr:`BuildResult.documents`).
+            document: its content.
+        """
+
+    @abstractmethod
+    def granted(self, keystore: KeystoreFiles, enclave: FoundEnclave, distro: str) -> GrantedRules:
+        """Return what the signed document of an enclave grants.
+
+        Names of the application take the place of those of the transport where the latter say so.
+
+        Args:
+            keystore: the keystore.
+            enclave: an enclave in it.
+            distro: ROS 2 distribution whose name mapping applies.
+
+        Raises:
+            KeymintError: the signature does not verify, the document cannot be read, or no policy can say what it
+                grants; with ``file:line``.
+        """
+
+    @abstractmethod
+    def compared(self, task: ComparisonTask) -> DocumentComparison:
+        """Compare a document, as the transport's standard reads it, with the rules of a subject.
+
+        Dates are not compared: each grant that is ever in force must permit what the rules allow.
+
+        Raises:
+            KeymintError: a rule cannot be mapped; with ``file:line``. A document that cannot be read is ``unknown``.
+        """
+
+    @abstractmethod
+    def compare(self, subject: ImportedSubject, distro: str, states: int, go_on: Callable[[], bool]) -> Comparison:
+        """Compare a document of another tool, and the one that is compiled here, with the rules of a subject.
+
+        Args:
+            subject: the subject.
+            distro: ROS 2 distribution.
+            states: the most states that the search for one claim may visit.
+            go_on: polled; a search ends when it returns False.
+
+        Raises:
+            KeymintError: the document cannot be read, or a rule cannot be mapped.
         """

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import field
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -156,39 +156,6 @@ class PolicyFormat(Protocol):
 
         Raises:
             KeymintError: a rule cannot be expressed; each with its ``file:line``.
-        """
-
-
-@dataclass(frozen=True, slots=True)
-class Comparison:
-    """What two documents mean, by the same rules.
-
-    Attributes:
-        theirs: the claims that the document of another tool permits what the rules allow; those of the standard first.
-        ours: the same claims by the standard about the document that the build type compiles from the rules.
-        diagnostics: warnings about rules, e.g. those that cannot be expressed for every vendor.
-    """
-
-    theirs: tuple[Claim, ...]
-    ours: tuple[Claim, ...]
-    diagnostics: tuple[Diagnostic, ...]
-
-
-@runtime_checkable
-class ForeignDocuments(Protocol):
-    """Optional capability of a build type: proofs about unsigned documents that other tools write."""
-
-    def compare(self, subject: ImportedSubject, distro: str, states: int, go_on: Callable[[], bool]) -> Comparison:
-        """Compare a document of another tool, and the one that is compiled here, with the rules of a subject.
-
-        Args:
-            subject: the subject.
-            distro: ROS 2 distribution.
-            states: the most states that the search for one claim may visit.
-            go_on: polled; a search ends when it returns False.
-
-        Raises:
-            KeymintError: the document cannot be read, or a rule cannot be mapped.
         """
 
 

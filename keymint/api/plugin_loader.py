@@ -30,7 +30,6 @@ from keymint.api import (
     ProfileType,
     Transport,
     TransportType,
-    VendorModels,
 )
 from keymint.errors import ExitCode, KeymintError
 
@@ -247,8 +246,8 @@ class Plugins:
             build_type: name of the build type.
             distro: leave out models of what this ROS 2 distribution does not ship; empty for all.
         """
-        plugin: object = self.build_type(build_type) if distro else None
-        others = plugin.models().keys() - plugin.models(distro) if isinstance(plugin, VendorModels) else frozenset()
+        plugin = self.build_type(build_type) if distro else None
+        others = plugin.models().keys() - plugin.models(distro) if plugin else frozenset[str]()
         named = (name for name in self.names("keymint.transports") if name not in others)
         return [name for name in named if self.read_by(name) == build_type]
 

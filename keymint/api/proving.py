@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
+# ruff: noqa: ARG002 - defaults ignore their arguments
 """Provers: prove that installed documents permit exactly what the policy allows, for all names."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
 from datetime import datetime
 from enum import StrEnum
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
@@ -194,126 +196,14 @@ class ValidityTerm:
     models: tuple[str, ...] = ()
 
 
-@runtime_checkable
-class InstalledDistro(Protocol):
-    """Optional capability of a build type: signed documents tell for which distribution they were made."""
+class Prover(ABC):
+    """Proves claims about installed documents."""
 
-    def distro_of(self, paths: Iterable[str], content: Callable[[str], bytes | None]) -> str:
-        """Return the distribution of the signed documents among some files, or an empty text if they do not tell it.
-
-        Args:
-            paths: the paths of the files.
-            content: returns the content of a file; None if it cannot be read.
-        """
-
-
-@dataclass(frozen=True, slots=True)
-class Holder:
-    """A certificate in force. Whoever has its key may present any document that is signed for its name.
-
-    Attributes:
-        subject: the subject that it is for; empty if no package has this name.
-        name: its distinguished name in certificate order, as :func:`keymint.pki.distinguished_names.parse` reads it.
-        until: its end, UTC.
-        rules: the policy's rules for the subject; none if no profile names it.
-        distro: ROS 2 distribution whose name mapping applies.
-        domains: the domains in which the rules apply.
-    """
-
-    subject: str
-    name: str
-    until: datetime
-    rules: SubjectRules
-    distro: str
-    domains: tuple[DomainRange, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class PresentableDocument:
-    """A document that an authority of the workspace signed, so that a holder may present it.
-
-    Attributes:
-        content: what is signed.
-        where: its file, as the user would type it.
-        lines_before: number of lines before the content in that file.
-        proven_for: name of the certificate beside it, whose rights are proven apart; empty if there is none.
-    """
-
-    content: bytes = field(repr=False)
-    where: Origin
-    lines_before: int = 0
-    proven_for: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class PresentationTask:
-    """The question which holders are permitted something beyond the policy by a document that they may present.
-
-    Attributes:
-        holders: all certificates in force.
-        documents: all signed documents; of two with the same content the first one counts.
-        now: the time from which on documents count, UTC.
-        states: the most states that the search for one answer may visit.
-        go_on: polled; the search ends when it returns False.
-        distro: ROS 2 distribution for whose vendors each enclave is proven apart; empty: that of the holder.
-    """
-
-    holders: Sequence[Holder]
-    documents: Sequence[PresentableDocument]
-    now: datetime
-    states: int
-    go_on: Callable[[], bool]
-    distro: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class ExcessRights:
-    """A holder is permitted something beyond the policy, or may be, by a document that it may present.
-
-    Attributes:
-        holder: the holder.
-        document: the document.
-        claims: the claims that fail, by model.
-        until: the end of the document or of the certificate, UTC.
-    """
-
-    holder: Holder
-    document: PresentableDocument
-    claims: tuple[Claim, ...]
-    until: datetime
-
-
-@runtime_checkable
-class Presentation(Protocol):
-    """Optional capability of a build type whose enclaves present signed documents to each other."""
-
-    PRESENTED: str
-    """Name of the file of an enclave that they present."""
-
-    def presented_until(self, content: bytes) -> datetime | None:
-        """Return the end of the rights that a signed document grants, UTC; None if it grants none to anybody.
-
-        Args:
-            content: what is signed.
-        """
-
-    def choosers(self) -> Sequence[str]:
-        """Return the models that choose the rights in a document, each by its own comparison of names."""
-
-    def trusting_any_signer(self) -> Sequence[str]:
-        """Return the models that take a document whose signer the right authority certified as anybody at all."""
-
-    def excess(self, task: PresentationTask) -> Sequence[ExcessRights]:
-        """Return every holder and document by which an implementation permits more than the policy."""
-
-
-@runtime_checkable
-class Prover(Protocol):
-    """Optional capability of a build type: proofs about installed documents."""
-
+    @abstractmethod
     def assumptions(self) -> Mapping[str, Sequence[str]]:
         """Return the assumptions of every claim, one line each, by model; the standard comes first."""
 
+    @abstractmethod
     def differences(
         self,
         files: Mapping[str, bytes],
@@ -332,6 +222,7 @@ class Prover(Protocol):
             shared_folder: the folder that these paths are relative to, as the user would type it.
         """
 
+    @abstractmethod
     def terms(
         self,
         files: Mapping[str, bytes],
@@ -348,6 +239,7 @@ class Prover(Protocol):
             KeymintError: a file cannot be read, or the anchors do not vouch for it.
         """
 
+    @abstractmethod
     def prove(self, task: ProofTask) -> Sequence[Claim]:
         """Return a claim for each model, action and group of domains.
 
@@ -355,107 +247,22 @@ class Prover(Protocol):
             KeymintError: no document of the enclave can be read, or the anchors do not vouch for it.
         """
 
-
-@runtime_checkable
-class RemoteProver(Protocol):
-    """Optional capability of a prover: what is costly, and needs no secret, can be proven on other machines."""
+    # -- what is costly, and needs no secret, can be proven on other machines ------------------------------------------
 
     def question(self, task: ProofTask) -> object:
-        """Verify the files of an enclave as :meth:`Prover.prove` does, and return what is to be proven, as plain data.
+        """Verify the files of an enclave as :meth:`prove` does, and return what is to be proven, as plain data.
+
+        None if it is to be proven here; otherwise there are the two methods below.
 
         Raises:
             KeymintError: the files cannot be read, or the anchors do not vouch for them.
         """
+        return None
 
     def proving(self) -> Callable[[Any, Sequence[Any]], Sequence[Sequence[Claim]]]:
         """Return the function of a module that a worker calls with questions; claims for each, or none."""
+        raise NotImplementedError
 
     def know(self, question: Any, claims: Sequence[Claim]) -> None:
-        """Keep proven claims for :meth:`Prover.prove`, which decides all others itself."""
-
-
-# -- comparison of a document that is in force with the rules of a policy: which of them permits more, and where ------
-
-
-class Relation(StrEnum):
-    """How what a document permits is related to what rules allow, over all names.
-
-    ``narrower``: it permits less, and nothing else; ``wider``: it permits all of it, and more; ``different``: each has
-    something that the other lacks; ``unknown``: the document cannot be read, or the comparison was given up.
-    """
-
-    EQUAL = "equal"
-    NARROWER = "narrower"
-    WIDER = "wider"
-    DIFFERENT = "different"
-    UNKNOWN = "unknown"
-
-
-@dataclass(frozen=True, slots=True)
-class ComparisonTask:
-    """A document to compare with rules.
-
-    Attributes:
-        document: the document, unsigned; its signature was verified.
-        file: its file, for places.
-        offset: number of lines before it in that file, e.g. the header of a signed one.
-        subject_name: distinguished name of the identity, in the order of RFC 2253, e.g. ``CN=/talker,OU=0f``.
-        rules: the rules of the subject.
-        distro: ROS 2 distribution whose name mapping applies.
-        domains: the domains in which the rules apply; elsewhere nothing is allowed.
-        states: the most states that the search for one answer may visit.
-        go_on: polled; the search ends when it returns False.
-    """
-
-    document: bytes = field(repr=False)
-    file: str
-    offset: int
-    subject_name: str
-    rules: SubjectRules
-    distro: str
-    domains: tuple[DomainRange, ...]
-    states: int
-    go_on: Callable[[], bool]
-
-
-@dataclass(frozen=True, slots=True)
-class DocumentComparison:
-    """What a comparison found.
-
-    Attributes:
-        relation: the relation of the document to the rules.
-        missing: a shortest name for which the rules allow something that the document does not permit, or None.
-        excess: a shortest name for which the document permits something that the rules do not allow, or None.
-        reason: why the relation is unknown; else empty.
-    """
-
-    relation: Relation
-    missing: Counterexample | None = None
-    excess: Counterexample | None = None
-    reason: str = ""
-
-
-@runtime_checkable
-class DocumentComparer(Protocol):
-    """Optional capability of a build type: compares a document of an enclave with rules."""
-
-    def compared(self, task: ComparisonTask) -> DocumentComparison:
-        """Compare a document, as the transport's standard reads it, with the rules of a subject.
-
-        Dates are not compared: each grant that is ever in force must permit what the rules allow.
-
-        Raises:
-            KeymintError: a rule cannot be mapped; with ``file:line``. A document that cannot be read is ``unknown``.
-        """
-
-    def compared_with(self, content: bytes, name: str, package: Package) -> DocumentComparison:
-        """Compare a signed document, as the transport's standard reads it, with the rules of a package.
-
-        Args:
-            content: what is signed.
-            name: distinguished name of the certificate that it is presented with; see :attr:`keymint.api.Holder.name`.
-            package: the package.
-
-        Raises:
-            KeymintError: a rule cannot be mapped. A document that cannot be read is ``unknown``.
-        """
+        """Keep proven claims for :meth:`prove`, which decides all others itself."""
+        raise NotImplementedError

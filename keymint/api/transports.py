@@ -203,30 +203,6 @@ class TransportType(Protocol):
         """Return the transport; its method ``usable`` reports whether it can be used. Never raises."""
 
 
-@runtime_checkable
-class ActionMapping(Protocol):
-    """Optional capability of a build type: tells what its transport must permit for an edge.
-
-    Attributes:
-        NOUN: the word for the names of its endpoints, e.g. ``topic``.
-    """
-
-    NOUN: str
-
-    def actions(self, distro: str, edge: Edge) -> Sequence[Endpoint]:
-        """Return the endpoints that the transport must all permit for an edge.
-
-        There are none if no name on the transport can stand for the object; the transport is not asked about it.
-
-        Args:
-            distro: ROS 2 distribution whose name mapping applies.
-            edge: an edge of a kind that the build type can express.
-
-        Raises:
-            KeymintError: the distribution or the permission is not known.
-        """
-
-
 # -- installed enclaves and their files, as transports look for them --------------------------------------------------
 
 

@@ -8,7 +8,7 @@ from collections.abc import Collection, Sequence
 
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
-from keymint.api import AuthorityChanges, Implementation
+from keymint.api import Implementation
 from keymint.authority.authority_files import with_issuers
 from keymint.errors import ExitCode, KeymintError
 from keymint.workspace.package_build_types import build_types_of, is_build_current
@@ -66,8 +66,7 @@ def implementations(session: Session, chosen: Collection[str] = ()) -> dict[str,
     build_types = build_types or sorted(session.profile.build_types)
     known: dict[str, Sequence[Implementation]] = {}
     for name in build_types:
-        plugin = session.plugins.build_type(name, session.profile_marker())
-        known[name] = plugin.implementations() if isinstance(plugin, AuthorityChanges) else ()
+        known[name] = session.plugins.build_type(name, session.profile_marker()).implementations()
     names = {each.name for of_type in known.values() for each in of_type}
     for name in chosen:
         if name not in names:

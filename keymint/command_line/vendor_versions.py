@@ -9,7 +9,6 @@ import click
 
 from comarmor.errors import Diagnostic
 from comarmor.text import did_you_mean
-from keymint.api import VendorAdvisories
 from keymint.errors import usage_error
 from keymint.run.run import Run
 
@@ -33,8 +32,8 @@ def advisories(run: Run, given: str | None) -> Iterator[Diagnostic]:
     """
     if given is None:
         return
-    plugins: list[object] = [run.plugins.build_type(name) for name in run.plugins.names("keymint.build_types")]
-    by_vendor = {name: each for each in plugins if isinstance(each, VendorAdvisories) for name in each.VENDORS}
+    plugins = [run.plugins.build_type(name) for name in run.plugins.names("keymint.build_types")]
+    by_vendor = {name: each for each in plugins for name in each.VENDORS}
     if given != INSTALLED:
         for name, version in _listed(given, by_vendor):
             yield from by_vendor[name].advisories(name, version)

@@ -22,7 +22,7 @@ from keymint.stages.shared_install import installed_documents
 from keymint.store.changes import file_mode
 from keymint.view.stamps import digest
 from keymint.workspace.installed_enclaves import KEY, enclave_files, files_in, not_installed
-from keymint.workspace.package_build_types import build_types_of, is_build_current, prover_of
+from keymint.workspace.package_build_types import build_types_of, is_build_current
 from keymint.workspace.session import Session
 from keymint.workspace.stored_keys import key_defects
 
@@ -138,7 +138,7 @@ def _unvouched(session: Session, package: Package) -> Iterator[Diagnostic]:
     workspace = session.workspace
     folder, install = workspace.shown(session.enclave_folder(package.name)), workspace.shown(workspace.install)
     for build_type, plugin in build_types_of(session, package).items():
-        if prover := prover_of(session, build_type):
+        if prover := plugin.prover:
             anchors, shared = anchors_of(session, package, plugin), installed_documents(session, build_type)
             found = prover.differences(files, folder, anchors, shared, install)
             yield from (replace(each, subject=package.subject) for each in found)

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import first_few
-from keymint.api import FoundEnclave, GrantReader, KeystoreFiles, LoadedPolicy, NodeCheck
+from keymint.api import FoundEnclave, KeystoreFiles, KeystoreReader, LoadedPolicy
 from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
@@ -37,7 +37,7 @@ def node_notes(
         distro: ROS 2 distribution of the nodes.
         subjects: the subjects.
     """
-    checks = [each for each in map(plugins.build_type, dict.fromkeys(build_types)) if isinstance(each, NodeCheck)]
+    checks = [*map(plugins.build_type, dict.fromkeys(build_types))]
     together: dict[Diagnostic, list[str]] = {}
     for rules, where in subjects:
         for check in checks:
@@ -91,11 +91,11 @@ def of_packages(
     return found, state if found else state.updated(STAGE, {key: Stamp(inputs, {})})
 
 
-def of_documents(reader: object, files: KeystoreFiles, enclaves: Sequence[FoundEnclave], distro: str) -> list[Subject]:
+def of_documents(
+    reader: KeystoreReader, files: KeystoreFiles, enclaves: Sequence[FoundEnclave], distro: str
+) -> list[Subject]:
     """Return the rules of the signed documents of a keystore; those that no policy can say are left out."""
     found: list[Subject] = []
-    if not isinstance(reader, GrantReader):
-        return found
     for each in enclaves:
         with suppress(KeymintError):
             granted = reader.granted(files, each, distro)

@@ -77,10 +77,10 @@ def presented_rights(session: Session, state: State, policy: LoadedPolicy, effor
     proofs: list[EnclaveProof] = []
     outliving: dict[str, Diagnostic] = {}
     for name in session.plugins.names("keymint.build_types"):
-        build_type: object = session.plugins.build_type(name)
-        if not isinstance(build_type, Presentation) or not (packages := _packages(session, name)):
+        presentation = session.plugins.build_type(name).presentation
+        if presentation is None or not (packages := _packages(session, name)):
             continue
-        question = _Question(session, policy, effort, build_type, packages)
+        question = _Question(session, policy, effort, presentation, packages)
         claims, found, state = question.recorded(state, f"{FOLDER}/presented/{name}")
         for package, subject, excess, until in found:
             if until >= session.now:
@@ -108,7 +108,7 @@ class _Question:
     session: Session
     policy: LoadedPolicy
     effort: ProofEffort
-    build_type: Presentation
+    presentation: Presentation
     packages: Mapping[str, Package]
 
     def recorded(self, state: State, key: str) -> tuple[tuple[Claim, ...], tuple[_Outliving, ...], State]:
@@ -134,21 +134,21 @@ class _Question:
         return digest(__version__, session.vendors_of, chains_digest(session), register, *sources, *files)
 
     def _answer(self) -> _Answer:
-        session, build_type = self.session, self.build_type
+        session, presentation = self.session, self.presentation
         files = _files(session)
         holders = tuple(_holders(session, self.policy, self.packages, files))
         earlier = _earlier(session)
-        present = tuple(_documents(session, build_type.PRESENTED, self.packages, files))
+        present = tuple(_documents(session, presentation.FILE, self.packages, files))
         remembered = tuple(_remembered(session, each, content) for content, each in earlier.items())
         own = tuple(each for each in present if each.proven_for)
         documents = (*own, *remembered, *present)
         task = PresentationTask(
             holders, documents, session.now, self.effort.states, self.effort.deadline(), session.vendors_of
         )
-        models = build_type.choosers()[:1] if self.effort.standard_only else build_type.choosers()
+        models = presentation.choosers()[:1] if self.effort.standard_only else presentation.choosers()
         claims: list[Claim] = []
         outliving: list[_Outliving] = []
-        for each in build_type.excess(task):
+        for each in presentation.excess(task):
             failing = [claim for claim in each.claims if claim.model in models]
             known = None if each.document.proven_for else earlier.get(each.document.content)
             if known is None:
@@ -158,7 +158,7 @@ class _Question:
                 excess = earlier_rights.excess_of(subject, found.counterexample, found.reason)
                 outliving.append((known.name, subject, excess, each.until))
         failed = {claim.model for claim in claims}
-        excepted = dict.fromkeys(build_type.trusting_any_signer(), tuple(_signers(session, self.packages.values())))
+        excepted = dict.fromkeys(presentation.trusting_any_signer(), tuple(_signers(session, self.packages.values())))
         universe = _universe(holders, documents)
         claims += (
             Claim(each, _ACTION, (), universe, Proof.PROVEN, excepted=excepted.get(each, ()))

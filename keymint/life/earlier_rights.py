@@ -9,7 +9,7 @@ from dataclasses import replace
 from datetime import datetime
 
 from comarmor.errors import Diagnostic, Severity
-from keymint.api import BuildType, Counterexample, DocumentComparer, DocumentComparison, Package, Presentation
+from keymint.api import BuildType, Counterexample, DocumentComparison, Package
 from keymint.errors import KeymintError
 from keymint.life.terms import iso_time
 from keymint.pki import certificates, smime
@@ -91,12 +91,13 @@ def _compared(
 
     Also None if the new document is the same.
     """
-    if not (isinstance(build_type, Presentation) and isinstance(build_type, DocumentComparer)):
+    presentation = build_type.presentation
+    if presentation is None:
         return None
     with suppress(KeymintError):  # what cannot be read gives no rights
-        old, new = (smime.signed_content(files.get(build_type.PRESENTED, b"")) for files in (before, after))
-        if old != new and (until := build_type.presented_until(old)):
-            return build_type.compared_with(old, to_text(certificates.load(certificate).subject), package), until
+        old, new = (smime.signed_content(files.get(presentation.FILE, b"")) for files in (before, after))
+        if old != new and (until := presentation.presented_until(old)):
+            return presentation.compared_with(old, to_text(certificates.load(certificate).subject), package), until
     return None
 
 

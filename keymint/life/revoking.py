@@ -9,7 +9,6 @@ from dataclasses import replace
 from comarmor.errors import Diagnostic
 from comarmor.text import counted, did_you_mean
 from comarmor.values import dataclass
-from keymint.api import RevocationReader
 from keymint.errors import KeymintError
 from keymint.life.package_issuance import plan_issuance
 from keymint.life.register import SUPERSEDED, IssuedCertificate, Register
@@ -113,8 +112,9 @@ def _limits(
 ) -> Iterator[Diagnostic]:
     """Yield what stays possible although the certificates are revoked."""
     profile = session.profile
-    of_lists = [each for each in session.build_types.values() if isinstance(each, RevocationReader)]
-    if of_lists and not any(each.revocation_files(profile.distro, profile.layout, b"list") for each in of_lists):
+    files = [each.revocation_files(profile.distro, profile.layout, b"list") for each in session.build_types.values()]
+    of_lists = [each for each in files if each is not None]
+    if of_lists and not any(of_lists):
         end = max((each.not_after for each in certificates), default=None)
         until = f" until {end:%Y-%m-%d}" if end else ""
         yield Diagnostic.warning(

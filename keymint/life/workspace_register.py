@@ -10,7 +10,7 @@ from functools import lru_cache
 from cryptography import x509
 
 from comarmor.errors import Origin
-from keymint.api import BuildType, Package, Presentation
+from keymint.api import BuildType, Package
 from keymint.authority import authority_files
 from keymint.errors import KeymintError
 from keymint.life.register import IssuedCertificate, Register, SignedRights, loaded_register, register_file
@@ -106,11 +106,12 @@ def rights_of(
         subject: distinguished name of its certificate, in certificate order.
     """
     for each in build_types:
-        if isinstance(each, Presentation) and each.PRESENTED in files:
+        presentation = each.presentation
+        if presentation and presentation.FILE in files:
             with contextlib.suppress(KeymintError):  # nobody accepts what has no signature
-                content = smime.signed_content(files[each.PRESENTED])
+                content = smime.signed_content(files[presentation.FILE])
                 validity = None if package.kept else package.grant.validity
-                if end := validity.not_after if validity else each.presented_until(content):
+                if end := validity.not_after if validity else presentation.presented_until(content):
                     yield SignedRights.of(package.name, package.issuance.generation, subject, end, content)
 
 

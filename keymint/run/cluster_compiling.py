@@ -10,7 +10,7 @@ import contextlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
-from keymint.api import BuildOptions, Package, RemoteCompiler
+from keymint.api import BuildOptions, Package
 from keymint.errors import KeymintError
 from keymint.executors import Pool
 from keymint.keymake.kinds import kind_of
@@ -33,11 +33,11 @@ def compile_elsewhere(pool: Pool, session: Session, names: Sequence[str], option
     """
     packages = list(_alone(session, names))
     for name in dict.fromkeys(name for package in packages for name in package.build_types):
-        compiler: object = session.plugins.build_type(name)
-        if not isinstance(compiler, RemoteCompiler):
-            continue
+        compiler = session.plugins.build_type(name)
         own = [each for each in packages if name in each.build_types and compiler.is_remote(each)]
-        tasks = pool.parts([(each, options_of(options, each.subject)) for each in own], 1) if own else []
+        if not own:
+            continue
+        tasks = pool.parts([(each, options_of(options, each.subject)) for each in own], 1)
         for part, compiled in zip(tasks, pool.map(compiler.compiling(), tasks), strict=True):
             for (package, its_options), one in zip(part, compiled, strict=False):
                 compiler.receive(package, its_options, one, trusted=pool.trusted)

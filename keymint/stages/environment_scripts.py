@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from comarmor.errors import Diagnostic
-from keymint.api import EnvironmentVariable, ProcessEnvironment
+from keymint.api import EnvironmentVariable
 from keymint.errors import KeymintError
 from keymint.host.shells import MARK, SHELLS, script, variable_values
 from keymint.names import subject_of
@@ -27,7 +27,7 @@ def scripts(session: Session, build_types: Iterable[str]) -> Mapping[str, bytes]
     variables: dict[str, EnvironmentVariable] = {}
     for name in sorted(build_types):
         build_type = session.plugins.build_type(name)
-        if isinstance(build_type, ProcessEnvironment) and layout in build_type.LAYOUTS:
+        if layout in build_type.LAYOUTS:
             variables |= {each.name: each for each in build_type.keystore_variables(distro, layout)}
     if not variables:
         return {}
@@ -83,9 +83,8 @@ def enclave_environment(session: Session, name: str) -> Mapping[str, str]:
     variables: dict[str, EnvironmentVariable] = {}
     for each in recorded_build_types(session, name):
         build_type = session.plugins.build_type(each, session.package_marker(name))
-        if isinstance(build_type, ProcessEnvironment):
-            found = build_type.enclave_variables(distro, layout, subject_of(name), files)
-            variables |= {variable.name: variable for variable in found}
+        found = build_type.enclave_variables(distro, layout, subject_of(name), files)
+        variables |= {variable.name: variable for variable in found}
     return variable_values(variables.values(), session.workspace.install)
 
 

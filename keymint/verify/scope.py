@@ -14,12 +14,9 @@ from typing import TypeVar
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.api import (
-    ActionMapping,
     BuildType,
     Enclave,
-    InstalledNames,
     LoadedPolicy,
-    NameMapping,
     Package,
     Role,
     SelectiveTransport,
@@ -62,9 +59,8 @@ class Names:
 def _has_name(names: Names, object_: Object) -> bool:
     if object_.kind not in names.build_type.KINDS:
         return False
-    if not isinstance(names.build_type, ActionMapping):
-        return True
-    return bool(names.build_type.actions(names.distro, Edge("/", LABELLED[object_.kind][0], object_)))
+    actions = names.build_type.actions(names.distro, Edge("/", LABELLED[object_.kind][0], object_))
+    return bool(actions) or not names.build_type.NOUN
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,8 +173,8 @@ def _scope(
 
 def naming_of(inputs: Inputs, package: Package, build_type: str) -> Naming | None:
     """Return the naming of a package for one of its build types, or None if that has none."""
-    mapping = inputs.plugins.build_type(build_type, inputs.package_marker(package.name))
-    return Naming(mapping, package.distro) if isinstance(mapping, NameMapping) else None
+    mapping = inputs.plugins.build_type(build_type, inputs.package_marker(package.name)).names
+    return Naming(mapping, package.distro) if mapping else None
 
 
 def selective(scope: VerificationScope, transports: Iterable[Transport]) -> VerificationScope:
@@ -234,7 +230,7 @@ def common_objects(policy: LoadedPolicy, scope: VerificationScope) -> tuple[Obje
     """Return the objects of the policy that every subject of a scope is asked about."""
     type_ = scope.names.build_type
     enclave = next(iter(scope.enclaves.values()), None)
-    installed_names = type_.installed_names(enclave) if enclave and isinstance(type_, InstalledNames) else ()
+    installed_names = type_.installed_names(enclave) if enclave else ()
     return probes.common_objects(_rules(policy, scope), installed_names)
 
 

@@ -9,7 +9,6 @@ from functools import partial
 from comarmor.text import nearest_word
 from comarmor.values import dataclass
 from keymint.api import (
-    ActionMapping,
     AppliedProfile,
     BuildType,
     Enclave,
@@ -200,9 +199,8 @@ class _View:
 
     def needs(self, edge: Edge) -> Sequence[Need]:
         """Return what the transports must permit."""
-        if not self.distro or not isinstance(self.build_type, ActionMapping):
-            return ()
-        return [Need(each, self.build_type.NOUN) for each in self.build_type.actions(self.distro, edge)]
+        actions = self.build_type.actions(self.distro, edge) if self.distro else ()
+        return [Need(each, self.build_type.NOUN) for each in actions]
 
 
 def _views(session: Session, policy: LoadedPolicy, package: Package | None, edge: Edge) -> Mapping[str, _View]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping, MutableMapping
 
 from comarmor.errors import Diagnostic
-from keymint.api import Artifact, AuthorityRole, BuildType, Package, Prover, RevocationReader
+from keymint.api import Artifact, AuthorityRole, BuildType, Package
 from keymint.errors import KeymintError
 from keymint.view.stamps import digest
 from keymint.workspace.session import Session, once, once_of_sources
@@ -62,8 +62,7 @@ def revocation_files(
         revocations: the list, PEM.
     """
     for each in build_types:
-        if isinstance(each, RevocationReader):
-            yield from each.revocation_files(distro, layout, revocations).items()
+        yield from (each.revocation_files(distro, layout, revocations) or {}).items()
 
 
 def roles_of(session: Session, package: Package) -> Mapping[str, tuple[AuthorityRole, ...]]:
@@ -153,13 +152,6 @@ def shared_builder(session: Session, name: str) -> BuildType | None:
         return None
     build_type = session.plugins.build_type(name)
     return build_type if build_type.SHARES else None
-
-
-@once
-def prover_of(session: Session, name: str) -> Prover | None:
-    """Return a build type if it proves claims about enclaves."""
-    build_type: object = session.plugins.build_type(name)
-    return build_type if isinstance(build_type, Prover) else None
 
 
 def may_share(session: Session, names: Iterable[str]) -> bool:

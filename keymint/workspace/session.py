@@ -17,9 +17,7 @@ from keymint import __version__
 from keymint.api import (
     BuildType,
     BuiltPackageType,
-    Infrastructure,
     InfrastructurePackage,
-    InstalledDistro,
     Issuance,
     IssuanceFiles,
     Layout,
@@ -153,7 +151,7 @@ class Inputs:
         """Return the distribution that installed documents tell, or an empty text."""
         own = (self.plugins.build_type(name, self.profile_marker()) for name in profile.build_types)
         paths = [path for path, _ in self.tree.walk(self.workspace.install)]
-        found = (each.distro_of(paths, self.tree.try_read) for each in own if isinstance(each, InstalledDistro))
+        found = (each.distro_of(paths, self.tree.try_read) for each in own)
         return next(filter(None, found), "")
 
 
@@ -314,12 +312,12 @@ class Session(Inputs):
 
     @once
     def _needing_infrastructure(self, build_types: tuple[str, ...]) -> frozenset[str]:
-        return frozenset(each for each in build_types if isinstance(self.plugins.build_type(each), Infrastructure))
+        return frozenset(each for each in build_types if self.plugins.build_type(each).INFRASTRUCTURE)
 
     @once_of_sources
     def infrastructure(self) -> tuple[str, ...]:
         """Return the names of the existing packages of infrastructure, sorted; none if no build type needs any."""
-        if not any(isinstance(each, Infrastructure) for each in self.build_types.values()):
+        if not any(each.INFRASTRUCTURE for each in self.build_types.values()):
             return ()
         return tuple(name for name in self.packages() if self.role(name) is Role.INFRASTRUCTURE)
 
@@ -383,7 +381,7 @@ class Session(Inputs):
         """
         needed: dict[str, tuple[InfrastructurePackage, str]] = {}
         for build_type, plugin in self.build_types.items():
-            for each in plugin.packages(self.profile) if isinstance(plugin, Infrastructure) else ():
+            for each in plugin.packages(self.profile):
                 if each.name in needed:
                     raise KeymintError(
                         f"{needed[each.name][0].title} and {each.title} are both named {each.name!r}",

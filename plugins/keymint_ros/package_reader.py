@@ -15,7 +15,6 @@ from keymint.api import (
     Authority,
     BuildType,
     CertificateSpec,
-    CommonNameIdentity,
     Grant,
     Issuance,
     Package,
@@ -255,7 +254,7 @@ def load(
     plugins = {each: build_types(each, Origin(file)) for each in package_manifest.build_types}
     defects = Defects()
     issued = defects.attempt(partial(decisions.issuance, folder, files)) or Issuance()
-    in_common_name = any(isinstance(each, CommonNameIdentity) for each in plugins.values())
+    in_common_name = any(each.KNOWS_COMMON_NAMES_ONLY for each in plugins.values())
     values = certificate.placeholder_values(subject, issued.generation, in_common_name=in_common_name)
     authorities = tuple(authority.name for authority in profile.authorities)
     loader = _PackageLoader(

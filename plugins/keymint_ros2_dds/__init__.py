@@ -4,11 +4,53 @@
 from __future__ import annotations
 
 from comarmor.rules import PERMISSIONS
-from keymint.api import API_VERSION, BuildType
+from keymint.api import API_VERSION, BuildType, KeystoreReader, NameMapping, Presentation, Prover
 from keymint.api.lazy import lazy
 from keymint_ros2_dds.enclave_layout import COPIED, LAYOUTS, PERMISSIONS_P7S, READS
 
 __all__ = ["DdsSecurity", "build_type"]
+
+
+class DdsProver(Prover):
+    """Proofs about installed governance and permissions."""
+
+    assumptions = lazy("keymint_ros2_dds.proving.claims:assumptions")
+    differences = lazy("keymint_ros2_dds.examine.enclave_rules:differences")
+    prove = lazy("keymint_ros2_dds.enclave_proof:prove")
+    terms = lazy("keymint_ros2_dds.enclave_proof:terms")
+    question = lazy("keymint_ros2_dds.enclave_proof:remote_question")
+    know = lazy("keymint_ros2_dds.enclave_proof:receive")
+    proving = lazy("keymint_ros2_dds.enclave_proof:part_prover")
+
+
+class SignedPermissions(Presentation):
+    """Participants present their signed permissions."""
+
+    FILE = PERMISSIONS_P7S
+
+    presented_until = lazy("keymint_ros2_dds.proving.presented:presented_until")
+    choosers = lazy("keymint_ros2_dds.proving.presented:choosers")
+    trusting_any_signer = lazy("keymint_ros2_dds.proving.presented:trusting_any_signer")
+    excess = lazy("keymint_ros2_dds.proving.presented:excess")
+    compared_with = lazy("keymint_ros2_dds.proving.document_relation:compared_with")
+
+
+class DdsKeystores(KeystoreReader):
+    """Keystores and permissions of SROS2, openssl, and the guides of vendors."""
+
+    found = lazy("keymint_ros2_dds.examine.adopted_keystore:examine_keystore")
+    not_kept = lazy("keymint_ros2_dds.keystores.foreign_documents:not_kept")
+    granted = lazy("keymint_ros2_dds.keystores.grants_as_rules:granted_rules")
+    compared = lazy("keymint_ros2_dds.proving.document_relation:compare_document")
+    compare = lazy("keymint_ros2_dds.keystores.foreign_documents:compare")
+
+
+class DdsNames(NameMapping):
+    """Topics of DDS for the names of ROS."""
+
+    endpoints = lazy("keymint_ros2_dds.lowering.endpoints:endpoints")
+    meanings = lazy("keymint_ros2_dds.lowering.endpoints:meanings")
+    document_topics = lazy("keymint_ros2_dds.transports.enclave_files:document_topics")
 
 
 class DdsSecurity(BuildType):
@@ -23,6 +65,11 @@ class DdsSecurity(BuildType):
     PARTS = ("governance",)
     COPIED = COPIED
     KINDS = tuple(PERMISSIONS)
+    VENDORS = ("cyclonedds", "fastdds")
+    prover = DdsProver()
+    presentation = SignedPermissions()
+    keystores = DdsKeystores()
+    names = DdsNames()
 
     files = lazy("keymint_ros2_dds.enclave_layout:files")
     authorities = lazy("keymint_ros2_dds.authority_roles:authorities")
@@ -36,44 +83,16 @@ class DdsSecurity(BuildType):
     enclave_variables = lazy("keymint_ros2_dds.process_environment:enclave_variables")
     check = lazy("keymint_ros2_dds.examine.check:check")
     check_all = lazy("keymint_ros2_dds.examine.check:check_all")
-
     check_rules = lazy("keymint_ros2_dds.rule_check:check_rules")
     check_node = lazy("keymint_ros2_dds.node_start:check_node")
-    compare = lazy("keymint_ros2_dds.keystores.foreign_documents:compare")
-    compared = lazy("keymint_ros2_dds.proving.document_relation:compare_document")
-    compared_with = lazy("keymint_ros2_dds.proving.document_relation:compared_with")
-    granted = lazy("keymint_ros2_dds.keystores.grants_as_rules:granted_rules")
-
-    found = lazy("keymint_ros2_dds.examine.adopted_keystore:examine_keystore")
-    not_kept = lazy("keymint_ros2_dds.keystores.foreign_documents:not_kept")
-
-    endpoints = lazy("keymint_ros2_dds.lowering.endpoints:endpoints")
     actions = lazy("keymint_ros2_dds.lowering.endpoints:actions")
-    meanings = lazy("keymint_ros2_dds.lowering.endpoints:meanings")
-    document_topics = lazy("keymint_ros2_dds.transports.enclave_files:document_topics")
-
-    assumptions = lazy("keymint_ros2_dds.proving.claims:assumptions")
     models = lazy("keymint_ros2_dds.proving.claims:models")
-    VENDORS = ("cyclonedds", "fastdds")
     installed_vendors = lazy("keymint_ros2_dds.vendors.advisories:installed_vendors")
     advisories = lazy("keymint_ros2_dds.vendors.advisories:advisories")
-    differences = lazy("keymint_ros2_dds.examine.enclave_rules:differences")
-    prove = lazy("keymint_ros2_dds.enclave_proof:prove")
-    terms = lazy("keymint_ros2_dds.enclave_proof:terms")
-    PRESENTED = PERMISSIONS_P7S
-    presented_until = lazy("keymint_ros2_dds.proving.presented:presented_until")
-    choosers = lazy("keymint_ros2_dds.proving.presented:choosers")
-    trusting_any_signer = lazy("keymint_ros2_dds.proving.presented:trusting_any_signer")
-    excess = lazy("keymint_ros2_dds.proving.presented:excess")
     distro_of = lazy("keymint_ros2_dds.proving.installed_distro:distro_of")
-
     is_remote = lazy("keymint_ros2_dds.emit.compiled_elsewhere:is_remote")
     receive = lazy("keymint_ros2_dds.emit.compiled_elsewhere:receive")
     compiling = lazy("keymint_ros2_dds.emit.compiled_elsewhere:part_compiler")
-
-    question = lazy("keymint_ros2_dds.enclave_proof:remote_question")
-    know = lazy("keymint_ros2_dds.enclave_proof:receive")
-    proving = lazy("keymint_ros2_dds.enclave_proof:part_prover")
 
 
 build_type = DdsSecurity()

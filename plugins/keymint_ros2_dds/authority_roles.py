@@ -18,7 +18,7 @@ with the first permissions authority of its name. A document is verified with ex
 
 
 def implementations() -> Sequence[Implementation]:
-    """Return what was measured: see :meth:`keymint.api.AuthorityChanges.implementations`."""
+    """Return what was measured: see :meth:`keymint.api.BuildType.implementations`."""
     return IMPLEMENTATIONS
 
 

@@ -66,7 +66,7 @@ def _proven(asked: EnclaveQuestion) -> tuple[Claim, ...]:
 
 
 def remote_question(task: ProofTask) -> EnclaveQuestion:
-    """See :meth:`keymint.api.RemoteProver.question`: signatures and keys are verified here, not where it is proven."""
+    """See :meth:`keymint.api.Prover.question`: signatures and keys are verified here, not where it is proven."""
     asked = question(task)
     return replace(asked, task=replace(asked.task, go_on=_always))
 
@@ -76,7 +76,7 @@ def _always() -> bool:
 
 
 def part_prover() -> Callable[..., Sequence[Sequence[Claim]]]:
-    """See :meth:`keymint.api.RemoteProver.proving`."""
+    """See :meth:`keymint.api.Prover.proving`."""
     return prove_part
 
 

@@ -79,7 +79,7 @@ def install(
 
 
 def revocation_files(distro: str, layout: str, revocations: bytes) -> Mapping[str, Artifact]:
-    """Return the file of a revocation list; see :meth:`keymint.api.RevocationReader.revocation_files`."""
+    """Return the file of a revocation list; see :meth:`keymint.api.BuildType.revocation_files`."""
     return {CRL: Artifact(revocations)} if reads_revocations(distro, layout) else {}
 
 

@@ -45,7 +45,7 @@ _Lists = Mapping[str, DecisionList]
 
 
 def check_node(rules: SubjectRules, distro: str) -> Iterator[Diagnostic]:
-    """Yield notes on what cannot start; see :meth:`keymint.api.NodeCheck.check_node`."""
+    """Yield notes on what cannot start; see :meth:`keymint.api.BuildType.check_node`."""
     known = [*DISTROS]  # the oldest first
     if known.index(distro) < known.index("foxy"):
         return  # not measured

@@ -22,7 +22,7 @@ _SWITCHES = (
 
 
 def keystore_variables(distro: str, layout: str) -> tuple[EnvironmentVariable, ...]:
-    """See :meth:`keymint.api.ProcessEnvironment.keystore_variables`; an unknown distribution counts as later.
+    """See :meth:`keymint.api.BuildType.keystore_variables`; an unknown distribution counts as later.
 
     Ardent and Bouncy look for the name of a node without its namespace: the variables are those of the namespace ``/``.
     """
@@ -34,7 +34,7 @@ def keystore_variables(distro: str, layout: str) -> tuple[EnvironmentVariable, .
 def enclave_variables(
     distro: str, layout: str, subject: str, files: Collection[str]
 ) -> tuple[EnvironmentVariable, ...]:
-    """See :meth:`keymint.api.ProcessEnvironment.enclave_variables`."""
+    """See :meth:`keymint.api.BuildType.enclave_variables`."""
     del files
     if not _is_old(distro, layout):
         return *keystore_variables(distro, layout), EnvironmentVariable("ROS_SECURITY_ENCLAVE_OVERRIDE", subject)

@@ -16,7 +16,7 @@ _RELAYS = ("relay", "ros_relay")
 
 
 def check_rules(rules: SubjectRules, distro: str) -> tuple[Diagnostic, ...]:
-    """Return findings on the rules of a subject: see :meth:`keymint.api.RuleCheck.check_rules`."""
+    """Return findings on the rules of a subject: see :meth:`keymint.api.BuildType.check_rules`."""
     try:
         built = build(package_of(rules, distro), BuildOptions()).diagnostics
     except KeymintError as error:

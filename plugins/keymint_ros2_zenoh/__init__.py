@@ -4,11 +4,20 @@
 from __future__ import annotations
 
 from comarmor.rules import PERMISSIONS
-from keymint.api import API_VERSION, BuildType
+from keymint.api import API_VERSION, BuildType, Prover
 from keymint.api.lazy import lazy
 from keymint_ros2_zenoh.enclave_layout import LAYOUTS, READS
 
 __all__ = ["Zenoh", "build_type"]
+
+
+class ZenohProver(Prover):
+    """Proofs about the router's access control and the configurations of sessions."""
+
+    differences = lazy("keymint_ros2_zenoh.examine.enclaves:differences")
+    terms = lazy("keymint_ros2_zenoh.examine.enclaves:terms")
+    assumptions = lazy("keymint_ros2_zenoh.proving.enclave_proof:assumptions")
+    prove = lazy("keymint_ros2_zenoh.proving.enclave_proof:prove")
 
 
 class Zenoh(BuildType):
@@ -21,9 +30,11 @@ class Zenoh(BuildType):
     TRANSPORT = "zenoh"
     PARTS = ("zenoh",)
     SHARES = True
+    INFRASTRUCTURE = True
     LAYOUTS = LAYOUTS
     READS = READS
     KINDS = tuple(kind for kind in PERMISSIONS if kind != "topic")  # no key expression stands for a raw topic
+    prover = ZenohProver()
 
     files = lazy("keymint_ros2_zenoh.enclave_layout:files")
     packages = lazy("keymint_ros2_zenoh.zenoh_source:packages")
@@ -43,11 +54,6 @@ class Zenoh(BuildType):
     actions = lazy("keymint_ros2_zenoh.lowering.permissions:actions")
     installed_names = lazy("keymint_ros2_zenoh.transports.enclave_model:installed_names")
     check_rules = lazy("keymint_ros2_zenoh.lowering.name_rules:check_rules")
-
-    differences = lazy("keymint_ros2_zenoh.examine.enclaves:differences")
-    terms = lazy("keymint_ros2_zenoh.examine.enclaves:terms")
-    assumptions = lazy("keymint_ros2_zenoh.proving.enclave_proof:assumptions")
-    prove = lazy("keymint_ros2_zenoh.proving.enclave_proof:prove")
     prove_shared = lazy("keymint_ros2_zenoh.proving.shared_proof:prove_shared")
 
 

@@ -35,7 +35,7 @@ def enclave_folder(keystore: str, subject: str) -> str:
 
 
 def keystore_variables(distro: str, layout: str) -> tuple[EnvironmentVariable, ...]:
-    """See :meth:`keymint.api.ProcessEnvironment.keystore_variables`: the router's configuration; nodes ignore it."""
+    """See :meth:`keymint.api.BuildType.keystore_variables`: the router's configuration; nodes ignore it."""
     del distro, layout
     return (EnvironmentVariable("ZENOH_ROUTER_CONFIG_URI", ROUTER, is_path=True),)
 
@@ -43,7 +43,7 @@ def keystore_variables(distro: str, layout: str) -> tuple[EnvironmentVariable, .
 def enclave_variables(
     distro: str, layout: str, subject: str, files: Collection[str]
 ) -> tuple[EnvironmentVariable, ...]:
-    """See :meth:`keymint.api.ProcessEnvironment.enclave_variables`; the enclave of a router has no session."""
+    """See :meth:`keymint.api.BuildType.enclave_variables`; the enclave of a router has no session."""
     if SESSION not in files:
         return keystore_variables(distro, layout)
     return (EnvironmentVariable("ZENOH_SESSION_CONFIG_URI", f"{ENCLAVES}{subject}/{SESSION}", is_path=True),)

@@ -88,7 +88,7 @@ verifies the signature of the router's configuration."""
 
 
 def implementations() -> Sequence[Implementation]:
-    """Return what was measured: see :meth:`keymint.api.AuthorityChanges.implementations`."""
+    """Return what was measured: see :meth:`keymint.api.BuildType.implementations`."""
     return IMPLEMENTATIONS
 
 

@@ -91,7 +91,7 @@ def settings(sources: PackageSources) -> PackageSettings:
 
 
 def packages(profile: WorkspaceProfile) -> tuple[InfrastructurePackage, ...]:
-    """Return the package of the router; see :meth:`keymint.api.Infrastructure.packages`.
+    """Return the package of the router; see :meth:`keymint.api.BuildType.packages`.
 
     Raises:
         KeymintError: the distribution has no rmw_zenoh, or the defaults are missing or not valid.

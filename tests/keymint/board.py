@@ -40,13 +40,12 @@ OFFICE = "office"
 
 
 class BoardBuildType(PlainBuildType):
-    """Implements :class:`keymint.api.ActionMapping` and :class:`keymint.api.Infrastructure`."""
-
     TRANSPORT = "board"
     DOCUMENT = "rights.txt"
     COPIED = (DOCUMENT,)
     LAYOUTS: Mapping[str, Layout] = {"sros2": Layout("enclaves"), "flat": Layout("")}
     NOUN = "line of the board"
+    INFRASTRUCTURE = True
 
     def packages(self, profile: WorkspaceProfile) -> Sequence[InfrastructurePackage]:
         del profile

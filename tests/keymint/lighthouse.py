@@ -28,9 +28,8 @@ TOWER = "tower"
 
 
 class LighthouseBuildType(PlainBuildType):
-    """Implements :class:`keymint.api.Infrastructure` and :class:`keymint.api.RuleCheck`."""
-
     TRANSPORT = "light"
+    INFRASTRUCTURE = True
     PARTS = ("lighthouse",)
     DOCUMENT = "light.txt"
     KINDS = ("ros_topic",)

@@ -36,10 +36,30 @@ def lines(rules: SubjectRules) -> list[str]:
     ]
 
 
+class BoardProver(api.Prover):
+    def assumptions(self) -> Mapping[str, Sequence[str]]:
+        return {"board": ("everybody reads the board",)}
+
+    def differences(self, files, folder, anchors, shared, shared_folder) -> Sequence[Diagnostic]:
+        return ()
+
+    def terms(self, files, folder, anchors, shared, shared_folder) -> Sequence[api.ValidityTerm]:
+        return ()
+
+    def prove(self, task: api.ProofTask) -> Sequence[api.Claim]:
+        if not {BOARD, SIGNATURE} <= task.shared.keys():
+            raise KeymintError("is missing", where=Origin(f"{task.shared_folder}/{BOARD}"), code="file-missing")
+        smime.verify(task.shared[SIGNATURE], task.anchors.authorities["board"].chain, at=None, where=Origin(SIGNATURE))
+        rights = json.loads(task.shared[BOARD])
+        where = f"{task.shared_folder}/{BOARD}"
+        return [_claim("be named", task.rules.subject, rights.get(task.rules.subject) == lines(task.rules), where)]
+
+
 class NoticeBoard(PlainBuildType):
     TRANSPORT = "board"
     DOCUMENT = NOTE
     SHARES = True
+    prover = BoardProver()
     LAYOUTS: Mapping[str, api.Layout] = {"sros2": api.Layout("enclaves", reserved=("board",))}
 
     def files(self, layout: str) -> frozenset[str]:
@@ -96,23 +116,6 @@ class NoticeBoard(PlainBuildType):
             yield Diagnostic("board-unsigned", Severity.ERROR, "signs another board", where)
         if content != inspection.documents[BOARD]:
             yield Diagnostic("board-stale", Severity.WARNING, "the sources build another board", where)
-
-    def assumptions(self) -> Mapping[str, Sequence[str]]:
-        return {"board": ("everybody reads the board",)}
-
-    def differences(self, files, folder, anchors, shared, shared_folder) -> Sequence[Diagnostic]:
-        return ()
-
-    def terms(self, files, folder, anchors, shared, shared_folder) -> Sequence[api.ValidityTerm]:
-        return ()
-
-    def prove(self, task: api.ProofTask) -> Sequence[api.Claim]:
-        if not {BOARD, SIGNATURE} <= task.shared.keys():
-            raise KeymintError("is missing", where=Origin(f"{task.shared_folder}/{BOARD}"), code="file-missing")
-        smime.verify(task.shared[SIGNATURE], task.anchors.authorities["board"].chain, at=None, where=Origin(SIGNATURE))
-        rights = json.loads(task.shared[BOARD])
-        where = f"{task.shared_folder}/{BOARD}"
-        return [_claim("be named", task.rules.subject, rights.get(task.rules.subject) == lines(task.rules), where)]
 
     def prove_shared(self, task: api.SharedProofTask) -> Sequence[api.Claim]:
         assert {f"/{package.name}" for package in task.packages} == task.rules.keys()

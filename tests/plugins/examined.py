@@ -19,7 +19,7 @@ def examined(build_type: Any, asked: Inspection) -> tuple[Diagnostic, ...]:
     )
     own = build_type.check(asked)
     known = {(each.code, each.where) for each in own}
-    more = build_type.differences(asked.files, asked.folder, anchors, {}, "")
+    more = build_type.prover.differences(asked.files, asked.folder, anchors, {}, "")
     of_enclave = (each for each in more if each.where and each.where.file.startswith(f"{asked.folder}/"))
     return (*own, *(each for each in (*of_enclave, *_of_anchors(more)) if (each.code, each.where) not in known))
 

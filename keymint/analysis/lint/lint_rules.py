@@ -32,7 +32,7 @@ from keymint.analysis.subject_patterns import (
     structure,
     with_distinct_rules,
 )
-from keymint.api import LoadedPolicy, PolicyStructure, RuleCheck, WrittenProfile
+from keymint.api import BuildType, LoadedPolicy, PolicyStructure, WrittenProfile
 from keymint.ir import Rule, SubjectRules
 
 CODES: Mapping[str, str] = {
@@ -143,7 +143,7 @@ second run in the same process may check more subjects than the first one, never
 
 
 def portability(
-    build_type: RuleCheck, distro: str, subjects: Iterable[tuple[str, tuple[Rule, ...]]]
+    build_type: BuildType, distro: str, subjects: Iterable[tuple[str, tuple[Rule, ...]]]
 ) -> Iterator[Diagnostic]:
     """Yield rules of subjects that a build type cannot express, or that have no effect with it.
 
@@ -169,9 +169,9 @@ def portability(
 
 
 def _of_subject(
-    build_type: RuleCheck, rules: SubjectRules, distro: str, reported: set[tuple[str, Origin | None, str]]
+    build_type: BuildType, rules: SubjectRules, distro: str, reported: set[tuple[str, Origin | None, str]]
 ) -> Iterator[Diagnostic]:
-    for each in build_type.check_rules(rules, distro):
+    for each in build_type.check_rules(rules, distro) or ():
         where = each.where
         if each.severity is Severity.NOTE or where is None:
             continue

@@ -14,7 +14,7 @@ from comarmor.errors import Diagnostic, Origin, Severity
 from keymint.adoption.adopted_workspace import Adoption, plan_adoption
 from keymint.adoption.keystore_files import found_in
 from keymint.adoption.keystore_policy import AdoptedPolicy, Compared, document_comparisons
-from keymint.api import Bootstrap, DocumentComparer, FoundKeystore, KeystoreFiles
+from keymint.api import Bootstrap, FoundKeystore, KeystoreFiles, KeystoreReader
 from keymint.command_line.options import (
     DEFAULT_DISTRO,
     DEFAULT_PROFILE_TYPE,
@@ -79,13 +79,13 @@ def adopt(
     install change nothing that robots have; if they would, nothing is written. Exit code 3: there are findings.
     """
     workspace, folder = run.workspace_at(None), run.setting.cwd / keystore
-    build_type_name, files, found = found_in(run.plugins, folder, str(keystore), run.setting.now)
+    build_type_name, reader, files, found = found_in(run.plugins, folder, str(keystore), run.setting.now)
     chosen = distro or run.setting.environment.get("ROS_DISTRO") or (_OLD if found.layout == "flat" else "")
     options = PolicyOptions(chosen or None, profile_type, "keymint_ros2_comarmor")
-    own, comparisons = _policy(run, build_type_name, found, policy, workspace, options, (accept, implicit))
+    own, comparisons = _policy(run, reader, found, policy, workspace, options, (accept, implicit))
     different = [each for each in (one.finding() for one in comparisons) if each]
     target = options.distro or DEFAULT_DISTRO
-    rules = of_documents(run.plugins.build_type(build_type_name), files, found.enclaves, target)
+    rules = of_documents(reader, files, found.enclaves, target)
     nodes = node_notes(run.plugins, (build_type_name,), target, rules)
     found = replace(found, diagnostics=(*found.diagnostics, *(own.diagnostics if own else ()), *different, *nodes))
     run.console.lines(summary(str(keystore), found, {each.subject: each.words for each in comparisons}))
@@ -97,10 +97,10 @@ def adopt(
         return replace(run.finish(workspace), result=result)
     _refuse(run, files, found, workspace)
     if own is None:
-        own = learned_policy(run, build_type_name, files, found, workspace, options)
+        own = learned_policy(run, reader, files, found, workspace, options)
         found = replace(found, diagnostics=(*found.diagnostics, *own.diagnostics))
     request = _request(workspace, found, own.path, files.now, target)
-    adoption = Adoption(build_type_name, files, found, own, profile_type, request)
+    adoption = Adoption(reader, files, found, own, profile_type, request)
     left = tuple(_left(found, str(keystore), workspace))
     notes = [each for each in found.diagnostics if each.severity is not Severity.ERROR]
 
@@ -112,18 +112,15 @@ def adopt(
 
 
 def _policy(
-    run: Run, build_type_name: str, found: FoundKeystore, policy: Path | None, workspace: Workspace,
+    run: Run, reader: KeystoreReader, found: FoundKeystore, policy: Path | None, workspace: Workspace,
     options: PolicyOptions, reading: tuple[bool, bool],
 ) -> tuple[AdoptedPolicy | None, tuple[Compared, ...]]:  # fmt: skip
     """Return the policy, if there is one, and how the signed documents compare with it."""
     if policy is None:
         return None, ()
     own = named_policy(run, policy, workspace, options, [each.subject for each in found.enclaves], *reading)
-    build_type: object = run.plugins.build_type(build_type_name)
-    if not isinstance(build_type, DocumentComparer):
-        return own, ()
     effort = effort_of(run.setting.monotonic, STATES)
-    return own, document_comparisons(build_type, found.enclaves, own.rules, options.distro or DEFAULT_DISTRO, effort)
+    return own, document_comparisons(reader, found.enclaves, own.rules, options.distro or DEFAULT_DISTRO, effort)
 
 
 def _request(workspace: Workspace, found: FoundKeystore, policy: str, now: datetime, distro: str) -> Bootstrap:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from keymint.adoption.keystore_learning import Learning, learned_from
 from keymint.adoption.keystore_policy import AdoptedPolicy
-from keymint.api import FoundKeystore, ImportRequest, KeystoreFiles, PolicyImporter
+from keymint.api import FoundKeystore, ImportRequest, KeystoreFiles, KeystoreReader, PolicyImporter
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions
 from keymint.run.run import Run
@@ -63,13 +63,18 @@ def named_policy(
 
 
 def learned_policy(
-    run: Run, build_type: str, files: KeystoreFiles, found: FoundKeystore, workspace: Workspace, options: PolicyOptions
+    run: Run,
+    reader: KeystoreReader,
+    files: KeystoreFiles,
+    found: FoundKeystore,
+    workspace: Workspace,
+    options: PolicyOptions,
 ) -> AdoptedPolicy:
     """Return a policy that is proven to mean what is signed.
 
     Args:
         run: the run.
-        build_type: name of the build type that reads the keystore.
+        reader: reads the keystore.
         files: the files of the keystore.
         found: what it has.
         workspace: the new workspace.
@@ -81,7 +86,7 @@ def learned_policy(
     name = f"{FOLDER}/adopted.xml"
     effort = effort_of(run.setting.monotonic, STATES)
     file = str(workspace.profile / name)
-    learning = Learning(build_type, options.policy_type, Policies(run, options).distro, file, effort)
+    learning = Learning(reader, options.policy_type, Policies(run, options).distro, file, effort)
     learned = learned_from(run.plugins, files, found, learning)
     rules = {each.subject: each for each in learned.subjects}
     return AdoptedPolicy(

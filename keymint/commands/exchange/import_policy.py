@@ -11,7 +11,7 @@ import click
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import counted, first_few
 from comarmor.xml.reader import looks_like_xml, parse
-from keymint.api import ForeignDocuments, ImportedSubject, ImportRequest, PolicyImporter
+from keymint.api import ImportedSubject, ImportRequest, PolicyImporter
 from keymint.command_line.named_files import deliver, exists, read_input, refuse_replacing
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import FILE, PATH, PolicyOptions, distro_option, force_option, library_option
@@ -116,14 +116,14 @@ def proofs_of(
     Raises:
         KeymintError: the build type compares no documents, or a rule cannot be mapped.
     """
-    build_type: object = run.plugins.build_type(build_type_name)
-    if not isinstance(build_type, ForeignDocuments):
+    reader = run.plugins.build_type(build_type_name).keystores
+    if reader is None:
         raise KeymintError(f"the build type {build_type_name} compares no documents", code="import-unproven")
     effort = effort_of(run.setting.monotonic, STATES)
     proofs = []
     for each in subjects:
         with effort.limit(each.rules.rules):
-            comparison = build_type.compare(each, distro, effort.states, effort.deadline())
+            comparison = reader.compare(each, distro, effort.states, effort.deadline())
         proofs.append(SubjectProof(each.rules.subject, each.deviates, comparison))
     return tuple(proofs)
 

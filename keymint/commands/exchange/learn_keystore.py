@@ -39,10 +39,10 @@ def from_keystore(
 
     policies = Policies(run, policy_options)
     policies.shipped()  # an unknown distribution is wrong usage, whatever the keystore is
-    build_type, files, found = found_in(run.plugins, run.setting.cwd / keystore, str(keystore), run.setting.now)
+    _, reader, files, found = found_in(run.plugins, run.setting.cwd / keystore, str(keystore), run.setting.now)
     effort = effort_of(run.setting.monotonic, STATES)
     name = str(output or "policy.xml")
-    learning = Learning(build_type, policy_options.policy_type, policies.distro, name, effort)
+    learning = Learning(reader, policy_options.policy_type, policies.distro, name, effort)
     learned = learned_from(run.plugins, files, found, learning)
     if output is not None and not force:
         refuse_replacing_policy(run, output, learned.document)

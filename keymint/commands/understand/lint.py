@@ -12,13 +12,14 @@ from comarmor.text import counted
 from keymint.analysis.lint.lint_rules import CODES, portability, sorted_diagnostics
 from keymint.analysis.lint.lint_rules import lint as look
 from keymint.analysis.subject_patterns import pattern_examples, rules_of
-from keymint.api import RuleCheck
+from keymint.api import BuildType
 from keymint.command_line.named_files import write_outputs
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import FILE, PATH, PluginOption, PolicyOptions, policy_options
 from keymint.command_line.verb import verb
 from keymint.errors import usage_error
 from keymint.examine.nodes import NODE_NOTES, node_notes, of_policy
+from keymint.ir import SubjectRules
 from keymint.output.report import Report, findings_exit
 from keymint.output.sarif import of_diagnostics
 from keymint.output.sarif import sarif as sarif_log
@@ -83,7 +84,7 @@ def lint(
     return run.report(result, diagnostics, findings_exit(diagnostics), notes=NODE_NOTES)
 
 
-def _checkers(run: Run, policies: Policies, chosen: Sequence[str]) -> Iterator[RuleCheck]:
+def _checkers(run: Run, policies: Policies, chosen: Sequence[str]) -> Iterator[BuildType]:
     """Yield the build types that check rules: those chosen, or those of the workspace that can.
 
     Raises:
@@ -91,7 +92,6 @@ def _checkers(run: Run, policies: Policies, chosen: Sequence[str]) -> Iterator[R
     """
     for name in dict.fromkeys(chosen or policies.build_types):
         build_type = run.plugins.build_type(name)
-        if isinstance(build_type, RuleCheck):
-            yield build_type
-        elif chosen:
+        if chosen and build_type.check_rules(SubjectRules("/", ()), policies.distro) is None:
             raise usage_error(f"the build type {name} checks no rules", "'keymint build' says what it cannot express")
+        yield build_type

@@ -19,11 +19,9 @@ from keymint.api import (
     Proof,
     ProofTask,
     Prover,
-    RemoteProver,
     Role,
     SharedProofTask,
     ValidityTerm,
-    VendorModels,
 )
 from keymint.authority.authority_files import chains_digest
 from keymint.errors import KeymintError
@@ -38,7 +36,7 @@ from keymint.stages.proof.trust_anchors import anchors_of, contradictions_for, s
 from keymint.stages.shared_documents import load_packages, record_key, shared_folder, users
 from keymint.view.stamps import Stamp, digest
 from keymint.workspace.installed_enclaves import enclave_digests, enclave_files, not_installed
-from keymint.workspace.package_build_types import build_types_of, inputs_digest, prover_of
+from keymint.workspace.package_build_types import build_types_of, inputs_digest
 from keymint.workspace.session import Session
 
 STAGE = "prove"
@@ -112,7 +110,7 @@ class ProofStage:
         self._digested = policy if isinstance(policy, DigestedPolicy) else None
         workspace = session.workspace
         self._shared_folder = workspace.shown(shared_folder(session) if unsigned else workspace.install)
-        self._asked: list[tuple[RemoteProver, object]] | None = None
+        self._asked: list[tuple[Prover, object]] | None = None
         """What other machines are to prove; None while it is proven here."""
 
     def results(self, proven: Sequence[EnclaveProof]) -> ProofResults:
@@ -127,10 +125,11 @@ class ProofStage:
         standards: set[str] = set()
         evidence: dict[str, str] = {}
         for name in dict.fromkeys(name for each in proven for name in each.build_types):
-            if prover := prover_of(self._session, name):
+            build_type = self._session.plugins.build_type(name)
+            if prover := build_type.prover:
                 assumptions |= prover.assumptions()
                 standards.update([*prover.assumptions()][:1])
-                evidence |= prover.models() if isinstance(prover, VendorModels) else {}
+                evidence |= build_type.models()
         known = frozenset(standards), evidence
         return ProofResults(tuple(proven), across, state, assumptions, *known, self._session.now)
 
@@ -259,8 +258,8 @@ class ProofStage:
         validity: list[ValidityTerm] = []
         defects = Defects()
         build_types = build_types_of(self._session, package)
-        for name in build_types:
-            prover = prover_of(self._session, name)
+        for name, build_type in build_types.items():
+            prover = build_type.prover
             if prover is None:
                 message, marker = f"the build type {name} proves nothing", self._session.package_marker(package.name)
                 defects.found.append(Diagnostic.error(NO_PROVER, message, marker))
@@ -271,7 +270,7 @@ class ProofStage:
                     rules,
                     files,
                     folder,
-                    anchors_of(self._session, package, build_types[name]),
+                    anchors_of(self._session, package, build_type),
                     self._effort.states,
                     self._effort.deadline(),
                     self._effort.standard_only,
@@ -298,8 +297,8 @@ class ProofStage:
             if self._asked is None:
                 with self._effort.limit(task.rules.rules):
                     return prover.prove(task)
-            if isinstance(prover, RemoteProver):
-                self._asked.append((prover, prover.question(task)))
+            if (question := prover.question(task)) is not None:
+                self._asked.append((prover, question))
             return ()
         if found := prover.differences(task.files, task.folder, task.anchors, task.shared, task.shared_folder):
             raise KeymintError.of(found)

@@ -43,7 +43,7 @@ _received: dict[str, tuple[Package, BuildOptions, Compilation, bool]] = {}
 
 
 def part_compiler() -> Callable[..., Sequence[Compilation | None]]:
-    """See :meth:`keymint.api.RemoteCompiler.compiling`."""
+    """See :meth:`keymint.api.BuildType.compiling`."""
     return compile_part
 
 

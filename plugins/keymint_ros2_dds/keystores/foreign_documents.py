@@ -46,7 +46,7 @@ _HEAD = (
 
 
 def compare(subject: ImportedSubject, distro: str, states: int, go_on: Callable[[], bool]) -> Comparison:
-    """Return what is proven about both documents; see :meth:`keymint.api.ForeignDocuments.compare`.
+    """Return what is proven about both documents; see :meth:`keymint.api.KeystoreReader.compare`.
 
     Raises:
         KeymintError: the document cannot be read, or a rule cannot be mapped.
@@ -91,7 +91,7 @@ def kept_governance(package: Package, built: bytes) -> bytes:
 
 
 def not_kept(package: Package, name: str, document: bytes) -> str:
-    """Return why a document is not kept: see :meth:`keymint.api.KeptDocuments.not_kept`."""
+    """Return why a document is not kept: see :meth:`keymint.api.KeystoreReader.not_kept`."""
     if name != PERMISSIONS_XML:
         return ""
     try:

@@ -41,7 +41,7 @@ STEPS = 4_000_000
 
 
 def granted_rules(keystore: KeystoreFiles, enclave: FoundEnclave, distro: str) -> GrantedRules:
-    """Return what the signed permissions of an enclave grant; see :meth:`keymint.api.GrantReader.granted`.
+    """Return what the signed permissions of an enclave grant; see :meth:`keymint.api.KeystoreReader.granted`.
 
     Raises:
         KeymintError: the signature does not verify, the document cannot be read, or no policy can say what it grants.

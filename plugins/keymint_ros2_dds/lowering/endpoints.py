@@ -84,7 +84,7 @@ def meanings(distro: str, endpoint: Edge) -> tuple[Edge, ...]:
 
 
 def actions(distro: str, edge: Edge) -> tuple[Endpoint, ...]:
-    """Return what a DDS implementation must permit for an edge; see :meth:`keymint.api.ActionMapping.actions`.
+    """Return what a DDS implementation must permit for an edge; see :meth:`keymint.api.BuildType.actions`.
 
     Raises:
         KeymintError: the distribution or the permission is unknown.

@@ -52,7 +52,7 @@ def assumptions() -> Mapping[str, Sequence[str]]:
 
 
 def models(distro: str = "") -> Mapping[str, str]:
-    """Return the evidence of each model; see :meth:`keymint.api.VendorModels.models`."""
+    """Return the evidence of each model; see :meth:`keymint.api.BuildType.models`."""
     return {name: VARIATIONS[name].evidence for name in (shipped_models(distro) if distro else VARIATIONS)}
 
 

@@ -32,7 +32,7 @@ _STATES = 50_000
 
 
 def compare_document(task: ComparisonTask) -> DocumentComparison:
-    """Compare a document with rules; see :meth:`keymint.api.DocumentComparer.compared`.
+    """Compare a document with rules; see :meth:`keymint.api.KeystoreReader.compared`.
 
     Raises:
         KeymintError: a rule cannot be mapped.
@@ -48,7 +48,7 @@ def compare_document(task: ComparisonTask) -> DocumentComparison:
 
 
 def compared_with(content: bytes, name: str, package: Package) -> DocumentComparison:
-    """Compare a document with the rules of a package; see :meth:`keymint.api.DocumentComparer.compared_with`.
+    """Compare a document with the rules of a package; see :meth:`keymint.api.Presentation.compared_with`.
 
     Raises:
         KeymintError: a rule cannot be mapped.

@@ -16,7 +16,7 @@ _OF_ARDENT = frozenset(topic.prefix for topics in DDS_TOPICS.values() for topic 
 
 
 def distro_of(paths: Iterable[str], content: Callable[[str], bytes | None]) -> str:
-    """Return ``ardent`` if documents have its partitions; see :meth:`keymint.api.InstalledDistro.distro_of`.
+    """Return ``ardent`` if documents have its partitions; see :meth:`keymint.api.BuildType.distro_of`.
 
     Only Ardent maps the namespace of a name to a partition; see :mod:`keymint_ros2_dds.lowering.ardent_names`.
     """

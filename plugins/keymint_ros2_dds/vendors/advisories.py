@@ -112,7 +112,7 @@ def affects(advisory: Advisory, version: str) -> bool:
 
 
 def advisories(vendor: str, version: str) -> tuple[Diagnostic, ...]:
-    """See :meth:`keymint.api.VendorAdvisories.advisories`."""
+    """See :meth:`keymint.api.BuildType.advisories`."""
     return tuple(_finding(each, version) for each in ADVISORIES if each.vendor == vendor and affects(each, version))
 
 
@@ -125,7 +125,7 @@ def _finding(advisory: Advisory, version: str) -> Diagnostic:
 
 
 def installed_vendors(environment: Mapping[str, str]) -> Mapping[str, Sequence[str]]:
-    """See :meth:`keymint.api.VendorAdvisories.installed_vendors`: packages of Debian, and those of sourced ROS 2."""
+    """See :meth:`keymint.api.BuildType.installed_vendors`: packages of Debian, and those of sourced ROS 2."""
     found: dict[str, dict[str, None]] = {}
     for vendor, version in (*_of_debian(environment), *_of_ros(environment)):
         found.setdefault(vendor, {})[version] = None

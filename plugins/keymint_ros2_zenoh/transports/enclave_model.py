@@ -101,7 +101,7 @@ def configuration(file: Path, install: Path, environment: Environment) -> Instal
 
 
 def installed_names(enclave: Enclave) -> tuple[str, ...]:
-    """Return expressions of names like those in the router's rights; see :class:`keymint.api.InstalledNames`."""
+    """Return expressions of names like those in the router's rights; see :class:`keymint.api.BuildType`."""
     try:
         content = installed_file(enclave.install / ROUTER)
         rules = documents.read(content, ROUTER).access_control.rules

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from keymint_ros2_dds import build_type
 
 from comarmor.errors import Diagnostic, Severity
 from keymint.adoption.keystore_files import found_in
@@ -22,35 +23,32 @@ from tests import sros2_keystore
 POLICY = """<policy version="0.2.0"><enclaves><enclave path="/a"><profiles><profile ns="/" node="a">
 <topics publish="ALLOW"><topic>x</topic></topics></profile></profiles></enclave></enclaves></policy>"""
 EFFORT = ProofEffort(10_000, lambda: lambda: True)
-LEARNING = Learning("keymint_ros2_dds", "keymint_ros2_comarmor", "jazzy", "p.xml", EFFORT)
+LEARNING = Learning(build_type.keystores, "keymint_ros2_comarmor", "jazzy", "p.xml", EFFORT)
 
 
 @pytest.fixture
 def keystore(tmp_path: Path) -> tuple[KeystoreFiles, FoundKeystore]:
     sros2_keystore.make(tmp_path / "ks", POLICY)
-    _, files, found = found_in(Plugins(), tmp_path / "ks", "ks", datetime(2026, 6, 1, tzinfo=UTC))
+    _, _, files, found = found_in(Plugins(), tmp_path / "ks", "ks", datetime(2026, 6, 1, tzinfo=UTC))
     return files, found
 
 
 class Stand:
-    """Plugins, with some of them replaced."""
+    """Plugins with another policy type."""
 
-    def __init__(self, build_type: object = None, policy_type: object = None) -> None:
-        self._plugins = Plugins()
-        self._build_type, self._policy_type = build_type, policy_type
-
-    def build_type(self, name: str) -> object:
-        return self._build_type or self._plugins.build_type(name)
+    def __init__(self, policy_type: object) -> None:
+        self._policy_type = policy_type
 
     def policy_type(self, name: str) -> object:
-        return self._policy_type or self._plugins.policy_type(name)
+        del name
+        return self._policy_type
 
 
 class Comparer:
-    """A build type that finds something else than the real one."""
+    """A reader of keystores that finds something else than the real one."""
 
     def __init__(self, result: DocumentComparison | None = None, **changes: Any) -> None:
-        self._real: Any = Plugins().build_type("keymint_ros2_dds")
+        self._real = build_type.keystores
         self._result, self._changes = result, changes
 
     def granted(self, *arguments: Any) -> object:
@@ -59,12 +57,10 @@ class Comparer:
     def compared(self, task: Any) -> DocumentComparison:
         return self._result or self._real.compared(task)
 
-    def compared_with(self, *arguments: Any) -> DocumentComparison:
-        return self._result or self._real.compared_with(*arguments)
 
-
-def learned(keystore: tuple[KeystoreFiles, FoundKeystore], stand: object = None) -> Any:
-    return learned_from(stand or Plugins(), *keystore, LEARNING)  # type: ignore[arg-type]
+def learned(keystore: tuple[KeystoreFiles, FoundKeystore], plugins: object = None, reader: object = None) -> Any:
+    learning = replace(LEARNING, reader=reader) if reader else LEARNING
+    return learned_from(plugins or Plugins(), *keystore, learning)
 
 
 def test_what_is_learned(keystore) -> None:
@@ -81,17 +77,15 @@ def test_a_policy_that_means_something_else_is_not_returned(keystore) -> None:
         ("2026-01-01T00:00:00", "2030-01-01T00:00:00"),
     )
     with pytest.raises(KeymintError, match=r"not proven to mean .*: it does not permit publish 'rt/x'"):
-        learned(keystore, Stand(Comparer(document=other)))
+        learned(keystore, reader=Comparer(document=other))
     unknown = DocumentComparison(Relation.UNKNOWN, reason="not decided in time")
     with pytest.raises(KeymintError, match="not decided in time"):
-        learned(keystore, Stand(Comparer(unknown)))
+        learned(keystore, reader=Comparer(unknown))
 
 
-def test_plugins_that_cannot_do_it(keystore) -> None:
-    with pytest.raises(KeymintError, match="reads no rules from documents"):
-        learned(keystore, Stand(build_type=object()))
+def test_a_policy_type_that_cannot_do_it(keystore) -> None:
     with pytest.raises(KeymintError, match="cannot write rules"):
-        learned(keystore, Stand(policy_type=object()))
+        learned(keystore, Stand(object()))
 
 
 def test_findings_on_the_keystore_are_warnings_unless_they_concern_trust(keystore) -> None:

@@ -25,7 +25,7 @@ from keymint.verify.rows import EdgeRow, Naming
 
 SUBJECTS = ("/a", "/b", "/c")
 ENCLAVES = {name: Enclave(name, Path("/nowhere") / name[1:], "humble", Path("/nowhere")) for name in SUBJECTS}
-NAMING = Naming(build_type, "humble")
+NAMING = Naming(build_type.names, "humble")
 REQUESTS = (
     *(Edge("", "ros_publish", Object("ros_topic", name)) for name in ("/x", "/y")),
     *(Edge("", permission, Object("ros_service", "/s")) for permission in ("ros_call", "ros_execute")),

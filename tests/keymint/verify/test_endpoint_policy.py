@@ -38,7 +38,7 @@ def policy(tmp_path: Path) -> LoadedPolicy:
 
 @pytest.fixture
 def judge(policy: LoadedPolicy) -> EndpointPolicy:
-    return EndpointPolicy(policy, {"/s": Naming(build_type, "humble")})
+    return EndpointPolicy(policy, {"/s": Naming(build_type.names, "humble")})
 
 
 def edge(permission: str, name: str, partitions: tuple[str, ...] = ()) -> Edge:

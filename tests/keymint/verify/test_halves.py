@@ -48,7 +48,7 @@ def judge(tmp_path: Path) -> EndpointPolicy:
     path = tmp_path / "policy.xml"
     path.write_text(f"<profiles><profile name='s'><attachment>/s</attachment>{RULES}</profile></profiles>")
     policy = policy_type.load([PolicySource("policy", path, Origin("test"))], None)
-    return EndpointPolicy(policy, {"/s": Naming(build_type, "humble")})
+    return EndpointPolicy(policy, {"/s": Naming(build_type.names, "humble")})
 
 
 def call(name: str) -> Edge:

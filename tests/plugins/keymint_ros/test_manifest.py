@@ -81,6 +81,7 @@ class Reading:
     """A build type that reads parts, and wants extensions in the certificate."""
 
     PARTS = ("governance", "radio")
+    KNOWS_COMMON_NAMES_ONLY = False
 
     def __init__(self) -> None:
         self.seen: list[PackageSources] = []

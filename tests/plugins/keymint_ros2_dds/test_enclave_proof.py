@@ -48,7 +48,7 @@ def obligation(loaded, files, **fields):
 
 
 def claims(loaded, files, **fields):
-    return build_type.prove(obligation(loaded, files, **fields))
+    return build_type.prover.prove(obligation(loaded, files, **fields))
 
 
 def after(loaded, old: str, new: str, count: int = -1, **fields):
@@ -81,7 +81,7 @@ def test_what_is_installed_is_proven_for_every_model():
         (model, action) for model in MODELS for action in ("publish", "subscribe")
     ]
     assert all(claim.domains == DOMAIN for claim in found)
-    assert set(build_type.assumptions()) == set(decision.VARIATIONS)
+    assert set(build_type.prover.assumptions()) == set(decision.VARIATIONS)
     assert list(build_type.models("jazzy")) == list(MODELS)
 
 

@@ -12,7 +12,6 @@ from keymint_ros2_dds import build_type
 import comarmor
 from comarmor.errors import Diagnostic, Origin, Severity
 from comarmor.rules import Effect, Rule
-from keymint.api import NodeCheck
 from keymint.ir import SubjectRules
 
 NODE, CLIENT = "node-cannot-start", "parameter-client-cannot-start"
@@ -50,8 +49,9 @@ def codes(folder: Path, *parts: str, distro: str = "jazzy") -> list[str]:
 def test_dds_refuses_what_a_node_creates_and_zenoh_does_not() -> None:
     from keymint_ros2_zenoh import build_type as zenoh
 
-    assert isinstance(build_type, NodeCheck)
-    assert not isinstance(zenoh, NodeCheck)
+    refused = SubjectRules("/n", ())
+    assert [*build_type.check_node(refused, "jazzy")]
+    assert [*zenoh.check_node(refused, "jazzy")] == []
 
 
 @pytest.mark.parametrize("distro", DISTROS)

@@ -10,7 +10,7 @@ import pytest
 from keymint_ros2_dds import build_type
 from keymint_ros2_dds.process_environment import enclave_variables, keystore_variables
 
-from keymint.api import EnvironmentVariable, ProcessEnvironment
+from keymint.api import EnvironmentVariable
 from keymint.host.shells import variable_values
 
 SWITCHES = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
@@ -47,5 +47,4 @@ def test_the_first_two_look_for_a_node_without_its_namespace(distro: str) -> Non
 
 
 def test_the_build_type_has_them() -> None:
-    assert isinstance(build_type, ProcessEnvironment)
     assert build_type.keystore_variables("jazzy", "sros2") == keystore_variables("jazzy", "sros2")

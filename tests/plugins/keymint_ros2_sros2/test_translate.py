@@ -28,7 +28,7 @@ def imported(path: Path, **options: bool) -> ImportedPolicy:
 
 
 def is_same(subject: ImportedSubject) -> bool:
-    compared = build_type.compare(subject, "foxy", 100_000, lambda: True)
+    compared = build_type.keystores.compare(subject, "foxy", 100_000, lambda: True)
     claims = (*standard_claims(compared.theirs), *compared.ours)
     assert len(claims) == 4
     return all(claim.proof is Proof.PROVEN for claim in claims)

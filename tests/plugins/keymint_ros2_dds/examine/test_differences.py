@@ -40,7 +40,7 @@ def refused(files, wanted=None) -> set[tuple[str, str]]:
 
 def test_what_rests_on_the_workspace_is_proven():
     assert {claim.proof for claim in claims(OURS)} == {Proof.PROVEN}
-    assert not build_type.differences(OURS, "install/talker", anchors(PLAIN))
+    assert not build_type.prover.differences(OURS, "install/talker", anchors(PLAIN))
 
 
 def test_an_enclave_that_is_wholly_someone_elses():
@@ -143,7 +143,7 @@ def test_a_revocation_list_of_others_takes_nothing_from_the_enclave():
 def test_a_revocation_list_is_in_force_for_a_time():
     """Cyclone DDS and Fast DDS refuse the participant when the list has expired."""
     files = {**OURS, "crl.pem": revoking("identity_ca", 7)}
-    terms = build_type.terms(files, "install/talker", anchors(PLAIN))
+    terms = build_type.prover.terms(files, "install/talker", anchors(PLAIN))
     found = [term for term in terms if term.where.file == "install/talker/crl.pem"]
     assert [(term.code, term.periods) for term in found] == [
         ("revocation-list", ((NOW - timedelta(days=1), NOW + timedelta(days=60)),)),

@@ -11,7 +11,7 @@ from keymint_ros2_dds.keystores.foreign_documents import governance_source, is_s
 
 from comarmor.errors import ComArmorError, Origin
 from comarmor.rules import Effect
-from keymint.api import BuildOptions, ForeignDocuments, ImportedSubject, Package, Proof, standard_claims
+from keymint.api import BuildOptions, ImportedSubject, Package, Proof, standard_claims
 from keymint.ir import Rule, SubjectRules
 from tests import sros2_keystore
 from tests.plugins.keymint_ros2_dds.packages import package
@@ -88,15 +88,11 @@ def imported(*names: str, document: bytes = DOCUMENT) -> ImportedSubject:
 
 
 def proofs(each: ImportedSubject) -> list[Proof]:
-    compared = build_type.compare(each, "jazzy", 10_000, lambda: True)
+    compared = build_type.keystores.compare(each, "jazzy", 10_000, lambda: True)
     assert {claim.proof for claim in compared.ours} == {Proof.PROVEN}
     assert {claim.model for claim in compared.ours} == {"omg"}
     assert {claim.model for claim in compared.theirs} == {"omg", "cyclonedds-0.10", "fastdds-2.11"}
     return [claim.proof for claim in standard_claims(compared.theirs)]
-
-
-def test_it_has_the_capability() -> None:
-    assert isinstance(build_type, ForeignDocuments)
 
 
 def test_the_same_meaning_and_another() -> None:
@@ -111,13 +107,13 @@ def test_the_grant_of_another_subject_does_not_count() -> None:
 
 
 def test_a_rule_that_not_every_vendor_reads_alike_is_a_warning() -> None:
-    compared = build_type.compare(imported("/a\\*"), "jazzy", 10_000, lambda: True)
+    compared = build_type.keystores.compare(imported("/a\\*"), "jazzy", 10_000, lambda: True)
     assert ("portability-expression", "warning") in {(each.code, each.severity) for each in compared.diagnostics}
 
 
 def test_an_unreadable_document() -> None:
     with pytest.raises(ComArmorError):
-        build_type.compare(imported("/x", document=b"<dds>"), "jazzy", 10_000, lambda: True)
+        build_type.keystores.compare(imported("/x", document=b"<dds>"), "jazzy", 10_000, lambda: True)
 
 
 # -- governance as a source

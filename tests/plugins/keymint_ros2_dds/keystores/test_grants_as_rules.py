@@ -16,7 +16,7 @@ from keymint_ros2_dds.rule_packages import package_of
 
 import comarmor
 from comarmor.rules import Rule
-from keymint.api import BuildOptions, ComparisonTask, DomainRange, GrantReader, Relation
+from keymint.api import BuildOptions, ComparisonTask, DomainRange, Relation
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from tests import generated
@@ -33,7 +33,7 @@ def learned(document_grants: str, distro: str = "jazzy") -> tuple[Rule, ...]:
 def learned_of(content: bytes, name: str, subject: str, distro: str) -> tuple[Rule, ...]:
     rules, domains, findings = rules_of(signed_permissions.read(content, "d.p7s", 10), name, subject, distro)
     assert not findings
-    result = build_type.compared(
+    result = build_type.keystores.compared(
         ComparisonTask(content, "d.p7s", 10, name, SubjectRules(subject, rules), distro, domains, 100_000, lambda: True)
     )
     assert result.relation is Relation.EQUAL
@@ -46,10 +46,6 @@ def texts(rules: tuple[Rule, ...]) -> list[str]:
 
 TAGS = "<data_tags><tag><name>a</name><value>b</value></tag></data_tags>"
 PARTITIONED = "<partitions><partition>p*</partition></partitions>"
-
-
-def test_it_has_the_capability() -> None:
-    assert isinstance(build_type, GrantReader)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rights in signed documents: how they compare with the rules of a policy, and who may present them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import field
+from datetime import datetime
+from enum import StrEnum
+
+from comarmor.errors import Diagnostic, Origin
+from comarmor.values import dataclass
+from keymint.api.packages import DomainRange, Package
+from keymint.api.proving import Claim, Counterexample
+from keymint.ir import SubjectRules
+
+
+class Relation(StrEnum):
+    """How what a document permits is related to what rules allow, over all names.
+
+    ``narrower``: it permits less, and nothing else; ``wider``: it permits all of it, and more; ``different``: each has
+    something that the other lacks; ``unknown``: the document cannot be read, or the comparison was given up.
+    """
+
+    EQUAL = "equal"
+    NARROWER = "narrower"
+    WIDER = "wider"
+    DIFFERENT = "different"
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class ComparisonTask:
+    """A document to compare with rules.
+
+    Attributes:
+        document: the document, unsigned; its signature was verified.
+        file: its file, for places.
+        offset: number of lines before it in that file, e.g. the header of a signed one.
+        subject_name: distinguished name of the identity, in the order of RFC 2253, e.g. ``CN=/talker,OU=0f``.
+        rules: the rules of the subject.
+        distro: ROS 2 distribution whose name mapping applies.
+        domains: the domains in which the rules apply; elsewhere nothing is allowed.
+        states: the most states that the search for one answer may visit.
+        go_on: polled; the search ends when it returns False.
+    """
+
+    document: bytes = field(repr=False)
+    file: str
+    offset: int
+    subject_name: str
+    rules: SubjectRules
+    distro: str
+    domains: tuple[DomainRange, ...]
+    states: int
+    go_on: Callable[[], bool]
+
+
+@dataclass(frozen=True, slots=True)
+class DocumentComparison:
+    """What a comparison found.
+
+    Attributes:
+        relation: the relation of the document to the rules.
+        missing: a shortest name for which the rules allow something that the document does not permit, or None.
+        excess: a shortest name for which the document permits something that the rules do not allow, or None.
+        reason: why the relation is unknown; else empty.
+    """
+
+    relation: Relation
+    missing: Counterexample | None = None
+    excess: Counterexample | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What two documents mean, by the same rules.
+
+    Attributes:
+        theirs: the claims that the document of another tool permits what the rules allow; those of the standard first.
+        ours: the same claims by the standard about the document that the build type compiles from the rules.
+        diagnostics: warnings about rules, e.g. those that cannot be expressed for every vendor.
+    """
+
+    theirs: tuple[Claim, ...]
+    ours: tuple[Claim, ...]
+    diagnostics: tuple[Diagnostic, ...]
+
+
+# -- documents in force, and who may present them -------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Holder:
+    """A certificate in force. Whoever has its key may present any document that is signed for its name.
+
+    Attributes:
+        subject: the subject that it is for; empty if no package has this name.
+        name: its distinguished name in certificate order, as :func:`keymint.pki.distinguished_names.parse` reads it.
+        until: its end, UTC.
+        rules: the policy's rules for the subject; none if no profile names it.
+        distro: ROS 2 distribution whose name mapping applies.
+        domains: the domains in which the rules apply.
+    """
+
+    subject: str
+    name: str
+    until: datetime
+    rules: SubjectRules
+    distro: str
+    domains: tuple[DomainRange, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PresentableDocument:
+    """A document that an authority of the workspace signed, so that a holder may present it.
+
+    Attributes:
+        content: what is signed.
+        where: its file, as the user would type it.
+        lines_before: number of lines before the content in that file.
+        proven_for: name of the certificate beside it, whose rights are proven apart; empty if there is none.
+    """
+
+    content: bytes = field(repr=False)
+    where: Origin
+    lines_before: int = 0
+    proven_for: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class PresentationTask:
+    """The question which holders are permitted something beyond the policy by a document that they may present.
+
+    Attributes:
+        holders: all certificates in force.
+        documents: all signed documents; of two with the same content the first one counts.
+        now: the time from which on documents count, UTC.
+        states: the most states that the search for one answer may visit.
+        go_on: polled; the search ends when it returns False.
+        distro: ROS 2 distribution for whose vendors each enclave is proven apart; empty: that of the holder.
+    """
+
+    holders: Sequence[Holder]
+    documents: Sequence[PresentableDocument]
+    now: datetime
+    states: int
+    go_on: Callable[[], bool]
+    distro: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ExcessRights:
+    """A holder is permitted something beyond the policy, or may be, by a document that it may present.
+
+    Attributes:
+        holder: the holder.
+        document: the document.
+        claims: the claims that fail, by model.
+        until: the end of the document or of the certificate, UTC.
+    """
+
+    holder: Holder
+    document: PresentableDocument
+    claims: tuple[Claim, ...]
+    until: datetime
+
+
+class Presentation(ABC):
+    """What is known about signed documents that the enclaves of a build type present to each other."""
+
+    FILE: str
+    """Name of the file of an enclave that they present."""
+
+    @abstractmethod
+    def presented_until(self, content: bytes) -> datetime | None:
+        """Return the end of the rights that a signed document grants, UTC; None if it grants none to anybody.
+
+        Args:
+            content: what is signed.
+        """
+
+    @abstractmethod
+    def choosers(self) -> Sequence[str]:
+        """Return the models that choose the rights in a document, each by its own comparison of names."""
+
+    @abstractmethod
+    def trusting_any_signer(self) -> Sequence[str]:
+        """Return the models that take a document whose signer the right authority certified as anybody at all."""
+
+    @abstractmethod
+    def excess(self, task: PresentationTask) -> Sequence[ExcessRights]:
+        """Return every holder and document by which an implementation permits more than the policy."""
+
+    @abstractmethod
+    def compared_with(self, content: bytes, name: str, package: Package) -> DocumentComparison:
+        """Compare a signed document, as the transport's standard reads it, with the rules of a package.
+
+        Args:
+            content: what is signed.
+            name: distinguished name of the certificate that it is presented with; see :attr:`keymint.api.Holder.name`.
+            package: the package.
+
+        Raises:
+            KeymintError: a rule cannot be mapped. A document that cannot be read is ``unknown``.
+        """
