@@ -4,7 +4,7 @@
 usage: python benchmarks/sizes.py [--rules 1000]
 
 Sizes are bytes of the unsigned document; signing adds about 1,450. Handshakes succeeded with signed documents of up to
-56,000 bytes on every vendor, and failed on Fast DDS with 67,000. ``grouped`` is the folded form without gathering, like
+56,000 bytes on every vendor, and failed on Fast DDS with 67,000. ``grouped`` is the folded form without rewriting, like
 a document that a careful person writes by hand.
 """
 
@@ -24,12 +24,9 @@ import navigation
 from keymint_ros.distros import library
 from keymint_ros2_comarmor import policy_type
 from keymint_ros2_dds import build_type
-from keymint_ros2_dds.compiling import (
-    gathering,
-    grant_compiler,
-)
+from keymint_ros2_dds.compiling import grant_compiler, rewriting
 from keymint_ros2_dds.documents import dds_xml
-from keymint_ros2_dds.rule_packages import package_of
+from keymint_ros2_dds.settings import package_of
 from keymint_ros2_dds.vendor_limits import BROKEN, signed_size
 from proof import WORDS
 
@@ -92,7 +89,7 @@ def measured(rules: SubjectRules) -> tuple[int, int, int, float]:
     """Return the bytes of the plain, the grouped and the smallest form, and the seconds of a build."""
     source = package(rules)
     with mock.patch.object(
-        grant_compiler, "gathered_rules", functools.partial(gathering.gathered_rules, min_saved=10**9)
+        grant_compiler, "gathered_rules", functools.partial(rewriting.gathered_rules, min_saved=10**9)
     ):
         grouped = build_type.build(source, BuildOptions())
     begin = time.process_time()

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
-from keymint_ros2_dds.rule_packages import package_of
+from keymint_ros2_dds.settings import package_of
 
 from comarmor.errors import Origin
 from comarmor.patterns.steps import step_limit

@@ -10,7 +10,7 @@ from comarmor.errors import Defects, Diagnostic, Origin, Severity
 from keymint.api import BuildOptions, BuildResult, Package
 from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
-from keymint_ros2_dds import governance_warnings, token_key, vendor_limits
+from keymint_ros2_dds import governance_warnings, vendor_limits
 from keymint_ros2_dds.documents import governance_document
 from keymint_ros2_dds.domains import in_words, uncovered_domains
 from keymint_ros2_dds.emit.kind_members import emit_by_kind
@@ -27,7 +27,7 @@ def build(package: Package, options: BuildOptions) -> BuildResult:
     """
     lenient = options.allow_vendor_specific
     checks = [*_check(package), *vendor_limits.check_key(package, allow_vendor_specific=lenient)]
-    checks += token_key.check(package, allow_vendor_specific=lenient)
+    checks += vendor_limits.check_token_key(package, allow_vendor_specific=lenient)
     checks += vendor_limits.check_root_name(package, allow_vendor_specific=lenient)
     checks += vendor_limits.check_issuers(package)
     defects, notes = Defects(), list[Diagnostic]()

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The layouts of a keystore, and the files of an enclave in each."""
+"""The layouts of a keystore, the files of an enclave in each, the authorities it rests on, and how ROS 2 finds it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 
-from keymint.api import Layout
+from keymint.api import AuthorityRole, EnvironmentVariable, Implementation, Layout, Package
 
 LAYOUTS: Mapping[str, Layout] = {
     "sros2": Layout("enclaves"),
@@ -72,3 +72,74 @@ def reads_revocations(distro: str, layout: str = "sros2") -> bool:
         layout: name of the layout; ``flat`` is that of distributions before Foxy.
     """
     return layout == "sros2" and distro not in _WITHOUT_REVOCATIONS
+
+
+IDENTITY_ROLE, PERMISSIONS_ROLE = "identity", "permissions"
+IMPLEMENTATIONS = (
+    Implementation("cyclonedds", "Cyclone DDS 0.10", reissues=frozenset({IDENTITY_ROLE})),
+    Implementation("fastdds", "Fast DDS 2.9", bundles=frozenset({IDENTITY_ROLE}), reissues=frozenset({IDENTITY_ROLE})),
+)
+"""What vendors accept while an authority changes, measured. Cyclone DDS reads the first authority of a file only. Fast
+DDS tells two authorities of one name that issued identities apart by their key identifiers, but verifies a document
+with the first permissions authority of its name. A document is verified with exactly the certificate that signed it."""
+
+
+def implementations() -> Sequence[Implementation]:
+    """Return what was measured: see :meth:`keymint.api.BuildType.implementations`."""
+    return IMPLEMENTATIONS
+
+
+def authorities(package: Package) -> tuple[AuthorityRole, ...]:
+    """Return the authorities of a package; see :meth:`keymint.api.BuildType.authorities`.
+
+    Its permissions authority signs the governance as well (DDS Security 1.1, 9.4.1): no other sources are loaded, see
+    :func:`keymint_ros2_dds.settings.settings`.
+    """
+    identity, grant = package.identity, package.grant
+    return (
+        AuthorityRole(IDENTITY_ROLE, identity.issuer, identity.origin),
+        AuthorityRole(PERMISSIONS_ROLE, grant.issuer, grant.origin, signs=True),
+    )
+
+
+_WITH_NODE_DIRECTORY = frozenset(("crystal", "dashing", "eloquent"))
+"""The distributions before Foxy in which a variable names the folder of a node itself."""
+_BEFORE_FOXY = frozenset(("ardent", "bouncy")) | _WITH_NODE_DIRECTORY
+_SWITCHES = (
+    EnvironmentVariable("ROS_SECURITY_ENABLE", "true"),
+    EnvironmentVariable("ROS_SECURITY_STRATEGY", "Enforce"),
+)
+
+
+def keystore_variables(distro: str, layout: str) -> tuple[EnvironmentVariable, ...]:
+    """See :meth:`keymint.api.BuildType.keystore_variables`; an unknown distribution counts as later.
+
+    Ardent and Bouncy look for the name of a node without its namespace: the variables are those of the namespace ``/``.
+    """
+    if _is_old(distro, layout):
+        return _root(LAYOUTS[layout].enclaves), *_SWITCHES
+    return EnvironmentVariable("ROS_SECURITY_KEYSTORE", "", is_path=True), *_SWITCHES
+
+
+def enclave_variables(
+    distro: str, layout: str, subject: str, files: Collection[str]
+) -> tuple[EnvironmentVariable, ...]:
+    """See :meth:`keymint.api.BuildType.enclave_variables`."""
+    del files
+    if not _is_old(distro, layout):
+        return *keystore_variables(distro, layout), EnvironmentVariable("ROS_SECURITY_ENCLAVE_OVERRIDE", subject)
+    folder = f"{LAYOUTS[layout].enclaves}{subject}".strip("/")
+    if distro in _WITH_NODE_DIRECTORY:
+        own = EnvironmentVariable("ROS_SECURITY_NODE_DIRECTORY", folder, is_path=True)
+        return *keystore_variables(distro, layout), own
+    return _root(folder.rpartition("/")[0]), *_SWITCHES
+
+
+def _root(folder: str) -> EnvironmentVariable:
+    """Return the variable for the folder that has the folders of nodes, relative to the install space."""
+    return EnvironmentVariable("ROS_SECURITY_ROOT_DIRECTORY", folder, is_path=True)
+
+
+def _is_old(distro: str, layout: str) -> bool:
+    """Tell whether nodes read the variables of before Foxy: ``flat`` is the layout of that time."""
+    return layout == "flat" or distro in _BEFORE_FOXY

@@ -12,13 +12,13 @@ from keymint.api import Claim, ComparisonTask, Proof, ProofTask, TrustAnchors, V
 from keymint.errors import KeymintError
 from keymint.pki import smime
 from keymint.pki.identity_check import enclave_file
-from keymint_ros2_dds import authority_roles as roles
-from keymint_ros2_dds.decision import OMG, shipped_models
+from keymint_ros2_dds import enclave_layout as roles
+from keymint_ros2_dds.decision.semantics import OMG, shipped_models
 from keymint_ros2_dds.enclave_layout import CERTIFICATE, GOVERNANCE, PERMISSIONS
 from keymint_ros2_dds.examine.enclave_rules import differences
-from keymint_ros2_dds.proving import validity_terms
+from keymint_ros2_dds.proving import grant_periods
+from keymint_ros2_dds.proving.claims import know, prove_content
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
-from keymint_ros2_dds.proving.proof_cache import know, prove_content
 from keymint_ros2_dds.transports.enclave_files import subject_name
 
 
@@ -112,8 +112,8 @@ def terms(
     """
     del shared, shared_folder  # an enclave is complete
     content, place = _signed(files, folder, anchors, PERMISSIONS)
-    of_grants = validity_terms.of_grants(content, place, _subject_name(files, folder), shipped_models(anchors.distro))
-    return (*of_grants, *validity_terms.of_certificates(files, folder))
+    of_grants = grant_periods.of_grants(content, place, _subject_name(files, folder), shipped_models(anchors.distro))
+    return (*of_grants, *grant_periods.of_certificates(files, folder))
 
 
 def _signed(
@@ -122,7 +122,7 @@ def _signed(
     """Return the content of a signed document, its file, and the number of lines before it there."""
     name, plain = f"{kind}.p7s", f"{kind}.xml"
     file, where = enclave_file(files, folder, name), Origin(f"{folder}/{name}")
-    signed = smime.read(file, anchors.authorities[roles.PERMISSIONS].chain, where=where)
+    signed = smime.read(file, anchors.authorities[roles.PERMISSIONS_ROLE].chain, where=where)
     if unsigned or files.get(plain) == signed.content:
         return signed.content, (f"{folder}/{plain}", 0)
     return signed.content, (where.file, signed.lines_before)

@@ -18,9 +18,8 @@ from keymint.api import DomainRange, Package
 from keymint_ros2_dds.documents import governance_document
 from keymint_ros2_dds.domains import in_words, uncovered_domains
 from keymint_ros2_dds.lowering.lowered_rules import Lowered, lower
-from keymint_ros2_dds.proving import octets, permission_lists
-from keymint_ros2_dds.proving.enclave_governance import cuts
-from keymint_ros2_dds.proving.protection import ACCEPT
+from keymint_ros2_dds.proving import document_lists, octets
+from keymint_ros2_dds.proving.enclave_governance import ACCEPT, cuts
 from keymint_ros2_dds.reading.signed_governance import ACCESS, JOIN, UNAUTHENTICATED
 from keymint_ros2_dds.settings import DomainRule, TopicProtection, settings_of
 
@@ -125,5 +124,5 @@ def _allowed(lowered: Lowered, action: str, earlier: tuple[Glob, ...], patterns:
         Block(allows, tuple(octets.pair(EVERYTHING, octets.of_glob(topic)) for topic in topics))
         for allows, topics in ((False, earlier), (True, patterns))
     )
-    policy = permission_lists.of_policy(lowered, action, pairs=True)
+    policy = document_lists.of_policy(lowered, action, pairs=True)
     return isinstance(escapes((opened,), policy, octets.universe(pairs=True), SearchBudget(STATES)), Equal)

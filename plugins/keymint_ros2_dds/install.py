@@ -11,7 +11,7 @@ from keymint import api
 from keymint.api import Artifact, EnclaveCredentials, Package
 from keymint.errors import KeymintError
 from keymint.pki import certificates, smime
-from keymint_ros2_dds import authority_roles as roles
+from keymint_ros2_dds import enclave_layout as roles
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.enclave_layout import (
     CA,
@@ -50,7 +50,7 @@ def install(
         raise KeymintError(f"unknown layout {layout!r}", help=f"use {' or '.join(LAYOUTS)}", code="layout-unknown")
     if (
         has_one_authority(layout, package.distro)
-        and credentials.chains[roles.IDENTITY] != credentials.chains[roles.PERMISSIONS]
+        and credentials.chains[roles.IDENTITY_ROLE] != credentials.chains[roles.PERMISSIONS_ROLE]
     ):
         raise KeymintError(
             f"{package.subject} has one authority for identities and another for permissions, but the layout 'flat' "
@@ -61,9 +61,9 @@ def install(
         )
     permissions, governance = (_document(package, documents, kind) for kind in (PERMISSIONS, GOVERNANCE))
     files = {
-        IDENTITY_CA: Artifact(credentials.chains[roles.IDENTITY]),
-        PERMISSIONS_CA: Artifact(credentials.chains[roles.PERMISSIONS]),
-        CA: Artifact(credentials.chains[roles.PERMISSIONS]),
+        IDENTITY_CA: Artifact(credentials.chains[roles.IDENTITY_ROLE]),
+        PERMISSIONS_CA: Artifact(credentials.chains[roles.PERMISSIONS_ROLE]),
+        CA: Artifact(credentials.chains[roles.PERMISSIONS_ROLE]),
         CERTIFICATE: Artifact(credentials.certificate),
         KEY: Artifact(credentials.key, secret=True),
         PERMISSIONS_XML: Artifact(permissions),
@@ -100,11 +100,11 @@ def _document(package: Package, documents: Mapping[str, bytes], kind: str) -> by
 def _signed(content: bytes, kind: str, credentials: EnclaveCredentials, installed: Mapping[str, bytes]) -> bytes:
     """Return a signed document: the installed one if it is still current, else a new one."""
     present = installed.get(f"{kind}.p7s")
-    in_force = certificates.load_bundle(credentials.chains[roles.PERMISSIONS])[0]
+    in_force = certificates.load_bundle(credentials.chains[roles.PERMISSIONS_ROLE])[0]
     if present is not None and smime.is_current(present, content, in_force):
         return present
     sign = _sign_once if kind == GOVERNANCE else _sign
-    return sign(content, credentials.signers[roles.PERMISSIONS])  # whose key may be elsewhere
+    return sign(content, credentials.signers[roles.PERMISSIONS_ROLE])  # whose key may be elsewhere
 
 
 def _sign(content: bytes, authority: api.SigningAuthority) -> bytes:

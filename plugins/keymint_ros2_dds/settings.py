@@ -1,16 +1,39 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a package says about DDS beside its rules: the governance, which protects domains and topics."""
+"""What a package says about DDS beside its rules: the governance, which protects domains and topics.
+
+It is read from a package's document and its defaults.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import field
-from typing import Any
+from collections.abc import Iterator, Mapping
+from dataclasses import field, replace
+from datetime import UTC, datetime
+from functools import lru_cache, partial
+from typing import TYPE_CHECKING, Any
 
-from comarmor.errors import Origin
+from comarmor.errors import Defects, Diagnostic, Origin
+from comarmor.text import quoted
 from comarmor.values import dataclass
-from keymint.api import DomainRange, Grant, Package, Validity
-from keymint.api.source_documents import incomplete
+from comarmor.xml.reader import line
+from keymint.api import (
+    CertificateSpec,
+    DomainRange,
+    Grant,
+    KeySpec,
+    Package,
+    PackageSettings,
+    PackageSources,
+    SourcePart,
+    Validity,
+)
+from keymint.api.source_documents import DEFAULT_DOMAINS, Reader, domains, incomplete, signer, text
+from keymint.errors import KeymintError
+from keymint.ir import SubjectRules
+from keymint.names import name_of
+
+if TYPE_CHECKING:
+    from lxml import etree
 
 BUILD_TYPE = "keymint_ros2_dds"
 """The name by which packages ask for this build type."""
@@ -122,3 +145,165 @@ def validity_of(grant: Grant) -> Validity:
     if grant.validity is None:
         raise incomplete("grant", "validity", grant.defaults_origin or grant.origin)
     return grant.validity
+
+
+_VALIDITY = Validity(datetime(2000, 1, 1, tzinfo=UTC), datetime(2001, 1, 1, tzinfo=UTC))
+"""Any period that documents can express: the findings on rules do not depend on it."""
+_NAME = "CN=/subject"
+"""Any subject name that is one: what names of subjects become is decided by the settings of a package."""
+_EVERYWHERE = (DomainRange(0, 0),)
+_ANYWHERE = Origin(BUILD_TYPE)
+_PROTECTION = DomainRule(_EVERYWHERE, False, True, "ENCRYPT", "ENCRYPT", "ENCRYPT", (), _ANYWHERE)
+
+
+def package_of(rules: SubjectRules, distro: str) -> Package:
+    """Return a package with these rules, and with valid settings for all else."""
+    subject = rules.subject
+    origin = Origin(subject)
+    return Package(
+        name=name_of(subject),
+        subject=subject,
+        distro=distro,
+        identity=CertificateSpec(_NAME, _VALIDITY, None, "identity", "SHA256", KeySpec("ec", "SECP256R1"), (), origin),
+        grant=Grant("permissions", subject, _NAME, _VALIDITY, _EVERYWHERE, rules, origin),
+        build_types=(BUILD_TYPE,),
+        settings={BUILD_TYPE: DdsSettings(Governance("permissions", (_PROTECTION,)))},
+    )
+
+
+PART = "governance"
+"""Name of the part of a package that this module reads."""
+OPEN_GOVERNANCE = "open_governance"
+"""What a profile accepts that leaves topics without access control."""
+KEY_URIS = "token_keys"
+"""What a profile accepts that only participants of Fast DDS can use."""
+
+
+def settings(sources: PackageSources) -> PackageSettings:
+    """Return the governance of a package: see :meth:`keymint.api.BuildType.settings`.
+
+    Raises:
+        KeymintError: with ``file:line`` of each defect, also of a grant that is incomplete for DDS.
+    """
+    defects = Defects()
+    governance = defects.attempt(partial(_governance, sources, sources.parts[PART]))
+    if sources.grant:
+        defects.found += _grant_defects(sources.grant)
+    if governance is None or defects.found:
+        raise KeymintError.of(defects.found)
+    if sources.grant and sources.grant.issuer != governance.issuer:
+        raise KeymintError(
+            f"permissions are signed by {sources.grant.issuer!r}, governance by {governance.issuer!r}",
+            where=sources.parts[PART].where,
+            help="use the same authority for both: a DDS participant verifies both with one certificate",
+            code="signers-differ",
+        )
+    return PackageSettings(DdsSettings(governance, KEY_URIS in sources.accepts))
+
+
+def _governance(sources: PackageSources, part: SourcePart) -> Governance:
+    own = () if part.content is None else _read(part.content, part.file).iterfind("domain_access_rules/domain_rule")
+    if part.defaults is None:
+        raise KeymintError(
+            f"there is no file {quoted(part.defaults_file, 200)} in the package or its profile",
+            where=part.where,
+            help="create it, or correct the path",
+            code="file-missing",
+        )
+    base, general, defaults_issuer = _base(part.defaults, part.defaults_file)
+    usual = defaults_issuer or (sources.grant.issuer if sources.grant else "")
+    issuer = signer(part.issuer, part.where, usual, base.origin, sources.authorities)
+    rules = tuple(_domain_rule(element, part.file, base, general) for element in own) or (base,)
+    return Governance(issuer, rules, accepts_open=OPEN_GOVERNANCE in sources.accepts)
+
+
+def _grant_defects(grant: Grant) -> Iterator[Diagnostic]:
+    """Yield what a grant lacks: it must have a subject name and a validity (DDS Security 1.1, 9.4.1.3)."""
+    missing = "subject_name" if not grant.subject_name else "validity" if grant.validity is None else ""
+    if missing:
+        yield from incomplete("grant", missing, grant.defaults_origin or grant.origin).diagnostics
+
+
+def _settings(element: etree._Element, known: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the settings that an element gives: kinds of protection as text, others as booleans."""
+    return {
+        str(part.tag): text(part) if str(part.tag).endswith("_kind") else text(part) in {"true", "1"}
+        for part in element
+        if part.tag in known
+    }
+
+
+def _checked(root: etree._Element) -> etree._Element:
+    """Return a document whose ranges of domains are in order.
+
+    Raises:
+        KeymintError: one is not; with its line.
+    """
+    for element in root.iter("domains"):
+        domains(element)
+    return root
+
+
+_read = Reader("keymint_ros2_dds", "source_governance", _checked)
+"""Reads the governance of a package."""
+_read_defaults = Reader("keymint_ros2_dds", "source_governance_defaults", _checked)
+"""Reads the defaults of a domain rule."""
+
+
+@lru_cache(maxsize=64)
+def _base(content: bytes, file: str) -> tuple[DomainRule, Mapping[str, Any], str]:
+    """Return the domain rule that the defaults describe, their settings for every topic, and the issuer, if any.
+
+    Args:
+        content: the defaults. If a package has no domain rules, theirs is the only one.
+        file: their document, for origins.
+    """
+    root = _read_defaults(content, file)
+    rule = DomainRule(
+        domains=domains(root.find("domains")) or DEFAULT_DOMAINS,
+        topic_rules=(),
+        origin=Origin(file, line(root)),
+        **{**STRICT_DOMAIN, **_settings(root, STRICT_DOMAIN)},
+    )
+    topics = root.findall("topic_access_rules/*")
+    general: Mapping[str, Any] = next(
+        (_settings(topic, STRICT_TOPIC) for topic in topics if _kind_and_expression(topic) == ("topic", "*")), {}
+    )
+    rules = tuple(_topic_protection(topic, general, file) for topic in topics)
+    return replace(rule, topic_rules=rules), general, text(root.find("issuer_name")) or ""
+
+
+def _domain_rule(element: etree._Element, file: str, base: DomainRule, general: Mapping[str, Any]) -> DomainRule:
+    """Return the domain rule that a package and its defaults describe together.
+
+    A domain rule's own topic rules come before those of the defaults, since the first one that matches a topic decides.
+    A topic rule takes the settings that it leaves out from the defaults' rule for every topic.
+
+    Args:
+        element: the package's ``<domain_rule>``.
+        file: the package's document, for origins.
+        base: the domain rule of the defaults.
+        general: settings of the defaults for every topic.
+    """
+    own_domains = domains(element.find("domains"))
+    own_topics = (_topic_protection(each, general, file) for each in element.iterfind("topic_access_rules/*"))
+    return replace(
+        base,
+        domains=own_domains or base.domains,
+        topic_rules=(*own_topics, *base.topic_rules),
+        origin=Origin(file, line(element)),
+        domains_origin=None if own_domains else base.origin,
+        **_settings(element, STRICT_DOMAIN),
+    )
+
+
+def _topic_protection(element: etree._Element, general: Mapping[str, Any], file: str) -> TopicProtection:
+    settings = {**STRICT_TOPIC, **general, **_settings(element, STRICT_TOPIC)}
+    return TopicProtection(*_kind_and_expression(element), origin=Origin(file, line(element)), **settings)
+
+
+def _kind_and_expression(element: etree._Element) -> tuple[str, str]:
+    """Return the kind of a ``<topic_rule>``, ``<ros_service_rule>`` and so on, and its expression."""
+    kind = str(element.tag).removesuffix("_rule")
+    expression = element.find(f"{kind.removeprefix('ros_')}_expression")
+    return kind, text(expression) or ""

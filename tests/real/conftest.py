@@ -14,7 +14,7 @@ from functools import cache
 from typing import TYPE_CHECKING, NoReturn
 
 import pytest
-from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, VARIATIONS, Variation
+from keymint_ros2_dds.decision.semantics import CYCLONEDDS_0_10, FASTDDS_2_9, VARIATIONS, Variation
 from keymint_ros2_dds.transports import real_cyclonedds, real_cyclonedds_0_10_5, real_fastdds, real_fastdds_3
 from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, System, Vendor

@@ -18,13 +18,13 @@ from pathlib import Path
 from xml.sax.saxutils import escape
 
 from cryptography.hazmat.primitives import serialization
-from keymint_ros2_dds import decision
-from keymint_ros2_dds.decision import VARIATIONS, DocumentEvaluator
-from keymint_ros2_dds.decision.endpoint_access import DomainAccess
+from keymint_ros2_dds.decision.evaluator import DocumentEvaluator, DomainAccess
+from keymint_ros2_dds.decision.semantics import VARIATIONS
 from keymint_ros2_dds.lowering.lowered_rules import lower
-from keymint_ros2_dds.proving import ProofQuestion, prove_document
+from keymint_ros2_dds.proving.claims import prove_document
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
-from keymint_ros2_dds.reading import signed_governance
+from keymint_ros2_dds.proving.questions import ProofQuestion
+from keymint_ros2_dds.reading import signed_governance, signed_permissions
 from keymint_ros2_dds.transports.enclave_files import subject_name
 from keymint_ros2_dds.vendors.cyclone_access_control import CycloneAccessControl
 from keymint_ros2_dds.vendors.participants import RefusedError, System, Vendor
@@ -245,7 +245,7 @@ def claims_of(case: Case, permissions: bytes, subject: str) -> tuple[Claim, ...]
         permissions, "permissions.xml", 0, subject, rules, "humble", (DomainRange(0, 0),), 50_000, lambda: True
     )
     governing = EnclaveGovernance(governance_of(case), ("governance.p7s", 0), None)
-    return prove_document(ProofQuestion(decision.read(permissions), task, lower(rules, "humble"), governing))
+    return prove_document(ProofQuestion(signed_permissions.read(permissions), task, lower(rules, "humble"), governing))
 
 
 def wrong_claims(case: Case, claims: Sequence[Claim], counts: Counter[str]) -> Iterator[str]:
@@ -327,7 +327,7 @@ class Bench:
 
     def modelled(self, case: Case, permissions: bytes, counts: Counter[str]) -> Iterator[str]:
         """Yield the differences between the models and brute force, and the errors of claims."""
-        document, governance = decision.read(permissions), signed_governance.read(governance_of(case))
+        document, governance = signed_permissions.read(permissions), signed_governance.read(governance_of(case))
         for model in MODELS:
             variation = VARIATIONS[model]
             for domain in DOMAINS:

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 from keymint_ros import package_type
-from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9
+from keymint_ros2_dds.decision.semantics import CYCLONEDDS_0_10, FASTDDS_2_9
 from keymint_ros2_dds.transports.enclave_model import EnclaveModel
 from keymint_ros2_dds.vendors.participants import RefusedError, System, Vendor
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from cryptography.x509.oid import NameOID
-from keymint_ros2_dds.decision import FASTDDS_2_9, VARIATIONS
+from keymint_ros2_dds.decision.semantics import FASTDDS_2_9, VARIATIONS
 from keymint_ros2_dds.vendors.participants import RefusedError, System, Vendor
 
 from tests.effort import tries

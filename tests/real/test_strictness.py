@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 import pytest
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.serialization import pkcs7
-from keymint_ros2_dds import decision
-from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, DocumentEvaluator, Variation
+from keymint_ros2_dds.decision.evaluator import DocumentEvaluator
+from keymint_ros2_dds.decision.semantics import CYCLONEDDS_0_10, FASTDDS_2_9, Variation
+from keymint_ros2_dds.reading import signed_permissions
 from keymint_ros2_dds.vendors.participants import RefusedError, System, Vendor
 
 from keymint.errors import KeymintError
@@ -119,7 +120,7 @@ def answers(system: System, folder: Path) -> list[bool]:
 def expected(content: bytes, variation: Variation) -> list[bool] | None:
     """Return what the model permits; None if it does not know."""
     try:
-        document = decision.read(content)
+        document = signed_permissions.read(content)
     except KeymintError:
         return None
     if not variation.semantics.refusal(document) and variation.semantics.unmodelled(document):

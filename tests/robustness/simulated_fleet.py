@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, OMG
+from keymint_ros2_dds.decision.semantics import CYCLONEDDS_0_10, FASTDDS_2_9, OMG
 from keymint_ros2_dds.transports.enclave_model import EnclaveModel
 
 from keymint.api import Enclave, Environment

@@ -19,15 +19,12 @@ from keymint.api import BuildOptions, Grant, Hint
 from keymint.errors import KeymintError
 from keymint.ir import Rule
 from keymint_ros2_dds.compiling import partitions
-from keymint_ros2_dds.compiling.gathering import GUARD, gathered_rules
 from keymint_ros2_dds.compiling.partitions import UnportableError
-from keymint_ros2_dds.compiling.priority import EndpointCounts, prioritised_rules
+from keymint_ros2_dds.compiling.rewriting import GUARD, EndpointCounts, gathered_rules, prioritised_rules
 from keymint_ros2_dds.compiling.rule_order import portable_rules, rule_per_policy_rule, standard_rules
-from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.endpoints import endpoints
-from keymint_ros2_dds.lowering.grant_rules import GrantRule
-from keymint_ros2_dds.lowering.lowered_rules import Lowered, lower
-from keymint_ros2_dds.lowering.name_mapping import check_distro, has_kind
+from keymint_ros2_dds.lowering.lowered_rules import GrantRule, Lowered, lower
+from keymint_ros2_dds.lowering.name_mapping import TopicAction, check_distro, has_kind
 from keymint_ros2_dds.lowering.portable_expressions import NotPortableError, portable_expressions
 
 STEPS = 4_000_000

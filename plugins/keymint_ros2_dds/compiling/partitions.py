@@ -29,7 +29,7 @@ from comarmor.patterns.relations import (
 )
 from comarmor.patterns.tokens import STAR, Star
 from comarmor.values import dataclass
-from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, Partitions
+from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, EVERY, Partitions
 
 MAX_PATTERNS = 128
 """Patterns with wildcards that a decision list over several lists of partitions may have."""

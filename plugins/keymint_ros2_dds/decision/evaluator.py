@@ -1,6 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Evaluate a permissions document: Algorithm 1 of White et al. 2018 (DDS Security 1.1, 9.4.1.3) and vendor deviations.
+"""Decide about an endpoint by the documents of its enclave, as the standard and each vendor do.
 
+The governance determines whether the permissions are checked at all. DDS Security 1.1, 9.4.3: the participant must be
+allowed to join; then the first topic rule that matches the topic determines whether permissions are checked. A topic
+without a rule is refused.
+
+Permissions are evaluated by Algorithm 1 of White et al. 2018 (DDS Security 1.1, 9.4.1.3), with vendor deviations.
 Subject name and validity select a grant. The first criteria, in document order, that match domain, action, topic,
 partitions and data tags decide, else the grant's default. If no grant matches, the result is an error, which denies.
 """
@@ -10,15 +15,16 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from datetime import datetime
-from enum import StrEnum
 from functools import cached_property, lru_cache
 
 from comarmor.errors import Origin
 from comarmor.patterns.expression import literal_prefix
 from comarmor.patterns.tokens import Dialect
 from comarmor.values import dataclass
-from keymint_ros2_dds.decision import fnmatch_dialects
+from keymint.api import Verdict
 from keymint_ros2_dds.decision.semantics import OMG, Semantics, TopicCheck, Variation
+from keymint_ros2_dds.reading import dialects
+from keymint_ros2_dds.reading.signed_governance import ACCESS, DocumentDomainRule, DocumentTopicRule, GovernanceDocument
 from keymint_ros2_dds.reading.signed_permissions import (
     DocumentCriteria,
     DocumentGrant,
@@ -28,36 +34,6 @@ from keymint_ros2_dds.reading.signed_permissions import (
 
 DEFAULT_PARTITION = ("",)
 _NO_GRANT = DocumentGrant("", "", "", (), allows=False, line=0)
-
-
-class DecisionOutcome(StrEnum):
-    """Result of a decision. ``error``: no grant matches, or the document is refused or not modelled."""
-
-    ALLOWED = "allowed"
-    DENIED = "denied"
-    ERROR = "error"
-
-
-@dataclass(frozen=True, slots=True)
-class EndpointDecision:
-    """The decision about an endpoint.
-
-    Attributes:
-        outcome: allowed, denied, or error.
-        line: line of the criteria, rule or grant that decided; 0 if none did.
-        reason: one line, without the place.
-        where: place of that line in the file, or of the governance rule that decided; None if neither did.
-    """
-
-    outcome: DecisionOutcome
-    line: int
-    reason: str
-    where: Origin | None = None
-
-    @property
-    def allowed(self) -> bool:
-        """Whether the endpoint is allowed; an error denies."""
-        return self.outcome is DecisionOutcome.ALLOWED
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,8 +125,8 @@ class DocumentEvaluator:
         self._named: list[_CriteriaStep] = []
         self._by_action: dict[str, TopicDecisions] = {}
         found = _grant(document, subject_name, now, semantics)
-        self.refusal = found if isinstance(found, EndpointDecision) else None
-        grant = _NO_GRANT if isinstance(found, EndpointDecision) else found
+        self.refusal = found if isinstance(found, Verdict) else None
+        grant = _NO_GRANT if isinstance(found, Verdict) else found
         self._default = semantics.default_counts and grant.allows
         self._default_line = grant.line
         in_domain = [rule for rule in grant.rules if semantics.applies(rule, domain)]
@@ -168,7 +144,7 @@ class DocumentEvaluator:
         tags: Collection[tuple[str, str]] = (),
         *,
         topic_checked: bool = True,
-    ) -> EndpointDecision:
+    ) -> Verdict:
         """Decide about an endpoint.
 
         Args:
@@ -181,7 +157,7 @@ class DocumentEvaluator:
         """
         if self.refusal is not None:
             return self.refusal
-        name = fnmatch_dialects.in_bytes(topic)
+        name = dialects.in_bytes(topic)
         if topic_checked and self.semantics.topic_check:
             named = [next((step for step in each if step.topics.match(name)), None) for each in self._naming]
             if not any(self._default if step is None else step.allows for step in named):
@@ -189,7 +165,7 @@ class DocumentEvaluator:
                 if denying is None:
                     return self._by_default(topic)
                 return self._by(denying, f"denies the topic {topic!r}", allowed=False)
-        names = [fnmatch_dialects.in_bytes(partition) for partition in partitions] or DEFAULT_PARTITION
+        names = [dialects.in_bytes(partition) for partition in partitions] or DEFAULT_PARTITION
         for step in self._steps.get(action, ()):
             if not step.topics.match(name):
                 continue
@@ -241,34 +217,31 @@ class DocumentEvaluator:
             return False
         return step.partitions is None or need(step.partitions.match(partition) for partition in partitions)
 
-    def _by(self, step: _CriteriaStep, text: str, *, allowed: bool) -> EndpointDecision:
+    def _by(self, step: _CriteriaStep, text: str, *, allowed: bool) -> Verdict:
         rule = "allow_rule" if step.allows else "deny_rule"
-        outcome = DecisionOutcome.ALLOWED if allowed else DecisionOutcome.DENIED
-        return EndpointDecision(outcome, step.line, f"the {rule} {text}", self._place(step.line))
+        return Verdict(allowed, f"the {rule} {text}", self._place(step.line))
 
-    def _by_default(self, topic: str) -> EndpointDecision:
-        outcome = DecisionOutcome.ALLOWED if self._default else DecisionOutcome.DENIED
+    def _by_default(self, topic: str) -> Verdict:
         text = f"no rule matches {topic!r}, and the grant's default is {'ALLOW' if self._default else 'DENY'}"
-        return EndpointDecision(outcome, self._default_line, text, self._place(self._default_line))
+        return Verdict(self._default, text, self._place(self._default_line))
 
 
 def _grant(
     document: PermissionsDocument, subject_name: str, now: datetime, semantics: Semantics
-) -> DocumentGrant | EndpointDecision:
+) -> DocumentGrant | Verdict:
     """Return the grant that applies, or why there is none."""
     if refused := semantics.refusal(document) or semantics.unmodelled(document):
-        return EndpointDecision(DecisionOutcome.ERROR, 0, refused)
+        return Verdict(False, refused)
     reason = f"no grant applies to {subject_name!r}"
-    line = 0
+    where = None
     for grant in semantics.grants(document, subject_name):
         period = semantics.period(grant)
         if period is not None and period[0] <= now <= period[1]:
             return grant
         when = "is not valid yet" if period is not None and now < period[0] else "has expired"
-        line = grant.line
+        where = document.place(grant.line)
         reason = f"the grant of {subject_name!r} {when} ({grant.not_before.strip()} to {grant.not_after.strip()})"
-    where = document.place(line) if line else None
-    return EndpointDecision(DecisionOutcome.ERROR, line, reason, where)
+    return Verdict(False, reason, where)
 
 
 def _steps(rules: Iterable[DocumentRule], semantics: Semantics) -> Iterator[_CriteriaStep]:
@@ -297,14 +270,87 @@ def _step(rule: DocumentRule, group: Sequence[DocumentCriteria], semantics: Sema
 
 
 def _patterns(expressions: Iterable[str], semantics: Semantics) -> _Expressions:
-    texts = frozenset(fnmatch_dialects.in_bytes(semantics.reads_text(expression)) for expression in expressions)
-    plain = frozenset(text for text in texts if fnmatch_dialects.is_plain(text))
+    texts = frozenset(dialects.in_bytes(semantics.reads_text(expression)) for expression in expressions)
+    plain = frozenset(text for text in texts if dialects.is_plain(text))
     wild = _compiled(tuple(sorted(texts - plain)), semantics.fnmatch) if texts - plain else None
     return _Expressions(plain, wild, frozenset(map(literal_prefix, texts - plain)))
 
 
 @lru_cache(maxsize=4096)
 def _compiled(patterns: tuple[str, ...], dialect: Dialect) -> re.Pattern[str]:
-    return re.compile(
-        "|".join(f"(?:{fnmatch_dialects.translate(pattern, dialect)})" for pattern in patterns), re.DOTALL
-    )
+    return re.compile("|".join(f"(?:{dialects.translate(pattern, dialect)})" for pattern in patterns), re.DOTALL)
+
+
+class DomainAccess:
+    """Access control in one domain, as an implementation reads a governance document.
+
+    Attributes:
+        refusal: why the document is refused or not modelled, or an empty text.
+        rule: the domain rule that applies, or None.
+    """
+
+    def __init__(self, document: GovernanceDocument, domain: int, semantics: Semantics) -> None:
+        self._document = document
+        self._domain = domain
+        self._semantics = semantics
+        self.refusal = semantics.refusal(document) or semantics.unmodelled(document)
+        exact = semantics.min_only_is_exact
+        self.rule = None if self.refusal else document.rule(domain, min_only_is_exact=exact)
+
+    def admits(self, *, joins: bool) -> bool:
+        """Tell whether the participant may join.
+
+        Args:
+            joins: a rule of the permissions, or their default, lets it join.
+        """
+        if joins or self.rule is None:
+            return joins and not self.refusal
+        return not self._semantics.needs_rule_to_join and self.rule.joins_without_rule
+
+    def decide(self, evaluator: DocumentEvaluator, action: str, topic: str, partitions: Sequence[str] = ()) -> Verdict:
+        """Decide about an endpoint by governance and permissions.
+
+        Args:
+            evaluator: evaluates the permissions.
+            action: ``publish`` or ``subscribe``.
+            topic: DDS topic name.
+            partitions: partitions of the endpoint.
+        """
+        absent = self.absent(evaluator)
+        if absent is not None or self.rule is None:
+            return absent or Verdict(allowed=False, reason=self.refusal)
+        rule = topic_rule(self.rule, topic, self._semantics)
+        if rule is None:
+            where = self._document.place(self.rule.line)
+            return Verdict(False, f"no topic rule matches {topic!r}", where)
+        if not rule.controls(action):
+            where = self._document.place(rule.line)
+            reason = f"{ACCESS[action]} is false for {rule.expression!r}"
+            return Verdict(True, reason, where)
+        return evaluator.decide(action, topic, partitions, topic_checked=rule.controlled)
+
+    def absent(self, evaluator: DocumentEvaluator) -> Verdict | None:
+        """Return why there is no participant with any endpoint, or None."""
+        if self.refusal:
+            return Verdict(allowed=False, reason=self.refusal)
+        if evaluator.refusal is not None:
+            return evaluator.refusal
+        if self.rule is None:
+            reason = f"the governance does not apply to domain {self._domain}"
+            return Verdict(False, reason, Origin(self._document.file))
+        if not self.admits(joins=evaluator.joins):
+            reason = f"the permissions allow nothing in domain {self._domain}, so that there is no participant"
+            return Verdict(False, reason)
+        return None
+
+
+def topic_rule(domain_rule: DocumentDomainRule, topic: str, semantics: Semantics) -> DocumentTopicRule | None:
+    """Return the first rule that matches a topic, or None; see :attr:`Semantics.topic_rules_both_ways`."""
+    name, dialect = dialects.in_bytes(topic), semantics.fnmatch
+    for rule in domain_rule.topic_rules:
+        expression = dialects.in_bytes(rule.expression)
+        if expression == "*" or re.fullmatch(dialects.translate(expression, dialect), name, re.DOTALL):
+            return rule
+        if semantics.topic_rules_both_ways and re.fullmatch(dialects.translate(name, dialect), expression, re.DOTALL):
+            return rule
+    return None

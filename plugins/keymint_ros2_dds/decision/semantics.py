@@ -18,10 +18,10 @@ from typing import Any
 
 from comarmor.patterns.tokens import Dialect
 from comarmor.values import dataclass
-from keymint_ros2_dds.decision import fnmatch_dialects as fnmatch
-from keymint_ros2_dds.decision import subject_names
+from keymint_ros2_dds import subject_names
 from keymint_ros2_dds.lowering.name_mapping import DISTROS
-from keymint_ros2_dds.reading import grant_dates
+from keymint_ros2_dds.reading import dialects
+from keymint_ros2_dds.reading import dialects as fnmatch
 from keymint_ros2_dds.reading.quirks import BLANKS, CRASHES, REFUSES, UNMODELLED, Quirk, VendorReading
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, DocumentRule, PermissionsDocument
@@ -98,7 +98,7 @@ class Semantics:
     parser: Parser = Parser.STANDARD
     selects: Callable[[str, str], bool] = subject_names.same_name
     passes_over_invalid: bool = True
-    date: Callable[[str], datetime | None] = grant_dates.standard
+    date: Callable[[str], datetime | None] = dialects.standard_date
     no_beginning_holds: bool = False
     reads_text: Callable[[str], str] = str
     default_counts: bool = True
@@ -254,7 +254,7 @@ CYCLONE_DEVIATIONS = (
         parser=Parser.CYCLONE),
     _on("12", "min-only", "a range of domains with a minimum alone is that one domain", min_only_is_exact=True),
     _on("15", "late-dates", "a date that does not fit 64 bits of nanoseconds, or is none, is over",
-        date=grant_dates.cyclone, no_beginning_holds=True),
+        date=dialects.cyclone_date, no_beginning_holds=True),
     _on("16", "trimmed-text", "white space around a text is ignored", reads_text=trim_blanks),
     _on("17", "fnmatch", "no escapes; only '!' negates a set; the ']' that ends a set is a member of it",
         fnmatch=fnmatch.CYCLONE_DDS),
@@ -276,7 +276,7 @@ FAST_DEVIATIONS = (
     _on("11", "strictness", "a grant without a name or default, and empty lists, are refused",
         parser=Parser.FAST),
     _on("12", "min-only", "a range of domains with a minimum alone is that one domain", min_only_is_exact=True),
-    _on("14", "zone-ignored", "the zone of a date is ignored", date=grant_dates.fast),
+    _on("14", "zone-ignored", "the zone of a date is ignored", date=dialects.fast_date),
     _on("16", "blank-text", "a text of white space alone is empty", reads_text=unless_blank),
     _on("17", "fnmatch", "expressions have no escapes", fnmatch=fnmatch.FAST_DDS),
     _on("19", "rule-to-join", "a participant needs an allow_rule, even if joining is not controlled",

@@ -18,8 +18,7 @@ from comarmor.text import quoted
 from comarmor.xml.reader import line, parse
 from keymint.api import DiscoveredGraph
 from keymint.errors import KeymintError
-from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, DiscoveredParticipant
-from keymint_ros2_dds.discovery.capture_graph import discovered_graph
+from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, DiscoveredParticipant, discovered_graph
 
 MAX_DOMAIN = 232
 _NUMBER = lazy_regex(r"[0-9]{1,9}")

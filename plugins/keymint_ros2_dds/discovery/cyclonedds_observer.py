@@ -18,8 +18,7 @@ from typing import Any, Self
 from comarmor.errors import Diagnostic
 from keymint.api import Availability, DiscoveredGraph
 from keymint.errors import KeymintError
-from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, DiscoveredParticipant
-from keymint_ros2_dds.discovery.capture_graph import discovered_graph
+from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, DiscoveredParticipant, discovered_graph
 
 LIBRARY = "libddsc.so.0debian"
 INSTALL = "apt-get install libddsc0debian"

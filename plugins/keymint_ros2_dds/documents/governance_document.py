@@ -19,8 +19,7 @@ from keymint.errors import KeymintError
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import check_domains
 from keymint_ros2_dds.enclave_layout import GOVERNANCE
-from keymint_ros2_dds.lowering.dds_topics import needed_topics
-from keymint_ros2_dds.lowering.name_mapping import ARDENT, dds_patterns, parse_expression
+from keymint_ros2_dds.lowering.name_mapping import ARDENT, dds_patterns, needed_topics, parse_expression
 from keymint_ros2_dds.lowering.portable_expressions import NotPortableError, portable_expressions
 from keymint_ros2_dds.settings import STRICT_DOMAIN, STRICT_TOPIC, DomainRule, Governance, TopicProtection
 

@@ -15,9 +15,9 @@ from keymint.errors import KeymintError
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import check_domains
 from keymint_ros2_dds.enclave_layout import PERMISSIONS
-from keymint_ros2_dds.lowering.grant_rules import DEFAULT, GrantRule
+from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, GrantRule
 from keymint_ros2_dds.settings import validity_of
-from keymint_ros2_dds.subject_name_text import subject_name_of
+from keymint_ros2_dds.subject_names import subject_name_of
 
 _MAX_YEAR = 2261
 """Cyclone DDS counts time in nanoseconds of 64 bits, and reads later years as expired."""

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Documents of subjects of one kind: the engine makes the first one, and renaming its topics makes the others.
+"""From the rules of a package to the bytes of its permissions; open ``kind_members.emit_by_kind`` first, the door.
 
-``structure`` says which DDS names a subject puts into a kind, and compares subjects; ``members`` decides who is
-renamed, and who goes to the engine. ADR 0026 has the lemma on which this stands, and why each of its conditions is
-needed.
+It asks the engine in ``emission`` for the first subject of a kind, and renames the topics of that document for the
+others. ADR 0026 has the lemma on which this stands, and why each of its conditions is needed.
 """

@@ -20,7 +20,6 @@ from keymint.errors import KeymintError
 from keymint.names import name_of, package_name
 from keymint.pki import certificates, certification_path, keys
 from keymint.pki.distinguished_names import MAX_COMMON_NAME, attributes, to_text
-from keymint_ros2_dds.authority_roles import IDENTITY
 from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.domains import merged_domains
 from keymint_ros2_dds.enclave_layout import (
@@ -29,6 +28,7 @@ from keymint_ros2_dds.enclave_layout import (
     GOVERNANCE,
     GOVERNANCE_P7S,
     GOVERNANCE_XML,
+    IDENTITY_ROLE,
     KEY,
     PERMISSIONS,
     PERMISSIONS_P7S,
@@ -254,7 +254,7 @@ class _Enclave(EnclaveRules):
 
     def _facts(self) -> dict[str, Any]:
         """Return what a report says; values are those of JSON."""
-        certificate, issuer = self.certificate, self._chains[IDENTITY]
+        certificate, issuer = self.certificate, self._chains[IDENTITY_ROLE]
         files = {name: self._contents.keystore.files[path] for name, path in sorted(self._enclave.files.items())}
         signed, plain = self.permissions.signed, self._files.get(PERMISSIONS_XML)
         governance = self.governance.document.domain_rules if self.governance.document else ()

@@ -21,8 +21,18 @@ from keymint.errors import KeymintError
 from keymint.pki import certificates, extensions, foreign_authorities, key_files, keys, revocation_lists
 from keymint.pki.distinguished_names import to_text
 from keymint.pki.revocation_lists import RevocationList
-from keymint_ros2_dds.authority_roles import IDENTITY, PERMISSIONS
-from keymint_ros2_dds.enclave_layout import CA, CRL, GOVERNANCE, GOVERNANCE_P7S, GOVERNANCE_XML, KEY, LAYOUTS, files
+from keymint_ros2_dds.enclave_layout import (
+    CA,
+    CRL,
+    GOVERNANCE,
+    GOVERNANCE_P7S,
+    GOVERNANCE_XML,
+    IDENTITY_ROLE,
+    KEY,
+    LAYOUTS,
+    PERMISSIONS_ROLE,
+    files,
+)
 from keymint_ros2_dds.examine.adopted_enclave import dates_of, examine_enclave, exposure, is_exposed
 from keymint_ros2_dds.examine.enclave_rules import AUTHORITY_FILES
 from keymint_ros2_dds.keystores import foreign_documents
@@ -31,7 +41,7 @@ from keymint_ros2_dds.keystores.keystore_contents import FORMS, Contents, Enclav
 _READ = frozenset(name for layout in LAYOUTS for name in files(layout))
 """Names of the files that participants read."""
 _REVOCATIONS = "adopt-revocations"
-_NAMES = {IDENTITY: "identity_ca", PERMISSIONS: "permissions_ca"}
+_NAMES = {IDENTITY_ROLE: "identity_ca", PERMISSIONS_ROLE: "permissions_ca"}
 BOTH = "ca"
 """Name of an authority that has both roles."""
 
@@ -45,7 +55,7 @@ def examine_keystore(keystore: KeystoreFiles) -> FoundKeystore:
     content = contents(keystore)
     layout, found, kept = places(content)
     trusted, diagnostics = _authorities(content, found)
-    issuer = next((each for each in trusted if IDENTITY in each.roles), None)
+    issuer = next((each for each in trusted if IDENTITY_ROLE in each.roles), None)
     newest, of_lists = _newest_list(content, layout, found, issuer) if issuer else ("", [])
     diagnostics += of_lists
     listed = {CRL: newest} if newest and not layout else {}
@@ -82,7 +92,7 @@ def _defaults(
 ) -> tuple[Mapping[str, bytes], list[Diagnostic]]:
     """Return the governance as the source of all packages, and why it cannot become that."""
     governed = [each for each in enclaves if GOVERNANCE_XML in each.documents]
-    signer = next((each.name for each in trusted if PERMISSIONS in each.roles), "")
+    signer = next((each.name for each in trusted if PERMISSIONS_ROLE in each.roles), "")
     if not governed or not signer:
         return {}, []
     findings = []

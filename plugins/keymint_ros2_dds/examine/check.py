@@ -14,10 +14,9 @@ from comarmor.patterns.tokens import PatternError
 from keymint.api import Inspection
 from keymint.errors import KeymintError
 from keymint.pki import certificates, distinguished_names, smime
-from keymint_ros2_dds import authority_roles as roles
-from keymint_ros2_dds import governance_warnings, token_key, vendor_limits
+from keymint_ros2_dds import enclave_layout as roles
+from keymint_ros2_dds import governance_warnings, vendor_limits
 from keymint_ros2_dds.decision.semantics import STANDARD
-from keymint_ros2_dds.decision.subject_names import parts
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.enclave_layout import (
     CERTIFICATE,
@@ -33,9 +32,9 @@ from keymint_ros2_dds.enclave_layout import (
 )
 from keymint_ros2_dds.examine.enclave_rules import Document, EnclaveRules, SignedFact
 from keymint_ros2_dds.keystores.foreign_documents import not_kept
-from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance, cuts
-from keymint_ros2_dds.proving.protection import STRICT, Weaker, weaker
+from keymint_ros2_dds.proving.enclave_governance import STRICT, EnclaveGovernance, Weaker, cuts, weaker
 from keymint_ros2_dds.reading import signed_permissions
+from keymint_ros2_dds.subject_names import parts
 
 
 def check(inspection: Inspection) -> tuple[Diagnostic, ...]:
@@ -82,7 +81,7 @@ class _InstalledEnclave(EnclaveRules):
 
     def _key_uri(self) -> Iterator[Diagnostic]:
         uri = self._inspection.package.identity.key.uri
-        if uri and not token_key.is_uri(self._files.get(KEY_URI), uri):
+        if uri and not vendor_limits.is_key_uri(self._files.get(KEY_URI), uri):
             problem = "is not the URI of the sources" if KEY_URI in self._files else "is missing"
             yield self._error("key-uri", KEY_URI, problem)
         elif not uri and KEY_URI in self._files:
@@ -200,8 +199,8 @@ def _shared_authorities(inspections: Sequence[Inspection]) -> Iterator[Diagnosti
     """Yield one finding for each authority that both issues identities and signs permissions."""
     reported: set[bytes] = set()
     for inspection in inspections:
-        authority = inspection.chains[roles.PERMISSIONS]
-        if authority and authority == inspection.chains[roles.IDENTITY] and authority not in reported:
+        authority = inspection.chains[roles.PERMISSIONS_ROLE]
+        if authority and authority == inspection.chains[roles.IDENTITY_ROLE] and authority not in reported:
             reported.add(authority)
             # Where enclaves have no file for a second authority, the user cannot act on it.
             one = has_one_authority(inspection.layout, inspection.package.distro)
@@ -219,7 +218,7 @@ def _different_authorities(inspections: Sequence[Inspection]) -> Iterator[Diagno
     """Yield a finding for each enclave with another permissions authority; Fast DDS requires one for all."""
     for inspection in inspections[1:]:
         first = inspections[0]
-        if inspection.chains[roles.PERMISSIONS] != first.chains[roles.PERMISSIONS]:
+        if inspection.chains[roles.PERMISSIONS_ROLE] != first.chains[roles.PERMISSIONS_ROLE]:
             yield Diagnostic.warning(
                 "authorities-differ",
                 f"its permissions are signed by {inspection.package.grant.issuer!r}, those of "

@@ -20,8 +20,8 @@ from keymint.errors import KeymintError
 from keymint.pki import certificates, keys, revocation_lists, smime
 from keymint.pki.identity_check import IdentityCheck, When, anchor_defects, utc_time
 from keymint.pki.mime import SignedDocument
-from keymint_ros2_dds import authority_roles as roles
-from keymint_ros2_dds import subject_name_text, token_key
+from keymint_ros2_dds import enclave_layout as roles
+from keymint_ros2_dds import subject_names, vendor_limits
 from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.domains import in_words, merged_domains, uncovered_domains
 from keymint_ros2_dds.enclave_layout import (
@@ -46,7 +46,7 @@ IN_PLACE_OF = {f"{name.removesuffix('.pem')}.p11": name for name in (IDENTITY_CA
 
 Source: ``get_security_files`` in ``security.cpp`` of rmw_dds_common, from Jazzy on, as rmw_fastrtps calls it.
 """
-AUTHORITY_FILES = {roles.IDENTITY: IDENTITY_CA, roles.PERMISSIONS: PERMISSIONS_CA}
+AUTHORITY_FILES = {roles.IDENTITY_ROLE: IDENTITY_CA, roles.PERMISSIONS_ROLE: PERMISSIONS_CA}
 """The file of the authority that has a role; in the flat layout it may be one for both."""
 Document = TypeVar("Document", PermissionsDocument, GovernanceDocument)
 _SLACK = timedelta(days=1)
@@ -137,7 +137,7 @@ class EnclaveRules(IdentityCheck):
 
     def _signed(self, name: str, reader: Callable[[bytes, str, int], Document]) -> SignedFact[Document]:
         try:
-            signed = smime.read(self._files.get(name, b""), self._chains[roles.PERMISSIONS])
+            signed = smime.read(self._files.get(name, b""), self._chains[roles.PERMISSIONS_ROLE])
         except KeymintError:
             return SignedFact()  # reported with the authorities
         unread, file = Defects(), self._where(name).file
@@ -151,7 +151,7 @@ class EnclaveRules(IdentityCheck):
         if CRL not in self._files:
             return ""
         try:
-            issuer = certificates.load_bundle(self._chains[roles.IDENTITY])[0]
+            issuer = certificates.load_bundle(self._chains[roles.IDENTITY_ROLE])[0]
         except KeymintError:
             return ""  # reported with the authorities
         return revocation_lists.problem(self._files[CRL], issuer)
@@ -176,11 +176,11 @@ class EnclaveRules(IdentityCheck):
         yield from self._in_place_of(anchors.key_uri)
         yield from self.inventory(needed)
         yield from self.revocation_list()
-        for role, name in (*AUTHORITY_FILES.items(), (roles.PERMISSIONS, CA)):
+        for role, name in (*AUTHORITY_FILES.items(), (roles.PERMISSIONS_ROLE, CA)):
             if role in anchors.authorities:  # also where the layout does not have the file
                 yield from self.anchored(name, anchors.authorities[role])
-        yield from self.identity(self._chains[roles.IDENTITY], anchors)
-        unsigned, signer = Defects(), self._chains[roles.PERMISSIONS]
+        yield from self.identity(self._chains[roles.IDENTITY_ROLE], anchors)
+        unsigned, signer = Defects(), self._chains[roles.PERMISSIONS_ROLE]
         for name in (PERMISSIONS_P7S, GOVERNANCE_P7S):
             if name in self._files and signer:
                 with unsigned:
@@ -188,7 +188,7 @@ class EnclaveRules(IdentityCheck):
         yield from unsigned.found
 
     def _in_place_of(self, key_uri: str) -> Iterator[Diagnostic]:
-        known = {KEY_URI} if token_key.is_uri(self._files.get(KEY_URI), key_uri) else set()
+        known = {KEY_URI} if vendor_limits.is_key_uri(self._files.get(KEY_URI), key_uri) else set()
         for name in sorted(self._files.keys() & IN_PLACE_OF.keys() - known):
             message = (
                 f"replaces {IN_PLACE_OF[name]} in ROS 2 Jazzy and later, and Keymint cannot check what it refers to"
@@ -217,7 +217,7 @@ class EnclaveRules(IdentityCheck):
 
     def name(self) -> Iterator[Diagnostic]:
         """Yield a warning if vendors confuse the name of the certificate with others."""
-        if self.certificate is not None and (confused := subject_name_text.twice(self.certificate.subject)):
+        if self.certificate is not None and (confused := subject_names.twice(self.certificate.subject)):
             help_ = "let its authority issue names with each attribute once, e.g. one CN and one OU"
             yield self._warning("names-confused", CERTIFICATE, confused, help_)
 
@@ -253,7 +253,7 @@ class EnclaveRules(IdentityCheck):
                 yield self._error("domain-uncovered", PERMISSIONS_P7S, message, help_)
 
     def _grant(self, grant: DocumentGrant, when: When) -> Iterator[Diagnostic]:
-        name = subject_name_text.of_any(self.certificate.subject) if self.certificate else grant.subject_name
+        name = subject_names.of_any(self.certificate.subject) if self.certificate else grant.subject_name
         if grant.subject_name != name:
             message = f"grants to {grant.subject_name!r}, but the certificate is for {name!r}"
             yield self._error("grant-subject", PERMISSIONS_P7S, message)

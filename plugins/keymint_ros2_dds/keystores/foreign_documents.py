@@ -17,12 +17,11 @@ from comarmor.errors import Diagnostic
 from keymint.api import BuildOptions, Comparison, ComparisonTask, ImportedSubject, Package, Relation
 from keymint.errors import KeymintError
 from keymint_ros2_dds.compiling.grant_compiler import compile_rules
-from keymint_ros2_dds.decision import OMG
-from keymint_ros2_dds.decision.semantics import STANDARD
+from keymint_ros2_dds.decision.semantics import OMG, STANDARD
 from keymint_ros2_dds.documents import dds_xml, permissions_document
 from keymint_ros2_dds.emit.emission import Emitted, comparison
 from keymint_ros2_dds.enclave_layout import GOVERNANCE_XML, PERMISSIONS_XML
-from keymint_ros2_dds.proving import prove_content
+from keymint_ros2_dds.proving.claims import prove_content
 from keymint_ros2_dds.proving.document_relation import compare_document
 from keymint_ros2_dds.reading import signed_governance, signed_permissions
 from keymint_ros2_dds.reading.signed_governance import (
@@ -34,9 +33,8 @@ from keymint_ros2_dds.reading.signed_governance import (
     DocumentDomainRule,
 )
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, as_ranges
-from keymint_ros2_dds.rule_packages import package_of
-from keymint_ros2_dds.settings import STRICT_TOPIC, validity_of
-from keymint_ros2_dds.subject_name_text import subject_name_of
+from keymint_ros2_dds.settings import STRICT_TOPIC, package_of, validity_of
+from keymint_ros2_dds.subject_names import subject_name_of
 
 _HEAD = (
     b'<?xml version="1.0" encoding="UTF-8"?>\n'

@@ -24,15 +24,15 @@ from keymint.api import DomainRange, FoundEnclave, GrantedRules, KeystoreFiles
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.pki import certificates, smime
-from keymint_ros2_dds import subject_name_text
+from keymint_ros2_dds import subject_names
 from keymint_ros2_dds.decision.semantics import STANDARD
 from keymint_ros2_dds.domains import in_words, merged_domains
 from keymint_ros2_dds.enclave_layout import CA, CERTIFICATE, PERMISSIONS_CA, PERMISSIONS_P7S
-from keymint_ros2_dds.lowering.dds_topics import TopicAction
+from keymint_ros2_dds.lowering.name_mapping import TopicAction
 from keymint_ros2_dds.lowering.ros_rules import in_ros
+from keymint_ros2_dds.proving.document_lists import have_partitions
 from keymint_ros2_dds.proving.enclave_governance import cuts
 from keymint_ros2_dds.proving.grant_periods import grant_periods
-from keymint_ros2_dds.proving.permission_lists import have_partitions
 from keymint_ros2_dds.reading import signed_permissions
 from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, DocumentRule, PermissionsDocument
 
@@ -54,7 +54,7 @@ def granted_rules(keystore: KeystoreFiles, enclave: FoundEnclave, distro: str) -
     if document.defects:
         raise KeymintError.of(document.defects)
     place = Origin(f"{keystore.folder}/{_path(keystore, enclave, CERTIFICATE)}")
-    name = subject_name_text.of_any(certificates.load(enclave.certificate, place).subject)
+    name = subject_names.of_any(certificates.load(enclave.certificate, place).subject)
     rules, domains, findings = rules_of(document, name, enclave.subject, distro)
     return GrantedRules(
         SubjectRules(enclave.subject, rules), signed.content, where.file, signed.lines_before, name, domains, findings

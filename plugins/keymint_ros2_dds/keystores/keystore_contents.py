@@ -20,8 +20,7 @@ from keymint.errors import KeymintError
 from keymint.names import package_name
 from keymint.pki import certificates, extensions, key_files, keys, smime
 from keymint.pki.distinguished_names import attributes
-from keymint_ros2_dds import subject_name_text
-from keymint_ros2_dds.decision.subject_names import same_name
+from keymint_ros2_dds import subject_names
 from keymint_ros2_dds.enclave_layout import (
     CA,
     CERTIFICATE,
@@ -34,6 +33,7 @@ from keymint_ros2_dds.enclave_layout import (
 from keymint_ros2_dds.reading import signed_governance, signed_permissions
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
 from keymint_ros2_dds.reading.signed_permissions import PermissionsDocument
+from keymint_ros2_dds.subject_names import same_name
 
 FORMS: Mapping[str, str] = {
     "sros2": "made like 'ros2 security' of Foxy and later",
@@ -213,7 +213,7 @@ def _by_content(contents: Contents) -> Iterator[EnclavePlace]:
     for path, certificate in contents.certificates.items():
         if path in authorities:
             continue
-        name = subject_name_text.of_any(certificate.subject)
+        name = subject_names.of_any(certificate.subject)
         named = {file: [each.subject_name for each in found.grants] for file, found in contents.permissions.items()}
         documents = [file for file, names in named.items() if any(same_name(each, name) for each in names)]
         if not documents:

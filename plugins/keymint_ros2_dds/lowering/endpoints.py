@@ -8,8 +8,7 @@ from functools import lru_cache
 from keymint.api import Endpoint
 from keymint.api.graph import Edge, Object
 from keymint.errors import KeymintError
-from keymint_ros2_dds.lowering.dds_topics import needed_topics
-from keymint_ros2_dds.lowering.name_mapping import ARDENT, check_distro, has_kind
+from keymint_ros2_dds.lowering.name_mapping import ARDENT, check_distro, has_kind, needed_topics
 
 _KINDS = {
     "ros_publish": "ros_topic", "ros_subscribe": "ros_topic", "ros_call": "ros_service", "ros_execute": "ros_service",

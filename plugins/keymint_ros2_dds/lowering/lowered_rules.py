@@ -1,27 +1,75 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lowers the rules of a subject to DDS: the topic patterns that each rule allows or denies, by action.
+"""Rules in terms of DDS: the topic patterns that each rule of a subject allows or denies, and the rules of a grant.
 
-Order has no meaning yet: deny overrides allow.
+The lowered rules have no order yet: deny overrides allow. The rules of a grant are the decision list that a permissions
+document holds (DDS Security 1.1, 9.4.1.3.2.3).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
+from itertools import chain
+from typing import Generic, TypeVar
 
 from comarmor.errors import Diagnostic
 from comarmor.patterns import glob
 from comarmor.patterns.expression import exact
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.possible_names import advice, matches_ros_name
+from comarmor.patterns.tokens import SPECIAL
 from comarmor.rules import Effect
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.ir import Rule, SubjectRules
-from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS, TopicAction, needed_topics
-from keymint_ros2_dds.lowering.grant_rules import Partitions
-from keymint_ros2_dds.lowering.name_mapping import dds_patterns, has_kind, parse_expression
+from keymint_ros2_dds.lowering.name_mapping import (
+    DDS_TOPICS,
+    TopicAction,
+    dds_patterns,
+    has_kind,
+    needed_topics,
+    parse_expression,
+)
+
+Partitions = tuple[str, ...]
+"""Partition expressions, sorted."""
+DEFAULT: Partitions = ("",)
+"""The default partition."""
+EVERY: Partitions = ("*",)
+
+_Pattern = TypeVar("_Pattern")
+
+
+@dataclass(frozen=True, slots=True)
+class GrantRule(Generic[_Pattern]):
+    """An ``<allow_rule>`` or ``<deny_rule>``: over patterns while it is compiled, over expressions when it is written.
+
+    Attributes:
+        effect: allow or deny.
+        partitions: partition expressions that all its criteria share.
+        topics: topic patterns, or topic expressions, by action.
+    """
+
+    effect: Effect
+    partitions: Partitions
+    topics: Mapping[TopicAction, tuple[_Pattern, ...]]
+
+    def every_topic(self) -> Iterator[_Pattern]:
+        """Return the topics of all actions."""
+        return chain.from_iterable(self.topics.values())
+
+
+def with_leading_allow(rules: Sequence[GrantRule[_Pattern]]) -> tuple[GrantRule[_Pattern], ...]:
+    """Return rules that begin with an allow rule: with one without criteria, if the first one denies."""
+    empty: GrantRule[_Pattern] = GrantRule(Effect.ALLOW, DEFAULT, {})
+    return (empty, *rules) if rules and rules[0].effect is Effect.DENY else tuple(rules)
+
+
+def is_name(expression: str) -> bool:
+    """Return whether an expression matches only the topic of that name, in every dialect."""
+    return not SPECIAL.search(expression)
+
 
 LoweredRules = Mapping[tuple[Glob, Partitions], Rule]
 """Topic patterns with their partitions (none: not narrowed), and for each the first rule that has it."""

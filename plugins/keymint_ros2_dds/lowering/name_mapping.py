@@ -2,23 +2,157 @@
 """Mapping of ROS names to DDS topics and partitions, by ROS 2 distribution.
 
 Since Bouncy the full ROS name is part of the topic name, and partitions are not used: the topic ``/a`` is the DDS topic
-``rt/a``; the service ``/s`` is the pair ``rq/sRequest`` and ``rr/sReply``. :mod:`.ardent_names` is the mapping of
-Ardent. Actions and parameters consist of topics and services. Raw topics keep their names.
+``rt/a``; the service ``/s`` is the pair ``rq/sRequest`` and ``rr/sReply`` (design.ros2.org, "Topic and Service name
+mapping to DDS"). Actions and parameters consist of topics and services. Raw topics keep their names.
+
+In ROS 2 Ardent the namespace is a DDS partition, and the topic has the base name only. The topic ``/a/b`` is the DDS
+topic ``b`` in the partition ``rt/a``, and ``/b`` is ``b`` in ``rt``; the service ``/a/s`` is ``sRequest`` in ``rq/a``
+and ``sReply`` in ``rr/a``. In reverse, a topic ``T`` in a partition ``P`` is the name ``P/T`` without its prefix. So a
+topic with a ``/`` in its name, which Ardent itself never creates, has a meaning too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from enum import StrEnum
+from functools import lru_cache
+from itertools import product
+from types import MappingProxyType
 
 from comarmor.errors import Origin
 from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob
-from comarmor.patterns.tokens import PatternError
-from comarmor.rules import Effect
+from comarmor.patterns.relations import covers
+from comarmor.patterns.tokens import STAR, Charset, PatternError, Star, Token
+from comarmor.rules import Effect, parts
 from comarmor.text import did_you_mean
+from comarmor.values import dataclass
 from keymint.errors import KeymintError
-from keymint_ros2_dds.lowering import ardent_names
-from keymint_ros2_dds.lowering.dds_topics import DdsTopic
+
+
+class TopicAction(StrEnum):
+    """What a rule of a permissions document permits or denies (DDS Security 1.1, 9.4.1.3.2.3)."""
+
+    PUBLISH = "publish"
+    SUBSCRIBE = "subscribe"
+    RELAY = "relay"
+
+
+@dataclass(frozen=True, slots=True)
+class DdsTopic:
+    """A DDS topic of a ROS entity, and the action that a permission needs on it.
+
+    Attributes:
+        action: publish, subscribe or relay.
+        prefix: ROS subsystem: ``rt``, ``rq`` or ``rr``; empty for a raw topic, which keeps its name.
+        suffix: text after the ROS name.
+    """
+
+    action: TopicAction
+    prefix: str = ""
+    suffix: str = ""
+
+
+DDS_TOPICS: Mapping[str, tuple[DdsTopic, ...]] = MappingProxyType(
+    {
+        "publish": (DdsTopic(TopicAction.PUBLISH),),
+        "subscribe": (DdsTopic(TopicAction.SUBSCRIBE),),
+        "relay": (DdsTopic(TopicAction.RELAY),),
+        "ros_publish": (DdsTopic(TopicAction.PUBLISH, "rt"),),
+        "ros_subscribe": (DdsTopic(TopicAction.SUBSCRIBE, "rt"),),
+        "ros_relay": (DdsTopic(TopicAction.RELAY, "rt"),),
+        "ros_call": (DdsTopic(TopicAction.PUBLISH, "rq", "Request"), DdsTopic(TopicAction.SUBSCRIBE, "rr", "Reply")),
+        "ros_execute": (DdsTopic(TopicAction.SUBSCRIBE, "rq", "Request"), DdsTopic(TopicAction.PUBLISH, "rr", "Reply")),
+    }
+)
+"""The DDS topics of each permission that is not composite."""
+
+
+@lru_cache(maxsize=256)
+def needed_topics(kind: str, permissions: tuple[str, ...]) -> tuple[tuple[DdsTopic, str], ...]:
+    """Return the DDS topics of permissions, with the suffix of each part.
+
+    Raises:
+        KeyError: DDS does not know a permission.
+    """
+    needed = ((part, suffix) for permission in permissions for _, part, suffix in parts(kind, permission))
+    return tuple((topic, suffix) for part, suffix in needed for topic in DDS_TOPICS[part])
+
+
+MAX_ALTERNATIVES = 64
+"""Partitions that the bracket expressions of a namespace may expand to."""
+
+Pair = tuple[Glob, Glob]
+"""Patterns of a partition and of a topic: every topic that matches, in every partition that matches."""
+
+
+def ardent_patterns(expression: Glob, topic: DdsTopic, part: str = "", *, every: bool = False) -> tuple[Pair, ...]:
+    """Return pairs that match exactly the DDS names of the ROS names that an expression matches.
+
+    The last ``/`` of a name divides it, and a wildcard may match that ``/``: ``/a*`` is ``a*`` in ``rt``, and
+    everything in ``rt/a*``.
+
+    Args:
+        expression: an expression over ROS names.
+        topic: the DDS topic that the names map to; not a raw topic.
+        part: the part of a composite that follows the names, e.g. ``/get_parameters``.
+        every: divide at every ``/``, not only at the last one. Denials must, since a pair such as ``*`` in ``rt``
+            also matches topics with a ``/`` in their name.
+    """
+    pairs: dict[Pair, None] = {}
+    for rest in glob.left_quotient(glob.surround("", expression, part), "/"):
+        for namespace, base in _divided(rest):
+            if every or not any(isinstance(token, str) and "/" in token for token in base):
+                name = glob.surround("", base, topic.suffix)
+                for partition in _alternatives(glob.surround(topic.prefix, namespace, "")):
+                    pairs[partition, name] = None
+    return _maximal(pairs)
+
+
+def _divided(rest: Glob) -> Iterator[Pair]:
+    """Yield namespace (empty, or with its leading ``/``) and base name for every ``/`` that may divide them.
+
+    Args:
+        rest: the pattern after the ``/`` at the beginning of a name.
+    """
+    yield (), rest
+    tokens = glob.units(rest)
+    for at, token in enumerate(tokens):
+        left, right = tokens[:at], tokens[at + 1 :]
+        if isinstance(token, Star):
+            yield _namespace((*left, STAR)), glob.normalise((STAR, *right))
+        elif "/" in token:  # a set that holds it, or the character itself
+            yield _namespace(left), glob.normalise(right)
+
+
+def _namespace(tokens: Iterable[Token]) -> Glob:
+    return glob.normalise(("/", *tokens))
+
+
+def _alternatives(pattern: Glob) -> Iterator[Glob]:
+    """Yield a pattern with its small sets expanded: in partitions, all vendors agree only on names and ``*``."""
+    choices: list[tuple[Token, ...]] = []
+    count = 1
+    for token in pattern:
+        small = isinstance(token, Charset) and count * len(token) <= MAX_ALTERNATIVES
+        choices.append(tuple(token.chars()) if small and isinstance(token, Charset) else (token,))
+        count *= len(choices[-1])
+    for tokens in product(*choices):
+        yield glob.normalise(tokens)
+
+
+def _maximal(pairs: Iterable[Pair]) -> tuple[Pair, ...]:
+    """Drop the pairs that another pair covers."""
+    kept: list[Pair] = []
+    for pair in pairs:
+        if not any(_covers(other, pair) for other in kept):
+            kept = [*(other for other in kept if not _covers(pair, other)), pair]
+    return tuple(kept)
+
+
+def _covers(outer: Pair, inner: Pair) -> bool:
+    return covers(outer[0], inner[0]) and covers(outer[1], inner[1])
+
 
 ARDENT = "ardent"
 DISTROS: Mapping[str, Mapping[str, str]] = {
@@ -58,7 +192,7 @@ def dds_patterns(
         effect: the effect of the rule.
     """
     if distro == ARDENT and topic.prefix:
-        pairs = ardent_names.dds_patterns(expression, topic, part, every=effect is Effect.DENY)
+        pairs = ardent_patterns(expression, topic, part, every=effect is Effect.DENY)
         return [(pattern, partition) for partition, pattern in pairs]
     return [(pattern, None) for pattern in _topic_patterns(expression, topic, part)]
 

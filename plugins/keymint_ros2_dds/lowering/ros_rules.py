@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Translate patterns of DDS topics back to rules on ROS names: the inverse of :mod:`.lower`.
+"""Translate patterns of DDS topics back to rules on ROS names: the inverse of :mod:`.lowered_rules`.
 
 A pattern that begins with the prefix of a ROS subsystem is that of a ROS topic; two that are the requests and the
 replies of the same services are a rule on services; all parts of an action are a rule on actions. What is incomplete,
@@ -14,8 +14,7 @@ from comarmor.patterns import glob
 from comarmor.patterns.glob import Glob
 from comarmor.patterns.possible_names import matches_ros_name
 from comarmor.rules import PARTS
-from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS, DdsTopic, TopicAction
-from keymint_ros2_dds.lowering.name_mapping import ARDENT
+from keymint_ros2_dds.lowering.name_mapping import ARDENT, DDS_TOPICS, DdsTopic, TopicAction
 
 RosPattern = tuple[str, str, Glob]
 """Kind, permission and pattern of a rule on names."""

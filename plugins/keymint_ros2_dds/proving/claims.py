@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prove or refute the claims about one permissions document."""
+"""Prove or refute the claims about one permissions document.
+
+Claims are cached: an installed document was often just built.
+"""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
@@ -10,15 +14,17 @@ from types import MappingProxyType
 from comarmor.patterns.decision_lists import DecisionList, ProofResult, Unknown, Witness
 from comarmor.patterns.proofs import escapes
 from comarmor.patterns.tokens import PatternError
-from keymint.api import Claim, DomainRange, Proof
-from keymint_ros2_dds.decision import VARIATIONS, shipped_models
-from keymint_ros2_dds.decision.endpoint_access import DomainAccess
-from keymint_ros2_dds.decision.semantics import Semantics
+from keymint.api import Claim, ComparisonTask, DomainRange, Proof
+from keymint.keymake.kinds import Arguments, Kind, kind_of
+from keymint_ros2_dds.decision.evaluator import DomainAccess
+from keymint_ros2_dds.decision.semantics import VARIATIONS, Semantics, shipped_models
+from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import merged_domains
-from keymint_ros2_dds.proving import octets, permission_lists, protection
+from keymint_ros2_dds.enclave_layout import PERMISSIONS
+from keymint_ros2_dds.lowering.lowered_rules import Lowered, lower
+from keymint_ros2_dds.proving import document_lists, enclave_governance, octets
 from keymint_ros2_dds.proving.counterexamples import Counterexamples, Situation
-from keymint_ros2_dds.proving.enclave_governance import ACTIONS, unread_topic
-from keymint_ros2_dds.proving.governance_lists import (
+from keymint_ros2_dds.proving.document_lists import (
     NOTHING,
     NOTHING_PERMITTED,
     REFUSED,
@@ -28,8 +34,10 @@ from keymint_ros2_dds.proving.governance_lists import (
     is_closed,
     regions,
 )
+from keymint_ros2_dds.proving.enclave_governance import ACTIONS, EnclaveGovernance, unread_topic
 from keymint_ros2_dds.proving.grant_periods import grant_periods
 from keymint_ros2_dds.proving.questions import ProofQuestion
+from keymint_ros2_dds.reading import signed_permissions
 from keymint_ros2_dds.reading.signed_governance import DocumentDomainRule
 
 _ALWAYS = (
@@ -61,7 +69,7 @@ def prove_document(question: ProofQuestion, *, models: Sequence[str] | None = No
 
     Args:
         question: the document, and what it must permit.
-        models: names of :data:`keymint_ros2_dds.decision.VARIATIONS`; None: those that the distribution ships.
+        models: names of :data:`.semantics.VARIATIONS`; None: those that the distribution ships.
     """
     compare = _Comparator(question)
     names = shipped_models(question.task.distro) if models is None else models
@@ -79,11 +87,11 @@ class _Comparator:
     def __init__(self, question: ProofQuestion) -> None:
         self._question = question
         opens = question.governance is not None and question.governance.opens()
-        self.pairs = opens or permission_lists.has_partitions(question.lowered, question.document.grants)
+        self.pairs = opens or document_lists.has_partitions(question.lowered, question.document.grants)
         self._universe = octets.universe(pairs=self.pairs)
         self.independent = octets.is_independent(question.document, question.task.rules)
         self._policy = {
-            action: permission_lists.of_policy(question.lowered, action, pairs=self.pairs) for action in ACTIONS
+            action: document_lists.of_policy(question.lowered, action, pairs=self.pairs) for action in ACTIONS
         }
         self._known: dict[tuple[object, ...], ProofResult] = {}
 
@@ -139,7 +147,7 @@ class _Model:
                 if inside or claim.proof is not Proof.PROVEN:
                     yield claim
         if self._governance is not None and not self._refused and not self._unmodelled:
-            yield from protection.claims(self._question, self._governance, self._variation)
+            yield from enclave_governance.governance_claims(self._question.task, self._governance, self._variation)
 
     def _rule(self, domain: int) -> DocumentDomainRule | None:
         """Return the rule of the governance for a domain; None also if the proof is about permissions only."""
@@ -199,7 +207,7 @@ class _Model:
             return NOTHING_PERMITTED
         action, domain, inside, grant = situation.action, situation.domain, situation.inside, situation.era.grant
         pairs, governance = self._comparison.pairs, self._governance
-        own = permission_lists.of_grant(grant, domain, action, semantics, pairs=pairs)
+        own = document_lists.of_grant(grant, domain, action, semantics, pairs=pairs)
         if governance is None:
             return Permitted(own)
         governed = DomainAccess(governance.document, domain, semantics)
@@ -227,3 +235,78 @@ class _Model:
             if not defect:
                 return claim(Proof.COUNTEREXAMPLE, "", example)
         return claim(Proof.UNKNOWN, defect if is_exact else _BETWEEN)
+
+
+MOST = 10_000
+"""Number of documents whose claims are cached."""
+
+_Key = tuple[object, ...]
+_proven: dict[_Key, tuple[Claim, ...]] = {}
+
+
+def prove_content(
+    task: ComparisonTask,
+    *,
+    models: Sequence[str] | None = None,
+    lowered: Lowered | None = None,
+    governance: EnclaveGovernance | None = None,
+) -> tuple[Claim, ...]:
+    """Return the claims about a document, by model, action and domains.
+
+    Args:
+        task: the document, and what it must permit.
+        models: names of the models; None: those that the distribution of the task ships.
+        lowered: the rules in terms of DDS, if known.
+        governance: the governance of the enclave; None puts everything under access control.
+
+    Raises:
+        KeymintError: the document cannot be read, or a rule cannot be mapped.
+    """
+    names = shipped_models(task.distro) if models is None else tuple(models)
+    if governance is not None and governance.transparent(task.domains):
+        # A proof without governance holds for one that puts everything under access control.
+        claims = prove_content(task, models=models, lowered=lowered)
+        if all(claim.proof is Proof.PROVEN for claim in claims):
+            return claims
+    key = _key(task, kind_of(task.rules.rules), names, b"" if governance is None else governance.key)
+    if (known := _proven.get(key)) is not None:
+        return known
+    document = signed_permissions.read(task.document, task.file, task.offset)
+    if not document.defects:
+        dds_xml.know_valid(task.document, PERMISSIONS)
+    question = ProofQuestion(document, task, lower(task.rules, task.distro) if lowered is None else lowered, governance)
+    claims = prove_document(question, models=names)
+    # Proofs do not depend on the place of the document; counterexamples name it.
+    if all(claim.proof is Proof.PROVEN for claim in claims):
+        _keep(key, claims)
+    return claims
+
+
+def remember(task: ComparisonTask, rules: tuple[Kind, Arguments], claims: tuple[Claim, ...]) -> None:
+    """Remember what is proven about a document, by the models that its distribution ships and without its governance.
+
+    Args:
+        task: the document, and what it must permit.
+        rules: the kind of its rules, and the names in these.
+        claims: what is proven.
+    """
+    _keep(_key(task, rules, shipped_models(task.distro)), claims)
+
+
+def know(
+    task: ComparisonTask, governance: EnclaveGovernance, models: tuple[str, ...], claims: tuple[Claim, ...]
+) -> None:
+    """Remember what is proven about a document by some models, together with its governance."""
+    key = b"" if governance.transparent(task.domains) else governance.key
+    _keep(_key(task, kind_of(task.rules.rules), models, key), claims)
+
+
+def _keep(key: _Key, claims: tuple[Claim, ...]) -> None:
+    if len(_proven) < MOST:
+        _proven[key] = claims
+
+
+def _key(task: ComparisonTask, rules: tuple[Kind, Arguments], models: tuple[str, ...], governance: bytes = b"") -> _Key:
+    """Return everything that proven claims depend on."""
+    digest = hashlib.sha256(task.document).digest()
+    return digest, governance, *rules, task.subject_name, task.rules.subject, task.distro, task.domains, models

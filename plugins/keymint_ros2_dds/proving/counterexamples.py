@@ -1,22 +1,78 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tell by the plain evaluators what the policy and the documents decide about a name on which they differ."""
+"""Tell by the plain evaluators what the policy and the documents decide about a name on which they differ.
+
+The policy is evaluated for one endpoint by its rules, independent of the compiler's translation, to check it. An
+endpoint is a raw topic, and may be part of ROS entities; rules that match any of these apply.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 from comarmor.errors import Reason
-from comarmor.rules import Effect
+from comarmor.patterns import glob
+from comarmor.patterns.glob import matches
+from comarmor.rules import Effect, is_fully_qualified, parts
 from comarmor.values import dataclass
 from keymint.api import Counterexample, Endpoint, PolicyDecision, Verdict
-from keymint.ir import SubjectRules
-from keymint_ros2_dds import decision
-from keymint_ros2_dds.decision import DocumentEvaluator, EndpointDecision, Variation
-from keymint_ros2_dds.decision.endpoint_access import DomainAccess
-from keymint_ros2_dds.lowering.dds_topics import TopicAction
-from keymint_ros2_dds.proving import octets, policy_evaluator, protection
+from keymint.api.graph import Edge, Object
+from keymint.ir import Rule, SubjectRules
+from keymint_ros2_dds.decision import semantics
+from keymint_ros2_dds.decision.evaluator import DocumentEvaluator, DomainAccess
+from keymint_ros2_dds.decision.semantics import Variation
+from keymint_ros2_dds.lowering.endpoints import meanings
+from keymint_ros2_dds.lowering.name_mapping import ARDENT, TopicAction
+from keymint_ros2_dds.proving import enclave_governance, octets
 from keymint_ros2_dds.proving.grant_periods import GrantPeriod
 from keymint_ros2_dds.proving.questions import ProofQuestion
+from keymint_ros2_dds.reading import dialects
+
+
+def is_ros_name(name: str) -> bool:
+    """Whether a topic or service may have a fully qualified name (ROS 2 design, "Topic and Service Names")."""
+    return is_fully_qualified(name) and "__" not in name
+
+
+def deciding_rule(rules: SubjectRules, distro: str, action: str, topic: str, partition: str) -> Rule | None:
+    """Return the rule that decides about an endpoint: the first denial, else the first match, else None."""
+    edges = endpoint_edges(rules.subject, distro, action, topic, partition)
+    about = [rule for rule in rules.rules if any(_is_about(rule, edge, partition) for edge in edges)]
+    return next((rule for rule in about if rule.effect is Effect.DENY), about[0] if about else None)
+
+
+def endpoint_edges(subject: str, distro: str, action: str, topic: str, partition: str) -> tuple[Edge, ...]:
+    """Return the edge of an endpoint, and those of the ROS entities that need it."""
+    partitions = (partition,) if partition or distro == ARDENT else ()
+    endpoint = Edge(subject, action, Object("topic", topic, partitions))
+    return (endpoint, *meanings(distro, endpoint))
+
+
+def _is_about(rule: Rule, edge: Edge, partition: str) -> bool:
+    if not _in_partition(rule, edge, partition):
+        return False
+    return any(_matches(expression, name) for name in _names(rule, edge) for expression in rule.expressions)
+
+
+def _matches(expression: str, name: str) -> bool:
+    """Tell whether an expression matches a name, byte by byte."""
+    return matches(octets.of_glob(glob.parse(expression)), dialects.in_bytes(name))
+
+
+def _names(rule: Rule, edge: Edge) -> Iterator[str]:
+    """Yield the names to match against a rule; for a composite rule, without the suffix of its part."""
+    for permission in rule.permissions:
+        for kind, part, suffix in parts(rule.kind, permission):
+            if (kind, part) == (edge.object.kind, edge.permission) and edge.object.name.endswith(suffix):
+                yield edge.object.name[: len(edge.object.name) - len(suffix)]
+
+
+def _in_partition(rule: Rule, edge: Edge, partition: str) -> bool:
+    if rule.partitions:
+        return any(_matches(expression, partition) for expression in rule.partitions)
+    # An edge on a ROS name of Ardent has its partition in its name.
+    return rule.effect is Effect.DENY or not any(edge.object.partitions)
+
 
 _DATE = "%Y-%m-%dT%H:%M:%S"
 
@@ -71,15 +127,15 @@ class Counterexamples:
         pair = word.split(octets.SEPARATOR) if self.pairs else ("", word)
         partition, topic = map(octets.in_text, pair)
         rules = task.rules if inside else SubjectRules(task.rules.subject, ())
-        edges = policy_evaluator.endpoint_edges(rules.subject, task.distro, action, topic, partition)
+        edges = endpoint_edges(rules.subject, task.distro, action, topic, partition)
         policy = _policy_decision(task.distro, rules, situation, topic, partition, permitted=permitted)
         verdict = self._verdict(situation, topic, partition, permitted=permitted)
         place, help_ = None, ""
         if governance is not None and verdict.where is not None and verdict.where.file == governance.document.file:
-            place, help_ = verdict.where, protection.help_for(governance, domain)
+            place, help_ = verdict.where, enclave_governance.help_for(governance, domain)
         example = Counterexample(
             Endpoint(rules.subject, action, topic, edges[0].object.partitions, domain),
-            next((edge for edge in edges[1:] if policy_evaluator.is_ros_name(edge.object.name)), None),
+            next((edge for edge in edges[1:] if is_ros_name(edge.object.name)), None),
             policy,
             verdict,
             help_,
@@ -102,7 +158,7 @@ class Counterexamples:
         now, domain = era.begin, situation.domain
         endpoint = situation.action, topic, (partition,) if partition else ()
 
-        def ask(variation: Variation) -> EndpointDecision:
+        def ask(variation: Variation) -> Verdict:
             evaluator = DocumentEvaluator(question.document, question.task.subject_name, now, domain, variation)
             if governance is None:
                 return evaluator.decide(*endpoint)
@@ -114,7 +170,7 @@ class Counterexamples:
             return outcome
 
         outcome = ask(self.variation)
-        deviation = "; ".join(map(str, decision.explain(lambda other: ask(other).allowed, self.variation)))
+        deviation = "; ".join(map(str, semantics.explain(lambda other: ask(other).allowed, self.variation)))
         reason = outcome.reason
         if len(self.eras) > 1:
             reason += f" (by the grant in force from {era.begin:{_DATE}} to {era.end:{_DATE}})"
@@ -137,7 +193,7 @@ def _policy_decision(
     if situation.action == TopicAction.RELAY:  # the evaluator of policies knows no relay
         verb = "allow" if situation.inside and not permitted else "do not allow"
         return PolicyDecision(allowed=not permitted, where=None, reason=Reason((f"the rules {verb} it",)))
-    rule = policy_evaluator.decide(rules, distro, situation.action, topic, partition)
+    rule = deciding_rule(rules, distro, situation.action, topic, partition)
     if rule is None:
         reason = "no rule allows it" if situation.inside else "not its domain"
         return PolicyDecision(allowed=False, where=None, reason=Reason((reason,)))

@@ -16,16 +16,17 @@ from comarmor.patterns.tokens import PatternError
 from keymint.api import ComparisonTask, Counterexample, DocumentComparison, Package, Relation
 from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
-from keymint_ros2_dds import subject_name_text
-from keymint_ros2_dds.decision import OMG, read
+from keymint_ros2_dds import subject_names
+from keymint_ros2_dds.decision.semantics import OMG
 from keymint_ros2_dds.enclave_layout import PERMISSIONS_P7S
-from keymint_ros2_dds.lowering.dds_topics import TopicAction
 from keymint_ros2_dds.lowering.lowered_rules import lower
-from keymint_ros2_dds.proving import octets, permission_lists
+from keymint_ros2_dds.lowering.name_mapping import TopicAction
+from keymint_ros2_dds.proving import document_lists, octets
 from keymint_ros2_dds.proving.counterexamples import Counterexamples, Situation
-from keymint_ros2_dds.proving.governance_lists import NOTHING
+from keymint_ros2_dds.proving.document_lists import NOTHING
 from keymint_ros2_dds.proving.grant_periods import grant_periods
 from keymint_ros2_dds.proving.questions import ProofQuestion
+from keymint_ros2_dds.reading.signed_permissions import read
 
 _SEMANTICS = OMG.semantics
 _STATES = 50_000
@@ -53,7 +54,7 @@ def compared_with(content: bytes, name: str, package: Package) -> DocumentCompar
     Raises:
         KeymintError: a rule cannot be mapped.
     """
-    own, grant = subject_name_text.of_any(distinguished_names.parse(name)), package.grant
+    own, grant = subject_names.of_any(distinguished_names.parse(name)), package.grant
     return compare_document(
         ComparisonTask(
             content, PERMISSIONS_P7S, 0, own, grant.rules, package.distro, grant.domains, _STATES, lambda: True
@@ -72,7 +73,7 @@ class _Comparison:
         self._question = question
         self._eras = tuple(grant_periods(question.document, question.task.subject_name, _SEMANTICS))
         grants = [era.grant for era in self._eras]
-        self._pairs = permission_lists.has_partitions(question.lowered, grants)
+        self._pairs = document_lists.has_partitions(question.lowered, grants)
         self._universe = octets.universe(pairs=self._pairs)
         self._reason = ""
         self._known: dict[tuple[DecisionList, DecisionList], str | None] = {}
@@ -120,9 +121,9 @@ class _Comparison:
         action, era, pairs = situation.action, situation.era, self._pairs
         policy, permitted = NOTHING, NOTHING
         if situation.inside:
-            policy = permission_lists.of_policy(self._question.lowered, action, pairs=pairs)
+            policy = document_lists.of_policy(self._question.lowered, action, pairs=pairs)
         if era is not None:
-            (permitted,) = permission_lists.of_grant(era.grant, situation.domain, action, _SEMANTICS, pairs=pairs)
+            (permitted,) = document_lists.of_grant(era.grant, situation.domain, action, _SEMANTICS, pairs=pairs)
         return policy, permitted
 
     def _shorter(

@@ -22,9 +22,9 @@ from comarmor.patterns.glob import Glob, normalise, parse
 from comarmor.patterns.tokens import Dialect, Undefined, charset
 from comarmor.regex import lazy_regex
 from keymint.ir import Rule, SubjectRules
-from keymint_ros2_dds.decision import fnmatch_dialects
 from keymint_ros2_dds.decision.semantics import STANDARD, Semantics
-from keymint_ros2_dds.lowering.dds_topics import TopicAction
+from keymint_ros2_dds.lowering.name_mapping import TopicAction
+from keymint_ros2_dds.reading import dialects
 from keymint_ros2_dds.reading.signed_permissions import DocumentCriteria, DocumentGrant, PermissionsDocument
 
 ALPHABET = charset([(0x01, 0xFF)])
@@ -60,7 +60,7 @@ def of_glob(glob: Glob) -> Glob:
     """Return a pattern over bytes: its literals as UTF-8."""
     if all(token.isascii() for token in glob if isinstance(token, str)):
         return glob
-    return tuple(fnmatch_dialects.in_bytes(token) if isinstance(token, str) else token for token in glob)
+    return tuple(dialects.in_bytes(token) if isinstance(token, str) else token for token in glob)
 
 
 @cache
@@ -78,9 +78,9 @@ def read(expressions: tuple[str, ...], dialect: Dialect) -> tuple[Glob, ...]:
         PatternError: an expression contains notation that implementations read differently.
     """
     joined = "".join(expressions)
-    if fnmatch_dialects.is_plain(joined):
+    if dialects.is_plain(joined):
         if not joined.isascii():
-            expressions = tuple(map(fnmatch_dialects.in_bytes, expressions))
+            expressions = tuple(map(dialects.in_bytes, expressions))
         return tuple((text,) if text else () for text in dict.fromkeys(expressions))
     strict = _strict(dialect)
     patterns = dict.fromkeys([parse(expression, strict) for expression in expressions])
@@ -128,7 +128,7 @@ def locale_dependence(
         if "[" in expression
     )
     unread = next(sets, "")
-    if semantics.fnmatch is not fnmatch_dialects.CYCLONE_DDS:
+    if semantics.fnmatch is not dialects.CYCLONE_DDS:
         for expression, source in own:
             if _CLASS.search(expression):
                 return unread, f"{cited(expression, source)} a class of characters: what it matches {_DEPENDS}"

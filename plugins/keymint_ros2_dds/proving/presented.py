@@ -18,15 +18,14 @@ from comarmor.values import dataclass
 from keymint.api import Claim, ComparisonTask, ExcessRights, Holder, PresentableDocument, PresentationTask, Proof
 from keymint.errors import KeymintError
 from keymint.pki import distinguished_names
-from keymint_ros2_dds import subject_name_text
-from keymint_ros2_dds.decision import VARIATIONS, read, shipped_models
-from keymint_ros2_dds.decision.semantics import STANDARD, Semantics, TopicCheck
-from keymint_ros2_dds.decision.subject_names import is_odd, required_tokens, tokens
+from keymint_ros2_dds import subject_names
+from keymint_ros2_dds.decision.semantics import STANDARD, VARIATIONS, Semantics, TopicCheck, shipped_models
 from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.lowering.lowered_rules import lower
 from keymint_ros2_dds.proving.claims import prove_document
 from keymint_ros2_dds.proving.questions import ProofQuestion
-from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, PermissionsDocument, is_plain
+from keymint_ros2_dds.reading.signed_permissions import DocumentGrant, PermissionsDocument, is_plain, read
+from keymint_ros2_dds.subject_names import is_odd, required_tokens, tokens
 
 _SEMANTICS = {name: each.semantics for name, each in VARIATIONS.items()}
 _CHOOSING = tuple(dict.fromkeys(_SEMANTICS.values()))
@@ -71,7 +70,7 @@ class _Identities:
 
     def __init__(self, holders: Iterable[Holder]) -> None:
         names = ((each, distinguished_names.parse(each.name)) for each in holders)
-        own = [(_Identity(each, subject_name_text.of_any(name)), name) for each, name in names]
+        own = [(_Identity(each, subject_names.of_any(name)), name) for each, name in names]
         words = [required_tokens(each.name) for each, _ in own]
         frequent = Counter(word for of_name in words for word in of_name)
         self._by_word: dict[str, list[_Identity]] = {}

@@ -22,7 +22,7 @@ from comarmor.xml.reader import line, parse
 from keymint.api import DomainRange
 from keymint.errors import KeymintError
 from keymint_ros2_dds.domains import MAX_DOMAIN
-from keymint_ros2_dds.reading import grant_dates, quirks
+from keymint_ros2_dds.reading import dialects, quirks
 from keymint_ros2_dds.reading.quirks import BLANKS, CRASHES, PLAIN, REFUSES, UNMODELLED, Quirk
 
 ACTIONS = ("publish", "subscribe", "relay")
@@ -225,7 +225,7 @@ def _plain(content: bytes) -> tuple[DocumentGrant, ...] | None:
     ):
         return None
     match = _plain_form().fullmatch(content.decode())
-    if match is None or grant_dates.fast(match["begin"]) is None or grant_dates.fast(match["end"]) is None:
+    if match is None or dialects.fast_date(match["begin"]) is None or dialects.fast_date(match["end"]) is None:
         return None
     # The form has no DOCTYPE and no entity, and is far below every limit, so that lxml alone may parse it.
     grants = tuple(map(_grant, etree.fromstring(content).iterfind("permissions/grant")))
@@ -267,7 +267,7 @@ def _quirks(root: etree._Element) -> Iterator[Quirk]:
             if not bare:
                 yield Quirk(line(element), "a grant without a subject name", REFUSES, REFUSES)
         elif element.tag in {"not_before", "not_after"}:
-            if grant_dates.fast(text) is None:
+            if dialects.fast_date(text) is None:
                 yield Quirk(line(element), f"the date {text!r}", PLAIN, UNMODELLED)
         else:
             if "\n" in bare:

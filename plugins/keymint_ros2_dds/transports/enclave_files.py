@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +15,7 @@ from keymint.api import Enclave, Environment
 from keymint.api.transports import installed_file
 from keymint.errors import KeymintError
 from keymint.pki import certificates, mime, smime
-from keymint_ros2_dds import subject_name_text
+from keymint_ros2_dds import subject_names
 from keymint_ros2_dds.enclave_layout import (
     CA,
     CERTIFICATE,
@@ -26,9 +26,12 @@ from keymint_ros2_dds.enclave_layout import (
     PERMISSIONS_P7S,
     PERMISSIONS_XML,
 )
+from keymint_ros2_dds.lowering.name_mapping import DDS_TOPICS
 from keymint_ros2_dds.reading import signed_governance, signed_permissions
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
 from keymint_ros2_dds.reading.signed_permissions import PermissionsDocument
+
+_OF_ARDENT = frozenset(topic.prefix for topics in DDS_TOPICS.values() for topic in topics if topic.prefix)
 
 
 class SignedDocuments(NamedTuple):
@@ -107,6 +110,21 @@ def _permitted_topics(document: PermissionsDocument) -> Iterator[tuple[str, tupl
     )
 
 
+def distro_of(paths: Iterable[str], content: Callable[[str], bytes | None]) -> str:
+    """Return ``ardent`` if documents have its partitions; see :meth:`keymint.api.BuildType.distro_of`.
+
+    Only Ardent maps the namespace of a name to a partition; see :mod:`keymint_ros2_dds.lowering.name_mapping`.
+    """
+    for path in paths:
+        with suppress(KeymintError):
+            found = content(path) if path.endswith(f"/{PERMISSIONS_P7S}") else None
+            grants = signed_permissions.read(smime.signed_content(found), PERMISSIONS_P7S).grants if found else ()
+            criteria = (one for grant in grants for rule in grant.rules for one in rule.criteria)
+            if any(name.partition("/")[0] in _OF_ARDENT for one in criteria for name in one.partitions or ()):
+                return "ardent"
+    return ""
+
+
 def rules_file(folder: Path) -> Path:
     """Return the permissions document of an enclave: the unsigned one if it is there, else the signed one."""
     return folder / (PERMISSIONS_XML if (folder / PERMISSIONS_XML).exists() else PERMISSIONS_P7S)
@@ -118,7 +136,7 @@ def subject_name(certificate: bytes, where: Origin) -> str:
     Raises:
         KeymintError: it is not a certificate.
     """
-    return subject_name_text.of_any(certificates.load(certificate, where).subject)
+    return subject_names.of_any(certificates.load(certificate, where).subject)
 
 
 def refuse_unusable_key(enclave: Enclave) -> None:

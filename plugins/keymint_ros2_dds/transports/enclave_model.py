@@ -1,33 +1,147 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Decide about installed enclaves by the models of vendors, and the simulated transports that do."""
+"""Decide about installed enclaves by the models of vendors, and the simulated transports that do.
+
+A participant authenticates itself when it is created, and its peers. It reads its trusted authorities and its
+revocation list once, when it is created. Both vendors then require for each certificate, its own first: a trusted
+issuer; the present within its period; and, if there is any list, one of the issuer that is in force and does not name
+the certificate. ``tests/real/test_keystore_life.py`` measures it.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
+from datetime import datetime
 from functools import lru_cache
 from itertools import repeat
 
+from cryptography import x509
+
 from comarmor.errors import Origin
+from comarmor.regex import lazy_regex
 from comarmor.values import dataclass
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.api.graph import Column, Edge
-from keymint.api.transports import EnclavesBySubject
+from keymint.api.transports import EnclavesBySubject, installed_file
 from keymint.errors import KeymintError
-from keymint_ros2_dds import decision
-from keymint_ros2_dds.decision import (
-    OMG,
-    VARIATIONS,
-    DecisionOutcome,
-    DocumentEvaluator,
-    EndpointDecision,
-    Variation,
-    fnmatch_dialects,
+from keymint.pki import certificates, revocation_lists
+from keymint_ros2_dds.decision import semantics
+from keymint_ros2_dds.decision.evaluator import DocumentEvaluator, DomainAccess, topic_rule
+from keymint_ros2_dds.decision.semantics import OMG, VARIATIONS, Semantics, Variation
+from keymint_ros2_dds.enclave_layout import (
+    CA,
+    CERTIFICATE,
+    CRL,
+    IDENTITY_CA,
+    KEY,
+    KEY_URI,
+    PERMISSIONS_XML,
+    reads_revocations,
 )
-from keymint_ros2_dds.decision.endpoint_access import DomainAccess, topic_rule
 from keymint_ros2_dds.lowering.endpoints import endpoints
+from keymint_ros2_dds.reading import dialects
 from keymint_ros2_dds.reading.signed_governance import DocumentDomainRule, DocumentTopicRule
-from keymint_ros2_dds.transports import authentication, enclave_files
-from keymint_ros2_dds.transports.authentication import Authentication
+from keymint_ros2_dds.transports import enclave_files
+
+_LIST = lazy_regex(rb"-----BEGIN X509 CRL-----.*?-----END X509 CRL-----", re.DOTALL)
+
+
+@dataclass(frozen=True, slots=True)
+class Authentication:
+    """What the participant of an enclave authenticates with.
+
+    Attributes:
+        certificate: its own.
+        authorities: the certificates in the file of the identity authority, in the file's order.
+        listed: its revocation list, or None.
+        unread: it has a file for that, which is no revocation list.
+        among: the revocation lists in the file of the identity authority.
+        in_token: its private key lies in a token, and in no file.
+        now: the clock, UTC.
+    """
+
+    certificate: x509.Certificate
+    authorities: tuple[x509.Certificate, ...]
+    listed: x509.CertificateRevocationList | None
+    unread: bool
+    among: tuple[x509.CertificateRevocationList, ...]
+    in_token: bool
+    now: datetime
+
+    def refusal(self, semantics: Semantics) -> str:
+        """Return why the participant is not created, or an empty text."""
+        if self.in_token and not semantics.keys_in_tokens:
+            return f"{KEY} is missing, and {KEY_URI} is not read"
+        return self.refuses(self.certificate, semantics)
+
+    def refuses(self, certificate: x509.Certificate, semantics: Semantics) -> str:
+        """Return why a certificate is refused, in a handshake or at creation; or an empty text."""
+        trusted = self.authorities[:1] if semantics.one_authority else self.authorities
+        issuer = next((each for each in trusted if _is_issued_by(certificate, each)), None)
+        if issuer is None:
+            return f"{CERTIFICATE} is by no authority that is trusted"
+        period = certificates.period(certificate)
+        lists = (self.listed, *(self.among if semantics.lists_among_authorities else ()))
+        return (
+            _outside(f"the certificate in {CERTIFICATE}", *period, self.now)
+            or (f"{CRL} is not a revocation list" if self.unread else "")
+            or _revoked(certificate, issuer, [each for each in lists if each is not None], self.now)
+        )
+
+
+@lru_cache(maxsize=4096)
+def _is_issued_by(certificate: x509.Certificate, authority: x509.Certificate) -> bool:
+    """Return whether an authority issued a certificate; models of all vendors ask it about each."""
+    return certificates.is_issued_by(certificate, authority)
+
+
+def _revoked(
+    certificate: x509.Certificate,
+    issuer: x509.Certificate,
+    lists: Sequence[x509.CertificateRevocationList],
+    now: datetime,
+) -> str:
+    if not lists:
+        return ""
+    found = next((each for each in lists if revocation_lists.is_by(each, issuer)), None)
+    if found is None:
+        return f"the revocation list in {CRL} is by another authority"
+    if problem := _outside(f"the revocation list in {CRL}", *revocation_lists.period(found), now):
+        return problem
+    revoked = found.get_revoked_certificate_by_serial_number(certificate.serial_number)
+    return "" if revoked is None else f"{CRL} revokes the certificate"
+
+
+def _outside(what: str, begin: datetime, end: datetime, now: datetime) -> str:
+    if now > end:
+        return f"{what} has expired"
+    return f"{what} is not yet valid" if now < begin else ""
+
+
+def load(enclave: Enclave, now: datetime) -> Authentication:
+    """Read what the participant of an enclave authenticates with.
+
+    Args:
+        enclave: the enclave.
+        now: the clock, UTC.
+
+    Raises:
+        KeymintError: a file cannot be read, or is no certificate.
+    """
+    folder = enclave.folder
+    trusted = IDENTITY_CA if (folder / IDENTITY_CA).exists() else CA  # the layout of Ardent has one file for both
+    bundle = installed_file(folder / trusted)
+    reads = reads_revocations(enclave.distro) and (folder / CRL).exists()
+    listed = revocation_lists.first(installed_file(folder / CRL)) if reads else None
+    return Authentication(
+        certificates.load(installed_file(folder / CERTIFICATE), Origin(CERTIFICATE)),
+        certificates.load_bundle(bundle, Origin(trusted)),
+        listed,
+        reads and listed is None,
+        tuple(each for each in map(revocation_lists.first, _LIST.findall(bundle)) if each is not None),
+        (folder / KEY_URI).exists() and not (folder / KEY).exists(),
+        now,
+    )
 
 
 class EnclaveModel:
@@ -57,17 +171,17 @@ class EnclaveModel:
         self.refusal = ""
         try:
             documents = enclave_files.signed_documents(enclave.folder, environment)
-            self._authentication = authentication.load(enclave, environment.now)
+            self._authentication = load(enclave, environment.now)
             self.documents = documents
         except KeymintError as error:
             enclave_files.raise_if_unread(error, enclave.folder)
             self.refusal = str(error)
 
-    def decide(self, variation: Variation, endpoint: Edge) -> EndpointDecision:
+    def decide(self, variation: Variation, endpoint: Edge) -> Verdict:
         """Decide whether a participant may have an endpoint, an edge of kind ``topic``."""
         refusal = self.refusal or self.unauthenticated(variation)
         if self.documents is None or refusal:
-            return EndpointDecision(DecisionOutcome.ERROR, 0, refusal)
+            return Verdict(allowed=False, reason=refusal)
         evaluator, access = self._evaluators.get(variation.name) or self._opened(variation, self.documents)
         topic = endpoint.object
         return access.decide(evaluator, endpoint.permission, topic.name, topic.partitions)
@@ -128,7 +242,7 @@ class EnclaveModel:
             modelled = self.decide(variation, endpoint)
             allowed, reason = answer or (modelled.allowed, _reason(modelled))
             deviation = deviation or self.deviation(variation, endpoint, allowed=allowed)
-            line = modelled.line if modelled.allowed == allowed else 0
+            line = _line(modelled) if modelled.allowed == allowed else 0
             shown = reason or ("it is allowed" if allowed else "it is denied")
             verdict = Verdict(allowed, shown, self.place(line), deviation)
             if not allowed:
@@ -151,13 +265,18 @@ class EnclaveModel:
             return ""
         if self.decide(variation, endpoint).allowed != allowed:
             return ""
-        deviations = decision.explain(lambda other: self.decide(other, endpoint).allowed, variation)
+        deviations = semantics.explain(lambda other: self.decide(other, endpoint).allowed, variation)
         return "; ".join(map(str, deviations))
 
 
-def _reason(modelled: EndpointDecision) -> str:
+def _line(modelled: Verdict) -> int:
+    """Return the line of the permissions that decided; 0 if none did."""
+    return modelled.where.line if modelled.where and modelled.where.file == PERMISSIONS_XML else 0
+
+
+def _reason(modelled: Verdict) -> str:
     """Return the reason of a decision, with its place if that is not in the permissions."""
-    return f"{modelled.where}: {modelled.reason}" if modelled.where and not modelled.line else modelled.reason
+    return f"{modelled.where}: {modelled.reason}" if modelled.where and not _line(modelled) else modelled.reason
 
 
 @lru_cache(maxsize=8)
@@ -167,7 +286,7 @@ def _topic_rules(
     """Return the name of each endpoint's topic, in bytes, and the rule of the governance that matches it."""
     names = [each.object.name for each in endpoints.requests]
     rules = {name: topic_rule(domain_rule, name, variation.semantics) for name in names}
-    return [(fnmatch_dialects.in_bytes(name), rules[name]) for name in names]
+    return [(dialects.in_bytes(name), rules[name]) for name in names]
 
 
 class EnclaveModels:

@@ -1,22 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Transports with participants of a real vendor: their tiers, and the build of their probe programs."""
+"""Transports with participants of a real vendor: their tiers, and the build of their probe programs.
+
+The installed Cyclone DDS 0.10 also decides by its access-control plugin alone.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import ClassVar
 
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.api.graph import Column, Edge
 from keymint.errors import KeymintError
 from keymint.host.vendor_process import MissingVendorError, VendorTransport
-from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, FASTDDS_3_3, Variation
-from keymint_ros2_dds.transports import admission, enclave_files
-from keymint_ros2_dds.transports.admission import Opener
-from keymint_ros2_dds.transports.delivery import exchange
-from keymint_ros2_dds.transports.enclave_model import EnclaveModels
+from keymint_ros2_dds.decision.semantics import CYCLONEDDS_0_10, FASTDDS_2_9, FASTDDS_3_3, Variation
+from keymint_ros2_dds.transports import enclave_files, trials
+from keymint_ros2_dds.transports.enclave_model import EnclaveModel, EnclaveModels
+from keymint_ros2_dds.transports.trials import Opener, exchange
 from keymint_ros2_dds.vendors import probe_builds
+from keymint_ros2_dds.vendors.cyclone_access_control import CycloneAccessControl
 from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, Vendor
 from keymint_ros2_dds.vendors.probe_builds import inherited_variables, unpacked_version
 
@@ -64,7 +70,7 @@ class ParticipantsTransport(VendorTransport):
         self.usable().require(tier, self.NAME)
         models = EnclaveModels(enclaves, self._environment, keep_all=tier is Tier.EXCHANGE)
         if tier is not Tier.EXCHANGE:
-            return admission.edge_verdicts(self._opener(tier), self.MODEL, models, edges)
+            return trials.edge_verdicts(self._opener(tier), self.MODEL, models, edges)
         vendor = self._vendor(nonconforming=True)
         for enclave in enclaves:
             enclave_files.refuse_unusable_key(enclave)
@@ -78,10 +84,10 @@ class ParticipantsTransport(VendorTransport):
             creatable = [
                 at
                 for at, each in enumerate(endpoints.requests)
-                if each.domain == domain and not admission.name_defect(each)
+                if each.domain == domain and not trials.name_defect(each)
             ]
             named = [endpoints.requests[at] for at in creatable]
-            answers = admission.endpoint_admissions(opener, models, enclave.subject, domain, named)
+            answers = trials.endpoint_admissions(opener, models, enclave.subject, domain, named)
             for at, allowed in zip(creatable, answers, strict=False):
                 admitted[at] = allowed
         return bytes(admitted)
@@ -89,7 +95,7 @@ class ParticipantsTransport(VendorTransport):
     def _opener(self, tier: Tier) -> Opener:
         """Return what is asked at a tier without data exchange; a vendor that needs a participant has one for both."""
         del tier
-        return partial(admission.participant, self._vendor(nonconforming=False))
+        return partial(trials.participant, self._vendor(nonconforming=False))
 
     def _vendor(self, *, nonconforming: bool) -> Vendor:
         """Return the vendor with its built programs; the compiler is asked once whether they are up to date."""
@@ -140,3 +146,55 @@ class CycloneDDS0105Transport(ParticipantsTransport):
     PROBE = probe_builds.CYCLONEDDS
     NONCONFORMING = probe_builds.CYCLONEDDS_NONCONFORMING
     UNPACKED = ("cyclonedds-0.10.5",)
+
+
+class CycloneDDSTransport(ParticipantsTransport):
+    """Cyclone DDS, whose access-control plugin decides without participants."""
+
+    NAME = "cyclonedds"
+    MODEL = CYCLONEDDS_0_10
+    VENDOR = CycloneDDS
+    PROBE = probe_builds.CYCLONEDDS
+    VERSION = ("dds/version.h", "DDS_VERSION")
+    NONCONFORMING = probe_builds.CYCLONEDDS_NONCONFORMING
+
+    def _installed(self) -> Availability:
+        """Without compiler and headers only the tier *decision* is usable."""
+        probe_builds.require_cyclone_plugins()
+        try:
+            availability = super()._installed()
+        except MissingVendorError as error:
+            return Availability(True, "0.10", error.reason, error.help, (Tier.DECISION,))
+        return replace(availability, version=availability.version or "0.10")
+
+    def _opener(self, tier: Tier) -> Opener:
+        return _plugin if tier is Tier.DECISION else super()._opener(tier)
+
+
+@contextmanager
+def _plugin(models: EnclaveModels, subject: str, domain: int) -> Iterator[CycloneAccessControl | str]:
+    """Yield the plugin with an enclave, or why it is refused.
+
+    Some documents crash the process that gives them to Cyclone DDS; they are not given to it. The plugin sees no
+    revocation list and no authority: whether the participant authenticates itself is what the model says.
+    """
+    folder, enclave_model = models.enclaves[subject].folder, models.of(subject, domain)
+    if refusal := _refusal(folder, enclave_model):
+        yield refusal
+        return
+    with CycloneAccessControl.of_enclave(folder, domain) as access:
+        joins = access.valid and access.joins()
+        yield access if joins else f"Cyclone DDS refuses the enclave: {access.reason}"
+
+
+def _refusal(folder: Path, enclave_model: EnclaveModel) -> str:
+    """Return why an enclave is not given to the plugin, or an empty text."""
+    unauthenticated = enclave_model.unauthenticated(CYCLONEDDS_0_10)
+    if unauthenticated:
+        return f"Cyclone DDS refuses the enclave: {unauthenticated}"
+    if enclave_model.documents is not None:
+        return enclave_files.crash(enclave_model.documents.permissions)
+    try:  # the plugin may accept a signature that Keymint does not
+        return enclave_files.crash(enclave_files.unverified_permissions(folder))
+    except KeymintError as error:
+        return str(error)

@@ -12,7 +12,7 @@ from keymint.api import Availability, Enclave, Tier, Verdict
 from keymint.api.graph import Edge
 from keymint.errors import KeymintError
 from keymint.host.vendor_process import MissingVendorError, ProcessDiedError, ProcessFailedError, VendorTransport
-from keymint_ros2_dds.decision import of_version
+from keymint_ros2_dds.decision.semantics import of_version
 from keymint_ros2_dds.lowering.endpoints import endpoints, meanings
 from keymint_ros2_dds.lowering.name_mapping import DISTROS
 from keymint_ros2_dds.transports.enclave_model import EnclaveModels

@@ -8,7 +8,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
-from keymint_ros2_dds.decision import VARIATIONS, shipped_models
+from keymint_ros2_dds.decision.semantics import VARIATIONS, shipped_models
 
 from tests.conftest import CHECKOUT
 

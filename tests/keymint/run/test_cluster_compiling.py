@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from keymint_ros2_dds.emit import compiled_elsewhere
+from keymint_ros2_dds.emit import emission
 
 from keymint.api import BuildOptions, Environment
 from keymint.api.plugin_loader import Plugins
@@ -50,7 +50,7 @@ def session(keymint: Callable[..., Outcome], tmp_path: Path) -> Iterator[Session
     workspace = Workspace.at(tmp_path / "ws", {}, tmp_path)
     plugins = Plugins(environment=Environment(CLOCK, tmp_path))
     yield Inputs(workspace, Tree(), State(), plugins, {}, CLOCK, Tokens({}, Pins({}).pin)).session()
-    compiled_elsewhere._received.clear()
+    emission._received.clear()
 
 
 def built(session: Session, change: Callable[[bytes], bytes] = bytes, *, trusted: bool = False) -> tuple[Here, bool]:
@@ -68,7 +68,7 @@ def test_the_documents_are_those_that_are_compiled_here_and_no_key_is_sent(sessi
     here, same = built(session)
     assert same
     assert here.requests
-    assert not compiled_elsewhere._received, "what was compiled elsewhere was not used"
+    assert not emission._received, "what was compiled elsewhere was not used"
     secrets = key_material(session.workspace.root)
     assert [name for name, secret in secrets.items() if any(secret in request for request in here.requests)] == []
 

@@ -11,8 +11,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from hypothesis import given
 from hypothesis import strategies as st
 from keymint_ros import package_type
-from keymint_ros2_dds.decision import subject_names
-from keymint_ros2_dds.subject_name_text import subject_name_of
+from keymint_ros2_dds import subject_names
+from keymint_ros2_dds.subject_names import subject_name_of
 from keymint_ros2_zenoh import identities
 
 from keymint.api import Issuance, IssuanceFiles, Package

@@ -10,8 +10,12 @@ from dataclasses import replace
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from keymint_ros2_dds import build_type, decision, enclave_proof, proving
+from keymint_ros2_dds import build_type, enclave_proof
+from keymint_ros2_dds.decision import semantics
 from keymint_ros2_dds.lowering.lowered_rules import lower
+from keymint_ros2_dds.proving.claims import prove_content, prove_document
+from keymint_ros2_dds.proving.questions import ProofQuestion
+from keymint_ros2_dds.reading import signed_permissions
 from keymint_ros2_dds.transports.enclave_files import subject_name
 
 from comarmor.errors import Origin
@@ -81,7 +85,7 @@ def test_what_is_installed_is_proven_for_every_model():
         (model, action) for model in MODELS for action in ("publish", "subscribe")
     ]
     assert all(claim.domains == DOMAIN for claim in found)
-    assert set(build_type.prover.assumptions()) == set(decision.VARIATIONS)
+    assert set(build_type.prover.assumptions()) == set(semantics.VARIATIONS)
     assert list(build_type.models("jazzy")) == list(MODELS)
 
 
@@ -99,7 +103,7 @@ def test_what_the_compiler_does_not_refuse_is_proven_for_what_the_distribution_s
     files = {**ENCLAVE, "permissions.p7s": sign(content)}
     found = claims(loaded, files)
     assert {claim.proof for claim in found} == {Proof.PROVEN}
-    assert {claim.model for claim in found} == set(decision.shipped_models(distro))
+    assert {claim.model for claim in found} == set(semantics.shipped_models(distro))
 
 
 @settings(max_examples=tries(30, 60), deadline=None)
@@ -288,7 +292,7 @@ def test_a_spent_budget_is_unknown():
 @pytest.mark.parametrize("models", [None, (), ("fastdds-2.11",), ("cyclonedds-0.10", "omg")])
 def test_only_the_models_that_are_asked_for(models):
     asked = enclave_proof.question(obligation(PLAIN, ENCLAVE))
-    found = proving.prove_content(asked.task, models=models, governance=asked.governance)
+    found = prove_content(asked.task, models=models, governance=asked.governance)
     assert list(dict.fromkeys(claim.model for claim in found)) == list(MODELS if models is None else models)
 
 
@@ -305,8 +309,8 @@ def test_a_document_that_is_not_signed_yet(old, new):
     held = ComparisonTask(
         content, "permissions.xml", 0, name, rules, PLAIN.distro, PLAIN.grant.domains, 200_000, lambda: True
     )
-    question = proving.ProofQuestion(decision.read(content), held, lower(rules, PLAIN.distro))
-    found = proving.prove_document(question)
+    question = ProofQuestion(signed_permissions.read(content), held, lower(rules, PLAIN.distro))
+    found = prove_document(question)
     signed = enclave_proof.prove(
         obligation(PLAIN, {**ENCLAVE, "permissions.xml": content, "permissions.p7s": sign(content)})
     )

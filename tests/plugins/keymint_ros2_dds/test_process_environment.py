@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from keymint_ros2_dds import build_type
-from keymint_ros2_dds.process_environment import enclave_variables, keystore_variables
+from keymint_ros2_dds.enclave_layout import enclave_variables, keystore_variables
 
 from keymint.api import EnvironmentVariable
 from keymint.host.shells import variable_values

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from keymint_ros2_dds import subject_name_text
+from keymint_ros2_dds import subject_names
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError
@@ -33,12 +33,12 @@ HERE = Origin("identities.xml", 3)
 def test_what_is_rendered_for_dds_is_read_back(pairs: list[tuple[str, str]]) -> None:
     name = distinguished_names.parse(",".join(f"{kind}={value}" for kind, value in pairs))
     try:
-        text = subject_name_text.render(name)
+        text = subject_names.render(name)
     except KeymintError as error:
         assert re.search("parts between|nothing stands between", str(error))  # noqa: PT017 - what these names can meet
         return
     assert text == ",".join(f"{kind}={value}" for kind, value in reversed(pairs))
-    assert subject_name_text.parse_rendered(text) == name
+    assert subject_names.parse_rendered(text) == name
 
 
 @pytest.mark.parametrize(
@@ -58,11 +58,8 @@ def test_what_is_rendered_is_what_openssl_prints_for_the_vendors(tmp_path: Path,
     issued = certificates.issue_authority(make_spec(text), keys.generate(P256), None)
     openssl.put(ca=issued.pem)
     printed = openssl.run("x509", "-in", "ca", "-noout", "-subject", "-nameopt", "RFC2253").stdout.decode()
-    assert subject_name_text.render(issued.certificate.subject) == printed.strip().removeprefix("subject=")
-    assert (
-        subject_name_text.parse_rendered(subject_name_text.render(issued.certificate.subject))
-        == issued.certificate.subject
-    )
+    assert subject_names.render(issued.certificate.subject) == printed.strip().removeprefix("subject=")
+    assert subject_names.parse_rendered(subject_names.render(issued.certificate.subject)) == issued.certificate.subject
 
 
 @pytest.mark.parametrize(
@@ -80,13 +77,13 @@ def test_what_is_rendered_is_what_openssl_prints_for_the_vendors(tmp_path: Path,
 )
 def test_names_that_vendors_compare_differently_are_refused(text: str, message: str) -> None:
     with pytest.raises(KeymintError) as caught:
-        subject_name_text.render(distinguished_names.parse(text), HERE)
+        subject_names.render(distinguished_names.parse(text), HERE)
     assert message in str(caught.value)
     assert caught.value.diagnostics[0].code == "portability-subject-name"
 
 
 def test_nineteen_path_segments_are_what_cyclone_takes() -> None:
-    assert subject_name_text.render(distinguished_names.parse("CN=" + "/a" * 19)) == "CN=" + "/a" * 19
+    assert subject_names.render(distinguished_names.parse("CN=" + "/a" * 19)) == "CN=" + "/a" * 19
 
 
 SUBJECTS = st.lists(st.from_regex(r"[A-Za-z_][A-Za-z0-9_]{0,79}", fullmatch=True), min_size=1, max_size=30).map(
@@ -97,7 +94,7 @@ SUBJECTS = st.lists(st.from_regex(r"[A-Za-z_][A-Za-z0-9_]{0,79}", fullmatch=True
 @given(SUBJECTS)
 def test_the_common_name_and_the_unique_suffix_of_a_subject_fit_together(subject: str) -> None:
     common, unit = distinguished_names.common_name(subject), distinguished_names.unique_suffix(subject)
-    assert subject_name_text.render(distinguished_names.parse(f"OU={unit},CN={common}")) == f"CN={common},OU={unit}"
+    assert subject_names.render(distinguished_names.parse(f"OU={unit},CN={common}")) == f"CN={common},OU={unit}"
 
 
 PIECES = ["OU=", "CN=", "C=", "/", ",", "a", "a" * 30, "_.-", " ", "=", "+", "\\", "\n"]
@@ -117,15 +114,15 @@ def test_the_name_of_a_grant_is_that_of_the_parsed_name(common: str, unit: str) 
             return [each.message for each in error.diagnostics]
 
     text = f"{unit}CN={common}"
-    expected = outcome(lambda: subject_name_text.render(distinguished_names.parse(text)))
-    assert outcome(lambda: subject_name_text.subject_name_of(package(name=text).grant)) == expected
+    expected = outcome(lambda: subject_names.render(distinguished_names.parse(text)))
+    assert outcome(lambda: subject_names.subject_name_of(package(name=text).grant)) == expected
 
 
 @pytest.mark.parametrize("name", ["OU=x1,CN=/", "OU=x1,CN=/a//b", "OU=x1,CN=/a/"])
 def test_a_name_in_which_cyclone_dds_finds_an_empty_part_is_refused(name: str) -> None:
     with pytest.raises(KeymintError, match="nothing stands between two of its separators"):
-        subject_name_text.subject_name_of(package(name=name).grant)
+        subject_names.subject_name_of(package(name=name).grant)
 
 
 def test_the_root_enclave_has_its_common_name_last_in_a_grant() -> None:
-    assert subject_name_text.subject_name_of(package(name="CN=/,OU=x1").grant) == "OU=x1,CN=/"
+    assert subject_names.subject_name_of(package(name="CN=/,OU=x1").grant) == "OU=x1,CN=/"

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from keymint_ros2_dds import build_type, token_key
+from keymint_ros2_dds import build_type, vendor_limits
 from keymint_ros2_dds.enclave_layout import KEY, KEY_URI, READS_KEY_URI, files
 from keymint_ros2_dds.lowering.name_mapping import DISTROS
 from keymint_ros2_dds.settings import BUILD_TYPE, settings_of
@@ -103,5 +103,5 @@ def test_a_uri_that_the_sources_do_not_have_replaces_the_key() -> None:
 
 
 def test_no_uri_is_never_the_one_of_a_file() -> None:
-    assert not token_key.is_uri(b"\n", "")
-    assert not token_key.is_uri(None, URI)
+    assert not vendor_limits.is_key_uri(b"\n", "")
+    assert not vendor_limits.is_key_uri(None, URI)

@@ -9,7 +9,7 @@ import pytest
 from keymint_ros2_dds import build_type
 from keymint_ros2_dds.compiling import grant_compiler as compiling
 from keymint_ros2_dds.emit import emission
-from keymint_ros2_dds.rule_packages import package_of
+from keymint_ros2_dds.settings import package_of
 
 from comarmor.patterns.steps import step_limit
 from keymint.analysis.subject_patterns import rules_of

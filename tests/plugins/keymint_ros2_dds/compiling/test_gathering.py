@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type
-from keymint_ros2_dds.compiling import gathering, grant_compiler
-from keymint_ros2_dds.compiling.gathering import GUARD, gathered_rules
-from keymint_ros2_dds.lowering.dds_topics import TopicAction
-from keymint_ros2_dds.lowering.grant_rules import DEFAULT, GrantRule
+from keymint_ros2_dds.compiling import grant_compiler, rewriting
+from keymint_ros2_dds.compiling.rewriting import GUARD, gathered_rules
+from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, GrantRule
+from keymint_ros2_dds.lowering.name_mapping import TopicAction
 
 from comarmor.errors import Severity
 from comarmor.rules import Effect
@@ -74,7 +74,7 @@ def test_names_are_left_as_they_are_early_only_where_gathering_saves_too_little(
         if texts
     )
     early = gathered_rules(form, min_saved=saved)
-    with mock.patch.object(gathering, "_most_shared", return_value=saved):
+    with mock.patch.object(rewriting, "_most_shared", return_value=saved):
         assert gathered_rules(form, min_saved=saved) == early
 
 

@@ -7,8 +7,11 @@ from collections.abc import Collection, Sequence
 from datetime import UTC, datetime
 from xml.sax.saxutils import escape
 
-from keymint_ros2_dds.decision import OMG, DocumentEvaluator, EndpointDecision, Variation
+from keymint_ros2_dds.decision.evaluator import DocumentEvaluator
+from keymint_ros2_dds.decision.semantics import OMG, Variation
 from keymint_ros2_dds.reading.signed_permissions import PermissionsDocument
+
+from keymint.api import Verdict
 
 NOW = datetime(2026, 11, 21, tzinfo=UTC)
 SUBJECT = "CN=/talker,OU=4f"
@@ -24,7 +27,7 @@ def decide(
     partitions: Sequence[str] = (),
     tags: Collection[tuple[str, str]] = (),
     variation: Variation = OMG,
-) -> EndpointDecision:
+) -> Verdict:
     """Decide about one endpoint by a document."""
     return DocumentEvaluator(document, subject_name, now, domain, variation).decide(action, topic, partitions, tags)
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
-from keymint_ros2_dds.decision import OMG, VARIATIONS, explain, read
+from keymint_ros2_dds.decision.semantics import OMG, VARIATIONS, explain
+from keymint_ros2_dds.reading.signed_permissions import read
 
 from .documents import NOW, SUBJECT, criteria, decide, document, grant, rule
 

@@ -4,16 +4,10 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_dds.decision import (
-    FASTDDS_2_9,
-    OMG,
-    VARIATIONS,
-    DocumentEvaluator,
-    explain,
-    read,
-)
-from keymint_ros2_dds.decision.endpoint_access import DomainAccess
+from keymint_ros2_dds.decision.evaluator import DocumentEvaluator, DomainAccess
+from keymint_ros2_dds.decision.semantics import FASTDDS_2_9, OMG, VARIATIONS, explain
 from keymint_ros2_dds.reading import signed_governance
+from keymint_ros2_dds.reading.signed_permissions import read
 
 from .documents import NOW, SUBJECT, criteria, document, grant, rule
 

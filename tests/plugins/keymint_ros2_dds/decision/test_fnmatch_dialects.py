@@ -9,7 +9,7 @@ import re
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from keymint_ros2_dds.decision import fnmatch_dialects
+from keymint_ros2_dds.reading import dialects
 from keymint_ros2_dds.vendors import probe_builds
 
 from comarmor.patterns.tokens import Dialect
@@ -29,28 +29,28 @@ thorough = settings(max_examples=tries(100, 600), deadline=None)
 
 
 def matches(dialect: Dialect, pattern: str, name: str) -> bool:
-    return re.fullmatch(fnmatch_dialects.translate(pattern, dialect), name, re.DOTALL) is not None
+    return re.fullmatch(dialects.translate(pattern, dialect), name, re.DOTALL) is not None
 
 
 @thorough
 @given(PATTERNS, NAMES)
 def test_fast_dds_is_the_c_library_without_escapes(pattern: str, name: str) -> None:
     expected = libc.fnmatch(pattern.encode(), name.encode(), NOESCAPE) == 0
-    assert matches(fnmatch_dialects.FAST_DDS, pattern, name) == expected
+    assert matches(dialects.FAST_DDS, pattern, name) == expected
 
 
 @thorough
 @given(PATTERNS, NAMES)
 def test_the_standard_is_the_c_library(pattern: str, name: str) -> None:
     expected = libc.fnmatch(pattern.encode(), name.encode(), 0) == 0
-    assert matches(fnmatch_dialects.STANDARD, pattern, name) == expected
+    assert matches(dialects.STANDARD, pattern, name) == expected
 
 
 @thorough
 @given(PATTERNS, NAMES)
 def test_cyclone_dds_is_its_reference(pattern: str, name: str) -> None:
     expected = re.fullmatch(cyclone_regex(pattern), name, re.DOTALL) is not None
-    assert matches(fnmatch_dialects.CYCLONE_DDS, pattern, name) == expected
+    assert matches(dialects.CYCLONE_DDS, pattern, name) == expected
 
 
 @pytest.mark.cyclonedds
@@ -63,7 +63,7 @@ def test_cyclone_dds_has_a_matcher_of_its_own() -> None:
     @thorough
     @given(PATTERNS, NAMES)
     def check(pattern: str, name: str) -> None:
-        assert matches(fnmatch_dialects.CYCLONE_DDS, pattern, name) == ac_fnmatch(pattern.encode(), name.encode())
+        assert matches(dialects.CYCLONE_DDS, pattern, name) == ac_fnmatch(pattern.encode(), name.encode())
 
     check()
 
@@ -81,9 +81,9 @@ def test_cyclone_dds_has_a_matcher_of_its_own() -> None:
 )
 def test_row_17_where_dialects_differ(pattern: str, standard: list[str], cyclone: list[str], fast: list[str]) -> None:
     for dialect, found in (
-        (fnmatch_dialects.STANDARD, standard),
-        (fnmatch_dialects.CYCLONE_DDS, cyclone),
-        (fnmatch_dialects.FAST_DDS, fast),
+        (dialects.STANDARD, standard),
+        (dialects.CYCLONE_DDS, cyclone),
+        (dialects.FAST_DDS, fast),
     ):
         names = {*standard, *cyclone, *fast}
         assert {name for name in names if matches(dialect, pattern, name)} >= set(found)
@@ -91,19 +91,17 @@ def test_row_17_where_dialects_differ(pattern: str, standard: list[str], cyclone
 
 
 @given(
-    st.sampled_from([fnmatch_dialects.STANDARD, fnmatch_dialects.FAST_DDS, fnmatch_dialects.CYCLONE_DDS]),
+    st.sampled_from([dialects.STANDARD, dialects.FAST_DDS, dialects.CYCLONE_DDS]),
     st.text(max_size=8),
     st.text(max_size=8),
 )
 def test_any_text_is_a_pattern(dialect: Dialect, pattern: str, name: str) -> None:
-    found = matches(dialect, fnmatch_dialects.in_bytes(pattern), fnmatch_dialects.in_bytes(name))
-    if fnmatch_dialects.is_plain(pattern):
+    found = matches(dialect, dialects.in_bytes(pattern), dialects.in_bytes(name))
+    if dialects.is_plain(pattern):
         assert found == (pattern == name)
 
 
-@pytest.mark.parametrize(
-    "dialect", [fnmatch_dialects.STANDARD, fnmatch_dialects.FAST_DDS, fnmatch_dialects.CYCLONE_DDS]
-)
+@pytest.mark.parametrize("dialect", [dialects.STANDARD, dialects.FAST_DDS, dialects.CYCLONE_DDS])
 def test_no_pattern_takes_long(dialect: Dialect) -> None:
     """A document made by hand must not hang a verification: this took years by trying every place of every star."""
     assert not matches(dialect, "*a" * 40 + "*b", "a" * 200)

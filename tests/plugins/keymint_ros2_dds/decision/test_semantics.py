@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, OMG, read
-from keymint_ros2_dds.reading.signed_permissions import PermissionsDocument
+from keymint_ros2_dds.decision.semantics import CYCLONEDDS_0_10, FASTDDS_2_9, OMG
+from keymint_ros2_dds.reading.signed_permissions import PermissionsDocument, read
 from lxml import etree
 
 from keymint.errors import KeymintError

@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, DiscoveredParticipant
-from keymint_ros2_dds.discovery.capture_graph import discovered_graph
+from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, DiscoveredParticipant, discovered_graph
 
 from comarmor.errors import Severity
 from keymint.errors import KeymintError

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type
 from keymint_ros2_dds.documents import dds_xml, permissions_document
-from keymint_ros2_dds.lowering.dds_topics import TopicAction
-from keymint_ros2_dds.lowering.grant_rules import DEFAULT, GrantRule
+from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, GrantRule
+from keymint_ros2_dds.lowering.name_mapping import TopicAction
 from lxml import etree
 
 from comarmor.rules import Effect

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type
-from keymint_ros2_dds.compiling import gathering
+from keymint_ros2_dds.compiling import rewriting
 from keymint_ros2_dds.emit import emission
 from lxml import etree
 
@@ -71,7 +71,7 @@ def held_against_the_policy(drawn, options: BuildOptions, names, asked) -> None:
     content = built.documents["permissions.xml"]
     assert list(differences(loaded, content, names, asked)) == []
     assert not {"rewriting-unproven", "compile-unproven"} & {found.code for found in built.diagnostics}
-    event("gathered" if gathering.GUARD in topics(content) else "not gathered")
+    event("gathered" if rewriting.GUARD in topics(content) else "not gathered")
 
 
 MIXED = st.lists(st.one_of(rules(), rules(PARTITIONS), rules(DENIED)), min_size=1, max_size=5)

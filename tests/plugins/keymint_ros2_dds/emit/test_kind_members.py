@@ -15,11 +15,12 @@ from unittest import mock
 import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
-from keymint_ros2_dds import build_type, proving
+from keymint_ros2_dds import build_type
 from keymint_ros2_dds.documents import permissions_document
 from keymint_ros2_dds.emit import emission, kind_members
-from keymint_ros2_dds.emit.kind_structure import Structure
-from keymint_ros2_dds.rule_packages import package_of
+from keymint_ros2_dds.emit.kind_members import Structure
+from keymint_ros2_dds.proving.claims import prove_content
+from keymint_ros2_dds.settings import package_of
 
 from comarmor.rules import parts
 from keymint.analysis.subject_patterns import rules_of
@@ -154,8 +155,8 @@ def test_the_proof_of_a_renamed_document_is_known() -> None:
     loaded = list(fleet(1, 2))
     by_kind(*loaded)
     document = build_type.build(loaded[1], USUAL).documents["permissions.xml"]
-    with mock.patch.object(proving.proof_cache, "prove_document", side_effect=AssertionError):
-        claims = proving.prove_content(emission.comparison(loaded[1], document))
+    with mock.patch("keymint_ros2_dds.proving.claims.prove_document", side_effect=AssertionError):
+        claims = prove_content(emission.comparison(loaded[1], document))
     assert {claim.proof for claim in claims} == {Proof.PROVEN}
 
 
@@ -179,7 +180,7 @@ class TestConditions:
     def refuted(self, first: Package, second: Package, names: Mapping[str, str]) -> bool:
         """Tell whether that document is proven to be wrong."""
         document = self.renamed(first, second, names)
-        claims = proving.prove_content(emission.comparison(second, document))
+        claims = prove_content(emission.comparison(second, document))
         return Proof.COUNTEREXAMPLE in {claim.proof for claim in claims}
 
     def check(self, first: Package, second: Package, names: Mapping[str, str] | None = None) -> None:
@@ -229,7 +230,7 @@ class TestConditions:
         _, asked = by_kind(first, second)
         assert asked == 2
         document = emission.emit(first, USUAL).document
-        claims = proving.prove_content(emission.comparison(second, document))
+        claims = prove_content(emission.comparison(second, document))
         assert Proof.COUNTEREXAMPLE in {claim.proof for claim in claims}
 
     def test_a_validity_that_some_vendor_reads_as_empty(self) -> None:

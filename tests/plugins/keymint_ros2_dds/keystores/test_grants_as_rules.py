@@ -12,7 +12,7 @@ from keymint_ros2_dds.documents import permissions_document
 from keymint_ros2_dds.keystores import grants_as_rules
 from keymint_ros2_dds.keystores.grants_as_rules import rules_of
 from keymint_ros2_dds.reading import signed_permissions
-from keymint_ros2_dds.rule_packages import package_of
+from keymint_ros2_dds.settings import package_of
 
 import comarmor
 from comarmor.rules import Rule

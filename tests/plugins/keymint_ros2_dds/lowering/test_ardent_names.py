@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from keymint_ros2_dds import build_type
-from keymint_ros2_dds.lowering import ardent_names
-from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS
+from keymint_ros2_dds.lowering import name_mapping
 from keymint_ros2_dds.lowering.endpoints import endpoints, meanings
+from keymint_ros2_dds.lowering.name_mapping import DDS_TOPICS
 from lxml import etree
 
 from comarmor.errors import Severity
@@ -31,7 +31,7 @@ TOPIC = DDS_TOPICS["ros_publish"][0]
 
 
 def pairs(text: str, **options) -> set[tuple[str, str]]:
-    return {(exact(where), exact(what)) for where, what in ardent_names.dds_patterns(parse(text), TOPIC, **options)}
+    return {(exact(where), exact(what)) for where, what in name_mapping.ardent_patterns(parse(text), TOPIC, **options)}
 
 
 @pytest.mark.parametrize(

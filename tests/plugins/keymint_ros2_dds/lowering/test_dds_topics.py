@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS, TopicAction
+from keymint_ros2_dds.lowering.name_mapping import DDS_TOPICS, TopicAction
 
 from comarmor.rules import PERMISSIONS, parts
 

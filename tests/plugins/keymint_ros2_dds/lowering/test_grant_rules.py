@@ -7,18 +7,18 @@ import re
 
 from hypothesis import given
 from hypothesis import strategies as st
-from keymint_ros2_dds.decision import fnmatch_dialects
-from keymint_ros2_dds.lowering.grant_rules import is_name
+from keymint_ros2_dds.lowering.lowered_rules import is_name
+from keymint_ros2_dds.reading import dialects
 
 TEXTS = st.lists(st.sampled_from([*"ab/-!^]", "*", "?", "[ab]", "\\"]), max_size=5).map("".join)
-DIALECTS = (fnmatch_dialects.STANDARD, fnmatch_dialects.FAST_DDS, fnmatch_dialects.CYCLONE_DDS)
+DIALECTS = (dialects.STANDARD, dialects.FAST_DDS, dialects.CYCLONE_DDS)
 
 
 @given(TEXTS, TEXTS)
 def test_a_name_matches_itself_only(expression: str, text: str) -> None:
     if is_name(expression):
         for dialect in DIALECTS:
-            pattern = re.compile(fnmatch_dialects.translate(expression, dialect), re.DOTALL)
+            pattern = re.compile(dialects.translate(expression, dialect), re.DOTALL)
             assert pattern.fullmatch(expression)
             assert bool(pattern.fullmatch(text)) == (text == expression)
 

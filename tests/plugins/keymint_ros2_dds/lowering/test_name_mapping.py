@@ -4,8 +4,14 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_dds.lowering.dds_topics import DDS_TOPICS, DdsTopic, TopicAction
-from keymint_ros2_dds.lowering.name_mapping import DISTROS, check_distro, dds_patterns
+from keymint_ros2_dds.lowering.name_mapping import (
+    DDS_TOPICS,
+    DISTROS,
+    DdsTopic,
+    TopicAction,
+    check_distro,
+    dds_patterns,
+)
 
 from comarmor.patterns.expression import exact
 from comarmor.patterns.glob import parse

@@ -18,7 +18,7 @@ from functools import cache
 from itertools import product
 from xml.sax.saxutils import escape
 
-from keymint_ros2_dds.proving import ASSUMPTIONS, prove_content
+from keymint_ros2_dds.proving.claims import ASSUMPTIONS, prove_content
 from keymint_ros2_dds.vendors import probe_builds
 
 from keymint.api import Claim, ComparisonTask, Proof

@@ -8,8 +8,10 @@ from datetime import UTC, datetime, timedelta
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, OMG, DocumentEvaluator, Variation, read
+from keymint_ros2_dds.decision.evaluator import DocumentEvaluator
+from keymint_ros2_dds.decision.semantics import CYCLONEDDS_0_10, FASTDDS_2_9, OMG, Variation
 from keymint_ros2_dds.proving.grant_periods import grant_periods
+from keymint_ros2_dds.reading.signed_permissions import read
 
 from tests.plugins.keymint_ros2_dds.decision.documents import SUBJECT, criteria, document, grant, rule
 

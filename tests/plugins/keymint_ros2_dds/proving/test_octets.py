@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_dds import build_type, proving
-from keymint_ros2_dds.decision import fnmatch_dialects
+from keymint_ros2_dds import build_type
 from keymint_ros2_dds.proving import octets
+from keymint_ros2_dds.proving.claims import prove_content
+from keymint_ros2_dds.reading import dialects
 
 from comarmor.patterns import glob
 from keymint.api import BuildOptions, ComparisonTask, Proof
@@ -109,7 +110,7 @@ def test_partitions_are_names_as_well():
     content = Case((), (), ((True, ("a",)),)).content().replace(b"CN=/t<", b"CN=/talker,OU=x1<")
     for extra in ("é", "p\\", "\x7f"):
         listed = f"</topics><partitions><partition>p</partition><partition>{extra}</partition></partitions>".encode()
-        claims = proving.prove_content(ComparisonTask(content.replace(b"</topics>", listed), "p.xml", *held))
+        claims = prove_content(ComparisonTask(content.replace(b"</topics>", listed), "p.xml", *held))
         found = {claim.model: claim for claim in claims if claim.action == "publish"}
         for model in VENDORS:
             example = found[model].counterexample
@@ -125,7 +126,7 @@ def test_the_compiler_writes_no_name_beyond_printable_ascii(expression):
 
 def test_bytes_and_text_are_two_forms_of_one_name():
     for name in ("a", "é", "日本", "\U0001f600"):
-        assert octets.in_text(fnmatch_dialects.in_bytes(name)) == name
+        assert octets.in_text(dialects.in_bytes(name)) == name
     for code in range(1, 256):
-        assert fnmatch_dialects.in_bytes(octets.in_text(chr(code))) == chr(code)
+        assert dialects.in_bytes(octets.in_text(chr(code))) == chr(code)
     assert octets.of_glob(glob.parse("é[!a]?")) == ("Ã©", *glob.parse("[!a]?"))

@@ -10,11 +10,12 @@ import re
 import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
-from keymint_ros2_dds import decision
-from keymint_ros2_dds.decision import VARIATIONS, DocumentEvaluator, fnmatch_dialects
+from keymint_ros2_dds.decision.evaluator import DocumentEvaluator
+from keymint_ros2_dds.decision.semantics import VARIATIONS
 from keymint_ros2_dds.lowering.lowered_rules import lower
-from keymint_ros2_dds.proving import permission_lists, policy_evaluator
+from keymint_ros2_dds.proving import counterexamples, document_lists
 from keymint_ros2_dds.proving.octets import read
+from keymint_ros2_dds.reading import dialects, signed_permissions
 
 from comarmor.patterns.evaluate import permits
 from comarmor.patterns.glob import matches
@@ -55,12 +56,12 @@ def grants(draw):
 @settings(max_examples=tries(75, 150), deadline=None)
 @given(grants())
 def test_lists_of_a_grant_say_what_the_decision_point_says(model, content):
-    document = decision.read(content)
+    document = signed_permissions.read(content)
     variation = VARIATIONS[model]
     judge = DocumentEvaluator(document, xml.SUBJECT, xml.NOW, 0, variation)
     for action in ("publish", "subscribe"):
-        found = permission_lists.of_grant(document.grants[0], 0, action, variation.semantics, pairs=True)
-        plain = permission_lists.of_grant(document.grants[0], 0, action, variation.semantics, pairs=False)
+        found = document_lists.of_grant(document.grants[0], 0, action, variation.semantics, pairs=True)
+        plain = document_lists.of_grant(document.grants[0], 0, action, variation.semantics, pairs=False)
         for name, partition in itertools.product(NAMES, ASKED):
             expected = judge.decide(action, name, (partition,)).allowed
             assert all(permits(each, f"{partition}\0{name}") for each in found) == expected, (action, name, partition)
@@ -72,13 +73,13 @@ def test_lists_of_a_grant_say_what_the_decision_point_says(model, content):
 @given(grants(), st.booleans())
 def test_the_decision_point_lies_between_the_bounds_of_a_model(content, pairs):
     """What lists that must all permit cannot say exactly: a topic that either direction may create."""
-    document = decision.read(content)
+    document = signed_permissions.read(content)
     for variation in VARIATIONS.values():
         judge = DocumentEvaluator(document, xml.SUBJECT, xml.NOW, 0, variation)
         bounds = variation.semantics.bounds
         for action, name, partition in itertools.product(("publish", "subscribe"), NAMES, ASKED if pairs else [""]):
             word = f"{partition}\0{name}" if pairs else name
-            lists = [permission_lists.of_grant(document.grants[0], 0, action, each, pairs=pairs) for each in bounds]
+            lists = [document_lists.of_grant(document.grants[0], 0, action, each, pairs=pairs) for each in bounds]
             least, most = (all(permits(each, word) for each in of) for of in (lists[0], lists[-1]))
             allowed = judge.decide(action, name, (partition,)).allowed
             assert least <= allowed <= most, (variation.name, action, name, partition)
@@ -88,8 +89,8 @@ def test_the_decision_point_lies_between_the_bounds_of_a_model(content, pairs):
 @given(grants())
 @example(xml.document(xml.grant(xml.rule("allow", xml.criteria("publish", "*")), default="ALLOW")))
 def test_partitions_are_left_out_only_where_nothing_is_permitted_in_any(content):
-    document = decision.read(content)
-    if permission_lists.has_partitions(lower(SubjectRules("/talker", ()), "jazzy"), document.grants):
+    document = signed_permissions.read(content)
+    if document_lists.has_partitions(lower(SubjectRules("/talker", ()), "jazzy"), document.grants):
         return
     for variation in VARIATIONS.values():
         judge = DocumentEvaluator(document, xml.SUBJECT, xml.NOW, 0, variation)
@@ -111,9 +112,9 @@ def _cyclone(expression, name):
 @pytest.mark.parametrize(
     ("dialect", "oracle"),
     [
-        pytest.param(fnmatch_dialects.STANDARD, _libc(0), id="standard"),
-        pytest.param(fnmatch_dialects.FAST_DDS, _libc(2), id="Fast DDS"),
-        pytest.param(fnmatch_dialects.CYCLONE_DDS, _cyclone, id="Cyclone DDS"),
+        pytest.param(dialects.STANDARD, _libc(0), id="standard"),
+        pytest.param(dialects.FAST_DDS, _libc(2), id="Fast DDS"),
+        pytest.param(dialects.CYCLONE_DDS, _cyclone, id="Cyclone DDS"),
     ],
 )
 @settings(max_examples=tries(60, 300), deadline=None)
@@ -123,7 +124,7 @@ def _cyclone(expression, name):
 @example("[c-a]")
 def test_expressions_become_what_the_dialect_matches(dialect, oracle, expression):
     assume(
-        dialect is fnmatch_dialects.CYCLONE_DDS or not expression.endswith("-")
+        dialect is dialects.CYCLONE_DDS or not expression.endswith("-")
     )  # glibc reads a range in an unclosed bracket
     try:
         (pattern,) = read((expression,), dialect)
@@ -144,11 +145,11 @@ def test_lists_of_a_policy_say_what_its_rules_say(drawn):
     told = SubjectRules("/talker", tuple(drawn))
     lowered = lower(told, "jazzy")
     for action in ("publish", "subscribe"):
-        found = permission_lists.of_policy(lowered, action, pairs=True)
-        plain = permission_lists.of_policy(lowered, action, pairs=False)
+        found = document_lists.of_policy(lowered, action, pairs=True)
+        plain = document_lists.of_policy(lowered, action, pairs=False)
         for topic, partition in itertools.product(TOPICS, ("", "p", "r", "*")):
             expected = oracle(told, action, topic, (partition,) if partition else ())
-            rule = policy_evaluator.decide(told, "jazzy", action, topic, partition)
+            rule = counterexamples.deciding_rule(told, "jazzy", action, topic, partition)
             assert (rule is not None and rule.effect == "ALLOW") == expected
             assert permits(found, f"{partition}\0{topic}") == expected
             if not partition:

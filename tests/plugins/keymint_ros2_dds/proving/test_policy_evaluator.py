@@ -8,7 +8,7 @@ import itertools
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from keymint_ros2_dds.proving.policy_evaluator import decide, is_ros_name
+from keymint_ros2_dds.proving.counterexamples import deciding_rule, is_ros_name
 
 from comarmor.rules import Effect
 from keymint.ir import SubjectRules
@@ -23,7 +23,7 @@ from tests.plugins.keymint_ros2_dds.packages import rule
 def test_it_decides_as_the_language_says(drawn) -> None:
     given_rules = SubjectRules("/s", tuple(drawn))
     for action, topic, partition in itertools.product(("publish", "subscribe"), FEW, ("", "p", "r")):
-        found = decide(given_rules, "humble", action, topic, partition)
+        found = deciding_rule(given_rules, "humble", action, topic, partition)
         allowed = found is not None and found.effect is Effect.ALLOW
         assert allowed == policy(given_rules, action, topic, (partition,)), (action, topic, partition)
 
@@ -31,9 +31,9 @@ def test_it_decides_as_the_language_says(drawn) -> None:
 def test_the_first_denial_decides_else_the_first_match() -> None:
     allow, again = rule("ALLOW", "topic", "publish", "*", line=1), rule("ALLOW", "topic", "publish", "x", line=2)
     deny, last = rule("DENY", "topic", "publish", "x", line=3), rule("DENY", "topic", "publish", "x*", line=4)
-    assert decide(SubjectRules("/s", (allow, again)), "humble", "publish", "x", "") == allow
-    assert decide(SubjectRules("/s", (allow, again, deny, last)), "humble", "publish", "x", "") == deny
-    assert decide(SubjectRules("/s", (again,)), "humble", "publish", "y", "") is None
+    assert deciding_rule(SubjectRules("/s", (allow, again)), "humble", "publish", "x", "") == allow
+    assert deciding_rule(SubjectRules("/s", (allow, again, deny, last)), "humble", "publish", "x", "") == deny
+    assert deciding_rule(SubjectRules("/s", (again,)), "humble", "publish", "y", "") is None
 
 
 @pytest.mark.parametrize(

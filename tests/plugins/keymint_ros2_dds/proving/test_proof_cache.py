@@ -7,7 +7,7 @@ from unittest import mock
 
 import pytest
 from keymint_ros2_dds import build_type
-from keymint_ros2_dds.proving import proof_cache, prove_content
+from keymint_ros2_dds.proving.claims import prove_content
 
 from keymint.api import BuildOptions, ComparisonTask, DomainRange, Proof
 from tests.plugins.keymint_ros2_dds.packages import package, rule
@@ -35,7 +35,7 @@ def document() -> bytes:
 
 
 def test_what_was_built_is_known_when_it_is_installed(document: bytes) -> None:
-    with mock.patch.object(proof_cache, "prove_document", side_effect=AssertionError("asked again")):
+    with mock.patch("keymint_ros2_dds.proving.claims.prove_document", side_effect=AssertionError("asked again")):
         claims = proven(document)
     assert {claim.proof for claim in claims} == {Proof.PROVEN}
 
@@ -65,6 +65,6 @@ def test_models_are_asked_each(document: bytes) -> None:
 def test_what_was_refuted_is_not_remembered(document: bytes) -> None:
     altered = document.replace(b"rt/once", b"rt/twice")
     assert any(claim.proof is Proof.COUNTEREXAMPLE for claim in proven(altered))
-    with mock.patch.object(proof_cache, "prove_document", return_value=()) as prove:
+    with mock.patch("keymint_ros2_dds.proving.claims.prove_document", return_value=()) as prove:
         proven(altered)
     prove.assert_called_once()

@@ -8,9 +8,11 @@ from datetime import UTC, datetime, timedelta
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from keymint_ros2_dds import decision, enclave_proof
-from keymint_ros2_dds.decision import VARIATIONS, DocumentEvaluator
-from keymint_ros2_dds.proving.validity_terms import joined_periods, of_grants
+from keymint_ros2_dds import enclave_proof
+from keymint_ros2_dds.decision.evaluator import DocumentEvaluator
+from keymint_ros2_dds.decision.semantics import VARIATIONS
+from keymint_ros2_dds.proving.grant_periods import joined_periods, of_grants
+from keymint_ros2_dds.reading import signed_permissions
 
 from keymint.api import ValidityTerm
 from keymint.errors import KeymintError
@@ -59,7 +61,7 @@ def terms(content: bytes, name: str = NAME) -> list[ValidityTerm]:
 @given(st.lists(st.tuples(DATES, DATES), min_size=1, max_size=3), st.lists(st.tuples(MOMENTS, OFFSETS), max_size=8))
 def test_a_document_is_in_force_exactly_when_the_decision_point_finds_a_grant(dates, moments):
     content = document(*(grant(*each) for each in dates))
-    read = decision.read(content)
+    read = signed_permissions.read(content)
     found = {model: term.periods for term in terms(content) for model in term.models}
     for model, variation in VARIATIONS.items():
         semantics = variation.semantics

@@ -8,7 +8,7 @@ from datetime import UTC, datetime, timedelta, timezone
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from keymint_ros2_dds.reading import grant_dates
+from keymint_ros2_dds.reading import dialects
 
 
 @pytest.mark.parametrize(
@@ -27,7 +27,7 @@ from keymint_ros2_dds.reading import grant_dates
     ],
 )
 def test_dates(text: str, standard: str | None, cyclone: str | None, fast: str | None) -> None:
-    found = [each(text) for each in (grant_dates.standard, grant_dates.cyclone, grant_dates.fast)]
+    found = [each(text) for each in (dialects.standard_date, dialects.cyclone_date, dialects.fast_date)]
     assert [each and f"{each:%Y-%m-%dT%H}" for each in found] == [standard, cyclone, fast]
 
 
@@ -38,21 +38,21 @@ MOMENTS = st.datetimes(datetime(1, 1, 3), datetime(2261, 12, 28)).map(lambda eac
 def test_a_zone_moves_a_date_except_on_fast_dds(local: datetime, minutes: int) -> None:
     moment = local.replace(tzinfo=timezone(timedelta(minutes=minutes)))
     text = moment.isoformat()
-    assert grant_dates.standard(text) == moment
-    assert grant_dates.cyclone(text) == (moment if abs(minutes) <= 12 * 60 else None)
-    assert grant_dates.fast(text) == local.replace(tzinfo=UTC)
+    assert dialects.standard_date(text) == moment
+    assert dialects.cyclone_date(text) == (moment if abs(minutes) <= 12 * 60 else None)
+    assert dialects.fast_date(text) == local.replace(tzinfo=UTC)
 
 
 @given(MOMENTS)
 def test_without_a_zone_and_with_a_z_it_is_utc(local: datetime) -> None:
     for text in (local.isoformat(), f" {local.isoformat()}Z\n", f"{local.isoformat()}.123"):
-        assert {each(text) for each in (grant_dates.standard, grant_dates.cyclone, grant_dates.fast)} == {
+        assert {each(text) for each in (dialects.standard_date, dialects.cyclone_date, dialects.fast_date)} == {
             local.replace(tzinfo=UTC)
         }
 
 
 def test_beyond_the_calendar_is_its_end() -> None:
     first, last = datetime.min.replace(tzinfo=UTC), datetime.max.replace(tzinfo=UTC)
-    assert grant_dates.standard("9999-12-31T23:59:59-01:00") == last
-    assert grant_dates.standard("0001-01-01T00:00:00+01:00") == first
-    assert grant_dates.standard("-0044-03-15T12:00:00") == first
+    assert dialects.standard_date("9999-12-31T23:59:59-01:00") == last
+    assert dialects.standard_date("0001-01-01T00:00:00+01:00") == first
+    assert dialects.standard_date("-0044-03-15T12:00:00") == first

@@ -9,13 +9,11 @@ from unittest import mock
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from keymint_ros2_dds.decision import (
-    read,
-)
 from keymint_ros2_dds.documents import dds_xml, permissions_document
-from keymint_ros2_dds.lowering.dds_topics import TopicAction
-from keymint_ros2_dds.lowering.grant_rules import DEFAULT, EVERY, GrantRule
+from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, EVERY, GrantRule
+from keymint_ros2_dds.lowering.name_mapping import TopicAction
 from keymint_ros2_dds.reading import signed_permissions
+from keymint_ros2_dds.reading.signed_permissions import read
 
 from comarmor.rules import Effect
 from keymint.api import DomainRange

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 from cryptography import x509
-from keymint_ros2_dds.decision import CYCLONEDDS_0_10, FASTDDS_2_9, OMG, VARIATIONS, Variation
-from keymint_ros2_dds.transports.authentication import load
-from keymint_ros2_dds.transports.enclave_model import EnclaveModel
+from keymint_ros2_dds.decision.semantics import CYCLONEDDS_0_10, FASTDDS_2_9, OMG, VARIATIONS, Variation
+from keymint_ros2_dds.transports.enclave_model import EnclaveModel, load
 
 from keymint.api import Enclave, Environment
 from keymint.api.graph import Column, Edge, Object

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from keymint_ros2_dds.vendors import program_cache
+from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.probe_builds import FASTDDS_NONCONFORMING as PROBE
 
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")
@@ -99,8 +99,8 @@ def test_a_program_of_someone_else_is_not_run(cache: Path, damage: Damage) -> No
     assert PROBE.build(cache, ENVIRONMENT) == built
     damage(cache, built)
     again = PROBE.build(cache, ENVIRONMENT)
-    assert program_cache.is_ours(again)
-    assert program_cache.is_ours_alone(again.parent)
+    assert probe_builds.is_ours(again)
+    assert probe_builds.is_ours_alone(again.parent)
     assert (again.read_bytes()[:4], FORGED in again.read_bytes()) == (genuine[:4], False)
 
 
@@ -119,4 +119,4 @@ def test_a_sticky_folder_above_is_no_danger(cache: Path) -> None:
 def test_a_cache_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     built = PROBE.build(tmp_path / "file" / "probes", ENVIRONMENT)
-    assert program_cache.is_ours_alone(built.parent)
+    assert probe_builds.is_ours_alone(built.parent)

@@ -1,5 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read the dates of a grant's validity (``xs:dateTime``), as each implementation does; None if it is invalid."""
+"""How implementations read the expressions of a document, and its dates.
+
+Expressions are read in a dialect of ``fnmatch``. All dialects compare bytes, as the vendors do in the C locale: text is
+encoded as UTF-8, and each byte is one character. No expression is an error: see
+:class:`comarmor.patterns.tokens.Undefined`.
+
+The dates of a grant's validity are ``xs:dateTime``; one that is invalid is read as None.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +14,33 @@ import re
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 
+from comarmor.patterns.glob import parse, regex
+from comarmor.patterns.tokens import SPECIAL, Dialect
 from comarmor.regex import lazy_regex
+
+STANDARD = Dialect()
+"""POSIX ``fnmatch`` with flags 0, as DDS Security 1.1 requires (9.4.1.3.2.3.2.1)."""
+FAST_DDS = Dialect(escapes=False)
+"""``fnmatch(…, FNM_NOESCAPE)`` of the C library."""
+CYCLONE_DDS = Dialect(escapes=False, negators=("!",), classes=False, closing_bracket_is_member=True)
+"""Cyclone DDS's own matcher, ``ac_fnmatch``."""
+
+
+def in_bytes(text: str) -> str:
+    """Return a text with one character for each byte of its UTF-8 form."""
+    return text if text.isascii() else text.encode("utf-8", "surrogateescape").decode("latin-1")
+
+
+def is_plain(pattern: str) -> bool:
+    """Return whether a pattern matches only itself in every dialect."""
+    return not SPECIAL.search(pattern)
+
+
+@lru_cache(maxsize=65536)
+def translate(pattern: str, dialect: Dialect) -> str:
+    """Return a pattern (in bytes) as a regular expression; see :func:`comarmor.patterns.glob.regex`."""
+    return regex(parse(pattern, dialect))
+
 
 _DATE = lazy_regex(r"(-?\d{4,})-(\d\d)-(\d\d)T(\d\d):(\d\d):(\d\d)(?:\.\d+)?(?:Z|([+-])(\d\d):(\d\d))?", re.ASCII)
 _TO_THE_SECOND = lazy_regex(r"\s*(\d{4})-(\d\d)-(\d\d)T(\d\d):(\d\d):(\d\d)", re.ASCII)
@@ -18,7 +51,7 @@ _LAST_MINUTE, _LAST_YEAR = 59, 9999
 
 
 @lru_cache(maxsize=64)
-def standard(text: str) -> datetime | None:
+def standard_date(text: str) -> datetime | None:
     """Read a date as the standard says (DDS Security 1.1, 9.4.1.3.2.2): without a zone it is UTC.
 
     A year beyond the range of :class:`datetime` is the end of that range.
@@ -35,7 +68,7 @@ def standard(text: str) -> datetime | None:
 
 
 @lru_cache(maxsize=64)
-def cyclone(text: str) -> datetime | None:
+def cyclone_date(text: str) -> datetime | None:
     """Read a date as Cyclone DDS: years have four digits, zones end at 12:00, and time ends in 2262."""
     match = _DATE.fullmatch(text.strip(_BLANKS))
     if match is None or len(match[1]) != len("2262"):
@@ -47,7 +80,7 @@ def cyclone(text: str) -> datetime | None:
 
 
 @lru_cache(maxsize=64)
-def fast(text: str) -> datetime | None:
+def fast_date(text: str) -> datetime | None:
     """Read a date as Fast DDS: everything after the seconds is ignored, and local time is assumed to be UTC."""
     match = _TO_THE_SECOND.match(text)
     return None if match is None else _clock(match, hour=int(match[4]))

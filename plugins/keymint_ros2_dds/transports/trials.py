@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tier *exchange*: test whether data is delivered between two processes.
+"""Try what participants of a real vendor may do: which endpoints are admitted, and whether data is delivered.
 
-For each endpoint of an edge, search for an enclave that may be its other end. If a participant of the subject may have
-the endpoint, a sample must arrive. If not, a participant of the subject that ignores its own permissions creates it;
-then the other end must refuse it.
+Admission asks a real participant in its own process, or whatever decides, about endpoints.
+
+The tier *exchange* tests whether data is delivered between two processes. For each endpoint of an edge, search for an
+enclave that may be its other end. If a participant of the subject may have the endpoint, a sample must arrive. If not,
+a participant of the subject that ignores its own permissions creates it; then the other end must refuse it.
 
 To conclude that a sample will not arrive, wait for one that does: if the two enclaves may communicate on another topic,
 its endpoints are created last, and when its sample arrives, all others have been decided. Otherwise wait for a time.
@@ -11,7 +13,8 @@ its endpoints are created last, and when its sample arrives, all others have bee
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import replace
 from itertools import groupby, islice, repeat
 from typing import cast
@@ -19,11 +22,133 @@ from typing import cast
 from comarmor.values import dataclass
 from keymint.api import Enclave, Verdict
 from keymint.api.graph import Edge
-from keymint_ros2_dds.decision import Variation
+from keymint.errors import KeymintError
+from keymint.host.vendor_process import ProcessFailedError
+from keymint_ros2_dds.decision.semantics import Variation
+from keymint_ros2_dds.enclave_layout import reads_revocations
 from keymint_ros2_dds.lowering.endpoints import endpoints
-from keymint_ros2_dds.transports import admission
+from keymint_ros2_dds.transports import enclave_files
 from keymint_ros2_dds.transports.enclave_model import EnclaveModels
-from keymint_ros2_dds.vendors.participants import DeniedError, ProbeEndpoint, RefusedError, System, Vendor
+from keymint_ros2_dds.vendors.cyclone_access_control import CycloneAccessControl
+from keymint_ros2_dds.vendors.participants import (
+    CycloneDDS,
+    DeniedError,
+    ProbeEndpoint,
+    ProbeParticipant,
+    RefusedError,
+    System,
+    Vendor,
+)
+
+
+def name_defect(endpoint: Edge) -> str:
+    """Return why no participant can create an endpoint of this name, or an empty text."""
+    if not "".join((endpoint.object.name, *endpoint.object.partitions)).isprintable():
+        return "the name has a character that no DDS topic has"
+    return "" if endpoint.object.name else "no DDS topic has an empty name"
+
+
+@contextmanager
+def participants(vendor: Vendor, subject: str) -> Iterator[System]:
+    """Open a system of participants, which tests what a subject may do.
+
+    Raises:
+        KeymintError: a process of the vendor fails.
+    """
+    try:
+        with System(vendor) as system:
+            yield system
+    except ProcessFailedError as error:
+        raise KeymintError(f"{subject}: {error}", code="transport-failed") from None
+
+
+def open_participant(system: System, enclave: Enclave, domain: int, *, conforming: bool = True) -> ProbeParticipant:
+    """Return a participant of an enclave; see :meth:`System.open`.
+
+    Raises:
+        RefusedError: the vendor refuses it, or its process would crash.
+    """
+    if isinstance(system.vendor, CycloneDDS):
+        with suppress(KeymintError):  # what Keymint cannot read, the vendor judges
+            if crash := enclave_files.crash(enclave_files.unverified_permissions(enclave.folder)):
+                raise RefusedError(crash)
+    revocations = reads_revocations(enclave.distro)
+    return system.open(enclave.folder, domain, conforming=conforming, revocations=revocations)
+
+
+@contextmanager
+def participant(vendor: Vendor, models: EnclaveModels, subject: str, domain: int) -> Iterator[ProbeParticipant | str]:
+    """Open a real participant of an enclave in a process of its own, or tell why it is refused; see :data:`Opener`.
+
+    Raises:
+        KeymintError: the enclave is missing, or a process of the vendor fails.
+    """
+    enclave = models.enclaves[subject]
+    enclave_files.refuse_unusable_key(enclave)
+    with participants(vendor, subject) as system:
+        opened: ProbeParticipant | str
+        try:
+            opened = open_participant(system, enclave, domain)
+        except RefusedError as error:
+            opened = f"the participant is refused: {error}"
+        yield opened
+
+
+Opener = Callable[[EnclaveModels, str, int], AbstractContextManager[ProbeParticipant | CycloneAccessControl | str]]
+"""Opens the enclave of a subject in a domain, to ask it about endpoints; a text says why the vendor refuses it."""
+
+
+def edge_verdicts(
+    opener: Opener, model: Variation, models: EnclaveModels, edges: Iterable[Edge]
+) -> Iterator[tuple[Edge, Verdict]]:
+    """Yield whether a vendor allows each edge; the enclaves are opened one at a time.
+
+    Args:
+        opener: opens an enclave.
+        model: the model of the vendor.
+        models: the enclaves.
+        edges: grouped by subject.
+
+    Raises:
+        KeymintError: an enclave is missing, or the vendor's process fails.
+    """
+    for (subject, domain), group in groupby(edges, key=lambda edge: (edge.subject, edge.domain)):
+        enclave, enclave_model = models.enclaves[subject], models.of(subject, domain)
+        with opener(models, subject, domain) as opened:
+            for edge in group:
+                if isinstance(opened, str):
+                    yield edge, Verdict(allowed=False, reason=opened, where=enclave_model.place())
+                else:
+                    needed = endpoints(enclave.distro, edge)
+                    yield edge, enclave_model.verdict(model, needed, answers(opened, needed))
+
+
+def endpoint_admissions(
+    opener: Opener, models: EnclaveModels, subject: str, domain: int, endpoints: Sequence[Edge]
+) -> Sequence[bool]:
+    """Return which endpoints a vendor allows; nothing if it refuses the enclave.
+
+    Args:
+        opener: opens an enclave.
+        models: the enclaves.
+        subject: the enclave's.
+        domain: DDS domain id.
+        endpoints: edges of kind ``topic`` whose names can be said.
+
+    Raises:
+        KeymintError: the vendor's process fails.
+    """
+    topics = [(each.permission, each.object.name, each.object.partitions) for each in endpoints]
+    with opener(models, subject, domain) as opened:
+        return () if isinstance(opened, str) else opened.allow(topics)
+
+
+def answers(vendor: ProbeParticipant | CycloneAccessControl, needed: Iterable[Edge]) -> Iterator[tuple[bool, str]]:
+    """Yield whether a vendor admits each endpoint, and why not."""
+    for endpoint in needed:
+        reason, topic = name_defect(endpoint), endpoint.object
+        yield (False, reason) if reason else vendor.ask(endpoint.permission, topic.name, topic.partitions)
+
 
 BATCH = 20
 """Number of edges per pair of processes."""
@@ -91,7 +216,7 @@ def _peer(endpoint: Edge, models: EnclaveModels, model: Variation) -> Enclave | 
     One that refuses the subject in the handshake, or is refused by it, is taken if there is no other.
     """
     wildcards = set("*?[")
-    if admission.name_defect(endpoint) or endpoint.permission not in _OTHER_END:
+    if name_defect(endpoint) or endpoint.permission not in _OTHER_END:
         return None
     if any(wildcards & set(partition) for partition in endpoint.object.partitions):
         return None  # two expressions never match each other (DDS 1.4, 2.2.3.13)
@@ -110,11 +235,11 @@ def _admitted(vendor: Vendor, model: Variation, models: EnclaveModels, batch: Se
     """Return all endpoints of the edges, and whether the vendor admits them to a participant of the subject."""
     enclave = models.enclaves[batch[0].subject]
     needed = dict.fromkeys(endpoint for edge in batch for endpoint in endpoints(enclave.distro, edge))
-    with admission.participant(vendor, models, enclave.subject, batch[0].domain) as opened:
-        answers = repeat((False, opened)) if isinstance(opened, str) else admission.answers(opened, needed)
+    with participant(vendor, models, enclave.subject, batch[0].domain) as opened:
+        admissions = repeat((False, opened)) if isinstance(opened, str) else answers(opened, needed)
         return {
             endpoint: _Trial(endpoint, *answer, _peer(endpoint, models, model))
-            for endpoint, answer in zip(needed, answers, strict=False)
+            for endpoint, answer in zip(needed, admissions, strict=False)
         }
 
 
@@ -122,7 +247,7 @@ def _deliver(vendor: Vendor, enclave: Enclave, trials: Sequence[_Trial]) -> None
     """Send a sample over each endpoint between two conforming participants."""
     if not trials:
         return
-    with admission.participants(vendor, enclave.subject) as system:
+    with participants(vendor, enclave.subject) as system:
         pairs = _pairs(system, enclave, trials, conforming=True)
         for trial, ends in pairs:
             trial.delivered = ends is not None and ends.arrives(DELIVERY_SECONDS)
@@ -133,7 +258,7 @@ def _intrude(vendor: Vendor, enclave: Enclave, trials: Sequence[_Trial]) -> None
     denied = [trial for trial in trials if not trial.admitted]
     if not denied:
         return
-    with admission.participants(vendor, enclave.subject) as system:
+    with participants(vendor, enclave.subject) as system:
         shown = [trial for trial in trials if trial.admitted and trial.delivered][:1]
         pairs = _pairs(system, enclave, [*denied, *shown], conforming=False)
         known = any(ends is not None and trial.admitted and ends.arrives(DELIVERY_SECONDS) for trial, ends in pairs)
@@ -166,8 +291,8 @@ def _pairs(
     domain, peer = trials[0].endpoint.domain, cast("Enclave", trials[0].peer)
     pairs: list[tuple[_Trial, _SentSample | None]] = []
     try:
-        other = admission.open_participant(system, peer, domain)
-        own = admission.open_participant(system, enclave, domain, conforming=conforming)
+        other = open_participant(system, peer, domain)
+        own = open_participant(system, enclave, domain, conforming=conforming)
     except RefusedError:
         return [(trial, None) for trial in trials]
     for number, trial in enumerate(trials):
