@@ -15,6 +15,7 @@ here
 ``rights``                                    what every certificate in force may present, against the policy
 ``file_status``                               modes, owners, links and kinds of files
 ``install_space``                             the install space outside of the enclaves
+``bundles``                                   may a robot take a bundle
 ``weaknesses``                                what Keymint would have made otherwise: ``keymint harden``
 ``nodes``                                     what the rules keep from starting
 below, since stages and the life of keys ask
@@ -26,7 +27,6 @@ below, since stages and the life of keys ask
 ``keymint.stages.identity_keys``              a key has one owner
 ``keymint.life.terms``                        what is over, to come, or ends soon
 ``keymint.life.revocation_lists_in_force``    the list that an enclave must have
-``keymint.robots.bundle_acceptance``          may a robot take a bundle
 ``keymint.adoption``                          reads keystores of other tools, and compares them with a policy
 a transport's own
 ``examine``                                   in its plugin: the rules about an enclave's files; views: ``check``,

@@ -41,7 +41,7 @@ from keymint.names import ROOT, package_name, subject_of
 from keymint.pki import certificates, distinguished_names, smime
 from keymint.pki.distinguished_names import to_text
 from keymint.pki.mime import SignedDocument
-from keymint.robots import bundle_container
+from keymint.robots import bundle
 from keymint.stages.proof.proof_record import dump_claims, load_claims
 from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, ProofResults
 from keymint.stages.proof.prove import STAGE, policy_digest
@@ -220,14 +220,12 @@ def _files(session: Session) -> Mapping[str, bytes]:
         if path.endswith(".xml"):
             continue
         status = tree.status(path)
-        if status is None or status.st_size > bundle_container.MAX_BYTES:
+        if status is None or status.st_size > bundle.MAX_BYTES:
             continue
         content = tree.try_read(path) or b""
         if content[257:262] == b"ustar":
             try:
-                found |= {
-                    f"{path}:{name}": each for name, each in bundle_container.unpack(content, Origin(path)).items()
-                }
+                found |= {f"{path}:{name}": each for name, each in bundle.unpack(content, Origin(path)).items()}
             except KeymintError:
                 continue
         elif len(content) <= _MOST and (_SIGNED in content or _CERTIFICATE in content):

@@ -19,8 +19,7 @@ from keymint.life.workspace_register import complete_register, register_change
 from keymint.names import subject_of
 from keymint.pki import certificates, revocation_lists
 from keymint.robots import bundle as bundles
-from keymint.robots.bundle import CERTIFICATE, KEY
-from keymint.robots.bundle_manifest import Manifest
+from keymint.robots.bundle import CERTIFICATE, KEY, Manifest
 from keymint.robots.certification_request import CertificationRequest
 from keymint.store.changes import Plan
 from keymint.workspace.installed_enclaves import INSTALLED

@@ -7,19 +7,21 @@ not the one that the enclave has.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import field
 from pathlib import Path
 
 from cryptography import x509
 
 from comarmor.errors import Origin
+from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.names import ROOT
 from keymint.pki import certificates
 from keymint.robots import certification_request as requests
 from keymint.robots.bundle import CERTIFICATE, KEY, certificates_of_authorities, issuing_files
-from keymint.robots.bundle_acceptance import Acceptance, Pending, Present
+from keymint.robots.certification_request import CertificationRequest
 from keymint.store.changes import File, FolderChange
 from keymint.view.tree import Tree
 
@@ -27,6 +29,33 @@ RECORDS = ".keymint"
 ENCLAVES = ("enclaves", "")
 """Folders below a keystore that may have the enclaves, one in each layout; see :class:`keymint.api.Layout`."""
 _REQUEST = "request.pem"
+
+
+@dataclass(frozen=True, slots=True)
+class Pending:
+    """A request that waits for its answer: the request, and its private key (PEM) unless the enclave has it."""
+
+    request: CertificationRequest
+    key: bytes = field(default=b"", repr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Present:
+    """What a keystore has, as far as it matters to one enclave.
+
+    Attributes:
+        folder: the enclave's folder as the user would type it.
+        files: the enclave's files by name; empty if the keystore does not have it.
+        pending: its request that waits for an answer.
+        known: fingerprints of the keys of authorities that some enclave of the keystore trusts, by name of their file.
+        issuing: names of those files whose authorities issue certificates of enclaves.
+    """
+
+    folder: str
+    files: Mapping[str, bytes] = field(repr=False)
+    pending: Pending | None
+    known: Mapping[str, frozenset[str]]
+    issuing: frozenset[str]
 
 
 class Keystore:
@@ -138,7 +167,14 @@ class Keystore:
         """Return the change that removes the request of an enclave."""
         return FolderChange(self._waiting(name), removed=(_REQUEST, KEY))
 
-    def take(self, enclaves: str, name: str, acceptance: Acceptance) -> FolderChange:
-        """Return the change that makes an enclave what its bundle says; arguments as for :meth:`folder`."""
-        files = {file: File(content, secret=file == KEY) for file, content in acceptance.files.items()}
-        return FolderChange(self.folder(enclaves, name), files, acceptance.removed, private=True)
+    def take(self, enclaves: str, name: str, changed: Mapping[str, bytes], removed: Sequence[str]) -> FolderChange:
+        """Return the change that makes an enclave what its bundle says.
+
+        Args:
+            enclaves: as for :meth:`folder`.
+            name: as for :meth:`folder`.
+            changed: files that change, by name.
+            removed: names of files that go.
+        """
+        files = {file: File(content, secret=file == KEY) for file, content in changed.items()}
+        return FolderChange(self.folder(enclaves, name), files, tuple(removed), private=True)

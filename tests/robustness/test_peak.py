@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from keymint.robots import bundle_container
+from keymint.robots import bundle
 from tests.effort import FULL
 from tests.keymint.robots.hostile_archives import ARCHIVES, KEPT
 
@@ -21,7 +21,7 @@ ENCLAVE = "ws/install/enclaves/a"
 
 
 def _bundles() -> bombs.Bombs:
-    large = {"large": lambda: b"\0" * (6 * bundle_container.MAX_BYTES)}
+    large = {"large": lambda: b"\0" * (6 * bundle.MAX_BYTES)}
     return {name: make for name, make in ARCHIVES.items() if name not in KEPT} | large
 
 

@@ -17,15 +17,14 @@ from keymint.command_line.options import FILE
 from keymint.command_line.robot_options import folder_option, keystore_of, opened_store
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError, usage_error
+from keymint.examine.bundles import Acceptance, Owner
+from keymint.examine.bundles import accept as accepted
 from keymint.output.report import Report, members
 from keymint.robots import bundle as bundles
-from keymint.robots.bundle import Bundle
-from keymint.robots.bundle_acceptance import Acceptance, Owner
-from keymint.robots.bundle_acceptance import accept as accepted
-from keymint.robots.bundle_container import MAX_BYTES
+from keymint.robots.bundle import MAX_BYTES, Bundle
 from keymint.robots.robot_keystore import Keystore
 from keymint.run.run import Run
-from keymint.store.changes import Action, FolderChange, Step
+from keymint.store.changes import Action, Step
 
 _FINGERPRINT = lazy_regex("[0-9a-f]{64}")
 
@@ -112,11 +111,11 @@ def _require_one_each(read: Sequence[tuple[Path, Bundle]]) -> None:
 
 
 def _taken(run: Run, there: Keystore, file: Path, bundle: Bundle, owner: Owner) -> _Taken:
-    """Decide about a bundle; errors as :func:`keymint.robots.bundle_acceptance.accept`."""
+    """Decide about a bundle; errors as :func:`keymint.examine.bundles.accept`."""
     manifest = bundle.manifest
     present = there.present(manifest.folder, manifest.name)
     found = accepted(bundle, present, owner, run.setting.now, Origin(str(file)))
-    change: FolderChange = there.take(manifest.folder, manifest.name, found)
+    change = there.take(manifest.folder, manifest.name, found.files, found.removed)
     changes = (change,) if change.written or change.removed else ()
     action = (Action.UPDATED if present.files else Action.CREATED) if changes else Action.UNCHANGED
     detail = f"issue {manifest.issue}, until {manifest.not_after:%Y-%m-%d}"

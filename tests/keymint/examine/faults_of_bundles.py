@@ -13,8 +13,8 @@ from cryptography.hazmat.primitives.serialization import Encoding
 
 from comarmor.errors import Origin
 from keymint.pki import cms
-from keymint.robots import bundle, bundle_container
-from keymint.robots.bundle_manifest import Manifest, dump
+from keymint.robots import bundle
+from keymint.robots.bundle import Manifest, dump
 from tests.signers import by_sros2
 
 from .fault import Fault
@@ -107,16 +107,14 @@ class Forged:
         files = dict(read.files)
         self.files(keystore, subject, files)
         if self.signer is None:
-            members = dict(bundle_container.unpack(genuine, Origin("genuine")))
+            members = dict(bundle.unpack(genuine, Origin("genuine")))
             members.update(files)
-            return bundle_container.pack(
-                {name: data for name, data in members.items() if name in files or "manifest" in name}
-            )
+            return bundle.pack({name: data for name, data in members.items() if name in files or "manifest" in name})
         issuer = self.signer(keystore, subject)
         digests = {name: hashlib.sha256(data).hexdigest() for name, data in sorted(files.items())}
         encoded = dump(replace(self.manifest(read.manifest), files=digests))
         signature = cms.sign(encoded, issuer.certificate, issuer.key)
-        return bundle_container.pack({**files, bundle.MANIFEST: encoded, bundle.SIGNATURE: signature})
+        return bundle.pack({**files, bundle.MANIFEST: encoded, bundle.SIGNATURE: signature})
 
 
 def _put(name: str, content: Callable[[Keystore, str], bytes]) -> Callable[[Keystore, str, Files], None]:

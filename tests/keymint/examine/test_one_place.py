@@ -15,7 +15,6 @@ JUDGES = (
     "keymint/pki/identity_check.py",
     "keymint/pki/certification_path.py",
     "keymint/stages/proof/trust_anchors.py",
-    "keymint/robots/bundle_acceptance.py",
     "keymint/adoption/keystore_files.py",
     "plugins/keymint_ros2_dds/examine/",
     "plugins/keymint_ros2_zenoh/examine/",

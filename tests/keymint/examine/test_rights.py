@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from keymint.robots import bundle_container
+from keymint.robots import bundle
 from tests import sros2_keystore
 from tests.conftest import NOW, Outcome
 
@@ -69,7 +69,7 @@ class TestWhatOthersMayPresent:
     @pytest.mark.parametrize("verb", VERBS)
     def test_a_signed_document_in_a_bundle(self, keymint, provisioned: Path, verb: str) -> None:
         store = keystore(provisioned)
-        put(provisioned / "robot.bundle", bundle_container.pack({"permissions.p7s": signed(store, wider(store))}))
+        put(provisioned / "robot.bundle", bundle.pack({"permissions.p7s": signed(store, wider(store))}))
         found = [each for each in findings(keymint, provisioned, verb) if each["code"] == "counterexample"]
         assert found
         assert all("robot.bundle" in each["message"] for each in found)

@@ -17,8 +17,8 @@ from comarmor.errors import Origin
 from keymint.api import CertificateSpec, KeySpec, Validity
 from keymint.pki import certificates, keys
 from keymint.robots import bundle, certification_request
-from keymint.robots.bundle_acceptance import Pending, Present
-from keymint.robots.bundle_manifest import Manifest
+from keymint.robots.bundle import Manifest
+from keymint.robots.robot_keystore import Pending, Present
 from tests.conftest import NOW
 
 AT = datetime.fromtimestamp(NOW, UTC)

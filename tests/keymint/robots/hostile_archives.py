@@ -9,7 +9,7 @@ import lzma
 import tarfile
 from collections.abc import Callable, Mapping
 
-from keymint.robots import bundle_container
+from keymint.robots import bundle
 
 _FIELDS = {
     "name": 0, "mode": 100, "uid": 108, "size": 124, "time": 136, "checksum": 148, "kind": 156, "link": 157,
@@ -135,8 +135,8 @@ ARCHIVES: Mapping[str, Callable[[], bytes]] = {
     "tiny members without end": lambda: ended(*(header(b"%06d" % each) + padded(b"x") for each in range(16_000))),
     "no end": lambda: ONE,
     "no member": ended,
-    "zeros": lambda: b"\0" * bundle_container.MAX_BYTES,
-    "ones": lambda: b"\xff" * bundle_container.MAX_BYTES,
+    "zeros": lambda: b"\0" * bundle.MAX_BYTES,
+    "ones": lambda: b"\xff" * bundle.MAX_BYTES,
     "gzip": lambda: gzip.compress(b"\0" * (64 << 20)),
     "gzip of gzip": lambda: gzip.compress(gzip.compress(b"\0" * (64 << 20))),
     "bzip2": lambda: bz2.compress(b"\0" * (64 << 20)),

@@ -14,20 +14,20 @@ import pytest
 from keymint.api import Extension
 from keymint.errors import KeymintError
 from keymint.pki import certificates, cms, keys
-from keymint.robots import bundle, bundle_container
-from keymint.robots.bundle_manifest import dump
+from keymint.robots import bundle
+from keymint.robots.bundle import dump
 from tests.effort import FULL
 
 from .conftest import FILE, Made, authority, revocations, robot_key, spec
 
 
 def members(made: Made | None = None) -> dict[str, bytes]:
-    return dict(bundle_container.unpack((made or Made()).packed, FILE))
+    return dict(bundle.unpack((made or Made()).packed, FILE))
 
 
 def code(changed: Mapping[str, bytes]) -> str:
     with pytest.raises(KeymintError) as refused:
-        bundle.read(bundle_container.pack(changed), FILE)
+        bundle.read(bundle.pack(changed), FILE)
     [diagnostic] = refused.value.diagnostics
     assert diagnostic.where == FILE
     assert diagnostic.help
@@ -150,7 +150,7 @@ def test_an_authority_that_may_not_sign_documents_writes_none() -> None:
 
 def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(KeymintError) as refused:
-        Made(more={"big.xml": b"x" * bundle_container.MAX_BYTES}).packed  # noqa: B018
+        Made(more={"big.xml": b"x" * bundle.MAX_BYTES}).packed  # noqa: B018
     assert refused.value.diagnostics[0].code == "bundle-size"
 
 

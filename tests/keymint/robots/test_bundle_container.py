@@ -15,17 +15,17 @@ from hypothesis import strategies as st
 
 from comarmor.errors import Origin
 from keymint.errors import KeymintError
-from keymint.robots import bundle_container
+from keymint.robots import bundle
 
 from .hostile_archives import ARCHIVES, KEPT
 
 WHERE = Origin("a.tar")
-NAMES = st.from_regex(bundle_container.NAME.pattern, fullmatch=True)
+NAMES = st.from_regex(bundle.NAME.pattern, fullmatch=True)
 
 
 def refused(content: bytes) -> str:
     with pytest.raises(KeymintError) as error:
-        bundle_container.unpack(content, WHERE)
+        bundle.unpack(content, WHERE)
     [diagnostic] = error.value.diagnostics
     assert (diagnostic.code, diagnostic.where) == ("bundle-form", WHERE)
     return diagnostic.message
@@ -49,7 +49,7 @@ def member(name: str, data: bytes = b"x", **values: object) -> tuple[tarfile.Tar
 
 @given(st.dictionaries(NAMES, st.binary(max_size=2000), max_size=6))
 def test_what_is_packed_is_unpacked(members: dict[str, bytes]) -> None:
-    assert bundle_container.unpack(bundle_container.pack(members), WHERE) == members
+    assert bundle.unpack(bundle.pack(members), WHERE) == members
 
 
 @given(st.binary(max_size=4000))
@@ -60,10 +60,10 @@ def test_garbage_is_refused(content: bytes) -> None:
 @given(st.integers(0, 10_239), st.integers(1, 255))
 def test_an_altered_byte_is_refused_or_in_a_file(at: int, change: int) -> None:
     members = {"a.pem": b"some text", "b": b"x" * 700}
-    content = bytearray(bundle_container.pack(members))
+    content = bytearray(bundle.pack(members))
     content[at] ^= change
     try:
-        changed = bundle_container.unpack(bytes(content), WHERE)
+        changed = bundle.unpack(bytes(content), WHERE)
     except KeymintError:
         return
     assert changed != members
@@ -71,11 +71,11 @@ def test_an_altered_byte_is_refused_or_in_a_file(at: int, change: int) -> None:
 
 @pytest.mark.parametrize("size", [0, 1, 511, 512, 513, 1024, 5000, 10_239])
 def test_a_truncated_archive_is_refused(size: int) -> None:
-    refused(bundle_container.pack({"a.pem": b"some text", "b": b"x" * 700})[:size])
+    refused(bundle.pack({"a.pem": b"some text", "b": b"x" * 700})[:size])
 
 
 def test_our_own_form_is_accepted() -> None:
-    assert bundle_container.unpack(archive(member("a"), member("b")), WHERE) == {"a": b"x", "b": b"x"}
+    assert bundle.unpack(archive(member("a"), member("b")), WHERE) == {"a": b"x", "b": b"x"}
 
 
 HOSTILE = {
@@ -100,9 +100,9 @@ HOSTILE = {
     "a user's name": archive(member("a", uname="root")),
     "compressed": archive(member("a"), mode="w:gz"),
     "many": archive(*(member(f"a{number}") for number in range(65))),
-    "something behind": bundle_container.pack({"a": b"x"}) + b"\0" * 10_240,
-    "two archives": bundle_container.pack({"a": b"x"}) * 2,
-    "large": b"\0" * (bundle_container.MAX_BYTES + 1),
+    "something behind": bundle.pack({"a": b"x"}) + b"\0" * 10_240,
+    "two archives": bundle.pack({"a": b"x"}) * 2,
+    "large": b"\0" * (bundle.MAX_BYTES + 1),
 }
 
 
@@ -117,10 +117,10 @@ def test_no_header_makes_the_reader_take_more_than_the_file(name: str) -> None:
     tracemalloc.start()
     try:
         if name in KEPT:
-            assert bundle_container.unpack(content, WHERE) == KEPT[name]
+            assert bundle.unpack(content, WHERE) == KEPT[name]
         else:
             refused(content)
-        assert tracemalloc.get_traced_memory()[1] <= 3 * bundle_container.MAX_BYTES
+        assert tracemalloc.get_traced_memory()[1] <= 3 * bundle.MAX_BYTES
     finally:
         tracemalloc.stop()
 
@@ -133,13 +133,13 @@ def test_too_much_cannot_be_packed() -> None:
     for members in (
         {"../a": b""},
         {f"a{number}": b"" for number in range(65)},
-        {"a": b"x" * bundle_container.MAX_BYTES},
+        {"a": b"x" * bundle.MAX_BYTES},
     ):
         with pytest.raises(ValueError, match="of a bundle"):
-            bundle_container.pack(members)
+            bundle.pack(members)
 
 
 def test_tar_lists_it(tmp_path: Path) -> None:
-    (tmp_path / "a.tar").write_bytes(bundle_container.pack({"cert.pem": b"x", "key.pem": b"y"}))
+    (tmp_path / "a.tar").write_bytes(bundle.pack({"cert.pem": b"x", "key.pem": b"y"}))
     shown = subprocess.run(["tar", "-tvf", "a.tar"], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert [line.split()[0] for line in shown.stdout.splitlines()] == ["-rw-------"] * 2

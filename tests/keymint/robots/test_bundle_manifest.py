@@ -13,7 +13,7 @@ import pytest
 from comarmor.errors import Origin
 from keymint.errors import KeymintError
 from keymint.names import ROOT
-from keymint.robots.bundle_manifest import Manifest, dump, load
+from keymint.robots.bundle import Manifest, dump, load
 from tests.conftest import CHECKOUT
 
 WHERE = Origin("talker.bundle")

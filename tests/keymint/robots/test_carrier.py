@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
 
 from keymint.errors import KeymintError
+from keymint.examine.bundles import RECORD, Owner, accept
 from keymint.pki import keys
-from keymint.robots import bundle, bundle_container
-from keymint.robots.bundle_acceptance import RECORD, Owner, accept
-from keymint.robots.bundle_manifest import load
+from keymint.robots import bundle
+from keymint.robots.bundle import load
 from tests.effort import FULL
 
 from .conftest import AT, FILE, NONCE, Made, asked, authority, keystore, robot_key
@@ -36,7 +36,7 @@ OTHERS = [
 ]
 """What the robot must not take: for other robots, by other authorities or with one, for another request."""
 PACKED = [made.packed for made in (*OWN, *OTHERS)]
-MEMBERS = [dict(bundle_container.unpack(packed, FILE)) for packed in PACKED]
+MEMBERS = [dict(bundle.unpack(packed, FILE)) for packed in PACKED]
 NAMES = sorted({name for members in MEMBERS for name in members})
 NUMBERS = st.integers(0, len(PACKED) - 1)
 
@@ -77,7 +77,7 @@ class Carrier(RuleBasedStateMachine):
         """Deliver a bundle with files of another one."""
         taken = {name: data for name, data in MEMBERS[other].items() if name in names}
         mixed = {name: data for name, data in MEMBERS[number].items() if name not in names} | taken
-        took = self._deliver(bundle_container.pack(mixed))
+        took = self._deliver(bundle.pack(mixed))
         assert not took or mixed in MEMBERS[: len(OWN)]
 
     @rule(number=NUMBERS, at=st.integers(0, 10_000), bit=st.integers(0, 7))

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from keymint.errors import KeymintError
+from keymint.examine.bundles import Owner, accept
 from keymint.pki import keys
 from keymint.robots import certification_request
-from keymint.robots.bundle_acceptance import Owner, accept
 from keymint.robots.robot_keystore import Keystore
 from keymint.store.changes import FolderChange
 from keymint.store.store import Store
@@ -95,7 +95,7 @@ def test_what_is_accepted_is_present(root: Path, enclaves: str) -> None:
     waiting(root)
     store = read(root)
     acceptance = accept(FIRST.bundle, store.present(enclaves, "robot/talker"), GIVEN, AT, FILE)
-    write(root, store.take(enclaves, "robot/talker", acceptance))
+    write(root, store.take(enclaves, "robot/talker", acceptance.files, acceptance.removed))
     folder = root / enclaves / "robot/talker"
     assert {path.name for path in folder.iterdir()} == set(FIRST.installed())
     assert {path.name for path in folder.iterdir() if path.stat().st_mode & 0o077 == 0} == {"key.pem"}

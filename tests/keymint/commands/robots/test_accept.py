@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from comarmor.errors import Origin
-from keymint.robots import bundle_container
+from keymint.robots.bundle import pack, unpack
 from tests.conftest import CHECKOUT, NOW, snapshot
 
 DAY = 86_400
@@ -35,7 +35,7 @@ def code(outcome) -> str:
 
 def authority(bundle: Path) -> str:
     """Return the fingerprint of the authority of a bundle."""
-    return json.loads(bundle_container.unpack(bundle.read_bytes(), Origin("b"))["manifest.json"])["authority"]
+    return json.loads(unpack(bundle.read_bytes(), Origin("b"))["manifest.json"])["authority"]
 
 
 def requested(keymint, name: str, keystore: str, *more: str) -> None:
@@ -219,7 +219,7 @@ def test_a_clock_that_is_wrong_says_so(keymint, robot: Path) -> None:
 
 @pytest.mark.parametrize(
     ("content", "expected"),
-    [(b"", "bundle-form"), (b"x", "bundle-form"), (bundle_container.pack({}), "bundle-manifest")],
+    [(b"", "bundle-form"), (b"x", "bundle-form"), (pack({}), "bundle-manifest")],
     ids=["empty", "garbage", "an empty archive"],
 )
 def test_files_that_are_no_bundles(keymint, tmp_path: Path, content: bytes, expected: str) -> None:

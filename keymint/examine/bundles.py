@@ -16,43 +16,13 @@ from comarmor.values import dataclass
 from keymint.errors import KeymintError
 from keymint.pki import certificates, certification_path, keys
 from keymint.pki import revocation_lists as crl
-from keymint.robots.bundle import CERTIFICATE, KEY, Bundle, number_of, revocation_lists
-from keymint.robots.bundle_manifest import Manifest, load
-from keymint.robots.certification_request import CertificationRequest
+from keymint.robots.bundle import CERTIFICATE, KEY, Bundle, Manifest, load, number_of, revocation_lists
+from keymint.robots.robot_keystore import Present
 
 RECORD = "bundle.json"
 """The file of an enclave that has the manifest of the bundle it came from."""
-
-
 _AUTHORITY = ".cert"
 """What the names of files with certificates have in common, beside that of the enclave's own."""
-
-
-@dataclass(frozen=True, slots=True)
-class Pending:
-    """A request that waits for its answer: the request, and its private key (PEM) unless the enclave has it."""
-
-    request: CertificationRequest
-    key: bytes = field(default=b"", repr=False)
-
-
-@dataclass(frozen=True, slots=True)
-class Present:
-    """What a keystore has, as far as it matters to one enclave.
-
-    Attributes:
-        folder: the enclave's folder as the user would type it.
-        files: the enclave's files by name; empty if the keystore does not have it.
-        pending: its request that waits for an answer.
-        known: fingerprints of the keys of authorities that some enclave of the keystore trusts, by name of their file.
-        issuing: names of those files whose authorities issue certificates of enclaves.
-    """
-
-    folder: str
-    files: Mapping[str, bytes] = field(repr=False)
-    pending: Pending | None
-    known: Mapping[str, frozenset[str]]
-    issuing: frozenset[str]
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,10 +8,9 @@ from datetime import datetime, timedelta
 import pytest
 
 from keymint.errors import KeymintError
+from keymint.examine.bundles import Owner, accept
 from keymint.pki import certificates, keys
-from keymint.robots.bundle_acceptance import Owner, accept
-
-from .conftest import AT, DAY, FILE, NONCE, Made, authority, keystore, revocations, robot_key, spec
+from tests.keymint.robots.conftest import AT, DAY, FILE, NONCE, Made, authority, keystore, revocations, robot_key, spec
 
 FIRST = Made(nonce=NONCE)
 THERE = keystore(FIRST.installed())

@@ -9,10 +9,10 @@ from datetime import datetime
 import pytest
 
 from keymint.errors import KeymintError
+from keymint.examine.bundles import RECORD, Acceptance, Owner, accept
 from keymint.pki import certificates, keys
-from keymint.robots.bundle_acceptance import RECORD, Acceptance, Owner, Pending, Present, accept
-
-from .conftest import AT, DAY, FILE, NONCE, Made, asked, authority, keystore, revocations, robot_key
+from keymint.robots.robot_keystore import Pending, Present
+from tests.keymint.robots.conftest import AT, DAY, FILE, NONCE, Made, asked, authority, keystore, revocations, robot_key
 
 GIVEN = Owner(frozenset({keys.fingerprint(authority().key)}))
 NEW = Owner(GIVEN.authorities, new=True)
@@ -129,7 +129,7 @@ def test_a_keystore_that_was_copied_there_first() -> None:
 
 def test_a_reissued_authority_with_the_same_key_is_the_same() -> None:
     ca = authority()
-    from .conftest import spec
+    from tests.keymint.robots.conftest import spec
 
     reissued = certificates.issue_authority(spec("CN=ca", AT - 2 * DAY), ca.key, None).certificate
     made = NEXT.but(identity=certificates.Issuer(reissued, ca.key))
