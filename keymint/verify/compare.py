@@ -23,9 +23,8 @@ from comarmor.values import dataclass
 from keymint.api import Enclave, EndpointTransport, Tier, Transport, Verdict
 from keymint.api.graph import ConfusionMatrix, Edge
 from keymint.errors import KeymintError
-from keymint.verify.endpoint_policy import EndpointPolicy
+from keymint.verify.endpoint_policy import EdgeRow, EndpointPolicy, MappedColumn, Naming, labelled_rows, mapped_column
 from keymint.verify.mismatch import EdgeComparison, Mismatch, Tally
-from keymint.verify.rows import EdgeRow, MappedColumn, Naming, labelled_rows, mapped_column
 
 ENCLAVE_REFUSED = "enclave-refused"
 """Code of the error of a transport that refuses a complete enclave."""

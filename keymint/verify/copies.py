@@ -2,22 +2,20 @@
 """Copies of installed files for transports, which read them and may take long.
 
 A concurrent install neither waits for them nor changes the files that they read. The copies have the same places in
-their install space as the originals. Messages name the original directories, not the copies.
+their install space as the originals. Results and errors name the original directories, not the copies.
 """
 
 from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
 
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
-from keymint.api import Availability, Enclave, EndpointTransport, Tier, Transport, Verdict
-from keymint.api.graph import Column, Edge
+from keymint.api import Enclave, Transport, Verdict
 from keymint.errors import KeymintError
 from keymint.verify.usable_transports import names_rules
 from keymint.view.tree import Tree
@@ -46,13 +44,6 @@ class Copies:
     install: Path
     left_out: frozenset[Path] = frozenset()
 
-    def read_by(self, transports: Mapping[str, Transport]) -> dict[str, Transport]:
-        """Return transports that read the copies instead of the originals."""
-        return {
-            name: (_EndpointsOnCopies if isinstance(each, EndpointTransport) else _OnCopies)(each, self)
-            for name, each in transports.items()
-        }
-
     def about(self, subjects: Collection[str]) -> Copies:
         """Return the copies of some subjects; the files that are no enclave's, and of infrastructure, are kept."""
         others = frozenset(each.folder for subject, each in self.enclaves.items() if subject not in subjects)
@@ -71,6 +62,11 @@ class Copies:
     def back(self, text: str) -> str:
         """Replace the directory of the copies by the directory of the originals."""
         return text.replace(str(self.root), str(self.install))
+
+    def original(self, verdict: Verdict) -> Verdict:
+        """Return a verdict that names the originals."""
+        where = verdict.where and verdict.where.with_files(self.back)
+        return replace(verdict, reason=self.back(verdict.reason), where=where)
 
     @contextlib.contextmanager
     def named(self) -> Iterator[None]:
@@ -128,7 +124,9 @@ def local_copies(copies: Copies, files: Mapping[str, bytes] | None) -> Iterator[
             file = root / path
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_bytes(content)
-        yield Copies(_moved(copies.enclaves, copies.root, root), root, copies.install)
+        here = Copies(_moved(copies.enclaves, copies.root, root), root, copies.install)
+        with here.named():
+            yield here
 
 
 def _moved(enclaves: Mapping[str, Enclave], install: Path, root: Path) -> dict[str, Enclave]:
@@ -172,33 +170,3 @@ def _content(tree: Tree, path: Path) -> bytes | None:
         return path.read_bytes()
     except OSError:
         return None
-
-
-class _OnCopies:
-    """Implements :class:`keymint.api.Transport`: a transport that reads copies."""
-
-    def __init__(self, transport: Transport, copies: Copies) -> None:
-        self._transport = transport
-        self._copies = copies
-
-    def usable(self) -> Availability:
-        """See :meth:`keymint.api.Transport.usable`."""
-        return self._transport.usable()
-
-    def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
-        """See :meth:`keymint.api.Transport.label`."""
-        own = [self._copies.enclaves[each.subject] for each in enclaves]
-        with self._copies.named():
-            for edge, verdict in self._transport.label(own, edges, tier):
-                where = verdict.where and verdict.where.with_files(self._copies.back)
-                yield edge, replace(verdict, reason=self._copies.back(verdict.reason), where=where)
-
-
-class _EndpointsOnCopies(_OnCopies):
-    """Implements :class:`keymint.api.EndpointTransport`: such a transport that reads copies."""
-
-    def admitted(self, enclave: Enclave, endpoints: Column, tier: Tier) -> bytes:
-        """See :meth:`keymint.api.EndpointTransport.admitted`."""
-        transport = cast("EndpointTransport", self._transport)
-        with self._copies.named():
-            return transport.admitted(self._copies.enclaves[enclave.subject], endpoints, tier)

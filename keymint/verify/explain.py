@@ -13,6 +13,7 @@ from keymint.api import Enclave, Tier, Transport, Verdict
 from keymint.api.graph import Edge
 from keymint.errors import KeymintError
 from keymint.verify.compare import label_enclave
+from keymint.verify.copies import Copies
 from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.mismatch import Mismatch
 from keymint.verify.usable_transports import names_rules
@@ -28,6 +29,7 @@ class Explainer:
         transports: the transports to explain, by name.
         find_models: returns, on first use, simulated transports by name, whose verdicts have the place of a rule;
             ``name-1.2`` simulates ``name`` from that version on. The first one explains what has no simulation.
+        copies: the copies that the transports read; mismatches name the originals.
     """
 
     def __init__(
@@ -35,8 +37,10 @@ class Explainer:
         policy: EndpointPolicy,
         transports: Mapping[str, Transport],
         find_models: Callable[[], Mapping[str, Transport]],
+        copies: Copies,
     ) -> None:
         self._policy = policy
+        self._copies = copies
         usable = {name: each.usable() for name, each in transports.items()}
         self._explains_itself = frozenset(name for name, each in usable.items() if names_rules(each))
         self._versions = {name: each.version for name, each in usable.items()}
@@ -44,18 +48,13 @@ class Explainer:
 
     def __call__(self, transport: str, enclave: Enclave, wrong: list[tuple[Edge, Verdict]]) -> list[Mismatch]:
         """Return the mismatches of one enclave with their reasons."""
-        modelled = self._modelled(transport, enclave, wrong)
-        return [
-            Mismatch(
-                edge,
-                self._policy.decide(edge),
-                replace(verdict, where=modelled_verdict.where, deviation=modelled_verdict.deviation),
-                modelled_verdict.reason,
-                modelled_verdict.where or Origin(str(enclave.folder)),
-                model,
-            )
-            for (edge, verdict), (modelled_verdict, model) in zip(wrong, modelled, strict=True)
-        ]
+        found: list[Mismatch] = []
+        for (edge, verdict), (decided, model) in zip(wrong, self._modelled(transport, enclave, wrong), strict=True):
+            modelled = self._copies.original(decided)
+            own = replace(self._copies.original(verdict), where=modelled.where, deviation=modelled.deviation)
+            document = modelled.where or Origin(self._copies.back(str(enclave.folder)))
+            found.append(Mismatch(edge, self._policy.decide(edge), own, modelled.reason, document, model))
+        return found
 
     def model_of(self, transport: str) -> str:
         """Return the name of the simulation that explains a transport, or an empty text.

@@ -18,7 +18,7 @@ from comarmor.patterns.tokens import Charset, PatternError, Star
 from comarmor.rules import PARTS
 from keymint.api.graph import LABELLED, Edge, Object
 from keymint.ir import Rule, SubjectRules
-from keymint.verify.rows import RAW
+from keymint.verify.endpoint_policy import RAW
 
 MOST_OF_A_PATTERN = 48
 """Limit of probing names per pattern."""

@@ -27,7 +27,7 @@ from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import subject_of
 from keymint.verify import probes
-from keymint.verify.rows import EdgeRow, EdgeRows, Naming
+from keymint.verify.endpoint_policy import EdgeRow, EdgeRows, Naming
 from keymint.workspace.installed_enclaves import enclave_names
 from keymint.workspace.session import Inputs, Session
 

@@ -11,16 +11,15 @@ from dataclasses import astuple, field, replace
 from itertools import chain
 
 from comarmor.values import dataclass
-from keymint.api import DivisiblePolicy, EndpointTransport, LoadedPolicy, PolicyDecision, Tier, Transport
+from keymint.api import DivisiblePolicy, Enclave, EndpointTransport, LoadedPolicy, PolicyDecision, Tier, Transport
 from keymint.api.graph import ConfusionMatrix, Edge, Graph, Object
 from keymint.api.plugin_loader import Plugins
 from keymint.executors import Pool
 from keymint.verify.compare import Asked, Asking, compare, compare_endpoints, with_halves
 from keymint.verify.copies import Copies, local_copies
-from keymint.verify.endpoint_policy import EndpointPolicy, label
+from keymint.verify.endpoint_policy import EdgeRows, EndpointPolicy, label
 from keymint.verify.explain import Explainer
 from keymint.verify.mismatch import EdgeComparison
-from keymint.verify.rows import EdgeRows
 from keymint.verify.scope import VerificationScope, common_objects, edges_of_graph, edges_of_policy, selected_rows
 from keymint.verify.usable_transports import models, names_rules
 
@@ -82,9 +81,12 @@ class VerificationPart:
         if self.graph is not None:
             subjects, rows = edges_of_graph(self.graph, self.scope)
             return subjects, selected_rows(rows, self.scope)
-        own = {subject: self.copies.enclaves[subject] for subject in self.scope.enclaves}
-        rows = edges_of_policy(self.policy, replace(self.scope, enclaves=own), self.common)
-        return tuple(own), selected_rows(rows, self.scope)
+        rows = edges_of_policy(self.policy, replace(self.scope, enclaves=self.enclaves()), self.common)
+        return tuple(self.scope.enclaves), selected_rows(rows, self.scope)
+
+    def enclaves(self) -> Mapping[str, Enclave]:
+        """Return the copies of the enclaves of these subjects."""
+        return {subject: self.copies.enclaves[subject] for subject in self.scope.enclaves}
 
     def verified(self, plugins: Plugins, transports: Mapping[str, Transport]) -> Verification:
         """Compare transports with the policy.
@@ -92,22 +94,21 @@ class VerificationPart:
         Raises:
             KeymintError: a transport does not work.
         """
-        scope, asking, copies = self.scope, self.asking, self.copies
+        scope, asking = self.scope, self.asking
         subjects, rows = self.rows()
-        readers = copies.read_by(transports)
         policy = EndpointPolicy(self.policy, scope.namings)
-        explain = Explainer(policy, readers, lambda: copies.read_by(models(plugins, scope.build_type)))
+        explain = Explainer(policy, transports, lambda: models(plugins, scope.build_type), self.copies)
         labels = label(policy, rows(), lambda subject: asking.on_subject("policy", subject))
         alone = asking.tier is not Tier.EXCHANGE and scope.namings.keys() >= set(subjects)
 
         def compared(name: str, transport: Transport) -> EdgeComparison:
-            asked = Asked(name, transport, scope.enclaves, explain, asking)
+            asked = Asked(name, transport, self.enclaves(), explain, asking)
             if alone and isinstance(transport, EndpointTransport):
                 return compare_endpoints(asked, transport, rows(), labels, policy)
             outcome = compare(asked, chain.from_iterable(rows()), labels)
             return with_halves(asked, outcome, rows(), labels, policy) if scope.select is None else outcome
 
-        comparisons = tuple(compared(name, transport) for name, transport in readers.items())
+        comparisons = tuple(compared(name, transport) for name, transport in transports.items())
         return Verification(scope.build_type, subjects, rows, labels, policy.decide, comparisons)
 
     def about(self, subjects: Sequence[str], *, elsewhere: bool) -> VerificationPart:

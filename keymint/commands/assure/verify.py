@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple
 from pathlib import Path
@@ -135,6 +136,7 @@ def verify(
         edges = sum(len(each.labels) for each in verified)
         _show(run, outcomes, len(subjects), edges)
         if tally is not None:
+            tally.texts = Counter({copies.back(text): count for text, count in tally.texts.items()})
             rows = [[each, *map(str, row)] for each, row in sorted(tally.rows.items())]
             run.console.table(["OPERATION", "ASKED", "AGREED", "DENIED"], rows)
             run.console.table(["TIMES", "ROS SAID"], [[str(each), text] for text, each in tally.texts.most_common()])

@@ -28,9 +28,8 @@ from keymint.output.mismatches import (
 )
 from keymint.output.report import Report, findings_if, members
 from keymint.run.run import Run
-from keymint.verify.matching import MatchedRule
 from keymint.verify.usable_transports import choose, models
-from keymint.verify.why import Explanation, Need, explain, request, source_package
+from keymint.verify.why import Explanation, MatchedRule, Need, explain, request, source_package
 from keymint.workspace.policy_loading import load_policy
 
 _PERMISSIONS = [permission for permissions in LABELLED.values() for permission in permissions]

@@ -10,8 +10,8 @@ from keymint.api import PolicyDecision, Tier, Verdict
 from keymint.api.graph import Column, ConfusionMatrix, Edge, Object
 from keymint.command_line.verify_report import labelled_edges
 from keymint.drawing.labelled_graph import Label
+from keymint.verify.endpoint_policy import EdgeRow
 from keymint.verify.mismatch import EdgeComparison, Mismatch
-from keymint.verify.rows import EdgeRow
 from keymint.verify.verification import Verification
 
 EDGES = [Edge("/a", "ros_publish", Object("ros_topic", f"/t{at}")) for at in range(4)]

@@ -19,9 +19,8 @@ from keymint.api import Availability, Enclave, PolicyDecision, PolicySource, Tie
 from keymint.api.graph import Column, Edge, Object
 from keymint.errors import KeymintError
 from keymint.verify.compare import ENCLAVE_REFUSED, Asked, Asking, compare, compare_endpoints, with_halves
-from keymint.verify.endpoint_policy import EndpointPolicy, label
+from keymint.verify.endpoint_policy import EdgeRow, EndpointPolicy, Naming, label
 from keymint.verify.mismatch import EdgeComparison, Mismatch
-from keymint.verify.rows import EdgeRow, Naming
 
 SUBJECTS = ("/a", "/b", "/c")
 ENCLAVES = {name: Enclave(name, Path("/nowhere") / name[1:], "humble", Path("/nowhere")) for name in SUBJECTS}

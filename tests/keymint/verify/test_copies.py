@@ -14,7 +14,7 @@ from comarmor.errors import Origin
 from keymint.api import Availability, Enclave, Tier, Verdict
 from keymint.api.graph import Edge, Object
 from keymint.errors import ExitCode, KeymintError
-from keymint.verify.copies import enclave_copies
+from keymint.verify.copies import enclave_copies, local_copies
 from keymint.view.tree import Tree
 
 EDGE = Edge("/a/b", "ros_publish", Object("ros_topic", "/x"))
@@ -83,11 +83,10 @@ def test_keys_are_copied_if_one_transport_needs_more_than_documents(
 
 
 def test_a_reason_names_the_original(tmp_path: Path, enclaves: dict[str, Enclave]) -> None:
-    transports = {"t": Transport()}
-    with enclave_copies(Tree(), tmp_path / "install", enclaves, transports.values()) as copies:
-        (labelled,) = copies.read_by(transports)["t"].label(list(enclaves.values()), [EDGE], Tier.DECISION)
+    with enclave_copies(Tree(), tmp_path / "install", enclaves, [Transport()]) as copies:
+        ((_, verdict),) = Transport().label(list(copies.enclaves.values()), [EDGE], Tier.DECISION)
     reason = f"{enclaves['/a/b'].folder}/permissions.p7s: False"
-    assert labelled == (EDGE, Verdict(True, reason, Origin(str(tmp_path / "install/shared.xml"), 2)))
+    assert copies.original(verdict) == Verdict(True, reason, Origin(str(tmp_path / "install/shared.xml"), 2))
 
 
 def test_shared_files_and_the_infrastructure_are_copied_and_other_enclaves_are_not(
@@ -112,16 +111,15 @@ def test_shared_files_and_the_infrastructure_are_copied_and_other_enclaves_are_n
         assert not list(copies.root.rglob("key.pem"))
 
 
-@pytest.mark.parametrize("inside", [True, False])
-def test_an_error_names_the_originals(tmp_path: Path, enclaves: dict[str, Enclave], inside: bool) -> None:
-    transports = {"t": Transport(fails=True)}
+@pytest.mark.parametrize("elsewhere", [True, False])
+def test_an_error_names_the_originals(tmp_path: Path, enclaves: dict[str, Enclave], elsewhere: bool) -> None:
+    transport = Transport(fails=True)
     folder = enclaves["/a/b"].folder
-    with pytest.raises(KeymintError) as caught:  # noqa: SIM117, PT012 - the error leaves the copies, or not
-        with enclave_copies(Tree(), tmp_path / "install", enclaves, transports.values()) as copies:
-            if inside:
-                list(copies.read_by(transports)["t"].label(list(enclaves.values()), [EDGE], Tier.DECISION))
-            else:
-                list(transports["t"].label(list(copies.enclaves.values()), [EDGE], Tier.DECISION))
+    with pytest.raises(KeymintError) as caught:  # noqa: SIM117, PT012 - the error leaves the copies
+        with enclave_copies(Tree(), tmp_path / "install", enclaves, [transport]) as copies:
+            with local_copies(copies, copies.public_files() if elsewhere else None) as here:
+                assert (here.root != copies.root) is elsewhere
+                list(transport.label(list(here.enclaves.values()), [EDGE], Tier.DECISION))
     (diagnostic,) = caught.value.diagnostics
     assert str(diagnostic) == f"{folder}/cert.pem:3: no {folder} ({folder})"
     assert (diagnostic.code, caught.value.exit_code) == ("x", ExitCode.FINDINGS)

@@ -12,8 +12,7 @@ from keymint_ros2_dds import build_type
 from comarmor.errors import Origin
 from keymint.api import LoadedPolicy, PolicySource
 from keymint.api.graph import LABELLED, Column, Edge, Object
-from keymint.verify.endpoint_policy import EndpointPolicy, label
-from keymint.verify.rows import EdgeRow, Naming
+from keymint.verify.endpoint_policy import EdgeRow, EndpointPolicy, Naming, label
 
 RULES = """
 <ros_topic qualifier="ALLOW"><attachment>/a</attachment><attachment>/b*</attachment>

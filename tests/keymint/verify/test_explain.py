@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import cast
 
 import pytest
 
 from keymint.api import Availability, Tier, Transport
+from keymint.verify.copies import Copies
 from keymint.verify.endpoint_policy import EndpointPolicy
 from keymint.verify.explain import Explainer
 
@@ -41,7 +43,8 @@ class Software:
 )
 def test_by_version(transport: str, version: str, model: str) -> None:
     transports = {transport: cast("Transport", Software(version))}
+    copies = Copies({}, Path("/copies"), Path("/install"))
     explainer = Explainer(
-        cast("EndpointPolicy", None), transports, lambda: dict.fromkeys(MODELS, transports[transport])
+        cast("EndpointPolicy", None), transports, lambda: dict.fromkeys(MODELS, transports[transport]), copies
     )
     assert explainer.model_of(transport) == model

@@ -15,9 +15,8 @@ from comarmor.errors import Origin
 from keymint.api import Availability, Enclave, PolicySource, Tier, Verdict
 from keymint.api.graph import Column, ConfusionMatrix, Edge, EdgeOutcome, Object
 from keymint.verify.compare import Asked, Asking, with_halves
-from keymint.verify.endpoint_policy import EndpointPolicy
+from keymint.verify.endpoint_policy import EdgeRow, EndpointPolicy, Naming
 from keymint.verify.mismatch import EdgeComparison, Mismatch
-from keymint.verify.rows import EdgeRow, Naming
 
 HERE = Origin("permissions.p7s", 1)
 RULES = """<ros_service qualifier="ALLOW"><attachment>/allowed</attachment>

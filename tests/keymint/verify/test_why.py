@@ -9,7 +9,7 @@ from comarmor.errors import Origin
 from comarmor.rules import Effect
 from keymint.api.graph import Edge, Object
 from keymint.ir import Rule
-from keymint.verify.matching import matching_rules, nearest
+from keymint.verify.why import matching_rules, nearest
 
 
 def rule(kind: str, permissions: str, expression: str, *, deny: bool = False, partitions: tuple[str, ...] = ()) -> Rule:
