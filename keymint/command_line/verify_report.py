@@ -10,9 +10,8 @@ from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
 from keymint.api.graph import MISMATCHES, Edge
 from keymint.command_line.named_files import exists, read_input, write_outputs
-from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph, select_edges
-from keymint.drawing.picture_options import DrawingOptions
-from keymint.drawing.policy_graph import policy_label
+from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph, policy_label, select_edges
+from keymint.drawing.simplify import DrawingOptions
 from keymint.run.run import Run
 from keymint.verify.mismatch import Mismatch
 from keymint.verify.verification import Verification

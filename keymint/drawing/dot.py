@@ -8,12 +8,9 @@ from dataclasses import replace
 
 from comarmor.text import printable
 from keymint.api.graph import EdgeOutcome, Object
-from keymint.drawing.display_text import directions, object_name, sentence
+from keymint.drawing.appearance import LIGHT, directions, edge_classes, object_name, sentence
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph
-from keymint.drawing.legend import edge_classes
-from keymint.drawing.palette import LIGHT
-from keymint.drawing.picture_options import DrawingOptions
-from keymint.drawing.simplify import SimplifiedGraph, simplify
+from keymint.drawing.simplify import DrawingOptions, SimplifiedGraph, simplify
 
 
 def dot(labelled: LabelledGraph, options: DrawingOptions | None = None) -> bytes:

@@ -20,12 +20,10 @@ from markupsafe import Markup
 from comarmor.errors import Origin, cited
 from comarmor.text import counted, printable
 from keymint.api.graph import DomainObject, EdgeOutcome
-from keymint.drawing.display_text import KINDS, OUTCOMES, object_name
+from keymint.drawing.appearance import KINDS, OUTCOMES, Theme, object_name, style_sheet
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph, select_edges
 from keymint.drawing.layout import NodeKey
-from keymint.drawing.palette import Theme, style_sheet
-from keymint.drawing.picture_options import DrawingOptions
-from keymint.drawing.simplify import EXPLICIT, priority, simplify
+from keymint.drawing.simplify import EXPLICIT, DrawingOptions, priority, simplify
 from keymint.drawing.svg import draw, environment
 
 MOST_ROWS = 10_000

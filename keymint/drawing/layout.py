@@ -17,7 +17,7 @@ from itertools import accumulate
 from comarmor.text import printable
 from comarmor.values import dataclass
 from keymint.api.graph import DomainObject, Object
-from keymint.drawing.display_text import KINDS, columns, directions, object_name, shorten
+from keymint.drawing.appearance import KINDS, columns, directions, object_name, shorten
 from keymint.drawing.labelled_graph import LabelledEdge
 
 CHARACTER = 7.3

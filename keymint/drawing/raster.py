@@ -6,7 +6,7 @@ from __future__ import annotations
 from lxml import etree
 
 from keymint.api.plugin_loader import how_to_add
-from keymint.drawing.palette import FONTS
+from keymint.drawing.appearance import FONTS
 from keymint.errors import KeymintError
 
 MOST_PIXELS = 100_000_000

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reduce a graph to what a picture has room for.
+"""Options for drawing a graph, and its reduction to what a picture has room for.
 
 Common rules become a mark, subjects of a namespace become a group, and objects with the same edges become one. Then
 edges are left out, but never false positives or what a rule denies explicitly.
@@ -10,18 +10,49 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from enum import StrEnum
 
 from comarmor.text import counted, printable
 from comarmor.values import dataclass
 from keymint.api.graph import DomainObject, EdgeOutcome
-from keymint.drawing.display_text import KINDS
+from keymint.drawing.appearance import KINDS, Theme
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, namespace
-from keymint.drawing.picture_options import DrawingOptions, Split
 
 FOLD_FROM = 40
 """Objects from which on a graph's objects are folded by default."""
 GROUP_FROM = 30
 """Subjects beyond which a graph's subjects are grouped by default, and the most groups if names have enough levels."""
+
+
+class Split(StrEnum):
+    """How a picture is split into panels."""
+
+    NONE = "none"
+    SUBJECT = "subject"
+    NAMESPACE = "namespace"
+
+
+@dataclass(frozen=True, slots=True)
+class DrawingOptions:
+    """Options for drawing a graph.
+
+    Attributes:
+        theme: colours.
+        split: one panel, or one per subject or namespace of subjects.
+        transport: index of the transport whose labels are drawn; None for all together.
+        limit: the maximum number of edges; see :func:`shown_edges`.
+        fold: draw objects with the same edges as one; None does so in large graphs only.
+        group: draw the subjects of a namespace as one; None does so in large graphs only.
+        common: draw the edges of common rules; False puts a mark at the subject instead.
+    """
+
+    theme: Theme = Theme.AUTO
+    split: Split = Split.NONE
+    transport: int | None = None
+    limit: int = 600
+    fold: bool | None = None
+    group: bool | None = None
+    common: bool = False
 
 
 @dataclass(frozen=True, slots=True)

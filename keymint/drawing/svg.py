@@ -7,25 +7,36 @@ import math
 import re
 import textwrap
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
 from typing import TYPE_CHECKING
 
 from comarmor.text import counted, printable
 from keymint.api.graph import EdgeOutcome
-from keymint.drawing.display_text import columns, object_name, sentence, shorten
+from keymint.drawing.appearance import (
+    INWARD,
+    KINDS,
+    OUTCOMES,
+    OUTWARD,
+    columns,
+    edge_classes,
+    object_name,
+    role,
+    sentence,
+    shorten,
+    style_sheet,
+)
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, namespace
 from keymint.drawing.layout import CHARACTER, EdgeLine, NodeBox, NodeKey, Panel, lay_out
-from keymint.drawing.legend import LINE, edge_classes, legend, place_entries
-from keymint.drawing.palette import style_sheet
-from keymint.drawing.picture_options import DrawingOptions, Split
-from keymint.drawing.simplify import SimplifiedGraph, folded_name, priority, simplify
+from keymint.drawing.simplify import DrawingOptions, SimplifiedGraph, Split, folded_name, priority, simplify
 
 if TYPE_CHECKING:
     from jinja2 import Environment
     from markupsafe import Markup
 
 MARGIN = 24.0
+LINE = 22.0
+"""Height of a line of text, in pixels."""
 _PANEL_GAP = 48.0
 _SHEET = 1500.0
 """Maximum width of a row of panels, in pixels."""
@@ -38,6 +49,11 @@ _DOT_ACROSS = _AT**3 + 3 * _AT**2 * (1 - _AT) * (1 - _BEND) + 3 * _AT * (1 - _AT
 _DOT_DOWN = _AT**3 + 3 * _AT**2 * (1 - _AT)
 """Where the dot of an AUDIT rule is on a curve, as parts of its width and height."""
 
+LegendEntry = tuple[str, str, str]
+"""An entry of the legend: its text, its classes of the style sheet, and what is drawn beside the text.
+
+That is a ``box``, ``dot``, ``arrow``, ``barred``, ``both`` or ``mark``.
+"""
 NodeNumber = Callable[[NodeKey], int]
 """Returns the number of a subject, group or object in a page, which describes it at ``#n<number>``."""
 
@@ -82,11 +98,10 @@ def draw(labelled: LabelledGraph, options: DrawingOptions, number: NodeNumber | 
     names = {key[1]: folded_name(members) for key, members in drawn.members.items() if len(members) > 1}
     marks = {name: f"+{len(common)} common" for name, common in drawn.marks.items()}
     panels = [lay_out(*part, names, marks) for part in _parts(drawn, options.split)]
-    samples = list(legend(labelled, drawn, panels, options.transport))
     width = max(_LEAST_WIDTH, *(panel.width for panel in panels)) if panels else _LEAST_WIDTH
     placed, sheet_width, sheet_height = _placed(panels, max(width, _SHEET) if len(panels) > 1 else width)
     width = max(sheet_width, _LEAST_WIDTH)
-    samples, legend_height = place_entries(samples, width)
+    samples, legend_height = place_entries(legend(labelled, drawn, panels, options.transport), width)
     subtitle = _subtitle(labelled, options, drawn)
     subtitles = textwrap.wrap(subtitle, int(width / CHARACTER), break_long_words=False, break_on_hyphens=False)
     top = MARGIN + (1 + len(subtitles)) * LINE
@@ -259,3 +274,64 @@ def _head(x: float, y: float, size: float, *, barred: bool) -> str:
 
 def _number(value: float) -> str:
     return f"{value:.1f}".removesuffix(".0")
+
+
+# -- legend -----------------------------------------------------------------------------------------------------------
+
+
+def legend(
+    labelled: LabelledGraph, drawn: SimplifiedGraph, panels: Sequence[Panel], transport: int | None
+) -> Iterator[LegendEntry]:
+    """Yield the entries of a legend.
+
+    Args:
+        labelled: the graph.
+        drawn: the part of it that is drawn.
+        panels: its layout.
+        transport: index of the transport whose labels are drawn; None for all together.
+    """
+    yield from _boxes(labelled, drawn, panels)
+    roles = {role(one.edge.permission) for one in drawn.edges}
+    for target, directed in (("object", OUTWARD), ("subject", INWARD)):
+        named = [name for name in directed if name in roles and name != "relay"]
+        if named:
+            yield (f"to the {target}: {', '.join(named)}", "plain", "arrow")
+    if "relay" in roles:
+        yield ("both ways: relay", "plain", "both")
+    outcomes = {one.outcome(transport) for one in drawn.edges}
+    labels = bool(labelled.transports)
+    compared = {EdgeOutcome.ALLOW: " (true positive)", EdgeOutcome.DENY: " (true negative)"} if labels else {}
+    for outcome in (EdgeOutcome.ALLOW, EdgeOutcome.DENY, EdgeOutcome.FALSE_POSITIVE, EdgeOutcome.FALSE_NEGATIVE):
+        if outcome in outcomes:
+            text = OUTCOMES[outcome] + compared.get(outcome, "")
+            yield (text, edge_classes(outcome, labels=labels), "arrow" if outcome.allowed else "barred")
+    if any(one.audit for one in drawn.edges):
+        yield ("AUDIT rule", "audited", "dot")
+    if drawn.marks:
+        yield ("what every node may do (--common draws it)", "muted", "mark")
+
+
+def _boxes(labelled: LabelledGraph, drawn: SimplifiedGraph, panels: Sequence[Panel]) -> Iterator[LegendEntry]:
+    """Yield the entries on subjects and objects."""
+    kinds = {box.kind for panel in panels for box in panel.boxes}
+    yield ("subject", "subject", "box")
+    if any(len(members) > 1 for members in drawn.groups.values()):
+        yield ("subjects of a namespace", "subject group", "box")
+    for kind, name in KINDS.items():
+        if kind in kinds:
+            yield (name, kind, "box")
+    if any(one.edge.object in labelled.patterns for one in drawn.edges):
+        yield ("expression", "pattern neutral", "box")
+
+
+def place_entries(entries: Iterable[LegendEntry], width: float) -> tuple[list[dict[str, object]], float]:
+    """Place entries in lines of a width in pixels; return them and their total height."""
+    x = y = 0.0
+    placed: list[dict[str, object]] = []
+    for text, classes, form in entries:
+        needed = 40 + columns(text) * CHARACTER + 18
+        if x and x + needed > width:
+            x, y = 0.0, y + LINE
+        placed.append({"text": text, "classes": classes, "form": form, "x": round(x, 1), "y": y})
+        x += needed
+    return placed, y + LINE

@@ -19,10 +19,16 @@ from keymint.command_line.named_policies import Policies, library_rules, workspa
 from keymint.command_line.options import PATH, Number, PluginOption, PolicyOptions, option_group, policy_options
 from keymint.command_line.verb import verb
 from keymint.command_line.verify_report import sources
-from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, choose_subjects, select_edges
-from keymint.drawing.palette import Theme
-from keymint.drawing.picture_options import DrawingOptions, Split
-from keymint.drawing.policy_graph import label_graph, policy_graph
+from keymint.drawing.appearance import Theme
+from keymint.drawing.labelled_graph import (
+    LabelledEdge,
+    LabelledGraph,
+    choose_subjects,
+    label_graph,
+    policy_graph,
+    select_edges,
+)
+from keymint.drawing.simplify import DrawingOptions, Split
 from keymint.errors import KeymintError, usage_error
 from keymint.output.report import Report
 from keymint.run.run import Run

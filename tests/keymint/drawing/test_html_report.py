@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from lxml import html
 
 from keymint.api.graph import ConfusionMatrix
+from keymint.drawing.appearance import KIND_NAMES
 from keymint.drawing.html_report import MOST_ROWS, html_report
 from keymint.drawing.labelled_graph import LabelledGraph
-from keymint.drawing.palette import KIND_NAMES
 
 from .graphs import ALLOWED, DENIED, HOSTILE, graphs, hostile, labelled, one_of_each
-from .test_palette import contrast
+from .test_appearance import contrast
 
 SOURCES = {"policy.xml": b"<profiles>\n  <!-- <b>&amp;\x01 -->\n  <rule/>\n</profiles>\n"}
 

@@ -8,7 +8,7 @@ import itertools
 from hypothesis import given
 from hypothesis import strategies as st
 
-from keymint.drawing.display_text import columns
+from keymint.drawing.appearance import columns
 from keymint.drawing.labelled_graph import LabelledGraph
 from keymint.drawing.layout import CHARACTER, GAP, PORT_DISTANCE, NodeBox, lay_out
 

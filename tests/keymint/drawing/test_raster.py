@@ -12,8 +12,8 @@ import pytest
 from keymint.api.plugin_loader import how_to_add
 from keymint.drawing import raster
 from keymint.drawing.dot import dot
-from keymint.drawing.picture_options import DrawingOptions
 from keymint.drawing.raster import png
+from keymint.drawing.simplify import DrawingOptions
 from keymint.drawing.svg import svg
 from keymint.errors import KeymintError
 

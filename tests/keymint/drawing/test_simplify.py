@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from keymint.drawing.labelled_graph import Label, LabelledEdge, LabelledGraph
-from keymint.drawing.picture_options import DrawingOptions
-from keymint.drawing.simplify import shown_edges, simplify
+from keymint.drawing.simplify import DrawingOptions, shown_edges, simplify
 
 from .graphs import ALLOWED, DENIED, EXPRESSLY_DENIED, edge, labelled
 

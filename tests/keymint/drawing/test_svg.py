@@ -10,11 +10,10 @@ from hypothesis import strategies as st
 from lxml import etree
 
 from keymint.api.graph import MISMATCHES, Object
+from keymint.drawing.appearance import Theme
 from keymint.drawing.dot import dot
 from keymint.drawing.labelled_graph import LabelledEdge, LabelledGraph, select_edges
-from keymint.drawing.palette import Theme
-from keymint.drawing.picture_options import DrawingOptions, Split
-from keymint.drawing.simplify import shown_edges
+from keymint.drawing.simplify import DrawingOptions, Split, shown_edges
 from keymint.drawing.svg import svg
 
 from .graphs import ALLOWED, DENIED, EXPRESSLY_DENIED, HOSTILE, edge, fleet, graphs, hostile, labelled, one_of_each

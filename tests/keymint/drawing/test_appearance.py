@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from comarmor.rules import PERMISSIONS
 from comarmor.text import printable
-from keymint.drawing.display_text import KINDS, shorten
+from keymint.drawing.appearance import DARK, KIND_NAMES, KINDS, LIGHT, shorten
 
 
 @pytest.mark.parametrize(("text", "shown"), [("/a_b", "/a_b"), ("a\u202eb\x01", "a\\u202eb\\x01"), ("漢", "漢")])
@@ -39,3 +39,26 @@ def test_shortened_names_are_cut_between_words(text: str, longest: int, shown: s
 
 def test_pictures_name_every_kind_of_object() -> None:
     assert set(KINDS) == set(PERMISSIONS)
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance (WCAG 2.2)."""
+    parts = [int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5)]
+    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def contrast(one: str, other: str) -> float:
+    light, dark = sorted((luminance(one), luminance(other)), reverse=True)
+    return (light + 0.05) / (dark + 0.05)
+
+
+@pytest.mark.parametrize("palette", [LIGHT, DARK], ids=["light", "dark"])
+def test_contrast(palette: dict[str, str]) -> None:
+    background = palette["background"]
+    assert contrast(palette["muted"], background) >= 4.5
+    for kind in KIND_NAMES:
+        assert contrast(palette["text"], palette[f"{kind}-fill"]) >= 4.5
+        assert contrast(palette[kind], background) >= 3
+    for line in ("allow", "deny", "danger", "plain", "audit"):
+        assert contrast(palette[line], background) >= 3

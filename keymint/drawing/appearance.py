@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How graphs look: names and labels as text, colours and line styles for light and dark backgrounds as a style sheet.
+
+Names come from networks and may be unprintable or long.
+
+Nothing depends on colour alone: arrowheads of denied edges are hollow and barred, false labels are solid and heavy,
+false positives have a hazard band and a warning sign, and the legend names every kind of object. The contrast to the
+background is at least 4.5 to 1 for text and 3 to 1 for lines (WCAG 2.2, 1.4.3 and 1.4.11).
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Iterable, Mapping, Sequence
+from enum import StrEnum
+
+from comarmor.regex import lazy_regex
+from comarmor.text import printable
+from keymint.api.graph import EdgeOutcome, Object
+from keymint.drawing.labelled_graph import Label, LabelledEdge
+
+KINDS = {
+    "ros_topic": "topic",
+    "ros_service": "service",
+    "ros_action": "action",
+    "ros_parameter": "parameters",
+    "topic": "raw topic",
+}
+"""Display names of the kinds of objects, in the order of legends."""
+
+OUTWARD = ("publish", "execute", "operate", "write", "relay")
+INWARD = ("subscribe", "call", "request", "read", "relay")
+"""Roles by direction of their edge: from the subject to the object, or back."""
+
+OUTCOMES = {
+    EdgeOutcome.FALSE_POSITIVE: "DANGER: allowed, but the policy denies it (false positive)",
+    EdgeOutcome.FALSE_NEGATIVE: "denied, but the policy allows it (false negative)",
+    EdgeOutcome.ALLOW: "allowed",
+    EdgeOutcome.DENY: "denied",
+    EdgeOutcome.UNLABELLED: "no decision",
+}
+"""What is decided about an edge, in the order of pages."""
+
+_LONGEST = 44
+_WORD = lazy_regex(r"[^/_ ]*[/_ ]|[^/_ ]+\Z", re.DOTALL)
+"""A word with the separator after it."""
+
+
+def role(permission: str) -> str:
+    """Return a permission without its ROS prefix: ``publish`` of ``ros_publish``."""
+    return permission.removeprefix("ros_")
+
+
+def directions(permission: str) -> tuple[bool, bool]:
+    """Return whether data flow from the subject to the object, and whether they flow back."""
+    return role(permission) in OUTWARD, role(permission) in INWARD
+
+
+def object_name(object_: Object, domain: int = 0) -> str:
+    """Return an object's name with its partitions and domain: ``scan @ a, b (domain 3)``."""
+    partitions = ", ".join(partition or "(empty)" for partition in object_.partitions)
+    suffix = (f" @ {partitions}" if partitions else "") + (f" (domain {domain})" if domain else "")
+    return printable(object_.name + suffix)
+
+
+def shorten(text: str, longest: int = _LONGEST) -> str:
+    """Return text with its middle replaced by ``…`` if it has more than ``longest`` characters.
+
+    Cuts after ``/``, ``_`` or a space if at least one word fits.
+    """
+    if len(text) <= longest:
+        return text
+    head = (longest - 1) // 3
+    words = _WORD.findall(text)
+    end = _fitting(reversed(words), longest - 1 - head)
+    if not end:
+        return f"{text[:head]}…{text[len(text) - (longest - 1 - head) :]}"
+    begin = _fitting(words, longest - 1 - sum(map(len, end)))
+    return f"{''.join(begin)}…{''.join(reversed(end))}"
+
+
+def _fitting(words: Iterable[str], room: int) -> Sequence[str]:
+    """Return the first words that together have at most ``room`` characters."""
+    fitting: list[str] = []
+    for word in words:
+        room -= len(word)
+        if room < 0:
+            break
+        fitting.append(word)
+    return fitting
+
+
+def columns(text: str) -> int:
+    """Return the width of a text in columns of a fixed-width font (Unicode Standard Annex 11)."""
+    wide = sum(unicodedata.east_asian_width(char) in "WF" for char in text) if not text.isascii() else 0
+    return len(text) + wide
+
+
+def sentence(labelled: LabelledEdge, transports: Sequence[str]) -> str:
+    """Return an edge with all its labels on one line."""
+    edge = labelled.edge
+    layers = [("policy", labelled.policy), *zip(transports, labelled.transports, strict=True)]
+    labels = "; ".join(f"{name}: {_label_text(label)}" for name, label in layers if label is not None)
+    text = f"{edge.subject} {edge.permission} {object_name(edge.object, edge.domain)}"
+    return printable(text + (f" - {labels}" if labels else "") + (" (AUDIT)" if labelled.audit else ""))
+
+
+def _label_text(label: Label) -> str:
+    because = ": ".join(filter(None, (str(label.where) if label.where else "", label.reason)))
+    return ("allowed" if label.allowed else "denied") + (f" ({because})" if because else "")
+
+
+class Theme(StrEnum):
+    """Background of a picture; ``auto`` follows the browser's preference and is light elsewhere."""
+
+    AUTO = "auto"
+    LIGHT = "light"
+    DARK = "dark"
+
+
+_COLOURS: Mapping[str, tuple[str, str]] = {
+    "background": ("#ffffff", "#11161c"),
+    "text": ("#1c2126", "#e6edf3"),
+    "muted": ("#57606a", "#9aa4af"),
+    "rule": ("#d0d7de", "#39424d"),
+    "subject-fill": ("#d9f2dc", "#143a1b"),
+    "subject": ("#23762f", "#5fc46b"),
+    "ros_topic-fill": ("#dbe9fd", "#122f57"),
+    "ros_topic": ("#1f5fae", "#6fa8ff"),
+    "ros_service-fill": ("#ecdcf9", "#38204f"),
+    "ros_service": ("#7a35a8", "#c58af5"),
+    "ros_action-fill": ("#fde8cc", "#46300f"),
+    "ros_action": ("#9a5200", "#f2b25c"),
+    "ros_parameter-fill": ("#fbdce9", "#4a1c34"),
+    "ros_parameter": ("#a8326a", "#f28cb5"),
+    "topic-fill": ("#d3f1f2", "#0d3a3e"),
+    "topic": ("#0b6a72", "#5cd0d8"),
+    "allow": ("#1a7f37", "#4fc36b"),
+    "deny": ("#cf222e", "#ff7069"),
+    "danger": ("#a40026", "#ff5c7c"),
+    "hazard": ("#ffd33d", "#5c4a00"),
+    "plain": ("#57606a", "#9aa4af"),
+    "audit": ("#9a6700", "#e3b341"),
+}
+"""On light and on dark backgrounds."""
+LIGHT, DARK = ({name: pair[at] for name, pair in _COLOURS.items()} for at in (0, 1))
+KIND_NAMES = ("subject", *KINDS)
+
+FONTS = "'DejaVu Sans Mono','Liberation Mono',Menlo,Consolas,'Noto Sans Mono',monospace"
+"""Fixed-width fonts of 0.55 to 0.61 em, for which boxes are sized."""
+
+_SHAPES = (
+    f".keymint text{{font-family:{FONTS};font-size:12px}}\n"
+    """\
+.keymint .title{font-size:15px;font-weight:bold}
+.keymint .heading{font-size:13px;font-weight:bold}
+.keymint .pattern rect{stroke-dasharray:4 3}
+.keymint .pattern text{font-style:italic}
+.keymint .box rect{stroke-width:1.4}
+.keymint .curve{fill:none;stroke-width:1.5}
+.keymint .head{stroke-width:1.5;stroke-linejoin:round}
+.keymint .true .curve{stroke-dasharray:6 4}
+.keymint .false .curve{stroke-width:3.6}
+.keymint .false .head{stroke-width:2.4}
+.keymint .hazard{fill:none;stroke-width:9}
+.keymint .alarm text{font-size:11px;font-weight:bold;text-anchor:middle}
+.keymint .group rect{stroke-width:3.2}
+.keymint .mark{font-size:11px}
+"""
+)
+
+
+def style_sheet(theme: Theme) -> str:
+    """Return the style sheet of a picture; renderers without media queries can read it, too."""
+    if theme is Theme.AUTO:
+        return f"{_SHAPES}{_colours(LIGHT)}@media (prefers-color-scheme:dark){{\n{_colours(DARK)}}}\n"
+    return _SHAPES + _colours(LIGHT if theme is Theme.LIGHT else DARK)
+
+
+def _colours(palette: Mapping[str, str]) -> str:
+    rules = [
+        f".keymint .background{{fill:{palette['background']}}}",
+        f".keymint text{{fill:{palette['text']}}}",
+        f".keymint .muted{{fill:{palette['muted']}}}",
+        f".keymint .rule{{stroke:{palette['rule']}}}",
+        f".keymint .audit{{fill:{palette['audit']};stroke:{palette['background']}}}",
+    ]
+    rules.append(f".keymint .neutral rect{{fill:{palette['background']};stroke:{palette['plain']}}}")
+    for kind in KIND_NAMES:
+        rules.append(f".keymint .{kind} rect{{fill:{palette[f'{kind}-fill']};stroke:{palette[kind]}}}")
+        rules.append(f".keymint .{kind} .bullet{{fill:{palette[kind]}}}")
+    rules.append(f".keymint .hazard{{stroke:{palette['hazard']}}}")
+    rules.append(f".keymint .alarm path{{fill:{palette['danger']};stroke:{palette['background']}}}")
+    rules.append(f".keymint .alarm text{{fill:{palette['background']}}}")
+    for verdict in ("allow", "deny", "danger", "plain"):
+        rules.append(f".keymint .{verdict} .curve,.keymint .{verdict} .head{{stroke:{palette[verdict]}}}")
+        filled = palette["background"] if verdict == "deny" else palette[verdict]
+        rules.append(f".keymint .{verdict} .head{{fill:{filled}}}")
+    return "\n".join(rules) + "\n"
+
+
+def edge_classes(outcome: EdgeOutcome, *, labels: bool) -> str:
+    """Return the style sheet classes of an edge; with ``labels`` of transports also ``true`` or ``false``."""
+    if outcome is EdgeOutcome.UNLABELLED:
+        return "plain"
+    if outcome is EdgeOutcome.FALSE_POSITIVE:
+        return "danger false"
+    verdict = "allow" if outcome.allowed else "deny"
+    return f"{verdict} {'false' if outcome.false else 'true'}" if labels else verdict
