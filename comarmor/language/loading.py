@@ -72,12 +72,11 @@ def load_all(
     defects.require_none()
     if len(policies) == 1:
         return policies[0]  # indexing its profiles again takes time
-    files = {file: digest for policy in policies for file, digest in policy.files.items()}
     seen = {path: fingerprint for policy in policies for path, fingerprint in policy.seen.items()}
     profiles = tuple(profile for policy in policies for profile in policy.profiles)
     unused = tuple(tunable for policy in policies for tunable in policy.unused_tunables)
     shipped = {(each.package, each.path): each for policy in reversed(policies) for each in reversed(policy.shipped)}
-    return Policy(profiles, MappingProxyType(files), MappingProxyType(seen), unused, tuple(reversed(shipped.values())))
+    return Policy(profiles, MappingProxyType(seen), unused, tuple(reversed(shipped.values())))
 
 
 def load_included(href: str, name: str, library: Path, library_shown: Path | None = None) -> Policy:

@@ -308,7 +308,7 @@ def parse(sources: PolicyFiles) -> Policy:
     if parser.diagnostics:
         raise ComArmorError.of(parser.diagnostics)
     unused = tuple(parser.budget.unused_tunables.values())
-    return Policy(profiles, sources.files, sources.seen, unused, sources.shipped)
+    return Policy(profiles, sources.seen, unused, sources.shipped)
 
 
 def _unique(expressions: list[Attachment]) -> tuple[Attachment, ...]:

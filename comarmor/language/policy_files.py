@@ -102,13 +102,11 @@ class PolicyFiles:
 
     Attributes:
         roots: its root documents, in order.
-        files: the SHA-256 of every file by its resolved path.
         seen: the :func:`fingerprint` of every path that was looked at, whether it exists or not.
         shipped: those of its files that packages ship, each once.
     """
 
     roots: tuple[PolicyFile, ...]
-    files: Mapping[Path, bytes]
     seen: Mapping[Path, bytes]
     shipped: tuple[ShippedFile, ...] = ()
 

@@ -185,8 +185,7 @@ class _PolicyReader:
 
     def result(self, roots: tuple[PolicyFile, ...]) -> PolicyFiles:
         """Return what was read for some root documents."""
-        files, seen = MappingProxyType(self.files), MappingProxyType(self.seen)
-        return PolicyFiles(roots, files, seen, tuple(self.shipped.values()))
+        return PolicyFiles(roots, MappingProxyType(self.seen), tuple(self.shipped.values()))
 
     def root(self, relative: str) -> PolicyFile:
         """Read a root file of the policy."""

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import comarmor
-from comarmor.language.decide import Ruling
+from comarmor.language.policy import Ruling
 from comarmor.rules import Effect
 from comarmor.values import dataclass
 from comarmor.xml.package_folders import ShippedFile

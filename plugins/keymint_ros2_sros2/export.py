@@ -26,7 +26,7 @@ from comarmor.values import dataclass
 from keymint.api import ExportedPolicy, ImportedSubject
 from keymint.errors import KeymintError, UnsayableError
 from keymint.ir import SubjectRules
-from keymint_ros2_sros2.permissions import permissions_document, subject_name
+from keymint_ros2_sros2.deviations import permissions_document, subject_name
 from keymint_ros2_sros2.syntax import (
     GRAPH_TOPIC,
     KINDS,

@@ -33,9 +33,8 @@ from keymint.api import ImportedPolicy, ImportedSubject, ImportRequest, PolicySo
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import name_of
-from keymint_ros2_sros2.deviations import ACCEPTABLE, deviations
+from keymint_ros2_sros2.deviations import ACCEPTABLE, deviations, permissions_document, subject_name
 from keymint_ros2_sros2.parse import parse
-from keymint_ros2_sros2.permissions import permissions_document, subject_name
 from keymint_ros2_sros2.syntax import (
     GRAPH_TOPIC,
     KINDS,

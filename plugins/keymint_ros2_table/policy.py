@@ -116,7 +116,7 @@ class _PolicyMaker:
             Profile(text, False, (subject,), (), tuple(self.parts[text]), subject.where)
             for text, subject in self.subjects.items()
         )
-        return comarmor.Policy(tuple(profiles), seen=MappingProxyType(self.seen))
+        return comarmor.Policy(tuple(profiles), MappingProxyType(self.seen))
 
     def _subject(self, row: TableRow) -> str:
         """Return the expression of a row's subjects."""

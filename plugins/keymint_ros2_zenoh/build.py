@@ -26,8 +26,8 @@ from keymint_ros2_zenoh.documents.configuration import (
     Flow,
     Message,
     Permission,
+    write,
 )
-from keymint_ros2_zenoh.documents.configuration_writer import write
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, ROUTER, SESSION, enclave_folder
 from keymint_ros2_zenoh.identities import check_identity, common_name, enclaves_of, require_distinct_names, router_of
 from keymint_ros2_zenoh.lowering.key_rules import combined_rules, lower_package

@@ -22,8 +22,8 @@ from keymint_ros2_zenoh.documents.configuration import (
     Flow,
     Message,
     Permission,
+    write,
 )
-from keymint_ros2_zenoh.documents.configuration_writer import write
 from keymint_ros2_zenoh.keyexpr import canonical
 
 from .handmade import Authority

@@ -8,7 +8,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from comarmor.errors import ComArmorError, Origin
-from comarmor.language.decide import RuleIndex
+from comarmor.language.policy import RuleIndex
 from comarmor.rules import PARTS, PERMISSIONS, Effect, Rule
 from tests.comarmor.language.reference_evaluator import decide
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import pytest
 from keymint_ros2_dds.documents import dds_xml
+from keymint_ros2_sros2.deviations import permissions_document
 from keymint_ros2_sros2.parse import parse
-from keymint_ros2_sros2.permissions import permissions_document
 from lxml import etree
 
 from .sros2_policies import enclave, policy

@@ -10,7 +10,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from keymint_ros2_table import sqlite_rows
+from keymint_ros2_table import files
 from keymint_ros2_table.rows import TableRow
 
 from comarmor.errors import ComArmorError
@@ -20,7 +20,7 @@ SELECT = "SELECT '/s', 'ros_topic', 'ros_publish', {}, 'ALLOW', 0, ''"
 
 
 def rows(path: Path) -> list[TableRow | ComArmorError]:
-    return list(sqlite_rows.rows_of(path.read_bytes(), "t.db"))
+    return list(files.rows_of_database(path.read_bytes(), "t.db"))
 
 
 def message(path: Path) -> str:
@@ -74,7 +74,7 @@ def test_a_view_may_read_and_compute_alone(tmp_path: Path, expression: str, said
 
 
 def test_a_view_must_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sqlite_rows, "_MOST_CHECKS", 3)
+    monkeypatch.setattr(files, "_MOST_CHECKS", 3)
     endless = (
         "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) " + SELECT.format("i") + " FROM n WHERE i < 0"
     )
@@ -82,7 +82,7 @@ def test_a_view_must_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_there_may_be_no_more_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sqlite_rows, "MOST_ROWS", 1)
+    monkeypatch.setattr(files, "MOST_ROWS", 1)
     assert message(database(tmp_path, f"{SELECT.format(1)} UNION ALL {SELECT.format(2)}")).endswith(
         "rule has more than the 1 rows allowed"
     )
@@ -136,8 +136,8 @@ def test_a_view_may_not_take_all_memory(tmp_path: Path, queried: str) -> None:
     select = SELECT.format("hex(zeroblob(1000)) || i")
     path = database(tmp_path, f"{endless} {queried.replace('*', 'SELECT *').format(select)}")
     code = (
-        "import sys; from pathlib import Path; from keymint_ros2_table import sqlite_rows as rows\n"
-        "try:\n    list(rows.rows_of(Path(sys.argv[1]).read_bytes(), 't.db'))\n"
+        "import sys; from pathlib import Path; from keymint_ros2_table import files as rows\n"
+        "try:\n    list(rows.rows_of_database(Path(sys.argv[1]).read_bytes(), 't.db'))\n"
         "except Exception as error:\n    print(error)"
     )
     done = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, check=True)

@@ -19,9 +19,9 @@ from keymint_ros2_zenoh.documents.configuration import (
     Flow,
     Message,
     Permission,
+    write,
 )
 from keymint_ros2_zenoh.documents.configuration_reader import read
-from keymint_ros2_zenoh.documents.configuration_writer import write
 
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=8)
 KEYS = st.sampled_from(["0/**", "a/*/b", "a$*/@adv/**", "@ros2_lv/0/**", "0/chatter/*/*"])

@@ -7,7 +7,7 @@ from random import Random
 
 import pytest
 from keymint_ros2_zenoh.keyexpr import key_exprs
-from keymint_ros2_zenoh.proving.policy_side import proven_exact
+from keymint_ros2_zenoh.proving.enclave_proof import proven_exact
 
 from comarmor.patterns import glob
 from comarmor.patterns.decision_lists import Equal, Unknown

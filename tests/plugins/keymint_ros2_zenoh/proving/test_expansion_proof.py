@@ -7,8 +7,8 @@ import random
 
 import pytest
 from keymint_ros2_zenoh.keyexpr import TooManyAlternativesError, parse
-from keymint_ros2_zenoh.proving import policy_side
-from keymint_ros2_zenoh.proving.policy_side import proven_exact
+from keymint_ros2_zenoh.proving import enclave_proof
+from keymint_ros2_zenoh.proving.enclave_proof import proven_exact
 
 from comarmor.patterns import glob
 from comarmor.patterns.decision_lists import Equal, Unknown, Witness
@@ -43,8 +43,8 @@ def test_random_expressions() -> None:
 def test_wrong_key_expressions_are_found(
     monkeypatch: pytest.MonkeyPatch, expression: str, wrong: list[str], key: str, left: bool
 ) -> None:
-    monkeypatch.setattr(policy_side, "key_exprs", lambda _pattern: tuple(map(parse, wrong)))
-    assert policy_side._decided.__wrapped__(glob.parse(expression), 10_000) == Witness(key, left)  # not cached
+    monkeypatch.setattr(enclave_proof, "key_exprs", lambda _pattern: tuple(map(parse, wrong)))
+    assert enclave_proof._decided.__wrapped__(glob.parse(expression), 10_000) == Witness(key, left)  # not cached
 
 
 def test_too_few_states() -> None:

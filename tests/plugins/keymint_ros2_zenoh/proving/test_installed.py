@@ -18,9 +18,9 @@ from keymint_ros2_zenoh.documents.configuration import (
     Flow,
     Message,
     Permission,
+    write,
 )
 from keymint_ros2_zenoh.documents.configuration_reader import read
-from keymint_ros2_zenoh.documents.configuration_writer import write
 from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, IDENTITY_CA, KEY, ROUTER, SESSION, SIGNATURE
 from keymint_ros2_zenoh.examine.enclaves import differences, terms
 from keymint_ros2_zenoh.proving.enclave_proof import ASSUMPTIONS, prove
