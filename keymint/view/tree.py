@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import stat
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import field
 from pathlib import Path
 from typing import NamedTuple, TypeVar
@@ -22,131 +22,6 @@ from keymint.view.stamps import digest
 __all__ = ["MAX_FILE", "REGISTER", "Content", "File", "HeldError", "HeldFile", "Tree", "read_error", "read_file"]
 
 _Read = TypeVar("_Read")
-
-
-class _Disk:
-    """The files on the disk by absolute path, as text; each is read once, and perhaps once more for its digest.
-
-    Args:
-        linked: a folder in which symbolic links are followed that stay in it; empty for none.
-    """
-
-    def __init__(self, linked: str) -> None:
-        self.linked = linked
-        self._digests: dict[str, str | None] = {}
-        self._contents: dict[str, bytes | KeymintError | None] = {}
-        self._equal: dict[bytes | None, bytes | None] = {}
-        """Contents that are held, each once: enclaves have many files in common."""
-        self._entries: dict[str, dict[str, bool] | KeymintError] = {}
-        self._statuses: dict[str, FileStatus | None] = {}
-        self._links: set[str] = set()
-        """Symbolic links among the paths whose status is known."""
-        self.left_out: set[str] = set()
-        self._held: tuple[str, ...] = ()
-        """Folders that were read completely, with a slash."""
-
-    def _once(
-        self, known: dict[str, _Read | KeymintError], path: str, read: Callable[[str], _Read], absent: _Read
-    ) -> _Read:
-        """Return what is known about a path, or raise its error; the disk is accessed at the first call."""
-        if path not in known:
-            try:
-                known[path] = absent if self._is_absent(path) else read(path)
-            except KeymintError as error:
-                known[path] = error
-        found = known[path]
-        if isinstance(found, KeymintError):
-            raise KeymintError.of(found.diagnostics, found.exit_code)
-        return found
-
-    def read(self, path: str) -> bytes | None:
-        return self._once(self._contents, path, self._file, None)
-
-    def _file(self, path: str) -> bytes | None:
-        try:
-            return read_file(path)
-        except KeymintError:
-            if real := linked_file(path, self.linked):
-                return read_file(real)
-            raise
-
-    def digest(self, path: str) -> str | None:
-        if path not in self._digests:
-            kept = path in self._contents
-            content = self.read(path)
-            if not kept:  # a large fleet has more bytes than memory
-                del self._contents[path]
-            self._digests[path] = None if content is None else digest(content)
-        return self._digests[path]
-
-    def entries(self, folder: str) -> Mapping[str, bool]:
-        return self._once(self._entries, folder, self._scan, {})
-
-    def status(self, path: str) -> FileStatus | None:
-        if path not in self._statuses:
-            self._statuses[path] = None if self._is_absent(path) else self._status(path)
-        return self._statuses[path]
-
-    def _status(self, path: str) -> FileStatus | None:
-        found = lstat(path)
-        if found is None or not stat.S_ISLNK(found.st_mode):
-            return found
-        self._links.add(path)
-        return lstat(linked_file(path, self.linked) or path)
-
-    def follows(self, path: str) -> str:
-        if path in self._statuses and path not in self._links:
-            return ""
-        return linked_file(path, self.linked)
-
-    def hold(self, folder: str, suffix: str, *, readable: bool) -> None:
-        """Read everything below a folder, so that the disk is not accessed again; see :meth:`Tree.hold`."""
-        self._statuses[folder] = lstat(folder)
-        waiting = [folder]
-        while waiting:
-            inner = waiting.pop()
-            try:
-                entries = self._entries[inner] = self._scan(inner)
-            except KeymintError as error:
-                self._entries[inner] = {} if self._leaves_out(inner, error, readable=readable) else error
-                continue
-            for name, is_folder in entries.items():
-                path = f"{inner}/{name}"
-                self._statuses[path] = self._status(path)
-                if is_folder:
-                    waiting += [path] if name != ".git" else []
-                elif name.endswith(suffix):
-                    try:
-                        content = self._file(path)
-                        self._contents[path] = self._equal.setdefault(content, content)
-                    except KeymintError as error:
-                        self._contents[path] = None if self._leaves_out(path, error, readable=readable) else error
-        self._held = (*self._held, f"{folder}/")
-
-    def _leaves_out(self, path: str, error: KeymintError, *, readable: bool) -> bool:
-        is_left_out = not readable and isinstance(error.__cause__, PermissionError)
-        self.left_out |= {path} if is_left_out else set()
-        return is_left_out
-
-    def _is_absent(self, path: str) -> bool:
-        """Tell whether a path is known not to exist, because its folder was read completely."""
-        if not path.startswith(self._held):
-            return False
-        parent, _, name = path.rpartition("/")
-        around = self._entries.get(parent)
-        if around is None:
-            return ".git" not in path.split("/")
-        return not isinstance(around, KeymintError) and name not in around
-
-    @staticmethod
-    def _scan(folder: str) -> dict[str, bool]:
-        try:
-            with os.scandir(folder) as entries:
-                return dict(sorted((entry.name, entry.is_dir(follow_symlinks=False)) for entry in entries))
-        except (FileNotFoundError, NotADirectoryError):
-            return {}
-        except OSError as error:
-            raise read_error(folder, error) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,12 +69,25 @@ Content = bytes | File | HeldFile | None
 class Tree:
     """Files by absolute path, as they are at the first access.
 
+    Each is read once from the disk, and perhaps once more for its digest.
+
     Args:
         linked: a folder in which symbolic links are followed that stay in it, as ROS 2 does in a keystore.
     """
 
     def __init__(self, linked: Path | None = None) -> None:
-        self._disk = _Disk(str(linked or ""))
+        self._linked = str(linked or "")
+        self._digests: dict[str, str | None] = {}
+        self._contents: dict[str, bytes | KeymintError | None] = {}
+        self._equal: dict[bytes | None, bytes | None] = {}
+        """Contents that are held, each once: enclaves have many files in common."""
+        self._entries: dict[str, dict[str, bool] | KeymintError] = {}
+        self._statuses: dict[str, FileStatus | None] = {}
+        self._links: set[str] = set()
+        """Symbolic links among the paths whose status is known."""
+        self._left_out: set[str] = set()
+        self._held: tuple[str, ...] = ()
+        """Folders that were read completely, with a slash."""
         self._files: dict[str, dict[str, Content]] = {}
         """Planned content by folder and name."""
         self._folders: dict[str, set[str]] = {}
@@ -208,7 +96,8 @@ class Tree:
     def overlaid(self, changes: Iterable[tuple[Path | str, Content]]) -> Tree:
         """Return this view with more planned content, which hides the disk; None for a file that will be removed."""
         tree = Tree()
-        tree._disk, tree._files, tree._folders = self._disk, dict(self._files), dict(self._folders)
+        tree.__dict__.update(self.__dict__)  # they share what is known of the disk
+        tree._files, tree._folders = dict(self._files), dict(self._folders)
         tree._add(changes)
         return tree
 
@@ -246,7 +135,7 @@ class Tree:
             raise HeldError(path)
         if isinstance(content, File):
             return content.content
-        return content if planned else self._disk.read(path)
+        return content if planned else self._read(path)
 
     def digest(self, path: Path | str) -> str | None:
         """Return the digest of a file (see :func:`keymint.view.stamps.digest`), or None if there is none.
@@ -255,12 +144,18 @@ class Tree:
             KeymintError: as :func:`read_file`.
         """
         path = str(path)
-        planned, content = self._planned(path)
-        if isinstance(content, HeldFile | File):
-            return content.digest
-        if planned:
-            return None if content is None else digest(content)
-        return self._disk.digest(path)
+        is_planned, planned = self._planned(path)
+        if isinstance(planned, HeldFile | File):
+            return planned.digest
+        if is_planned:
+            return None if planned is None else digest(planned)
+        if path not in self._digests:
+            kept = path in self._contents
+            content = self._read(path)
+            if not kept:  # a large fleet has more bytes than memory
+                del self._contents[path]
+            self._digests[path] = None if content is None else digest(content)
+        return self._digests[path]
 
     def try_read(self, path: Path | str) -> bytes | None:
         """Return a file's bytes, or None if there is none or it cannot be read."""
@@ -274,11 +169,15 @@ class Tree:
 
         Links are not followed, except in the folder where :meth:`read` follows them.
         """
-        return self._disk.status(str(path))
+        path = str(path)
+        if path not in self._statuses:
+            self._statuses[path] = None if self._is_absent(path) else self._status(path)
+        return self._statuses[path]
 
     def follows(self, path: Path | str) -> str:
         """Return the file that a symbolic link leads to, if :meth:`read` follows it; else an empty text."""
-        return self._disk.follows(str(path))
+        path = str(path)
+        return "" if path in self._statuses and path not in self._links else linked_file(path, self._linked)
 
     def hold(self, folder: Path, *, suffix: str = "", readable: bool = True) -> None:
         """Read everything below a folder into memory, so that the disk is not accessed again.
@@ -290,16 +189,36 @@ class Tree:
             suffix: only files with this suffix are read; of the others only their existence is known.
             readable: the user must be permitted to read all of it; else the rest counts as absent, and is listed.
         """
-        self._disk.hold(str(folder), suffix, readable=readable)
+        self._statuses[str(folder)] = lstat(str(folder))
+        waiting = [str(folder)]
+        while waiting:
+            inner = waiting.pop()
+            try:
+                entries = self._entries[inner] = self._scan(inner)
+            except KeymintError as error:
+                self._entries[inner] = {} if self._leaves_out(inner, error, readable=readable) else error
+                continue
+            for name, is_folder in entries.items():
+                path = f"{inner}/{name}"
+                self._statuses[path] = self._status(path)
+                if is_folder:
+                    waiting += [path] if name != ".git" else []
+                elif name.endswith(suffix):
+                    try:
+                        content = self._file(path)
+                        self._contents[path] = self._equal.setdefault(content, content)
+                    except KeymintError as error:
+                        self._contents[path] = None if self._leaves_out(path, error, readable=readable) else error
+        self._held = (*self._held, f"{folder}/")
 
     @property
     def left_out(self) -> Sequence[str]:
         """What :meth:`hold` was not permitted to read, sorted; nothing is known of what is in such a folder."""
-        return sorted(self._disk.left_out)
+        return sorted(self._left_out)
 
     def is_left_out(self, path: Path | str) -> bool:
         """Tell whether a file is one of :attr:`left_out`, or in such a folder."""
-        left_out = self._disk.left_out
+        left_out = self._left_out
         return bool(left_out) and not left_out.isdisjoint(map(str, (path, *Path(path).parents)))
 
     def has_file(self, path: Path | str) -> bool:
@@ -317,7 +236,7 @@ class Tree:
             KeymintError: the folder cannot be read.
         """
         folder = str(folder)
-        entries = self._disk.entries(folder)
+        entries = self._once(self._entries, folder, self._scan, {})
         files, folders = self._files.get(folder, {}), self._folders.get(folder, ())
         if not files and not folders:
             return list(entries.items())
@@ -359,3 +278,62 @@ class Tree:
                 if content is not None:
                     contents[name] = content
         return contents
+
+    # -- the disk ------------------------------------------------------------------------------------------------
+
+    def _once(
+        self, known: dict[str, _Read | KeymintError], path: str, read: Callable[[str], _Read], absent: _Read
+    ) -> _Read:
+        """Return what is known about a path, or raise its error; the disk is accessed at the first call."""
+        if path not in known:
+            try:
+                known[path] = absent if self._is_absent(path) else read(path)
+            except KeymintError as error:
+                known[path] = error
+        found = known[path]
+        if isinstance(found, KeymintError):
+            raise KeymintError.of(found.diagnostics, found.exit_code)
+        return found
+
+    def _read(self, path: str) -> bytes | None:
+        return self._once(self._contents, path, self._file, None)
+
+    def _file(self, path: str) -> bytes | None:
+        try:
+            return read_file(path)
+        except KeymintError:
+            if real := linked_file(path, self._linked):
+                return read_file(real)
+            raise
+
+    def _status(self, path: str) -> FileStatus | None:
+        found = lstat(path)
+        if found is None or not stat.S_ISLNK(found.st_mode):
+            return found
+        self._links.add(path)
+        return lstat(linked_file(path, self._linked) or path)
+
+    def _leaves_out(self, path: str, error: KeymintError, *, readable: bool) -> bool:
+        is_left_out = not readable and isinstance(error.__cause__, PermissionError)
+        self._left_out |= {path} if is_left_out else set()
+        return is_left_out
+
+    def _is_absent(self, path: str) -> bool:
+        """Tell whether a path is known not to exist, because its folder was read completely."""
+        if not path.startswith(self._held):
+            return False
+        parent, _, name = path.rpartition("/")
+        around = self._entries.get(parent)
+        if around is None:
+            return ".git" not in path.split("/")
+        return not isinstance(around, KeymintError) and name not in around
+
+    @staticmethod
+    def _scan(folder: str) -> dict[str, bool]:
+        try:
+            with os.scandir(folder) as entries:
+                return dict(sorted((entry.name, entry.is_dir(follow_symlinks=False)) for entry in entries))
+        except (FileNotFoundError, NotADirectoryError):
+            return {}
+        except OSError as error:
+            raise read_error(folder, error) from error

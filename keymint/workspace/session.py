@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Self, TypeVar, TypeVarTuple
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 from comarmor.errors import Origin
 from comarmor.text import did_you_mean
@@ -40,38 +40,42 @@ from keymint.workspace.workspace import (
     PACKAGE_MARKER,
     PROFILE_MARKER,
     Workspace,
-    package_files,
     package_paths,
     packages,
     profile_files,
 )
 
 _T = TypeVar("_T")
-_Arguments = TypeVarTuple("_Arguments")
+_P = ParamSpec("_P")
 _FILES = "files"
 """First part of the key of what a session knows about the files of a package."""
 
 
-def once(make: Callable[[Session, *_Arguments], _T]) -> Callable[[Session, *_Arguments], _T]:
-    """Let a function of a session, and perhaps of hashable values, make each result once for a session; a decorator."""
-    return _made_once(make, of_sources=False)
+def once(
+    make: Callable[Concatenate[Session, _P], _T], *, of_sources: bool = False
+) -> Callable[Concatenate[Session, _P], _T]:
+    """Let a function of a session, and perhaps of hashable values, make each result once for a session; a decorator.
+
+    Args:
+        make: the function.
+        of_sources: see :func:`once_of_sources`.
+    """
+
+    @functools.wraps(make)
+    def known(session: Session, /, *arguments: _P.args, **named: _P.kwargs) -> _T:
+        key = (make, *arguments, *named.items())
+        return session.made(key, lambda: make(session, *arguments, **named), of_sources=of_sources)
+
+    return known
 
 
-def once_of_sources(make: Callable[[Session, *_Arguments], _T]) -> Callable[[Session, *_Arguments], _T]:
+def once_of_sources(make: Callable[Concatenate[Session, _P], _T]) -> Callable[Concatenate[Session, _P], _T]:
     """Do the same as :func:`once` for results that depend on the profile and the content of the source space only.
 
     They are handed on to other sessions until a plan changes that. So what else a result depends on, e.g. the place of
     another space, is an argument.
     """
-    return _made_once(make, of_sources=True)
-
-
-def _made_once(make: Callable[[Session, *_Arguments], _T], *, of_sources: bool) -> Callable[[Session, *_Arguments], _T]:
-    @functools.wraps(make)
-    def known(session: Session, /, *arguments: *_Arguments) -> _T:
-        return session.made((make, *arguments), lambda: make(session, *arguments), of_sources=of_sources)
-
-    return known
+    return once(make, of_sources=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,8 +276,10 @@ class Session(Inputs):
         return folder, f"{folder}{DEFAULTS}/"
 
     def package_files(self, name: str) -> dict[str, bytes]:
-        """Return the XML files of a package; empty if there is no such package."""
-        return package_files(self.tree, self.workspace, name)
+        """Return the XML files of a package, those of its ``package.defaults`` included; empty if there is none."""
+        paths = package_paths(self.tree, self.workspace, name)
+        contents = {file: self.tree.read(path) for file, path in paths.items()}
+        return {file: content for file, content in contents.items() if content is not None}
 
     def file_digests(self, name: str) -> Mapping[str, str]:
         """Return the digest of each file of :meth:`package_files`."""
@@ -281,13 +287,15 @@ class Session(Inputs):
 
     def _sources(self, name: str) -> tuple[Mapping[str, str], str]:
         """Return the digests of the files of a package, and one over all of them."""
-        return self.made((_FILES, name), lambda: self._read_sources(name), of_sources=True)
 
-    def _read_sources(self, name: str) -> tuple[Mapping[str, str], str]:
-        paths = package_paths(self.tree, self.workspace, name)
-        found = {file: value for file, path in paths.items() if (value := self.tree.digest(path)) is not None}
-        return found, digest(*(part for item in sorted(found.items()) for part in item))
+        def read() -> tuple[Mapping[str, str], str]:
+            paths = package_paths(self.tree, self.workspace, name)
+            found = {file: value for file, path in paths.items() if (value := self.tree.digest(path)) is not None}
+            return found, digest(*(part for item in sorted(found.items()) for part in item))
 
+        return self.made((_FILES, name), read, of_sources=True)
+
+    @once
     def package(self, name: str, *, built: bool = False) -> Package:
         """Load a package, once per run and content; errors as :meth:`keymint.api.PackageType.load`.
 
@@ -298,13 +306,9 @@ class Session(Inputs):
             name: the package.
             built: it was built from these files; see :class:`keymint.api.BuiltPackageType`.
         """
-        return self.made(("package", name, built), lambda: self._whole(name, built=built))
-
-    def _whole(self, name: str, *, built: bool) -> Package:
         package = self._load(name, built=built)
-        if package.role is Role.INFRASTRUCTURE:
-            return package
-        needing = self._needing_infrastructure(package.build_types)
+        needs = package.role is not Role.INFRASTRUCTURE
+        needing = self._needing_infrastructure(package.build_types) if needs else frozenset[str]()
         if not needing:
             return package
         infrastructure = (self._load(each) for each in self.infrastructure())

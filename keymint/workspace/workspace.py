@@ -198,13 +198,6 @@ def hidden_by(tree: Tree, src: Path, name: str) -> Path | None:
     return next((folder / IGNORE_MARKER for folder in folders if tree.has_file(folder / IGNORE_MARKER)), None)
 
 
-def package_files(tree: Tree, workspace: Workspace, name: str) -> dict[str, bytes]:
-    """Return the XML files of a package's folder, those of its ``package.defaults`` included."""
-    paths = package_paths(tree, workspace, name)
-    contents = {file: tree.read(path) for file, path in paths.items()}
-    return {file: content for file, content in contents.items() if content is not None}
-
-
 def package_paths(tree: Tree, workspace: Workspace, name: str) -> dict[str, str]:
     """Return the paths of the XML files of a package's folder, by their name in the package.
 

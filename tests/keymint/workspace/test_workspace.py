@@ -11,7 +11,7 @@ import pytest
 from keymint import SPACES
 from keymint.errors import ExitCode, KeymintError
 from keymint.view.tree import Tree
-from keymint.workspace.workspace import Workspace, find, package_files, packages, profile_files, shown_path
+from keymint.workspace.workspace import Workspace, find, package_paths, packages, profile_files, shown_path
 
 
 def make(root: Path, *paths: str) -> Path:
@@ -134,7 +134,7 @@ def test_the_files_of_a_package_and_of_a_profile(tmp_path: Path) -> None:
         "profile/comarmor.d/common/node.xml",
     )
     workspace = Workspace.at(tmp_path, {}, tmp_path)
-    assert set(package_files(Tree(), workspace, "a")) == {"permissions.xml", "package.defaults/governance.xml"}
+    assert set(package_paths(Tree(), workspace, "a")) == {"permissions.xml", "package.defaults/governance.xml"}
     assert set(profile_files(Tree(), tmp_path / "profile")) == {
         "keymint_profile.xml",
         "profile.defaults/authorities.xml",
