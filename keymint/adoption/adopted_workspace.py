@@ -41,7 +41,7 @@ from keymint.stages.package_stage import Crew
 from keymint.stages.pipeline import INSTALL, Request, conduct
 from keymint.stages.work import Work
 from keymint.stages.workspace_start import plan_init, refuse_unsupported
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed_below, secret_file
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, folder_changes, secret_file
 from keymint.workspace.package_build_types import BUILD
 from keymint.workspace.policy_loading import record_unread
 from keymint.workspace.session import Inputs, Session
@@ -110,7 +110,7 @@ def _profile(inputs: Inputs, adoption: Adoption) -> Plan:
     (step,) = plan.steps
     *folders, root = step.changes
     defaults = {f"{DEFAULTS}/{part}.xml": content for part, content in adoption.found.defaults.items()}
-    changes = changed_below(inputs.tree, inputs.workspace.profile, {**adoption.policy.files, **defaults})
+    changes = folder_changes(inputs.tree, inputs.workspace.profile, {**adoption.policy.files, **defaults})
     return replace(plan, steps=(replace(step, changes=(*folders, *changes, root)),))
 
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from keymint.api import HardenedPackageType, HardenedProfileType, Validity
 from keymint.authority.authorities import authority_named
 from keymint.errors import KeymintError
-from keymint.store.changes import Action, Plan, Step, changed_below
+from keymint.store.changes import Action, Plan, Step, folder_changes
 from keymint.workspace.session import Session
 
 STAGE = "harden"
@@ -26,7 +26,7 @@ def plan_names(session: Session, names: Sequence[str]) -> Plan:
     steps = []
     for name in names:
         new = package_type.with_unique_name(session.profile, name, session.package_files(name))
-        changes = changed_below(session.tree, session.workspace.src / name, new)
+        changes = folder_changes(session.tree, session.workspace.src / name, new)
         steps.append(Step(STAGE, name, Action.UPDATED if changes else Action.UNCHANGED, changes, "unique subject name"))
     return Plan(tuple(steps), session.state)
 
@@ -50,7 +50,7 @@ def plan_authority(session: Session, former: str) -> Plan:
 
     def plan(validity: Validity | None) -> Plan:
         edited = profile_type.with_own_signer(profile, former, validity)
-        changes = changed_below(session.tree, session.workspace.profile, edited)
+        changes = folder_changes(session.tree, session.workspace.profile, edited)
         return Plan((Step(STAGE, "", Action.UPDATED, changes, f"{name} signs in place of {former}"),), session.state)
 
     of_defaults = authority_named(session.after(plan(None)).session(), name).certificate.validity

@@ -18,7 +18,7 @@ from keymint.authority import authority_files
 from keymint.authority.authority_files import AuthorityFiles
 from keymint.errors import ExitCode, KeymintError, known_authority
 from keymint.pki import certificates, keys
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, changed_below, folder_changes, secret_file
+from keymint.store.changes import Action, FolderChange, Plan, Step, folder_changes, secret_file
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.stored_keys import AUTHORITY_KEYS, password, with_recorded_keys
 
@@ -57,7 +57,7 @@ def plan_authority_issuance(session: Session, name: str, new: AuthorityIssuance,
             code="profile-without-issuance",
         )
     issuance = {**{each.name: each.issuance for each in profile.authorities}, name: new}
-    changes = changed_below(session.tree, session.workspace.profile, plugin.with_authority_issuance(issuance))
+    changes = folder_changes(session.tree, session.workspace.profile, plugin.with_authority_issuance(issuance))
     if not changes:
         return Plan((), session.state)
     return Plan((Step(STAGE, "", Action.UPDATED, changes, detail),), session.state)
@@ -181,7 +181,7 @@ def _plan_authority(
 
 def _stored(inputs: Inputs, name: str, certificate: bytes) -> tuple[FolderChange, ...]:
     path = inputs.workspace.authority_certificate(name)
-    return folder_changes(inputs.tree, path.parent, {path.name: File(certificate)})
+    return folder_changes(inputs.tree, path.parent, {path.name: certificate})
 
 
 def _require_replaceable(files: AuthorityFiles) -> None:

@@ -22,7 +22,7 @@ from keymint.authority.authorities import (
 )
 from keymint.errors import KeymintError
 from keymint.pki import certificates, distinguished_names, foreign_authorities, keys
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, folder_changes, secret_file
+from keymint.store.changes import Action, FolderChange, Plan, Step, folder_changes, secret_file
 from keymint.workspace.session import Session
 from keymint.workspace.stored_keys import AUTHORITY_KEYS, password, with_recorded_keys
 
@@ -163,7 +163,7 @@ def plan_import(session: Session, name: str, given: GivenAuthority) -> Plan:
     decided = AuthorityIssuance(adopted=certificates.to_pem(certificate), exposed=exposed)
     plan = plan_authority_issuance(session, name, decided, f"{name} imported from {given.where}")
     path = session.workspace.authority_certificate(name)
-    changes += folder_changes(session.tree, path.parent, {path.name: File(decided.adopted)})
+    changes += folder_changes(session.tree, path.parent, {path.name: decided.adopted})
     files_step = Step(STAGE, name, Action.UPDATED, tuple(changes), "certificate authority")
     fingerprint = keys.fingerprint(public)
     state = with_recorded_keys(session.state, AUTHORITY_KEYS, {name: fingerprint})

@@ -10,7 +10,7 @@ from comarmor.errors import Diagnostic, Origin
 from keymint.api import Issuance
 from keymint.errors import KeymintError
 from keymint.names import subject_of
-from keymint.store.changes import Action, File, Plan, Step, folder_changes
+from keymint.store.changes import Action, Plan, Step, folder_changes
 from keymint.view.stamps import digest
 from keymint.workspace.session import Session
 
@@ -53,12 +53,12 @@ def plan_issuance(session: Session, stage: str, new: Mapping[str, Issuance], det
     steps: list[Step] = []
     state, stamps = session.state, {}
     for name, issuance in new.items():
-        written = {file: File(content) for file, content in files.with_issuance(issuance).items()}
+        written = files.with_issuance(issuance)
         changes = folder_changes(session.tree, session.workspace.src / name, written)
         steps.append(Step(stage, name, Action.UPDATED if changes else Action.UNCHANGED, changes, detail))
         # The stage that made the package must not take the file for an edit of its owner.
         if changes and (stamp := state.stamp(_CREATE, name)):
-            outputs = {**stamp.outputs, **{file: digest(content.content) for file, content in written.items()}}
+            outputs = {**stamp.outputs, **{file: digest(content) for file, content in written.items()}}
             stamps[name] = replace(stamp, outputs=outputs)
     return Plan(tuple(steps), state.updated(_CREATE, stamps) if stamps else state)
 

@@ -140,7 +140,7 @@ def _moved_list(session: Session, name: str) -> tuple[FolderChange, ...]:
     """Return what puts the revocation list of the next authority in force, if it has one."""
     own, beside = _lists(session, name)
     content = session.tree.read(beside)
-    return () if content is None else folder_changes(session.tree, own.parent, {own.name: File(content)})
+    return () if content is None else folder_changes(session.tree, own.parent, {own.name: content})
 
 
 def _copied(session: Session) -> list[FolderChange]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from keymint.api import Bootstrap
 from keymint.errors import ExitCode, KeymintError
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, by_folder, changed_below
+from keymint.store.changes import Action, File, FolderChange, Plan, Step, by_folder, folder_changes
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.workspace import PROFILE_MARKER
 
@@ -68,7 +68,7 @@ def plan_policy(session: Session, policy: str) -> Plan:
     if [source.path.resolve() for source in profile.policies] == [wanted]:
         return Plan((), session.state)
     files = session.profile_type.with_policy(profile.files, policy)
-    changes = changed_below(session.tree, session.workspace.profile, files)
+    changes = folder_changes(session.tree, session.workspace.profile, files)
     return Plan((Step(STAGE, "", Action.UPDATED, changes, f"policy {policy}"),), session.state)
 
 

@@ -61,10 +61,17 @@ class FolderChange:
         return FolderChange(self.folder, {}, self.removed, self.private, held)
 
 
-def folder_changes(tree: Tree, folder: Path, files: Mapping[str, File]) -> tuple[FolderChange, ...]:
-    """Return the change that gives a folder these files, without files that already have this content."""
-    different = {name: file for name, file in files.items() if tree.read(f"{folder}/{name}") != file.content}
-    return (FolderChange(folder, different),) if different else ()
+def folder_changes(tree: Tree, folder: Path, files: Mapping[str, File | bytes]) -> tuple[FolderChange, ...]:
+    """Return the changes that give a folder these files, without files that already have this content.
+
+    Args:
+        tree: the files that are there.
+        folder: absolute path.
+        files: the files by path relative to the folder; of a public file the content is enough.
+    """
+    new = {path: file if isinstance(file, File) else File(file) for path, file in files.items()}
+    different = {path: file for path, file in new.items() if tree.read(f"{folder}/{path}") != file.content}
+    return tuple(FolderChange(inner, own) for inner, own in by_folder(folder, different).items())
 
 
 def secret_file(path: Path | str, content: bytes) -> FolderChange:
@@ -80,12 +87,6 @@ def by_folder(root: Path, files: Mapping[str, File]) -> dict[Path, dict[str, Fil
         target = root / path
         folders.setdefault(target.parent, {})[target.name] = file
     return folders
-
-
-def changed_below(tree: Tree, root: Path, files: Mapping[str, bytes]) -> tuple[FolderChange, ...]:
-    """Return what :func:`folder_changes` returns for files that are given by path relative to a folder."""
-    folders = by_folder(root, {path: File(content) for path, content in files.items()})
-    return tuple(change for folder, own in folders.items() for change in folder_changes(tree, folder, own))
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from comarmor.values import dataclass
 from keymint.api import Artifact, BuildType
 from keymint.errors import KeymintError
 from keymint.names import ROOT, subject_of
-from keymint.store.changes import Action, File, FolderChange, Step, by_folder, folder_changes
+from keymint.store.changes import Action, File, FolderChange, Step, folder_changes
 from keymint.workspace.installed_enclaves import CERTIFICATE, INSTALLED, enclave_names, files_in
 from keymint.workspace.package_build_types import recorded_build_types
 from keymint.workspace.session import Session
@@ -51,12 +51,11 @@ def shared_steps(session: Session, by_type: Iterable[Mapping[str, Artifact]]) ->
     steps = []
     for copies in by_type:
         files = {path: File(each.content, secret=each.secret, replaces_link=True) for path, each in copies.items()}
-        folders = by_folder(session.workspace.install, files)
-        written = [change for folder, own in folders.items() for change in folder_changes(session.tree, folder, own)]
+        written = folder_changes(session.tree, session.workspace.install, files)
         if written:
             existed = any(session.tree.read(session.workspace.install / path) for path in files)
             action = Action.UPDATED if existed else Action.CREATED
-            steps.append(Step(INSTALLED, "", action, tuple(written), "shared by all enclaves"))
+            steps.append(Step(INSTALLED, "", action, written, "shared by all enclaves"))
     return steps
 
 

@@ -21,7 +21,7 @@ from keymint.api import (
     PolicyWithPackages,
 )
 from keymint.errors import ExitCode, KeymintError
-from keymint.store.changes import Action, File, FolderChange, Plan, Step, folder_changes
+from keymint.store.changes import Action, FolderChange, Plan, Step, folder_changes
 from keymint.workspace.session import Session
 
 STAGE = "create"
@@ -171,7 +171,7 @@ def _with_lock(
 ) -> Plan:
     """Return a plan of some steps, of which the last one that changes copies also writes what was accepted."""
     root = session.workspace.profile
-    lock = {file: File(content) for file, content in plugin.with_packages(accepted).items()}
+    lock = plugin.with_packages(accepted)
     written = folder_changes(session.tree, root, lock) if accepted else (FolderChange(root, removed=tuple(lock)),)
     last = max((at for at, step in enumerate(steps) if step.action is Action.UPDATED), default=None)
     if last is not None:
@@ -222,9 +222,7 @@ def _copied(
 ) -> Iterator[FolderChange]:
     """Yield the changes that make the copies of a package those of some files."""
     kept = {each.path for each in files}
-    for each in files:
-        path = folder / each.path
-        yield from folder_changes(session.tree, path.parent, {path.name: File(each.content)})
+    yield from folder_changes(session.tree, folder, {each.path: each.content for each in files})
     yield from _removed(session, folder.name, (each for each in before.files if each not in kept))
 
 
