@@ -7,7 +7,7 @@ authority is, so it is the authority that is due then.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from datetime import datetime
 
@@ -26,30 +26,10 @@ from keymint.workspace.session import Session, once
 CERTIFICATE, PERMISSIONS, LIST = "certificate", "permissions", "revocation list"
 
 
-@dataclass(frozen=True, slots=True)
-class EnclaveTerms:
-    """The documents of an enclave that end, the first to be due first."""
-
-    name: str
-    terms: tuple[Term, ...]
-
-    def end(self) -> datetime:
-        """Return the last moment in which all of them are in force."""
-        return min(each.last for each in self.terms)
-
-    def renew_after(self, threshold: Threshold = DEFAULT) -> datetime | None:
-        """Return from when on the enclave is due; None if all that it has ends with its authorities."""
-        first = self.first(threshold)
-        return first.renew_after(threshold) if first else None
-
-    def ends_with(self) -> str:
-        """Return the name of the authority that all of them end with; empty if some can be renewed."""
-        return min(self.terms, key=lambda each: each.last).issuer if all(each.is_cut for each in self.terms) else ""
-
-    def first(self, threshold: Threshold = DEFAULT) -> Term | None:
-        """Return the term that is due first, without what ends with its authority."""
-        own = [each for each in self.terms if not each.is_cut]
-        return min(own, key=lambda each: each.renew_after(threshold), default=None)
+def first_due(terms: Iterable[Term], threshold: Threshold = DEFAULT) -> Term | None:
+    """Return the term of an enclave that is due first, without what ends with its authority."""
+    own = [each for each in terms if not each.is_cut]
+    return min(own, key=lambda each: each.renew_after(threshold), default=None)
 
 
 @once
@@ -66,8 +46,8 @@ def _authorities_here(session: Session) -> Mapping[str, x509.Certificate]:
     return {name: certificates.load_first(content) for name, content in contents.items() if content}
 
 
-def enclave_terms(session: Session, name: str, *, as_recorded: bool = False) -> EnclaveTerms | None:
-    """Return what of an installed enclave ends; None if it is not installed, or its certificate cannot be read.
+def enclave_terms(session: Session, name: str, *, as_recorded: bool = False) -> tuple[Term, ...]:
+    """Return what of an installed enclave ends; nothing if it is not installed, or its certificate cannot be read.
 
     The dates are those of the certificate in the enclave, and of the permissions as they were when they were signed.
 
@@ -81,7 +61,7 @@ def enclave_terms(session: Session, name: str, *, as_recorded: bool = False) -> 
     """
     certificate = None if as_recorded else installed_certificate(session, name)
     if certificate is None and not as_recorded:
-        return None
+        return ()
     ends = authority_ends(session)
     terms: list[Term] = []
     for each in recorded_terms(session, name, session.state.stamp(INSTALLED, name)):
@@ -97,19 +77,18 @@ def enclave_terms(session: Session, name: str, *, as_recorded: bool = False) -> 
         if listed := list_of(session, each.issuer):
             terms.append(replace(each, what=LIST, first=listed.this_update, last=listed.next_update))
     in_force = (each.until(ends.get(each.issuer)) for each in terms)
-    return EnclaveTerms(name, tuple(sorted(in_force, key=lambda each: each.what)))
+    return tuple(sorted(in_force, key=lambda each: each.what))
 
 
-def authority_renewals(session: Session, terms: Iterable[EnclaveTerms]) -> Mapping[str, datetime]:
+def authority_renewals(session: Session, terms: Iterable[Term]) -> Mapping[str, datetime]:
     """Return from when on each authority cuts what it signs for some enclaves, so that it is due."""
     ends = authority_ends(session)
     due: dict[str, datetime] = {}
-    for each in terms:
-        for term in each.terms:
-            if term.what != LIST and term.issuer in ends:
-                moment = session.now if term.is_cut else ends[term.issuer] - term.length
-                moment = max(moment, _matters_from(session, term, DEFAULT))
-                due[term.issuer] = min(due.get(term.issuer, moment), moment)
+    for term in terms:
+        if term.what != LIST and term.issuer in ends:
+            moment = session.now if term.is_cut else ends[term.issuer] - term.length
+            moment = max(moment, _matters_from(session, term, DEFAULT))
+            due[term.issuer] = min(due.get(term.issuer, moment), moment)
     return due
 
 
@@ -173,32 +152,31 @@ class Schedule:
     following: Due | None
 
 
-def schedule(session: Session, terms: Sequence[EnclaveTerms], threshold: Threshold) -> Schedule:
+def schedule(session: Session, terms: Mapping[str, Iterable[Term]], threshold: Threshold) -> Schedule:
     """Return what is due.
 
     Args:
         session: the workspace and its profile.
-        terms: the enclaves to look at.
+        terms: what of the enclaves to look at ends, by package.
         threshold: when something is due.
     """
     enclaves: list[Due] = []
     due_lists: dict[str, Due] = {}
     later: list[Due] = []
-    for each in terms:
-        for term in each.terms:
+    for name, of_enclave in terms.items():
+        for term in of_enclave:
             after = term.renew_after(threshold)
             if term.what == LIST and not term.is_cut and after <= session.now:
                 due_lists.setdefault(term.issuer, Due(term.issuer, term, after))
-        own = EnclaveTerms(each.name, tuple(term for term in each.terms if term.what != LIST))
-        if first := own.first(threshold):
+        if first := first_due((term for term in of_enclave if term.what != LIST), threshold):
             moment = first.renew_after(threshold)
-            (enclaves if moment <= session.now else later).append(Due(each.name, first, moment))
+            (enclaves if moment <= session.now else later).append(Due(name, first, moment))
     following = min(later, key=lambda each: (each.after or session.now, each.name), default=None)
     authorities = tuple(_authorities(session, terms, threshold))
     return Schedule(tuple(enclaves), tuple(due_lists.values()), authorities, following)
 
 
-def _authorities(session: Session, terms: Sequence[EnclaveTerms], threshold: Threshold) -> Iterator[AuthorityDue]:
+def _authorities(session: Session, terms: Mapping[str, Iterable[Term]], threshold: Threshold) -> Iterator[AuthorityDue]:
     """Yield the authorities that cut what they sign.
 
     That is where the threshold for an authority comes from: with ten years of validity, and a year for what it signs,
@@ -207,14 +185,15 @@ def _authorities(session: Session, terms: Sequence[EnclaveTerms], threshold: Thr
     ends = authority_ends(session)
     issuers = {each.name: each.certificate.issuer for each in session.profile.authorities}
     cut: dict[str, dict[str, None]] = {}
-    for each in terms:
-        for term in each.terms:
+    used: set[str] = set()
+    for name, of_enclave in terms.items():
+        for term in of_enclave:
+            used.add(term.issuer)
             end = ends.get(term.issuer)
             if term.what == LIST or end is None or session.now < _matters_from(session, term, threshold):
                 continue
             if term.is_cut or periods.begin(session.now, term.length) + term.length > end:
-                cut.setdefault(term.issuer, {})[each.name] = None
-    used = {term.issuer for each in terms for term in each.terms}
+                cut.setdefault(term.issuer, {})[name] = None
     for name, end in ends.items():
         soon = name in used and threshold.left is not None and end - session.now <= threshold.left
         if name in cut or soon:
@@ -223,21 +202,21 @@ def _authorities(session: Session, terms: Sequence[EnclaveTerms], threshold: Thr
             yield AuthorityDue(name, end, tuple(cut.get(name, ())), before)
 
 
-def installed_terms(session: Session, names: Iterable[str]) -> tuple[EnclaveTerms, ...]:
-    """Return what ends of those of some packages that are installed.
+def installed_terms(session: Session, names: Iterable[str]) -> Mapping[str, tuple[Term, ...]]:
+    """Return what ends of those of some packages that are installed, by package.
 
     Raises:
         KeymintError: packages have defects, and there is no record of their installation; with all defects.
     """
     there = frozenset(enclave_names(session))
-    found: list[EnclaveTerms] = []
+    found: dict[str, tuple[Term, ...]] = {}
     defects = Defects()
     for name in names:
         with defects:
-            terms = enclave_terms(session, name) if name in there else None
-            found += [terms] if terms else []
+            if name in there and (terms := enclave_terms(session, name)):
+                found[name] = terms
     defects.require_none()
-    return tuple(found)
+    return found
 
 
 def renewal_issuance(session: Session, name: str) -> Issuance:

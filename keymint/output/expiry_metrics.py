@@ -20,19 +20,16 @@ def gauges(session: Session, rows: Sequence[StatusRow]) -> tuple[Gauge, ...]:
         session: the workspace and its profile.
         rows: the status of its packages.
     """
-    terms = [row.terms for row in rows if row.terms is not None]
-    lists: dict[str, datetime] = {term.issuer: term.last for each in terms for term in each.terms if term.what == LIST}
+    terms = [term for row in rows for term in row.terms]
+    lists: dict[str, datetime] = {term.issuer: term.last for term in terms if term.what == LIST}
     due = authority_renewals(session, terms)
 
     def of_enclaves(what: str) -> list[tuple[dict[str, str], datetime]]:
         return [
-            ({"subject": subject_of(each.name)}, term.last)
-            for each in terms
-            for term in each.terms
-            if term.what == what
+            ({"subject": subject_of(row.package)}, term.last) for row in rows for term in row.terms if term.what == what
         ]
 
-    stale = tuple(({"subject": f"/{row.package}"}, float(bool(row.stale))) for row in rows if row.terms is not None)
+    stale = tuple(({"subject": f"/{row.package}"}, float(bool(row.stale))) for row in rows if row.terms)
     return (
         moments("keymint_certificate_expiry", "End of the certificate of an enclave.", of_enclaves(CERTIFICATE)),
         moments("keymint_permissions_expiry", "End of the permissions of an enclave.", of_enclaves(PERMISSIONS)),

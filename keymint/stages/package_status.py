@@ -9,8 +9,8 @@ from datetime import datetime
 from comarmor.values import dataclass
 from keymint.api import LoadedPolicy, Role
 from keymint.errors import KeymintError
-from keymint.life.renewal_schedule import CERTIFICATE, EnclaveTerms, enclave_terms
-from keymint.life.terms import recorded_terms
+from keymint.life.renewal_schedule import CERTIFICATE, enclave_terms, first_due
+from keymint.life.terms import DEFAULT, Term, recorded_terms
 from keymint.life.workspace_register import withdrawn
 from keymint.stages import build, create, install
 from keymint.stages.shared_documents import built_shared, is_current, users
@@ -33,7 +33,7 @@ class StatusRow:
         certificate_expires: end of validity of the installed certificate, UTC.
         permissions_expire: end of validity of the grant, UTC.
         problem: one line when the package cannot be loaded, or the documents cannot be built.
-        terms: what of the installed enclave ends; None if it is not installed, or that is not known.
+        terms: what of the installed enclave ends; nothing if it is not installed, or that is not known.
         build_type: the build type of documents over all packages.
         documents: their paths relative to the install space, as they were built last.
     """
@@ -44,19 +44,21 @@ class StatusRow:
     certificate_expires: datetime | None = None
     permissions_expire: datetime | None = None
     problem: str = ""
-    terms: EnclaveTerms | None = None
+    terms: tuple[Term, ...] = ()
     build_type: str = ""
     documents: tuple[str, ...] = ()
 
     @property
     def renew_after(self) -> datetime | None:
         """From when on 'keymint renew' takes it up, UTC; None if it does not, before an authority is renewed."""
-        return self.terms.renew_after() if self.terms else None
+        first = first_due(self.terms)
+        return first.renew_after(DEFAULT) if first else None
 
     @property
     def ends_with(self) -> str:
         """The authority that all its documents end with, so that it is the authority that is due; or empty."""
-        return self.terms.ends_with() if self.terms else ""
+        is_cut = self.terms and all(each.is_cut for each in self.terms)
+        return min(self.terms, key=lambda each: each.last).issuer if is_cut else ""
 
 
 def package_rows(session: Session, policy: LoadedPolicy | None) -> tuple[StatusRow, ...]:
@@ -104,11 +106,11 @@ def _certificate_end(session: Session, name: str) -> datetime | None:
     return certificate.not_valid_after_utc if certificate else None
 
 
-def _terms(session: Session, name: str, *, as_recorded: bool) -> EnclaveTerms | None:
+def _terms(session: Session, name: str, *, as_recorded: bool) -> tuple[Term, ...]:
     try:
         return enclave_terms(session, name, as_recorded=as_recorded)
     except KeymintError:
-        return None  # the package has defects, which are its problem
+        return ()  # the package has defects, which are its problem
 
 
 def _row(session: Session, differing: Mapping[str, str], name: str, *, installed: bool) -> StatusRow:
@@ -137,8 +139,8 @@ def _row(session: Session, differing: Mapping[str, str], name: str, *, installed
     if not current:
         is_unknown = session.tree.is_left_out(session.workspace.identity_key(name))
         stale = stale or ("" if installed and is_unknown else "install")
-    terms = _terms(session, name, as_recorded=current) if installed else None
-    end = next((each.last for each in terms.terms if each.what == CERTIFICATE), None) if terms else None
+    terms = _terms(session, name, as_recorded=current) if installed else ()
+    end = next((each.last for each in terms if each.what == CERTIFICATE), None)
     end = end or _certificate_end(session, name)
     return StatusRow(name, stage, stale, end, permissions_end, problem, terms)
 

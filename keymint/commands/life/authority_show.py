@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from datetime import datetime
+from itertools import chain
 from typing import Any
 
 import click
@@ -52,7 +53,8 @@ def _documents(session: Session) -> list[dict[str, Any]]:
         KeymintError: a package has defects, or a revocation list is damaged.
     """
     used = uses(session)
-    due = authority_renewals(session, installed_terms(session, session.packages()))
+    terms = installed_terms(session, session.packages()).values()
+    due = authority_renewals(session, chain.from_iterable(terms))
     documents = []
     for authority in session.profile.authorities:
         files = authority_files.read_files(session, authority)

@@ -221,8 +221,7 @@ def _issued_again(run: Run, session: Session, due: Schedule, names: Sequence[str
 
 
 def _end(session: Session, name: str) -> datetime | None:
-    terms = enclave_terms(session, name)
-    return terms.end() if terms else None
+    return min((each.last for each in enclave_terms(session, name)), default=None)
 
 
 def _authority_due(due: AuthorityDue) -> Diagnostic:
