@@ -16,9 +16,9 @@ class UnsayableError(ValueError):
     """A format cannot say a rule; the message has the reason, and the exporter makes a finding of it."""
 
 
-def usage_error(message: str, help_: str) -> KeymintError:
+def usage_error(message: str, help_: str, code: str = "usage") -> KeymintError:
     """Return an error in the arguments of the command line; its exit code is 2."""
-    return KeymintError(message, help=help_, code="usage", exit_code=ExitCode.USAGE)
+    return KeymintError(message, help=help_, code=code, exit_code=ExitCode.USAGE)
 
 
 def process_ended(code: str) -> KeymintError:
@@ -30,14 +30,7 @@ def process_ended(code: str) -> KeymintError:
     )
 
 
-def known_authority(
-    name: str,
-    known: Collection[str],
-    where: Origin | None,
-    job: str = "",
-    help_: str = "",
-    exit_code: ExitCode = ExitCode.FAILURE,
-) -> str:
+def known_authority(name: str, known: Collection[str], where: Origin | None, job: str = "", help_: str = "") -> str:
     """Check that a profile has an authority, and return its name.
 
     Args:
@@ -46,10 +39,9 @@ def known_authority(
         where: the place that gives the name, or should give it; None if the user typed it.
         job: what the authority does, for the message about one that is not named.
         help_: what to do if no name is similar; by default the names are listed.
-        exit_code: exit code if there is none.
 
     Raises:
-        KeymintError: there is no such authority.
+        KeymintError: there is no such authority; a usage error if ``where`` is None.
     """
     if name in known:
         return name
@@ -60,5 +52,5 @@ def known_authority(
         where=where,
         help=did_you_mean(name, known, help_ or f"the profile's authorities are {', '.join(known) or 'none'}"),
         code="authority-unknown",
-        exit_code=exit_code,
+        exit_code=ExitCode.FAILURE if where else ExitCode.USAGE,
     )

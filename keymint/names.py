@@ -12,7 +12,7 @@ from itertools import accumulate
 from comarmor.errors import Origin
 from comarmor.rules import KIND_OF, PERMISSIONS, is_segment
 from comarmor.text import did_you_mean, quoted
-from keymint.errors import ExitCode, KeymintError
+from keymint.errors import KeymintError, usage_error
 
 MAX_SEGMENT = 200
 """Bytes of a segment: file systems allow 255, and the names of temporary files need some of them."""
@@ -150,12 +150,12 @@ def typed_permission(text: str, name: str, kind: str = "", begins: Sequence[str]
         words = tuple(dict.fromkeys(each.removeprefix("ros_") for each in PERMISSIONS.get(kind, KIND_OF)))
         of_kind = f" of a {kind}" if kind else ""
         hint = did_you_mean(text, (*words, *KIND_OF), f"permissions are {', '.join(words)}")
-        raise _wrong_usage(f"there is no permission {text!r}{of_kind}", hint, "permission-unknown")
+        raise usage_error(f"there is no permission {text!r}{of_kind}", hint, "permission-unknown")
     found = KIND_OF[permission]
     if found != RAW and name[:1] not in begins:
         raw = f", or the raw topic {name!r} by --kind {RAW}" if found == "ros_topic" else ""
         message = f"a {found} has no name {name!r}: ROS names begin with '/'"
-        raise _wrong_usage(message, f"did you mean {'/' + name!r}{raw}?", "object-name")
+        raise usage_error(message, f"did you mean {'/' + name!r}{raw}?", "object-name")
     return found, permission
 
 
@@ -167,7 +167,3 @@ def no_subject(help_: str, where: Origin | None = None) -> KeymintError:
         where: the policy.
     """
     return KeymintError("the policy names no subject exactly", where=where, help=help_, code="subjects-none")
-
-
-def _wrong_usage(message: str, help_: str, code: str) -> KeymintError:
-    return KeymintError(message, help=help_, code=code, exit_code=ExitCode.USAGE)

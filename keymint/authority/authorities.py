@@ -16,7 +16,7 @@ from comarmor.values import dataclass
 from keymint.api import Authority, AuthorityIssuance, AuthorityIssuanceFiles, SigningAuthority
 from keymint.authority import authority_files
 from keymint.authority.authority_files import AuthorityFiles
-from keymint.errors import ExitCode, KeymintError, known_authority
+from keymint.errors import KeymintError, known_authority
 from keymint.pki import certificates, keys
 from keymint.store.changes import Action, FolderChange, Plan, Step, folder_changes, secret_file
 from keymint.workspace.session import Inputs, Session
@@ -32,7 +32,7 @@ def authority_named(session: Session, name: str) -> Authority:
         KeymintError: there is none of this name; exit code 2.
     """
     known = {authority.name: authority for authority in session.profile.authorities}
-    return known[known_authority(name, known, None, exit_code=ExitCode.USAGE)]
+    return known[known_authority(name, known, None)]
 
 
 def plan_authority_issuance(session: Session, name: str, new: AuthorityIssuance, detail: str) -> Plan:

@@ -130,22 +130,9 @@ def with_issuers(name: str, issuers: Mapping[str, str]) -> Iterator[str]:
 
 
 def in_order(authorities: Sequence[Authority]) -> tuple[Authority, ...]:
-    """Return authorities in an order in which each follows its issuer."""
-    ordered: dict[str, Authority] = {}
-    waiting = list(authorities)
-    while waiting:
-        ready = [a for a in waiting if not a.certificate.issuer or a.certificate.issuer in ordered]
-        if not ready:
-            cycle = ", ".join(a.name for a in waiting)
-            raise KeymintError(
-                f"the authorities {cycle} wait for each other's certificate",
-                where=waiting[0].certificate.origin,
-                help="leave one issuer_name empty",
-                code="authority-cycle",
-            )
-        ordered |= {a.name: a for a in ready}
-        waiting = [a for a in waiting if a.name not in ordered]
-    return tuple(ordered.values())
+    """Return authorities in an order in which each follows its issuer: by the number of those above them."""
+    issuers = {each.name: each.certificate.issuer for each in authorities}
+    return tuple(sorted(authorities, key=lambda each: len(tuple(with_issuers(each.name, issuers)))))
 
 
 @once

@@ -1,17 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an authority decided about the certificate of each package: read from its sources, and planned into them."""
+"""What an authority decided about the certificate of each package: planned into its sources, e.g. a revocation.
+
+A revocation is written into the register as well, and raises the generation in the sources.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from comarmor.errors import Diagnostic, Origin
+from comarmor.text import counted, did_you_mean
+from comarmor.values import dataclass
 from keymint.api import Issuance
 from keymint.errors import KeymintError
+from keymint.life.register import SUPERSEDED, IssuedCertificate, Register
+from keymint.life.workspace_register import complete_register, register_change
 from keymint.names import subject_of
 from keymint.store.changes import Action, Plan, Step, folder_changes
 from keymint.view.stamps import digest
+from keymint.workspace.enclave_changes import EnclaveChanges, withdraw
+from keymint.workspace.installed_enclaves import INSTALLED, enclave_names
 from keymint.workspace.session import Session
 
 _CREATE = "create"
@@ -82,3 +91,131 @@ def _defects(session: Session, name: str, new: Issuance) -> list[Diagnostic]:
             )
         ]
     return []
+
+
+STAGE = "revoke"
+
+
+@dataclass(frozen=True, slots=True)
+class Revoking:
+    """What a revocation does.
+
+    Attributes:
+        plan: the change of the register and of the sources, and the removal of enclaves without sources.
+        certificates: the certificates that it revokes.
+        packages: the packages whose sources change; they are to be built and installed again.
+        skipped: for each subject without a certificate to revoke, why.
+        diagnostics: what the revocation does not reach.
+    """
+
+    plan: Plan
+    certificates: tuple[IssuedCertificate, ...]
+    packages: tuple[str, ...]
+    skipped: tuple[Diagnostic, ...]
+    diagnostics: tuple[Diagnostic, ...]
+
+
+def plan_revocation(session: Session, names: Sequence[str], reason: str) -> Revoking:
+    """Plan the revocation of all certificates of some subjects that are in force.
+
+    Of a key that is given up also a certificate that expired: it must not be renewed. A revocation that a killed run
+    began is completed.
+
+    Args:
+        session: the workspace and its profile.
+        names: packages; those without sources have certificates in the register.
+        reason: one of :data:`keymint.life.register.REASONS`.
+
+    Raises:
+        KeymintError: a package never had a certificate, or the register is missing and cannot be restored.
+    """
+    register = complete_register(session, [name for name in names if name in enclave_names(session)])
+    with_sources = frozenset(session.packages())
+    for name in names:
+        _require_known(session, register, name)
+    of_name = {name: _to_revoke(session, register, name, reason) for name in names}
+    certificates = tuple(each for of_one in of_name.values() for each in of_one)
+    without = [register.of(name)[-1] for name, of_one in of_name.items() if not of_one]
+    after = register.with_revoked(certificates, reason, session.now)
+    packages = tuple(name for name in names if name in with_sources)
+    lowest = {name: after.generation(name) for name in packages}
+    low = {name: own for name in packages if (own := session.issuance(name)).generation < lowest[name]}
+    issuances = {name: replace(own, generation=lowest[name]) for name, own in low.items()}
+    plan = Plan((), session.state, first=register_change(session, after))
+    plan = plan.then(plan_issuance(session, STAGE, issuances, f"{reason}, new generation"))
+    orphans = [name for name in names if name not in with_sources]
+    changes = EnclaveChanges(removed=frozenset(orphans))
+    installed = enclave_names(session)
+    steps = [withdraw(session, name, reason, changes) for name in orphans if name in installed]
+    steps += [Step(STAGE, name, Action.UPDATED, detail=reason) for name in orphans if name not in installed]
+    plan = plan.then(Plan(tuple(steps), plan.state.updated(INSTALLED, {}, orphans)))
+    skipped = tuple(_nothing_to_revoke(last) for last in without if last.revoked is None or last.reason != reason)
+    return Revoking(plan, certificates, packages, skipped, tuple(_limits(session, certificates, packages, reason)))
+
+
+def _to_revoke(session: Session, register: Register, name: str, reason: str) -> tuple[IssuedCertificate, ...]:
+    in_force = register.in_force(name, session.now)
+    if in_force or reason == SUPERSEDED:
+        return in_force
+    return tuple(each for each in register.of(name)[-1:] if each.revoked is None)
+
+
+def _require_known(session: Session, register: Register, name: str) -> None:
+    if register.of(name):
+        return
+    known = sorted({each.name for each in register.certificates.values() if each.name})
+    raise KeymintError(
+        f"{subject_of(name)} never had a certificate here",
+        where=session.package_marker(name) if name in session.packages() else None,
+        help=did_you_mean(name, known, "'keymint issued' lists the certificates"),
+        code="package-unknown" if name not in session.packages() else "certificate-none",
+    )
+
+
+def _nothing_to_revoke(last: IssuedCertificate) -> Diagnostic:
+    """Return the warning that a subject has no certificate to revoke, whose last one this is."""
+    subject, why = subject_of(last.name), f"expired on {last.not_after:%Y-%m-%d}"
+    if last.revoked:
+        why = f"was revoked on {last.revoked:%Y-%m-%d} already ({last.reason})"
+    message, help_ = f"the last certificate of {subject} {why}", "'keymint issued' lists the certificates"
+    return Diagnostic.warning("nothing-to-revoke", message, None, help_, subject)
+
+
+def _limits(
+    session: Session, certificates: Sequence[IssuedCertificate], packages: Sequence[str], reason: str
+) -> Iterator[Diagnostic]:
+    """Yield what stays possible although the certificates are revoked."""
+    profile = session.profile
+    files = [each.revocation_files(profile.distro, profile.layout, b"list") for each in session.build_types.values()]
+    of_lists = [each for each in files if each is not None]
+    if of_lists and not any(of_lists):
+        end = max((each.not_after for each in certificates), default=None)
+        until = f" until {end:%Y-%m-%d}" if end else ""
+        yield Diagnostic.warning(
+            "revocation-unread",
+            f"nodes of {profile.distro} with the layout {profile.layout!r} read no revocation list: whoever has the "
+            f"revoked key is accepted{until}",
+            session.profile_marker(),
+            "replace the identity authority ('keymint authority replace'), or use Humble or later",
+        )
+    same = [name for name in packages if not _has_generation(session, name)]
+    if same:
+        fit = "still fit the new certificate" if reason == SUPERSEDED else "would fit a later certificate as well"
+        package = session.package(same[0])
+        yield Diagnostic.warning(
+            "generation-none",
+            f"the subject name has no generation: permissions that were signed before {fit}"
+            + (f" [{counted(len(same), 'package')}]" if len(same) > 1 else ""),
+            package.grant.defaults_origin or session.package_marker(same[0]),
+            "write {unique} into both subject names (--subject-format unique), or renew with --rekey and another "
+            "identity authority",
+            package.subject,
+        )
+
+
+def _has_generation(session: Session, name: str) -> bool:
+    """Tell whether the subject name of a package changes with its generation."""
+    package = session.package(name)
+    before = package.issuance.generation
+    plan = plan_issuance(session, STAGE, {name: replace(package.issuance, generation=before + 1)})
+    return session.after(plan).package(name).identity.subject_name != package.identity.subject_name

@@ -33,7 +33,7 @@ from keymint.stages.package_stage import Crew
 from keymint.store.changes import File, Plan, Step
 from keymint.store.journal import Intent, Journal, intent_of
 from keymint.store.workspace_lock import LOCK, clock, folder_lock, read_lock
-from keymint.view.folder_status import FolderNames, Sight
+from keymint.view.folder_status import Sight
 from keymint.view.recorded_answers import Call
 from keymint.view.stamps import MAX_RECORD, State
 from keymint.view.stamps import load as load_state
@@ -357,7 +357,7 @@ class Run:
             guards = gitignore.missing_files(workspace, plan)
             with self.console.progress(len(plan.steps), self.setting.monotonic) as advance:
                 visible = execute(plan, workspace, store, inputs.state, self.workers, advance, self.intent())
-            names = [FolderNames(str(each.folder), each.written, each.removed) for each in (*guards, *plan.changes())]
+            names = [(str(each.folder), each.written, each.removed) for each in (*guards, *plan.changes())]
             seen = sight.after(names, visible, clock(workspace.state))
             report = self.report({}, plan.diagnostics, exit_code(plan), workspace=workspace, steps=plan.steps)
             remember(self.setting.call, inputs, plan, self.presented(report), seen, store, self.console)

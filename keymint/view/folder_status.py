@@ -104,14 +104,6 @@ def folder_status(
     return FolderStatus(hashlib.blake2b(rows.encode(), digest_size=16).hexdigest(), newest, tuple(sorted(files)))
 
 
-class FolderNames(NamedTuple):
-    """The names of files that a run wrote into a folder, and of those that it removed from it."""
-
-    folder: str
-    written: Collection[str]
-    removed: Collection[str]
-
-
 class Sight(NamedTuple):
     """The folders of a workspace as they are before a run reads a file.
 
@@ -131,11 +123,13 @@ class Sight(NamedTuple):
         roots = tuple(folders)
         return cls(roots, walk(roots), clock)
 
-    def after(self, changes: Iterable[FolderNames], visible: int, clock: int) -> Sight | None:
+    def after(
+        self, changes: Iterable[tuple[str, Iterable[str], Iterable[str]]], visible: int, clock: int
+    ) -> Sight | None:
         """Return what is there when the run is done, or None if something else may have changed meanwhile.
 
         Args:
-            changes: what the run wrote and removed, a folder perhaps more than once.
+            changes: folders, perhaps more than once, with the names of the files that the run wrote and removed there.
             visible: the clock of the file system before the first write became visible.
             clock: the clock of the file system, later than the last write.
         """
@@ -143,9 +137,9 @@ class Sight(NamedTuple):
             return None
         written: dict[str, set[str]] = {}
         removed: dict[str, set[str]] = {}
-        for each in changes:
-            written.setdefault(each.folder, set()).update(each.written)
-            removed.setdefault(each.folder, set()).update(each.removed)
+        for folder, new, gone in changes:
+            written.setdefault(folder, set()).update(new)
+            removed.setdefault(folder, set()).update(gone)
         folders = dict(self.folders)
         for folder in filter(self._has, {*written, *self._new_above(written)}):
             before, new = self.folders.get(folder), written.get(folder, set())

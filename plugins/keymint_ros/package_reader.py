@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
 from comarmor.errors import Defects, Origin
@@ -65,22 +65,6 @@ _read_identity_defaults = Reader(
 _read_grant_defaults = Reader(
     "keymint_ros", "defaults_permissions", lambda root: certificate.read(root, certificate.SUBJECT_PLACEHOLDERS)
 )
-
-
-@lru_cache(maxsize=64)
-def _default_identity(content: bytes, file: str) -> tuple[IssuedElement, CertificateSpec | None]:
-    """Return the defaults of identities, and the certificate that they describe alone, with placeholders in its name.
-
-    There is none if they do not describe one.
-    """
-    defaults = _read_identity_defaults(content, file).in_file(file)
-    alone = defaults.subject_name is not None and defaults.validity is not None
-    return defaults, certificate.complete(defaults, defaults, {}) if alone else None
-
-
-@lru_cache(maxsize=64)
-def _default_grant(content: bytes, file: str) -> IssuedElement:
-    return _read_grant_defaults(content, file).in_file(file)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +137,7 @@ class _PackageLoader:
         part = self.manifest.part("identities")
         file, content = self.own(part)
         defaults_file, defaults_content = self.defaults(part)
-        defaults, alone = _default_identity(defaults_content, defaults_file)
+        defaults = _read_identity_defaults(defaults_content, defaults_file).in_file(defaults_file)
         own = IssuedElement(defaults.line, defaults_file)
         if content is not None:
             name, element = _read_identity(content, file)
@@ -165,10 +149,7 @@ class _PackageLoader:
                     help="give it the name of the package, or none",
                     code="name-mismatch",
                 )
-        if own.is_empty and alone is not None:
-            spec = replace(alone, subject_name=certificate.expanded_name(alone.subject_name, self.values))
-        else:
-            spec = certificate.complete(own, defaults, self.values)
+        spec = certificate.complete(own, defaults, self.values)
         named_at = certificate.issuer(own, defaults)[1]
         if part.issuer and own.issuer is None:
             spec, named_at = replace(spec, issuer=part.issuer), self.place(part)
@@ -206,7 +187,7 @@ class _PackageLoader:
         """
         part = self.manifest.part("permissions")
         file, content = self.defaults(part)
-        defaults = _default_grant(content, file)
+        defaults = _read_grant_defaults(content, file).in_file(file)
         own = written or defaults
         issuer = defaults.issuer or (SIGNER if SIGNER in self.authorities else "")
         return Grant(

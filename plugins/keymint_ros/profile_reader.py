@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from comarmor.errors import Origin
-from comarmor.values import dataclass
 from comarmor.xml.reader import line
 from keymint.api import Authority, PolicySource, WorkspaceProfile
 from keymint.api.source_documents import Reader, domains, file_in, place, require_new, text
@@ -32,32 +31,16 @@ _GRANT_DEFAULTS = "package.defaults/permissions.xml"
 _IDENTITY_DEFAULTS = "package.defaults/identities.xml"
 
 
-@dataclass(frozen=True, slots=True)
-class _PathElement:
-    """A path in a document, and its line."""
-
-    path: str
-    line: int
-
-
-@dataclass(frozen=True, slots=True)
-class _ProfileManifest:
-    """The content of ``keymint_profile.xml``.
-
-    Attributes:
-        profile: the profile without what its other documents say.
-        authorities: pairs of a document and its defaults.
-        policies: lists of policies.
-    """
-
-    profile: WorkspaceProfile
-    authorities: tuple[tuple[_PathElement, _PathElement], ...]
-    policies: tuple[_PathElement, ...]
+_PathElement = tuple[str, int]
+"""A path in a document, and its line."""
+_ProfileManifest = tuple[WorkspaceProfile, tuple[tuple[_PathElement, _PathElement], ...], tuple[_PathElement, ...]]
+"""The profile without what its other documents say, pairs of a document of authorities and its defaults, and lists of
+policies."""
 
 
 def _path(parent: etree._Element, tag: str, usual: str) -> _PathElement:
     element = parent.find(tag)
-    return _PathElement(usual, line(parent)) if element is None else _PathElement(text(element) or "", line(element))
+    return (usual, line(parent)) if element is None else (text(element) or "", line(element))
 
 
 def _manifest(root: etree._Element) -> _ProfileManifest:
@@ -86,7 +69,7 @@ def _manifest(root: etree._Element) -> _ProfileManifest:
         for item in root.iterfind("authorities/authority")
     )
     policies = (_path(item, "policy_path", "policies.xml") for item in root.iterfind("policies/policy"))
-    return _ProfileManifest(profile, tuple(authorities), tuple(policies))
+    return profile, tuple(authorities), tuple(policies)
 
 
 def _exports(root: etree._Element) -> Mapping[str, str]:
@@ -144,7 +127,7 @@ def _policy_path(policy: etree._Element) -> _PathElement:
                 "in place of both",
                 code="policy-folders",
             )
-    return _PathElement(text(path) or "", line(path))
+    return text(path) or "", line(path)
 
 
 _read_manifest = Reader("keymint_ros", "keymint_profile", _manifest)
@@ -169,10 +152,10 @@ def recognises(files: Mapping[str, bytes]) -> bool:
 def load(root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
     """Load a profile: see :meth:`keymint.api.ProfileType.load`."""
     name = str(root / MANIFEST)
-    own = _read_manifest(file_in(files, MANIFEST, Origin(str(root)), "profile"), name)
+    own, listed, policies = _read_manifest(file_in(files, MANIFEST, Origin(str(root)), "profile"), name)
     authorities: dict[str, Authority] = {}
     issuers: dict[str, Origin] = {}
-    for path, defaults_path in own.authorities:
+    for path, defaults_path in listed:
         for authority, where, issuer_named_at in _load_authorities(root, files, path, defaults_path):
             _check_unique(authority.name, authorities, where)
             authorities[authority.name], issuers[authority.name] = authority, issuer_named_at
@@ -181,11 +164,11 @@ def load(root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
         authorities[each] = Authority(each, spec, issuance)
     _check_hierarchy(authorities, issuers)
     return replace(
-        own.profile,
-        policies=tuple(source for path in own.policies for source in _load_policies(root, files, path)),
+        own,
+        policies=tuple(source for path in policies for source in _load_policies(root, files, path)),
         library=root / LIBRARY,
         authorities=tuple(authorities.values()),
-        layout=own.profile.layout or "sros2",
+        layout=own.layout or "sros2",
         files=files,
         packages=decisions.accepted_packages(files, str(root)),
         package_copies=root / decisions.COPIES,
@@ -194,7 +177,7 @@ def load(root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
 
 def with_distro(profile: WorkspaceProfile, distro: str) -> WorkspaceProfile:
     """Return a profile with a distribution: see :meth:`keymint.api.ProfileType.with_distro`."""
-    layout = _read_manifest(profile.files[MANIFEST], MANIFEST).profile.layout
+    layout = _read_manifest(profile.files[MANIFEST], MANIFEST)[0].layout
     # What no node of the distribution could read stays where it would be without one.
     is_readable = len(profile.authorities) == 1 or not distros.has_one_authority(distro, distros.layout(distro))
     return replace(profile, distro=distro, layout=layout or (distros.layout(distro) if is_readable else profile.layout))
@@ -202,7 +185,8 @@ def with_distro(profile: WorkspaceProfile, distro: str) -> WorkspaceProfile:
 
 def _document(root: Path, files: Mapping[str, bytes], path: _PathElement) -> tuple[bytes, str]:
     """Return the content of a document that the manifest names, and its path as the user would type it."""
-    return file_in(files, path.path, Origin(str(root / MANIFEST), path.line), "profile"), str(root / path.path)
+    name, at = path
+    return file_in(files, name, Origin(str(root / MANIFEST), at), "profile"), str(root / name)
 
 
 def _load_authorities(
@@ -240,26 +224,25 @@ def _check_hierarchy(authorities: Mapping[str, Authority], issuers: Mapping[str,
 def _load_policies(root: Path, files: Mapping[str, bytes], path: _PathElement) -> Iterator[PolicySource]:
     """Yield the policies of one document."""
     content, file = _document(root, files, path)
-    for name, policy in _read_policies(content, file):
-        yield PolicySource(name, Path(os.path.normpath(root / policy.path)), Origin(file, policy.line))
+    for name, (policy, at) in _read_policies(content, file):
+        yield PolicySource(name, Path(os.path.normpath(root / policy)), Origin(file, at))
 
 
 def with_policy(files: Mapping[str, bytes], policy: str) -> Mapping[str, bytes]:
     """Return the files that change with the policy: see :meth:`keymint.api.ProfileType.with_policy`."""
-    own = _read_manifest(file_in(files, MANIFEST, Origin(MANIFEST), "profile"), MANIFEST)
-    path, *others = own.policies
+    _, _, (path, *others) = _read_manifest(file_in(files, MANIFEST, Origin(MANIFEST), "profile"), MANIFEST)
     content, file = _document(Path(), files, path)
-    policies = [each for _, each in _read_policies(content, file)]
-    if not others and [each.path for each in policies] == [policy]:
+    (present, at), *more = [each for _, each in _read_policies(content, file)]
+    if not others and not more and present == policy:
         return {}
-    if others or len(policies) != 1 or content != _as_written(policies[0].path):
+    if others or more or content != _as_written(present):
         raise KeymintError(
             f"not replacing the profile's policies by {policy!r}: they were edited by hand",
-            where=Origin(file, policies[0].line),
+            where=Origin(file, at),
             help=f"write <profile_path>{policy}</profile_path> into this file, or create a new workspace",
             code="policies-edited",
         )
-    return {path.path: bootstrap.policies(policy)}
+    return {path[0]: bootstrap.policies(policy)}
 
 
 def _as_written(policy: str) -> bytes:

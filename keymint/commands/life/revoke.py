@@ -13,8 +13,8 @@ from comarmor.text import counted
 from keymint.command_line.options import complete_package, prove_option
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError
+from keymint.life.package_issuance import Revoking, plan_revocation
 from keymint.life.register import REASONS, SUPERSEDED, IssuedCertificate
-from keymint.life.revoking import Revoking, plan_revocation
 from keymint.names import package_name, subject_list, subject_of
 from keymint.output.report import Report, members
 from keymint.run.run import Run

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from keymint.view.folder_status import NEVER, FolderNames, Sight, folder_status, walk
+from keymint.view.folder_status import NEVER, Sight, folder_status, walk
 
 
 def edit_in_place(file: Path) -> None:
@@ -136,7 +136,7 @@ def after(folder: Path, during: Callable[[], object], written: str = "", late: C
         new.write_bytes(b"made")
     visible = now(folder)
     late()
-    names = [FolderNames(str(new.parent), {new.name}, ())] if written else []
+    names = [(str(new.parent), {new.name}, ())] if written else []
     seen = before.after(names, visible, now(folder))
     assert seen is None or dict(seen.folders) == walk([str(folder.parent)])
     return seen
@@ -151,7 +151,7 @@ def test_what_a_run_removes_is_gone(a: Path) -> None:
     before = Sight.of([str(a.parent)], now(a))
     (a / "other").unlink()
     moment = now(a)
-    seen = before.after([FolderNames(str(a), (), ("other",))], moment, moment)
+    seen = before.after([(str(a), (), ("other",))], moment, moment)
     assert seen is not None
     assert seen.folders[str(a)].files == ("file",)
 
