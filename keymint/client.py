@@ -32,9 +32,8 @@ from keymint.names import package_name, subject_of
 from keymint.output.console import Streams
 from keymint.output.report import Report
 from keymint.run.run import Run
-from keymint.stages.install_request import InstallRequest
 from keymint.stages.pipeline import CREATE, INSTALL, Request, conduct
-from keymint.stages.work import Work
+from keymint.stages.work import InstallRequest, Work
 from keymint.store.changes import Plan
 from keymint.workspace.package_build_types import BUILD
 from keymint.workspace.policy_loading import load_policy, locations_digest

@@ -20,7 +20,7 @@ from keymint.api.plugin_loader import Plugins
 from keymint.command_line import durations
 from keymint.errors import KeymintError
 from keymint.executors import PROCESSES
-from keymint.stages.install_request import InstallRequest
+from keymint.stages.work import InstallRequest
 from keymint.view.tree import Tree
 from keymint.workspace.workspace import Workspace, find, packages
 

@@ -7,14 +7,14 @@ docs/verification.md says which verb reads what. All that judges installed files
 
 ============================================  =======================================================================
 here
-``check``, ``keystore``                       all findings of a keystore, and of a second one beside it
+``check``, ``keystore``                       all findings of a keystore, and of a second one beside it; the register,
+                                              and revocation lists, against what is installed
 ``enclaves``                                  one enclave: its key, modes, record and strays; its build type asks more
-``authorities``                               certificates and keys of authorities, their dates and drift
-``keys``                                      private keys: where they are, plain, exposed, in a repository
-``issued``                                    the register, and revocation lists, against what is installed
+``authorities``                               certificates and keys of authorities, their dates and drift; private keys:
+                                              where they are, plain, exposed, in a repository
 ``rights``                                    what every certificate in force may present, against the policy
-``file_status``                               modes, owners, links and kinds of files
-``install_space``                             the install space outside of the enclaves
+``files``                                     modes, owners, links and kinds of files; the install space outside of
+                                              the enclaves
 ``bundles``                                   may a robot take a bundle
 ``weaknesses``                                what Keymint would have made otherwise: ``keymint harden``
 ``nodes``                                     what the rules keep from starting

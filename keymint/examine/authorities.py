@@ -1,11 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Check the authorities: keys and certificates that do not match, were replaced, or expire soon."""
+"""Judge the authorities, and the private keys of all.
+
+Keys and certificates of authorities may not match, be replaced, or expire soon. Of the private keys it is asked where
+those of authorities are, whether they are stored as asked, and who has seen them.
+
+Others have seen a key that they could read before it was taken over, or that is in a repository: one that git tracks,
+or that ``git add`` would add.
+"""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Generator, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from datetime import timedelta
+from pathlib import Path
 
 from cryptography import x509
 
@@ -13,11 +23,16 @@ from comarmor.errors import Defects, Diagnostic
 from keymint.api import ValidityTerm
 from keymint.authority import authority_files
 from keymint.authority.authorities import key_copies
-from keymint.authority.authority_files import AuthorityFiles
+from keymint.authority.authority_files import AuthorityFiles, authority_keys, other
 from keymint.errors import KeymintError
+from keymint.host.git import GIT_MISSING, run_git
 from keymint.life import terms
-from keymint.pki import certificates, keys
+from keymint.life.package_issuance import place_of
+from keymint.names import subject_of
+from keymint.pki import certificates, key_files, keys
 from keymint.stages.proof.trust_anchors import certificate_contradictions
+from keymint.workspace import gitignore
+from keymint.workspace.installed_enclaves import installed_certificate
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.stored_keys import key_defects
 
@@ -103,3 +118,138 @@ def _certificate(
             files.certificate_file,
             "run 'keymint install', which reissues it for the same key, and redeploy all enclaves",
         )
+
+
+_MOST = 64 * 1024
+"""Bytes up to which a file is searched for a private key."""
+_LIST = ("-c", "core.fsmonitor=false", "-c", "core.hooksPath=/dev/null", "ls-files", "-z")
+"""Lists files without starting programs that the repository's configuration names."""
+
+
+# -- private keys ---------------------------------------------------------------------------------------------------
+
+
+def elsewhere(session: Session) -> Iterator[Diagnostic]:
+    """Yield a note for each authority whose private key is not here, which may be meant so."""
+    for authority in session.profile.authorities:
+        workspace, name = session.workspace, authority.name
+        certificate, key = workspace.authority_certificate(name), workspace.authority_key(name)
+        is_known = session.tree.has_file(key) or session.tree.is_left_out(key)
+        if authority.certificate.key.uri or is_known or not session.tree.has_file(certificate):
+            continue
+        message = f"the private key of {name!r} is not here"
+        help_ = "restore it to sign anything"
+        yield Diagnostic.note("authority-key-missing", message, workspace.origin(certificate), help_)
+
+
+def encryption(session: Session) -> Iterator[Diagnostic]:
+    """Yield a warning for each private key of an authority that is stored plain, although the profile asks otherwise.
+
+    The PEM says whether a key is encrypted (:func:`keymint.pki.keys.is_encrypted`), so no password is needed.
+    """
+    for authority in session.profile.authorities:
+        if not authority.certificate.key.password_env:
+            continue
+        for name in filter(None, (authority.name, other(authority))):
+            path = session.workspace.authority_key(name)
+            pem = session.tree.try_read(path)
+            if pem is not None and not keys.is_encrypted(pem):
+                message = f"is not encrypted, although {authority.certificate.origin} asks for that"
+                help_ = f"'keymint authority encrypt {authority.name}' encrypts it; backups still hold the plain key"
+                yield Diagnostic.warning("key-plain", message, session.workspace.origin(path), help_)
+
+
+def exposed_keys(session: Session) -> Iterator[Diagnostic]:
+    """Yield a warning for each private key in use that others could read before it was taken over.
+
+    The sources remember its fingerprint. A new key has another one, which ends the finding.
+    """
+    workspace, trusted = session.workspace, authority_keys(session)
+    found = []
+    for each in session.profile.authorities:
+        if each.issuance.exposed in trusted:
+            where, verb = workspace.origin(workspace.authority_key(each.name)), f"authority replace {each.name}"
+            found.append((f"the authority {each.name!r}", where, verb, ""))
+    for name in session.packages():
+        with suppress(KeymintError):  # reported with the package
+            fingerprint = session.issuance(name).exposed
+            certificate = installed_certificate(session, name) if fingerprint else None
+            if certificate and fingerprint == certificates.fingerprint(certificate):
+                subject = subject_of(name)
+                found.append((subject, place_of(session, name), f"renew --rekey {name}", subject))
+    for whose, where, verb, subject in found:
+        message = f"others could read the private key of {whose} before it was taken over: it counts as exposed"
+        yield Diagnostic.warning("key-was-exposed", message, where, f"'keymint {verb}' ends it", subject)
+
+
+# -- git ------------------------------------------------------------------------------------------------------------
+
+
+def git_exposure(inputs: Inputs) -> Iterator[Diagnostic]:
+    """Yield the findings on the private keys in all spaces; none without a repository or without git."""
+    for space in inputs.workspace.spaces():
+        if _in_repository(space.resolve()):
+            yield from _of_space(inputs, space)
+
+
+def _of_space(inputs: Inputs, space: Path) -> Iterator[Diagnostic]:
+    files = (Path(path) for path, is_folder in inputs.tree.walk(space) if not is_folder)
+    found = [path for path in files if _is_secret(inputs, path)]
+    if not found:
+        return
+    environment = _plain(inputs.environment)
+    try:
+        tracked = _listed(space, "--cached", environment)
+        added = _listed(space, "--others", environment)
+    except KeymintError as error:
+        defect = error.diagnostics[0]
+        if defect.code != GIT_MISSING:
+            message = f"whether git tracks private keys is unknown: {defect.message}"
+            yield Diagnostic.note("git-unknown", message, inputs.workspace.origin(space))
+        return
+    guard = inputs.workspace.shown(space / gitignore.NAME)
+    stop = f"write the line '*' into {guard}"
+    replace = "replace it, since whoever has the repository has it"
+    yield from _finding(
+        inputs, found, tracked, "key-tracked", "that git tracks", f"'git rm --cached' it, and {replace}"
+    )
+    yield from _finding(inputs, found, added - tracked, "key-exposed", "that 'git add' would take", stop)
+
+
+def _finding(
+    inputs: Inputs, found: list[Path], listed: frozenset[Path], code: str, what: str, help_: str
+) -> Iterator[Diagnostic]:
+    """Yield one finding for all private keys of a space that are listed."""
+    exposed = [path for path in found if path in listed or any(folder in listed for folder in path.parents)]
+    exposed = [path for path in exposed if not key_files.is_public(inputs.tree.try_read(path) or b"")]
+    if exposed:
+        more = f", like {len(exposed) - 1} more" if len(exposed) > 1 else ""
+        message = f"is a private key {what}{more}"
+        yield Diagnostic.error(code, message, inputs.workspace.origin(exposed[0]), help_)
+
+
+def _in_repository(folder: Path) -> bool:
+    return any(os.path.lexists(above / ".git") for above in (folder, *folder.parents))
+
+
+def _listed(space: Path, which: str, environment: Mapping[str, str]) -> frozenset[Path]:
+    """Return the files below a space that git lists; a repository inside of it is one entry."""
+    names = run_git((*_LIST, which, "--exclude-standard", "--", "."), space, environment).split(b"\0")
+    return frozenset(space / os.fsdecode(name.removesuffix(b"/")) for name in names if name)
+
+
+def _plain(environment: Mapping[str, str]) -> Mapping[str, str]:
+    """Return an environment in which git only reads the repository of a space."""
+    kept = {name: value for name, value in environment.items() if not name.startswith("GIT_") or "CONFIG" in name}
+    return {**kept, "LC_ALL": "C", "GIT_OPTIONAL_LOCKS": "0", "GIT_TERMINAL_PROMPT": "0"}
+
+
+def _is_secret(inputs: Inputs, path: Path) -> bool:
+    """Tell whether a file contains a private key; in the private space all files do."""
+    if path.is_relative_to(inputs.workspace.private):
+        return path.name != gitignore.NAME
+    status = inputs.tree.status(path)
+    try:
+        return status is not None and status.st_size <= _MOST and key_files.has_any(inputs.tree.read(path) or b"")
+    except KeymintError:
+        return False

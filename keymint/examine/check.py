@@ -18,11 +18,16 @@ from comarmor.regex import lazy_regex
 from keymint.api import Inspection
 from keymint.api.plugin_loader import Plugins
 from keymint.errors import KeymintError
-from keymint.examine import keys
-from keymint.examine.authorities import authorities, in_defect
+from keymint.examine.authorities import (
+    authorities,
+    elsewhere,
+    encryption,
+    exposed_keys,
+    git_exposure,
+    in_defect,
+)
 from keymint.examine.enclaves import Examined, LoadedEnclave, examine, load
-from keymint.examine.file_status import file_status
-from keymint.examine.install_space import outside_enclaves
+from keymint.examine.files import file_status, outside_enclaves
 from keymint.examine.keystore import deciding_findings, staged_keystore_session
 from keymint.executors import Pool
 from keymint.stages import identity_keys
@@ -49,7 +54,7 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
     first = tuple(_examined(session, keyring, loaded[:1]))  # processes have then what all enclaves need
     parts = pool.parts(loaded[1:], LEAST)
     tasks: list[Callable[[], Iterable[Any]]] = [
-        partial(outside_enclaves, session, within), partial(file_status, session), partial(keys.git_exposure, session),
+        partial(outside_enclaves, session, within), partial(file_status, session), partial(git_exposure, session),
         partial(_deciding, session),
     ]  # fmt: skip
     tasks += (partial(_examined, session, keyring, part) for part in parts)
@@ -63,7 +68,7 @@ def check(session: Session, names: Sequence[str], within: timedelta, pool: Pool)
     findings += (each for each in decides if each not in findings)  # the defects of packages are found above
     fingerprints = {each.name: each.fingerprint for each in enclaves if each.fingerprint}
     findings += identity_keys.shared_keys(session, fingerprints)
-    findings += (*keys.elsewhere(session), *keys.encryption(session), *keys.exposed_keys(session))
+    findings += (*elsewhere(session), *encryption(session), *exposed_keys(session))
     findings += around
     later = _without_install_hints(findings, in_defect(of_authorities))
     return (*of_authorities, *of_files, *of_git, *later, *_of_second_keystore(session, names, within, pool))

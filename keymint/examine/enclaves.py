@@ -12,17 +12,17 @@ from comarmor.values import dataclass
 from keymint.api import BuildOptions, BuildType, Inspection, Package
 from keymint.authority.authority_files import trusted_chains
 from keymint.errors import KeymintError
-from keymint.examine.file_status import changed_file, link, linked_twice, modes, unexpected_file, unrecorded_note
+from keymint.examine.files import changed_file, link, linked_twice, modes, unexpected_file, unrecorded_note
 from keymint.life.workspace_register import withdrawn
 from keymint.names import subject_of
 from keymint.pki import key_files, keys
-from keymint.stages import build, identity_keys, install
+from keymint.stages import identity_keys
+from keymint.stages.documents import built_documents, installed_documents
 from keymint.stages.proof.trust_anchors import anchors_of, contradictions_for, unread_of
-from keymint.stages.shared_install import installed_documents
 from keymint.store.changes import file_mode
 from keymint.view.stamps import digest
-from keymint.workspace.installed_enclaves import KEY, enclave_files, files_in, not_installed
-from keymint.workspace.package_build_types import build_types_of, is_build_current
+from keymint.workspace.installed_enclaves import INSTALLED, KEY, enclave_files, files_in, not_installed
+from keymint.workspace.package_build_types import BUILD, build_types_of, is_build_current
 from keymint.workspace.session import Session
 from keymint.workspace.stored_keys import key_defects
 
@@ -183,10 +183,10 @@ def _inspections(session: Session, package: Package, files: Mapping[str, bytes],
 
 def _recorded(session: Session, name: str) -> Mapping[str, bytes] | None:
     """Return the built documents of a package if the record has their digests and that of its sources, else None."""
-    stamp = session.state.stamp(build.STAGE, name)
+    stamp = session.state.stamp(BUILD, name)
     if stamp is None or not is_build_current(session, name):
         return None
-    documents = build.built_documents(session, name)
+    documents = built_documents(session, name)
     return documents if {file: digest(content) for file, content in documents.items()} == stamp.outputs else None
 
 
@@ -249,7 +249,7 @@ def _link(session: Session, name: str, path: str) -> Diagnostic:
 def _on_disk(session: Session, name: str, files: Mapping[str, bytes]) -> Iterator[Diagnostic]:
     """Check modes, links and recorded digests of one enclave."""
     folder, subject = session.enclave_folder(name), subject_of(name)
-    stamp = session.state.stamp(install.STAGE, name)
+    stamp = session.state.stamp(INSTALLED, name)
     secret = stamp.secret if stamp else (KEY,)
     yield from modes(session, folder, 0o700, subject)
     for file in files_in(session, name):

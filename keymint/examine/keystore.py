@@ -1,26 +1,193 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ask every rule about a keystore, and about a second one that lies beside it: what ``check`` and ``prove`` share."""
+"""Ask what ``check`` and ``prove`` share about a keystore, and about a second one that lies beside it.
+
+The claims about enclaves are one part of it, what was issued is the other one: certificates as the register has them,
+and revocation lists with all that was revoked. An installed certificate is registered, not revoked, and has the dates
+of its sources. Each enclave has the list in force, which has all revocations and revokes nobody else.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from comarmor.errors import Diagnostic
-from comarmor.text import first_few
+from cryptography import x509
+
+from comarmor.errors import Diagnostic, Origin
+from comarmor.text import counted, first_few
 from keymint.api import LoadedPolicy, Phase
+from keymint.authority.authority_files import issuers
 from keymint.authority.rollover import staged_session
 from keymint.errors import KeymintError
-from keymint.examine.issued import lists_in_force, of_enclaves, register_findings
 from keymint.examine.rights import presented_rights
 from keymint.executors import Pool
 from keymint.life.earlier_rights import RIGHTS_OUTLIVE
+from keymint.life.revocation_lists_in_force import enclave_lists
+from keymint.life.terms import iso_time
+from keymint.life.workspace_register import complete_register, issuer_of, register_of
 from keymint.names import subject_of
+from keymint.pki import certificate_forms, certificates, revocation_lists
 from keymint.stages.proof.proof_results import ProofEffort, ProofResults
 from keymint.stages.proof.prove import proofs
 from keymint.store import journal
-from keymint.workspace.installed_enclaves import INSTALLED, with_sources
+from keymint.workspace.installed_enclaves import (
+    CERTIFICATE,
+    INSTALLED,
+    enclave_files,
+    installed_certificate,
+    with_sources,
+)
+from keymint.workspace.package_build_types import build_types_of, is_build_current, revocation_files
 from keymint.workspace.session import Inputs, Session, once
+
+_INSTALL_LIST = "'keymint install' writes it again; then deploy and restart the enclaves"
+
+
+def issued_here(session: Session) -> Iterator[tuple[str, x509.Certificate, x509.Certificate]]:
+    """Yield the packages with the certificate of their enclave and its issuer; others are reported with the chain."""
+    authorities = [issuer for _, _, issuer in issuers(session)]
+    for name in with_sources(session):
+        certificate = installed_certificate(session, name)
+        issuer = next((each for each in authorities if certificate and certificate.issuer == each.subject), None)
+        if certificate and issuer:
+            yield name, certificate, issuer
+
+
+def register_findings(session: Session) -> Iterator[Diagnostic]:
+    """Yield a finding for each installed certificate of our authorities that is not as it was issued.
+
+    Without a register nothing is known of what was issued: a finding if something was revoked, unless private files are
+    left out.
+
+    Raises:
+        KeymintError: the register or a package has defects.
+    """
+    if session.tree.read(session.workspace.register) is None:
+        if not session.tree.is_left_out(session.workspace.register):
+            try:
+                complete_register(session)
+            except KeymintError as error:
+                yield from error.diagnostics
+        return
+    register = register_of(session)
+    for name, certificate, issuer in issued_here(session):
+        known = register.certificates.get((issuer_of(issuer), certificate.serial_number))
+        package = session.package(name, built=is_build_current(session, name))
+        where = session.workspace.origin(f"{session.enclave_folder(name)}/{CERTIFICATE}")
+        issue = f"'keymint install {name}' issues another one"
+        first, last = certificates.period(certificate)
+        if known is None:
+            message = f"is a certificate with the serial number {certificate.serial_number:x} that nobody registered"
+            help_ = f"find out who issued it: the key of {package.identity.issuer!r} did; then {issue}"
+            yield Diagnostic.error("certificate-unregistered", message, where, help_, package.subject)
+        elif (known.name, known.key, known.not_before, known.not_after) != (
+            name, certificates.fingerprint(certificate), first, last,
+        ):  # fmt: skip
+            message = f"differs from the certificate that was issued with the serial number {known.serial:x}"
+            yield Diagnostic.error("certificate-unregistered", message, where, issue, package.subject)
+        elif known.revoked is not None:
+            message = f"was revoked on {iso_time(known.revoked)} ({known.reason})"
+            help_ = f"remove the enclave; 'keymint renew --rekey {name}' makes a new key and certificate"
+            yield Diagnostic.error("certificate-revoked", message, where, help_, package.subject)
+        else:
+            wanted = certificate_forms.cut(package.identity.validity, issuer)
+            if (first, last) != (wanted.not_before, wanted.not_after):
+                text = f"is in force from {iso_time(first)} to {iso_time(last)}, which is not what the sources ask for"
+                yield Diagnostic.warning("certificate-drift", text, where, issue, package.subject)
+
+
+# -- revocation lists -----------------------------------------------------------------------------------------------
+
+
+def lists_in_force(session: Session) -> Iterator[Diagnostic]:
+    """Yield a finding for each authority whose list lacks a revocation of the register, or revokes what is in force."""
+    register = register_of(session)
+    for name, _, issuer in issuers(session):  # others are reported with the authorities
+        path = session.workspace.revocation_list(name)
+        where = session.workspace.origin(path)
+        revoked = {each.serial: each.name for each in register.revoked(issuer_of(issuer))}
+        content = session.tree.read(path)
+        try:
+            listed = () if content is None else revocation_lists.load(content, where).revocations
+        except KeymintError as error:
+            yield from error.diagnostics
+            continue
+        if lacking := revoked.keys() - {each.serial for each in listed}:
+            what = "is missing" if content is None else "is not the latest revocation list"
+            message = f"{what}: {counted(len(lacking), 'revoked certificate')} would be accepted"
+            yield Diagnostic.error("revocation-list-outdated", message, where, _INSTALL_LIST)
+        if content is not None and not revocation_lists.problem(content, issuer):
+            yield from _living(session, content, where)
+
+
+def of_enclaves(session: Session) -> Iterator[Diagnostic]:
+    """Yield a finding for each installed enclave with another revocation list than the one in force.
+
+    Raises:
+        KeymintError: a package has defects.
+    """
+    in_force, accepted = enclave_lists(session), _accepted(session)
+    for name in with_sources(session):
+        package, files = session.package(name, built=is_build_current(session, name)), enclave_files(session, name)[0]
+        build_types, layout = build_types_of(session, package).values(), session.profile.layout
+        expected = in_force.get(package.identity.issuer, b"")
+        folder = session.workspace.shown(session.enclave_folder(name))
+        for file, artifact in revocation_files(build_types, package.distro, layout, expected or b"list"):
+            where = Origin(f"{folder}/{file}")
+            if expected and files.get(file) != artifact.content:
+                what = "is not the revocation list in force" if file in files else "the revocation list is missing"
+                thieves = accepted.get(package.identity.issuer, ())
+                whom = f"the revoked {first_few(thieves)}" if thieves else "revoked certificates"
+                message = f"{what}: {package.subject} accepts {whom}"
+                help_ = f"'keymint install {name}' writes it; then deploy and restart the enclave"
+                yield Diagnostic.error("revocation-list-outdated", message, where, help_, package.subject)
+            if file in files and files[file] != expected:
+                yield from _living(session, files[file], where, package.subject)
+
+
+def _living(session: Session, pem: bytes, where: Origin, subject: str = "") -> Iterator[Diagnostic]:
+    """Yield a finding if a list by an authority of the workspace revokes a certificate that is in force."""
+    crl = revocation_lists.first(pem)
+    found = [issuer for _, _, issuer in issuers(session) if crl is not None and revocation_lists.is_by(crl, issuer)]
+    if crl is None or not found:
+        return  # of a foreign one the checks of credentials tell
+    serials = {entry.serial_number for entry in crl}
+    names = sorted(
+        {name for issuer, serial, name in _in_force(session) if issuer == issuer_of(found[0]) and serial in serials}
+    )
+    if names:
+        message = f"revokes the certificate of {first_few(names)}, which the register does not have as revoked"
+        help_ = f"'keymint revoke' revokes it; else remove this list, and {_INSTALL_LIST}"
+        yield Diagnostic.error("revocation-list-living", message, where, help_, subject)
+
+
+@once
+def _in_force(session: Session) -> frozenset[tuple[str, int, str]]:
+    """Return issuer, serial number and subject of each certificate that is not revoked: registered, or installed."""
+    register = register_of(session)
+    known = {
+        (each.issuer, each.serial, subject_of(each.name))
+        for each in register.certificates.values()
+        if each.revoked is None and each.not_after >= session.now
+    }
+    for name, certificate, issuer in issued_here(session):
+        key = issuer_of(issuer), certificate.serial_number
+        if not register.is_revoked(*key):
+            known.add((*key, subject_of(name)))
+    return frozenset(known)
+
+
+def _accepted(session: Session) -> Mapping[str, list[str]]:
+    """Return the subjects whose certificates were revoked and have not ended, by the name of their authority."""
+    found: dict[str, dict[str, None]] = {}
+    for _, name, issuer in issuers(session):
+        for each in register_of(session).revoked(issuer_of(issuer)):
+            if each.not_after >= session.now:
+                found.setdefault(name, {})[subject_of(each.name) if each.name else f"certificate {each.serial:x}"] = (
+                    None
+                )
+    return {name: sorted(subjects) for name, subjects in found.items()}
+
 
 SHOWN_NOTES = frozenset({RIGHTS_OUTLIVE, "authority-key-missing", "not-examined"})
 """Codes of notes that are shown in any case: an owner must know of them."""

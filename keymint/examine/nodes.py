@@ -15,9 +15,8 @@ from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import subject_of
 from keymint.stages.proof.prove import STAGE, policy_digest
-from keymint.stages.shared_documents import FOLDER
 from keymint.view.stamps import Stamp, State, digest
-from keymint.workspace.package_build_types import recorded_build_types
+from keymint.workspace.package_build_types import SHARED, recorded_build_types
 from keymint.workspace.session import Session
 
 NODE_NOTES = frozenset({"node-cannot-start", "parameter-client-cannot-start"})
@@ -78,7 +77,7 @@ def of_packages(
     for name in names:
         for build_type in () if name in session.infrastructure() else recorded_build_types(session, name):
             subjects.setdefault(build_type, []).append(subject_of(name))
-    distro, key = session.profile.distro, f"{FOLDER}/nodes"
+    distro, key = session.profile.distro, f"{SHARED}/nodes"
     asked = (part for build_type, own in subjects.items() for part in (build_type, *own, ""))
     inputs, stamp = digest(session.plugins.versions, distro, policy_digest(policy), *asked), state.stamp(STAGE, key)
     if stamp is not None and stamp.inputs == inputs:

@@ -42,13 +42,11 @@ from keymint.pki import certificates, distinguished_names, smime
 from keymint.pki.distinguished_names import to_text
 from keymint.pki.mime import SignedDocument
 from keymint.robots import bundle
-from keymint.stages.proof.proof_record import dump_claims, load_claims
-from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, ProofResults
+from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, ProofResults, dump_claims, load_claims
 from keymint.stages.proof.prove import STAGE, policy_digest
-from keymint.stages.shared_documents import FOLDER
 from keymint.view.stamps import Stamp, State, digest
 from keymint.workspace.installed_enclaves import installed_certificate
-from keymint.workspace.package_build_types import inputs_digest, is_build_current
+from keymint.workspace.package_build_types import SHARED, inputs_digest, is_build_current
 from keymint.workspace.session import Session, once
 
 _MOST = 1 << 20
@@ -81,7 +79,7 @@ def presented_rights(session: Session, state: State, policy: LoadedPolicy, effor
         if presentation is None or not (packages := _packages(session, name)):
             continue
         question = _Question(session, policy, effort, presentation, packages)
-        claims, found, state = question.recorded(state, f"{FOLDER}/presented/{name}")
+        claims, found, state = question.recorded(state, f"{SHARED}/presented/{name}")
         for package, subject, excess, until in found:
             if until >= session.now:
                 note = earlier_rights.outliving_rights(session, package, subject, excess, until)

@@ -3,6 +3,10 @@
 
 The cluster is outside of the trust of the workspace's authorities. Dask's own options keep it from sending pickles as
 results, but not as exceptions, types and messages (measured with Dask 2026.8), so unpickling is refused as a whole.
+
+What a worker carries out (:func:`carry_out`) is a request as bytes, answered as bytes. Answers are JSON of data types.
+Unlike a pickle, an answer cannot make its reader carry out anything: it is read as data of the one type that is
+expected, field by field.
 """
 
 from __future__ import annotations
@@ -10,24 +14,161 @@ from __future__ import annotations
 import contextlib
 import functools
 import ipaddress
+import json
 import pickle
 import socket
 import sys
+import tempfile
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from datetime import datetime
-from typing import TYPE_CHECKING, Any
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_type_hints
 from urllib.parse import urlsplit
 
+import msgspec
+
+from comarmor.errors import Diagnostic
+from comarmor.values import dataclass
+from keymint import __version__
+from keymint.api import Environment
 from keymint.api.plugin_loader import Plugins, how_to_add
 from keymint.errors import ExitCode, KeymintError
-from keymint.executors import worker
-from keymint.executors.pool import PARTS_FOR_EACH, Result, Task, Work, divide, in_order
+from keymint.executors.pool import PARTS_FOR_EACH, Pool, Result, Task, Work, in_order
 
 if TYPE_CHECKING:
     from distributed import Client, Security
+
+
+# -- what a worker does ----------------------------------------------------------------------------------------------
+
+
+def dump(value: object) -> bytes:
+    """Return a value of data types as JSON."""
+    # The library does not write names that are not UTF-8; JSON's own escapes can.
+    return json.dumps(msgspec.to_builtins(value, enc_hook=_plain), separators=(",", ":")).encode()
+
+
+def load(content: object, kind: Any) -> Any:
+    """Return the value of a type that :func:`dump` wrote.
+
+    Raises:
+        KeymintError: the content is not bytes, not JSON, or not of this type.
+    """
+    if not isinstance(content, bytes):
+        raise _refused(f"a {type(content).__name__} in place of bytes")
+    try:
+        return msgspec.convert(json.loads(content), kind, dec_hook=_path)
+    except (ValueError, RecursionError, msgspec.ValidationError) as error:
+        raise _refused(str(error)) from error
+
+
+def _refused(why: str) -> KeymintError:
+    return KeymintError(
+        f"a worker answered something else than it was asked: {why}",
+        help="find out what runs on the cluster before you use it again",
+        code="executor-answer",
+    )
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, Path):
+        return str(value)
+    raise NotImplementedError(type(value).__name__)
+
+
+def _path(kind: type, value: object) -> object:
+    if kind is Path and isinstance(value, str):
+        return Path(value)
+    raise NotImplementedError(kind.__name__)
+
+
+DONE, REFUSED = b"+", b"-"
+"""How an answer begins."""
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """Why a worker has no result.
+
+    Attributes:
+        diagnostics: the errors of the work.
+        exit_code: its exit code.
+        versions: what the worker has installed, if the user has something else.
+    """
+
+    diagnostics: tuple[Diagnostic, ...] = ()
+    exit_code: ExitCode = ExitCode.FAILURE
+    versions: str = ""
+
+
+def versions(plugins: Plugins) -> str:
+    """Return what must be the same here and on a worker, a line each."""
+    return f"keymint/{__version__}\n{plugins.versions}"
+
+
+def result_of(work: Work[Any, Any], answer: object, installed: str) -> Any:
+    """Return the result in the answer to a request.
+
+    Raises:
+        KeymintError: the work failed, the worker has other versions, or the answer is none.
+    """
+    if isinstance(answer, bytes) and answer[:1] == DONE:
+        return load(answer[1:], get_type_hints(work)["return"])
+    refusal: Refusal = load(answer[1:] if isinstance(answer, bytes) else answer, Refusal)
+    if refusal.diagnostics:
+        raise KeymintError.of(refusal.diagnostics, refusal.exit_code)
+    here, there = installed.splitlines(), refusal.versions.splitlines()
+    raise KeymintError(
+        f"a worker has {_first(there, here)}, where this machine has {_first(here, there)}",
+        help="all machines need the same versions of Keymint and of its plugins",
+        code="executor-version",
+    )
+
+
+def _first(lines: Sequence[str], others: Sequence[str]) -> str:
+    return next((line for line in lines if line not in others), "nothing")
+
+
+def request(work: Work[Any, Any], task: object, now: datetime, installed: str) -> bytes:
+    """Return a request.
+
+    Args:
+        work: a function of a module.
+        task: plain data without secrets.
+        now: the clock of the run, UTC.
+        installed: see :func:`versions`.
+    """
+    # The worker is told the versions before it reads anything that depends on them.
+    return pickle.dumps((installed, now, pickle.dumps((work, task))))
+
+
+def carry_out(content: bytes) -> bytes:
+    """Carry out a request, and return the answer. It never raises: an exception would be pickled."""
+    try:
+        installed, now, inner = pickle.loads(content)  # noqa: S301 - from the user, whom a worker trusts
+        plugins = _plugins(now)
+        if (here := versions(plugins)) != installed:
+            return REFUSED + dump(Refusal(versions=here))
+        work, task = pickle.loads(inner)  # noqa: S301 - the same
+        return DONE + dump(work(plugins, task))
+    except KeymintError as error:
+        return REFUSED + dump(Refusal(error.diagnostics, error.exit_code))
+    except Exception as error:  # noqa: BLE001 - the user gets one line for our bugs too
+        failed = KeymintError(f"a worker failed: {type(error).__name__}: {error}", code="executor-failed")
+        return REFUSED + dump(Refusal(failed.diagnostics))
+
+
+@cache
+def _plugins(now: datetime) -> Plugins:
+    # No transport that runs on a worker builds programs, so none needs a cache or variables.
+    return Plugins(environment=Environment(now, Path(tempfile.gettempdir()), {}))
+
+
+# -- the pool --------------------------------------------------------------------------------------------------------
 
 CONNECT_SECONDS = 5
 """How long to wait for the scheduler, for a first worker, and for workers to come back when all are lost."""
@@ -36,13 +177,13 @@ _HARMLESS = {("builtins", "bytes")}
 _CREDENTIALS = ("DASK_DISTRIBUTED__COMM__TLS__CA_FILE", "…CLIENT__CERT", "…CLIENT__KEY")
 
 
-class Cluster:
-    """Implements :class:`keymint.executors.Pool` on an executor for bytes.
+class Cluster(Pool):
+    """A pool on an executor for bytes.
 
     Args:
         plugins: the installed plugins.
         now: the clock of the run, UTC.
-        executor: calls :func:`keymint.executors.worker.carry_out` elsewhere.
+        executor: calls :func:`keymint.executors.cluster.carry_out` elsewhere.
         size: number of tasks that it carries out at a time.
         trusted: the user trusts the cluster like this machine.
     """
@@ -50,23 +191,18 @@ class Cluster:
     shares_memory = False
 
     def __init__(self, plugins: Plugins, now: datetime, executor: Executor, size: int, *, trusted: bool) -> None:
-        self._installed, self._now, self._executor = worker.versions(plugins), now, executor
+        self._installed, self._now, self._executor = versions(plugins), now, executor
         self.size = size
         self.trusted = trusted
-
-    def parts(self, items: Sequence[Task], least: int) -> list[Sequence[Task]]:
-        """See :meth:`keymint.executors.Pool.parts`; the user wants all of them to be carried out there."""
-        del least
-        return divide(items, max(1, min(self.size * PARTS_FOR_EACH, len(items))))
 
     def map(self, work: Work[Task, Result], tasks: Iterable[Task]) -> Iterator[Result]:
         """See :meth:`keymint.executors.Pool.map`."""
 
         def submit(task: Task) -> Future[bytes]:
-            return self._executor.submit(worker.carry_out, worker.request(work, task, self._now, self._installed))
+            return self._executor.submit(carry_out, request(work, task, self._now, self._installed))
 
         for future in in_order(submit, tasks, PARTS_FOR_EACH * self.size):
-            yield worker.result_of(work, future.result(), self._installed)
+            yield result_of(work, future.result(), self._installed)
 
 
 @contextlib.contextmanager

@@ -20,16 +20,15 @@ from keymint import SPACES
 from keymint.api import BuildOptions, Environment
 from keymint.api.plugin_loader import Plugins
 from keymint.errors import ExitCode, KeymintError, usage_error
-from keymint.executors import PROCESSES
+from keymint.executors import PROCESSES, Processes
 from keymint.names import package_name
 from keymint.output.console import Console, Streams
 from keymint.output.report import Report, merged_diagnostics
 from keymint.pki.tokens.pin_sources import Pins
 from keymint.pki.tokens.token_sessions import Tokens
-from keymint.run.answer_recording import remember
-from keymint.run.execution import RECORD, execute, open_store, require_register
+from keymint.run.execution import RECORD, execute, open_store, remember, require_register
 from keymint.run.workers import Workers
-from keymint.stages.package_stage import Crew
+from keymint.stages.work import Crew
 from keymint.store.changes import File, Plan, Step
 from keymint.store.journal import Intent, Journal, intent_of
 from keymint.store.workspace_lock import LOCK, clock, folder_lock, read_lock
@@ -237,7 +236,7 @@ class Run:
                 "--no-prove would sign what a cluster compiled and nobody proved",
                 "prove it, or say --trust-executor",
             )
-        from keymint.run.cluster_compiling import compile_elsewhere  # noqa: PLC0415 - few runs need it
+        from keymint.stages.build import compile_elsewhere  # noqa: PLC0415 - few runs need it
 
         with self.pool() as pool:
             compile_elsewhere(pool, session, names, options)
@@ -250,8 +249,6 @@ class Run:
             KeymintError: the user named a cluster that cannot be used.
         """
         if not self.has_cluster:
-            from keymint.executors.processes import Processes  # noqa: PLC0415 - few runs need it
-
             yield Processes(self.plugins, self.jobs)
             return
         from keymint.executors.cluster import cluster  # noqa: PLC0415 - few runs need it

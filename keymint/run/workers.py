@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 from keymint.errors import KeymintError, process_ended
 from keymint.host.streams_and_signals import held_signals
-from keymint.stages.package_stage import PackagePlan, PackageStage, session_after
+from keymint.stages.work import PackagePlan, PackageStage, session_after
 from keymint.store.changes import Action, FolderChange
 from keymint.store.staged import Exchange
 from keymint.store.store import Store

@@ -3,23 +3,45 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from comarmor.errors import Defects, Diagnostic, Origin
 from keymint.api import BuildOptions, BuildResult, LoadedPolicy, Package
 from keymint.errors import KeymintError
+from keymint.executors import Pool
+from keymint.keymake.kinds import kind_of
 from keymint.life import terms
 from keymint.names import name_of, subject_of
-from keymint.stages import identity_keys, shared_documents
-from keymint.stages.built_documents import kept_documents_step, refuse_edits
-from keymint.stages.package_stage import PackagePlan, state_after, steps_of
+from keymint.stages import identity_keys
+from keymint.stages.documents import (
+    build_shared,
+    documents_folder,
+    file_changes,
+    kept_documents_step,
+    obsolete_documents,
+    refuse_edits,
+    removals,
+)
+from keymint.stages.work import PackagePlan, state_after, steps_of
 from keymint.store.changes import Action, DocumentSize, File, FolderChange, Plan, Step
 from keymint.view.stamps import Stamp, digest
-from keymint.workspace.package_build_types import BUILD, build_types_of, inputs_digest, is_build_current, two_writers
+from keymint.workspace.package_build_types import (
+    BUILD,
+    SHARED,
+    build_types_of,
+    inputs_digest,
+    is_build_current,
+    record_key,
+    shared_type,
+    two_writers,
+    users,
+)
 from keymint.workspace.policy_loading import lazy_policy
-from keymint.workspace.session import Inputs, Session
+from keymint.workspace.session import Session
 
 STAGE = BUILD
 
@@ -60,7 +82,7 @@ class BuildStage:
         subject = subject_of(name)
         try:
             renew = self._renew and name not in self._followers
-            plan = _plan_package(self._session, name, self._options_of(name), force=self._force, renew=renew)
+            plan = _plan_documents(self._session, name, self._options_of(name), force=self._force, renew=renew)
         except KeymintError as error:
             return PackagePlan(name, errors=self._places.in_policy(error.diagnostics, subject))
         if not plan.diagnostics:
@@ -79,7 +101,7 @@ class BuildStage:
         built = replace(session, state=state_after(session.state, STAGE, planned))
         try:
             options = self._options_of(planned[0].name) if planned else self._options or BuildOptions()
-            shared = shared_documents.plan_shared_build(built, options, force=self._force)
+            shared = _plan_shared(built, options, force=self._force)
         except KeymintError as error:
             raise KeymintError.of(self._places.in_policy(error.diagnostics)) from error
         diagnostics |= dict.fromkeys(self._places.in_policy(each for plan in shared for each in plan.diagnostics))
@@ -97,32 +119,6 @@ def options_as_built(session: Session, name: str) -> BuildOptions:
     return next((each for each in known if stamp and stamp.context == digest(repr(each))), BuildOptions())
 
 
-def is_built(inputs: Inputs, name: str) -> bool:
-    """Tell whether a package was built and has its documents; a package whose rights are shared has none of its own."""
-    return document_digests(inputs, name) is not None
-
-
-def document_digests(inputs: Inputs, name: str) -> dict[str, str] | None:
-    """Return the digests of :func:`built_documents`; None if not built."""
-    stamp, folder = inputs.state.stamp(STAGE, name), f"{inputs.workspace.build}/{name}"
-    if stamp is None:
-        found = {file: digest(content) for file, content in built_documents(inputs, name).items()}
-        return found or None
-    digests = {file: inputs.tree.digest(f"{folder}/{file}") for file in sorted(stamp.outputs)}
-    found = {file: value for file, value in digests.items() if value is not None}
-    return found if found or not stamp.outputs else None
-
-
-def built_documents(inputs: Inputs, name: str) -> dict[str, bytes]:
-    """Return the unsigned documents of a package by file name; empty if it was not built."""
-    folder = inputs.workspace.build / name
-    stamp = inputs.state.stamp(STAGE, name)
-    if stamp is None:
-        return inputs.tree.files(folder)
-    contents = {file: inputs.tree.read(f"{folder}/{file}") for file in sorted(stamp.outputs)}
-    return {file: content for file, content in contents.items() if content is not None}
-
-
 def options_of(options: BuildOptions, subject: str) -> BuildOptions:
     """Drop other subjects' hints, so that changing them does not rebuild this package."""
     if not options.hints:
@@ -130,40 +126,68 @@ def options_of(options: BuildOptions, subject: str) -> BuildOptions:
     return replace(options, hints=tuple(each for each in options.hints if each.edge.subject == subject))
 
 
-def _plan_package(session: Session, name: str, options: BuildOptions, *, force: bool, renew: bool) -> PackagePlan:
-    folder = session.workspace.build / name
-    options = options_of(options, subject_of(name))
-    options_digest = digest(repr(options))
+def _plan_documents(session: Session, name: str, options: BuildOptions, *, force: bool, renew: bool) -> PackagePlan:
+    """Return the plan for a package and its key, or for the documents over all packages of a build type."""
+    shared, folder = shared_type(name), documents_folder(session, name)
+    options = options if shared else options_of(options, subject_of(name))
+    context = digest(repr(options))
     stamp = session.state.stamp(STAGE, name)
-    same = stamp is not None and stamp.context == options_digest and is_build_current(session, name)
-    may_stay = stamp and same and not force and not renew and identity_keys.is_there(session, name)
-    if stamp and may_stay and (step := kept_documents_step(session, stamp, folder, name)):
-        return PackagePlan(name, step, lifetimes=terms.recorded_terms(session, name, stamp))
-    package = session.package(name)
-    built = _built(session, package, options)
+    same = stamp is not None and stamp.context == context and is_build_current(session, name)
+    may_stay = same and not force and not renew and (shared or identity_keys.is_there(session, name))
+    if stamp and may_stay and (step := kept_documents_step(session, name, stamp)):
+        return PackagePlan(name, step, lifetimes=() if shared else terms.recorded_terms(session, name, stamp))
+    package = None if shared else session.package(name)
+    built = _built(session, package, options) if package else build_shared(session, shared, options)
+    obsolete = sorted(stamp.outputs.keys() - built.documents.keys()) if stamp else []
     existing = {file: session.tree.read(f"{folder}/{file}") for file in built.documents}
     files = {file: File(content) for file, content in built.documents.items()}
     new_files = {file: new for file, new in files.items() if existing[file] != new.content}
     if not force:
-        refuse_edits(session, name, folder, {file: existing[file] for file in new_files}, name)
-    changes: tuple[FolderChange, ...] = (FolderChange(folder, new_files),) if new_files else ()
-    obsolete = [file for file in stamp.outputs if file not in built.documents] if stamp else []
-    changes += shared_documents.removals(session, folder, obsolete)
-    minted, fingerprint = _key(session, package, renew=renew)
+        edited = {file: session.tree.read(f"{folder}/{file}") for file in obsolete} if shared else {}
+        refuse_edits(session, name, {file: existing[file] for file in new_files} | edited)
+    changes = (*file_changes(folder, new_files), *removals(session, folder, obsolete))
+    minted, fingerprint = _key(session, package, renew=renew) if package else ((), "")
     before = stamp is not None or any(content is not None for content in existing.values())
     action = (Action.UPDATED if before else Action.CREATED) if changes or minted else Action.UNCHANGED
-    outputs = {file: new.digest for file, new in files.items()}
-    sizes = _sizes(built)
-    step = Step(STAGE, name, action, (*minted, *changes), ", ".join(map(_smaller, sizes)), sizes)
-    own = terms.lifetimes(package)
+    sizes = tuple(DocumentSize(file, len(files[file].content), n) for file, n in sorted(built.plain_sizes.items()))
+    shown = [DocumentSize(file, len(new.content), len(new.content)) for file, new in files.items()] if shared else sizes
+    step = Step(STAGE, "" if shared else name, action, (*minted, *changes), ", ".join(map(_smaller, shown)), sizes)
+    own, build_types = (terms.lifetimes(package), package.build_types) if package else ((), (shared,))
     made = Stamp(
-        inputs_digest(session, name, package.build_types),
-        outputs,
-        context=options_digest,
-        lifetimes=terms.dump(own, session.workspace),
-        build_types=package.build_types,
+        inputs_digest(session, name, build_types),
+        {file: new.digest for file, new in files.items()},
+        context=context,
+        lifetimes=terms.dump(own, session.workspace) if package else "",
+        build_types=build_types,
     )
-    return PackagePlan(name, step, made, built.diagnostics, fingerprint=fingerprint, lifetimes=own)
+    return PackagePlan(name, step, made, tuple(built.diagnostics), fingerprint=fingerprint, lifetimes=own)
+
+
+def _plan_shared(session: Session, options: BuildOptions, *, force: bool) -> list[PackagePlan]:
+    """Return the plans for the documents over all packages of each build type.
+
+    Args:
+        session: the workspace and its profile, with the record of the packages that this run builds.
+        options: options of the build.
+        force: rebuild, and overwrite documents that were edited by hand.
+
+    Raises:
+        KeymintError: a package has defects, or packages contradict each other.
+    """
+    names = [record_key(build_type) for build_type in users(session)]
+    planned = [_plan_documents(session, name, options, force=force, renew=False) for name in names]
+    writers: dict[str, str] = {}
+    for plan in planned:
+        own = shared_type(plan.name)
+        for path in (plan.stamp or session.state.stamps[STAGE][plan.name]).outputs:
+            if (other := writers.setdefault(path, own)) != own:
+                raise KeymintError(
+                    f"the build types {other} and {own} both have a shared document {path}",
+                    where=session.profile_marker(),
+                    help="use them in different workspaces",
+                    code="file-conflict",
+                )
+    return [*planned, *obsolete_documents(session, STAGE, session.workspace.build / SHARED)]
 
 
 def _key(session: Session, package: Package, *, renew: bool) -> tuple[tuple[FolderChange, ...], str]:
@@ -204,12 +228,6 @@ def _built(session: Session, package: Package, options: BuildOptions) -> BuildRe
             diagnostics += built.diagnostics
     defects.require_none()
     return BuildResult(documents, tuple(dict.fromkeys(diagnostics)), sizes)
-
-
-def _sizes(built: BuildResult) -> tuple[DocumentSize, ...]:
-    return tuple(
-        DocumentSize(file, len(built.documents[file]), plain) for file, plain in sorted(built.plain_sizes.items())
-    )
 
 
 def _smaller(size: DocumentSize) -> str:
@@ -262,3 +280,44 @@ class RulePlaces:
             return {}  # the sources have other rules than the policy
         moved = [(old.origin, new.origin) for old, new in pairs if old.origin != new.origin]
         return {old.alone(): new.alone() for old, new in moved} | dict(moved)  # some diagnostics leave out the includes
+
+
+# -- on a cluster ------------------------------------------------------------------------------------------------------
+
+
+def compile_elsewhere(pool: Pool, session: Session, names: Sequence[str], options: BuildOptions) -> None:
+    """Let a cluster compile what the build of some packages needs; what it answers is proven when it is used.
+
+    A kind with several members is compiled here: the document of the others is that of the first with names put in.
+
+    Args:
+        pool: the cluster.
+        session: the workspace and its profile.
+        names: the packages.
+        options: options of the build.
+
+    Raises:
+        KeymintError: the cluster is lost, or its versions differ.
+    """
+    packages = list(_alone(session, names))
+    for name in dict.fromkeys(name for package in packages for name in package.build_types):
+        compiler = session.plugins.build_type(name)
+        own = [each for each in packages if name in each.build_types and compiler.is_remote(each)]
+        if not own:
+            continue
+        tasks = pool.parts([(each, options_of(options, each.subject)) for each in own], 1)
+        for part, compiled in zip(tasks, pool.map(compiler.compiling(), tasks), strict=True):
+            for (package, its_options), one in zip(part, compiled, strict=False):
+                compiler.receive(package, its_options, one, trusted=pool.trusted)
+
+
+def _alone(session: Session, names: Sequence[str]) -> Iterator[Package]:
+    """Yield the packages to build that are the only one of their kind."""
+    packages: list[Package] = []
+    for name in names:
+        if not is_build_current(session, name):
+            with contextlib.suppress(KeymintError):  # the build reports it
+                packages.append(session.package(name))
+    kinds = [(kind_of(each.grant.rules.rules)[0], each.distro, each.grant.domains) for each in packages]
+    members = Counter(kinds)
+    yield from (package for package, kind in zip(packages, kinds, strict=True) if members[kind] == 1)

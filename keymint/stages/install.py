@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import stat
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from cryptography import x509
@@ -27,13 +27,23 @@ from keymint.life.workspace_register import (
 from keymint.names import subject_of
 from keymint.pki import certificates
 from keymint.pki.distinguished_names import to_text
-from keymint.stages import build, identity_keys
-from keymint.stages.built_documents import OUTDATED, edits
+from keymint.stages import identity_keys
+from keymint.stages.documents import (
+    OUTDATED,
+    built_documents,
+    document_digests,
+    documents_folder,
+    edits,
+    file_changes,
+    is_built,
+    obsolete_documents,
+    removals,
+    sign_shared,
+)
 from keymint.stages.environment_scripts import plan_scripts
 from keymint.stages.identity_keys import Keyring
-from keymint.stages.package_stage import PackagePlan, state_after, steps_of
-from keymint.stages.shared_install import plan_shared_install
 from keymint.stages.signing import sign
+from keymint.stages.work import PackagePlan, state_after, steps_of
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.view.stamps import Stamp, digest, digest_files
 from keymint.workspace.enclave_changes import (
@@ -56,11 +66,20 @@ from keymint.workspace.installed_enclaves import (
     orphans,
     require_sources,
 )
-from keymint.workspace.package_build_types import build_types_of, inputs_digest, is_build_current
+from keymint.workspace.package_build_types import (
+    BUILD,
+    build_types_of,
+    inputs_digest,
+    is_build_current,
+    record_key,
+    shared_type,
+    users,
+)
 from keymint.workspace.session import Inputs, Session
 from keymint.workspace.stored_keys import IDENTITY_KEYS, without_recorded_keys
 
 STAGE = INSTALLED
+_STALE = "is stale; signing the existing build"
 
 
 class InstallStage:
@@ -99,7 +118,7 @@ class InstallStage:
         # copies, so that the folder around the enclaves exists before any enclave.
         changed = {each.name: (each.build_types, each.artifacts) for each in planned if each.build_types}
         removed = orphans(session) if prune else ()
-        shared = plan_shared_install(session, [each.name for each in planned], self._authorities, removed)
+        shared = _plan_shared(session, [each.name for each in planned], self._authorities, removed)
         withdrawn = {each.name: each.withdrawn for each in planned if each.withdrawn}
         changes = EnclaveChanges(changed, frozenset((*removed, *withdrawn)))
         scripts, foreign = plan_scripts(session, build_types_in_use(session, changes))
@@ -156,15 +175,10 @@ def _plan_enclave(
 ) -> PackagePlan:
     workspace = session.workspace
     inputs = inputs_of(session, name)
-    if inputs is None and build.is_built(session, name) and identity_keys.is_awaited(session.package(name)):
+    if inputs is None and is_built(session, name) and identity_keys.is_awaited(session.package(name)):
         return _awaiting(session, session.package(name))
     if inputs is None:
-        raise KeymintError(
-            f"the package {name} is not built",
-            help=f"run 'keymint build {name}'",
-            code="not-built",
-            where=workspace.origin(workspace.build / name),
-        )
+        raise _not_built(session, name, f"the package {name} is")
     status = session.tree.status(session.enclave_folder(name))
     if status is not None and stat.S_ISLNK(status.st_mode):
         raise KeymintError(
@@ -181,7 +195,7 @@ def _plan_enclave(
     own = terms.lifetimes(package)
     if identity_keys.is_awaited(package):
         return _awaiting(session, package)
-    documents = build.built_documents(session, name)
+    documents = built_documents(session, name)
     existing, unreadable = enclave_files(session, name)
     key_pem, public = identity_keys.private_key(session, package), identity_keys.public_key(session, package)
     fingerprint = keyring.require_own(package, public)
@@ -214,16 +228,11 @@ def _plan_enclave(
     # Unreadable files that do not belong to the enclave are only reported; the others are replaced.
     foreign = [each for each in unreadable if each not in in_place]
     # Without a record of the build nothing is known about edits or staleness.
-    is_recorded = session.state.stamp(build.STAGE, name) is not None
+    is_recorded = session.state.stamp(BUILD, name) is not None
     build_types = build_types_of(session, package)
     copied = {file for each in build_types.values() for file in each.COPIED}
-    edited = edits(session, name, workspace.build / name, documents, name) if is_recorded else ()
-    made = Stamp(
-        inputs,
-        {file: item.digest for file, item in files.items()},
-        tuple(file for file, item in files.items() if item.secret),
-        lifetimes=terms.dump(own, workspace),
-    )
+    edited = edits(session, name, documents) if is_recorded else ()
+    made = _stamp(inputs, files, lifetimes=terms.dump(own, workspace))
     return PackagePlan(
         name,
         Step(STAGE, name, action, changes),
@@ -237,6 +246,86 @@ def _plan_enclave(
         issued=issued,
         signed=_signed(session, package, new),
     )
+
+
+def _plan_shared(
+    session: Session, chosen: Collection[str], authorities: Mapping[str, MintedAuthority], removed: Sequence[str]
+) -> list[PackagePlan]:
+    """Return the plans for the installed documents over all packages of each build type.
+
+    Args:
+        session: the workspace and its profile.
+        chosen: the packages that this run installs.
+        authorities: the authorities that sign, by name.
+        removed: the enclaves that this run removes.
+
+    Raises:
+        KeymintError: the documents were not built or cannot be signed, or are stale although enclaves are removed.
+    """
+    planned: list[PackagePlan] = []
+    for build_type, names in users(session).items():
+        key = record_key(build_type)
+        if is_built(session, key):
+            planned.append(_plan_shared_documents(session, key, authorities, _stale(session, key, removed)))
+        elif not set(chosen).isdisjoint(names):
+            raise _not_built(session, key, f"the shared documents of {build_type} are")
+    return [*planned, *obsolete_documents(session, STAGE, session.workspace.install)]
+
+
+def _stale(session: Session, key: str, removed: Sequence[str]) -> tuple[Diagnostic, ...]:
+    """Return a warning if the documents over all packages of a build type are stale.
+
+    Raises:
+        KeymintError: they are, although enclaves are removed.
+    """
+    if is_build_current(session, key):
+        return ()
+    folder = documents_folder(session, key)
+    where = next((session.workspace.origin(folder / path) for path in session.state.stamps[BUILD][key].outputs), None)
+    if removed:
+        raise KeymintError(
+            f"is stale, and may still have the rights of {subject_of(removed[0])}, whose enclave is to be removed",
+            where=where,
+            help="run 'keymint build' first",
+            code=OUTDATED,
+        )
+    return (Diagnostic.warning(OUTDATED, _STALE, where, "'keymint build' rebuilds it"),)
+
+
+def _plan_shared_documents(
+    session: Session, key: str, authorities: Mapping[str, MintedAuthority], stale: tuple[Diagnostic, ...]
+) -> PackagePlan:
+    if is_current(session, key):
+        return PackagePlan(key, diagnostics=stale)
+    documents, install = built_documents(session, key), session.workspace.install
+    artifacts, existing = sign_shared(session, shared_type(key), documents, authorities)
+    stamp = session.state.stamp(STAGE, key)
+    files = {path: File(artifact.content, secret=artifact.secret) for path, artifact in artifacts.items()}
+    former = set(stamp.outputs if stamp else ()) - files.keys()
+    changes = (
+        *removals(session, install, former),
+        *file_changes(install, new_files(session, install, existing, files)),
+    )
+    action = Action.UPDATED if existing else Action.CREATED
+    made = _stamp(inputs_of(session, key) or "", files, build_types=(shared_type(key),))
+    step = Step(STAGE, "", action, changes, f"{', '.join(documents)}, for all enclaves")
+    diagnostics = (*stale, *edits(session, key, documents))
+    return PackagePlan(key, step if changes else None, made, diagnostics)
+
+
+def _stamp(inputs: str, files: Mapping[str, File], lifetimes: str = "", build_types: tuple[str, ...] = ()) -> Stamp:
+    outputs, secret = (
+        {file: item.digest for file, item in files.items()},
+        (file for file in files if files[file].secret),
+    )
+    return Stamp(inputs, outputs, tuple(secret), lifetimes=lifetimes, build_types=build_types)
+
+
+def _not_built(session: Session, name: str, what: str) -> KeymintError:
+    """Return the error for a package, or documents over all packages, that must be built before."""
+    command = "keymint build" if shared_type(name) else f"keymint build {name}"
+    where = session.workspace.origin(documents_folder(session, name))
+    return KeymintError(f"{what} not built", help=f"run '{command}'", code="not-built", where=where)
 
 
 def _signed(session: Session, package: Package, files: Mapping[str, bytes]) -> tuple[SignedRights, ...]:
@@ -276,7 +365,7 @@ def _outdated(inputs: Inputs, names: Sequence[str]) -> Iterator[Diagnostic]:
     for name in names[:1]:
         yield Diagnostic.warning(
             OUTDATED,
-            "is stale; signing the existing build" + ("" if one else f" [{len(names)} packages]"),
+            _STALE + ("" if one else f" [{len(names)} packages]"),
             inputs.workspace.origin(inputs.workspace.build / name),
             f"'keymint build {name}' rebuilds it" if one else "'keymint build' rebuilds all stale packages",
             subject_of(name) if one else "",
@@ -284,8 +373,9 @@ def _outdated(inputs: Inputs, names: Sequence[str]) -> Iterator[Diagnostic]:
 
 
 def is_current(session: Session, name: str) -> bool:
-    """Tell whether installing a package again would change no byte and no mode of its enclave."""
-    stamp, folder = session.state.stamp(STAGE, name), session.enclave_folder(name)
+    """Tell whether installing a package, or shared documents, again would change no byte and no mode."""
+    stamp = session.state.stamp(STAGE, name)
+    folder = str(session.workspace.install) if shared_type(name) else session.enclave_folder(name)
     return stamp is not None and stamp.inputs == inputs_of(session, name) and has_outputs(session, folder, stamp)
 
 
@@ -307,12 +397,12 @@ def would_stay(session: Session, name: str, authorities: Mapping[str, MintedAuth
 
 
 def inputs_of(session: Session, name: str) -> str | None:
-    """Return the digest of all that the enclave of a package is made from, or None if that is not built."""
-    documents = build.document_digests(session, name)
-    key = identity_keys.key_digest(session, name)
+    """Return the digest of all that an enclave, or shared documents, are made from, or None if that is not built."""
+    documents, shared = document_digests(session, name), shared_type(name)
+    key = "" if shared else identity_keys.key_digest(session, name)
     if documents is None or key is None:
         return None
     built = (part for item in sorted(documents.items()) for part in item)
-    revoked = revocation_lists_in_force.lists(session)
+    revoked = {} if shared else revocation_lists_in_force.lists(session)
     more = (digest_files(revoked),) if revoked else ()
     return digest(inputs_digest(session, name), key, chains_digest(session), session.profile.layout, *built, *more)

@@ -12,11 +12,10 @@ from keymint.errors import KeymintError
 from keymint.life.renewal_schedule import CERTIFICATE, enclave_terms, first_due
 from keymint.life.terms import DEFAULT, Term, recorded_terms
 from keymint.life.workspace_register import withdrawn
-from keymint.stages import build, create, install
-from keymint.stages.shared_documents import built_shared, is_current, users
-from keymint.stages.shared_install import installed_shared, is_installed
+from keymint.stages import create, install
+from keymint.stages.documents import built_documents, installed_shared, is_built
 from keymint.workspace.installed_enclaves import enclave_names, hidden, installed_certificate, orphans
-from keymint.workspace.package_build_types import is_build_current
+from keymint.workspace.package_build_types import BUILD, is_build_current, record_key, users
 from keymint.workspace.session import Session
 
 
@@ -89,16 +88,17 @@ def shared_rows(session: Session) -> tuple[StatusRow, ...]:
 
 
 def _shared_row(session: Session, build_type: str) -> StatusRow:
+    key = record_key(build_type)
     try:
-        built = built_shared(session, build_type)
-        there = built is not None and installed_shared(session, built)
-        current = built is not None and is_installed(session, build_type, built)
+        built = built_documents(session, key) if is_built(session, key) else {}
+        there = installed_shared(session, built)
+        current = bool(built) and install.is_current(session, key)
     except KeymintError as error:  # a file that is no file, or too large
         return StatusRow("", "source", "", problem=str(error.diagnostics[0]), build_type=build_type)
-    stage = "source" if built is None else "installed" if there else "built"
-    is_stale = built is None or not is_current(session, build_type)
+    stage = "source" if not built else "installed" if there else "built"
+    is_stale = not built or not is_build_current(session, key)
     stale = "build" if is_stale else "" if current else "install"
-    return StatusRow("", stage, stale, build_type=build_type, documents=tuple(built or ()))
+    return StatusRow("", stage, stale, build_type=build_type, documents=tuple(built))
 
 
 def _certificate_end(session: Session, name: str) -> datetime | None:
@@ -115,7 +115,7 @@ def _terms(session: Session, name: str, *, as_recorded: bool) -> tuple[Term, ...
 
 def _row(session: Session, differing: Mapping[str, str], name: str, *, installed: bool) -> StatusRow:
     try:
-        built = build.is_built(session, name)
+        built = is_built(session, name)
         session.file_digests(name)
     except KeymintError as error:  # a file that is no file, or too large
         problem, end = str(error.diagnostics[0]), _certificate_end(session, name)
@@ -127,7 +127,7 @@ def _row(session: Session, differing: Mapping[str, str], name: str, *, installed
     permissions_end, current = None, False
     try:
         current = built and is_build_current(session, name)
-        own = recorded_terms(session, name, session.state.stamp(build.STAGE, name) if current else None)
+        own = recorded_terms(session, name, session.state.stamp(BUILD, name) if current else None)
         if session.role(name) is Role.SUBJECT:
             permissions_end = next((each.last for each in own if each.what == "grant"), None)
     except KeymintError as error:

@@ -26,11 +26,9 @@ from keymint.stages import install
 from keymint.stages.build import BuildStage, options_as_built
 from keymint.stages.create import CreateStage
 from keymint.stages.install import InstallStage
-from keymint.stages.install_request import InstallRequest
-from keymint.stages.package_stage import Crew
 from keymint.stages.proof.proof_gate import proof_stage, proven
 from keymint.stages.proof.prove import ProofStage
-from keymint.stages.work import Work
+from keymint.stages.work import Crew, InstallRequest, Work
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.view.stamps import Stamp
 from keymint.workspace.installed_enclaves import INSTALLED, enclave_names, installed_certificate, with_sources

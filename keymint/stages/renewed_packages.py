@@ -14,6 +14,7 @@ from keymint.life.package_issuance import place_of
 from keymint.life.workspace_register import register_of
 from keymint.names import name_of, subject_of
 from keymint.stages import build
+from keymint.stages.documents import is_built
 from keymint.store.changes import FolderChange, Plan
 from keymint.view.stamps import Stamp, State
 from keymint.workspace.installed_enclaves import enclave_names
@@ -101,7 +102,7 @@ def _require_same(session: Session, name: str) -> Mapping[str, Stamp]:
     Raises:
         KeymintError: the sources changed since the documents were built, so that others would be built now.
     """
-    if is_build_current(session, name) or not build.is_built(session, name):
+    if is_build_current(session, name) or not is_built(session, name):
         return {}
     planned = build.BuildStage(session, BuildOptions()).package(name)
     if planned.errors:

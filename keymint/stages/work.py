@@ -1,17 +1,150 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is planned so far, and the workspace as it will be then."""
+"""What is planned: for a package by a stage, and so far as a whole, with the workspace as it will be then.
+
+A stage plans each package by itself, and then puts the plans together. Only the second part looks at several packages.
+So other processes may do the first part.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import field, replace
 from functools import reduce
-from typing import Self
+from typing import Any, Protocol, Self, TypeVar
 
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
-from keymint.store.changes import Plan
-from keymint.view.stamps import State
+from keymint.api import Artifact, BuildOptions
+from keymint.errors import KeymintError
+from keymint.life.register import IssuedCertificate, SignedRights
+from keymint.life.terms import Term
+from keymint.store.changes import Action, Plan, Step
+from keymint.view.stamps import Stamp, State
 from keymint.workspace.session import Inputs, Session
+from keymint.workspace.stored_keys import IDENTITY_KEYS, with_recorded_keys
+
+
+@dataclass(frozen=True, slots=True)
+class InstallRequest:
+    """What a run that installs is asked for; all that conducts the stages gets the whole of it.
+
+    Attributes:
+        force: discard manual edits.
+        renew: replace the private keys of subjects.
+        prune: remove installed enclaves that have no source package.
+        new_authority: authorities that get a new key and certificate.
+        prove: refuse what is not proven.
+        allow_vendor_specific: prove by the standards only; vendors may differ.
+        strict: exceptions of claims count as not proven.
+        revoke_superseded: revoke the certificates of packages whose new signed rights are narrower.
+        build: options of the build; None for those that each package was built with last.
+    """
+
+    force: bool = False
+    renew: bool = False
+    prune: bool = False
+    new_authority: tuple[str, ...] = ()
+    prove: bool = True
+    allow_vendor_specific: bool = False
+    strict: bool = False
+    revoke_superseded: bool = False
+    build: BuildOptions | None = None
+
+    def resumed(self, *, resumes: bool) -> InstallRequest:
+        """Return what is left to do if an interrupted run made the new keys already."""
+        return replace(self, new_authority=(), renew=False) if resumes else self
+
+
+_T_co = TypeVar("_T_co", covariant=True)
+
+
+@dataclass(frozen=True, slots=True)
+class PackagePlan:
+    """What a stage plans for one package, or the errors that prevent it.
+
+    Attributes:
+        name: the package, or the key of the record of the documents over all packages of a build type.
+        step: what is written.
+        stamp: the record of it; None if nothing changes.
+        diagnostics: warnings about the package.
+        errors: what prevents the step.
+        fingerprint: fingerprint of the subject's key, if it is to be recorded.
+        lifetimes: validity of the package's grant and certificate.
+        build_types: the package's build types, if its enclave changes.
+        artifacts: the files of its enclave that may be copied for all enclaves, if it changes.
+        outdated: the package's sources changed after its documents were built.
+        issued: the certificate of its enclave and the rights that were signed for it, if its enclave changes.
+        signed: the documents that its holder presents, if its enclave changes.
+        withdrawn: why no certificate is issued to it, although it is built; see
+            :meth:`keymint.life.register.Register.barred`.
+    """
+
+    name: str
+    step: Step | None = None
+    stamp: Stamp | None = None
+    diagnostics: tuple[Diagnostic, ...] = ()
+    errors: tuple[Diagnostic, ...] = ()
+    fingerprint: str = ""
+    lifetimes: tuple[Term, ...] = ()
+    build_types: tuple[str, ...] = ()
+    artifacts: Mapping[str, Artifact] = field(default_factory=dict)
+    outdated: bool = False
+    issued: IssuedCertificate | None = None
+    signed: tuple[SignedRights, ...] = ()
+    withdrawn: str = ""
+
+
+class PackageStage(Protocol[_T_co]):
+    """A stage, as far as it looks at one package at a time."""
+
+    NAME: str
+
+    def package(self, name: str) -> _T_co:
+        """Return the result for a package; it depends on no other package."""
+
+
+@dataclass(frozen=True, slots=True)
+class Crew:
+    """Who plans packages, and the clock that limits proofs.
+
+    Attributes:
+        planned: returns what a stage plans for some packages; several processes may share the work.
+        monotonic: returns seconds.
+        start: lets processes begin with the stages, given by what makes each, for some packages of a workspace.
+        close: ends these processes.
+        compile_elsewhere: lets a cluster compile what the build of some packages needs, with these options, and tells
+            whether that will be proven; None if there is no cluster.
+    """
+
+    planned: Callable[[PackageStage[Any], Sequence[str]], list[Any]]
+    monotonic: Callable[[], float]
+    start: Callable[[Session, Sequence[str], Sequence[Callable[[Session], PackageStage[Any]]]], None]
+    close: Callable[[], None]
+    compile_elsewhere: Callable[[Session, Sequence[str], BuildOptions, bool], None] | None = None
+
+
+def steps_of(planned: Sequence[PackagePlan]) -> tuple[Step, ...]:
+    """Return the steps of some plans.
+
+    Raises:
+        KeymintError: the errors of all packages.
+    """
+    if errors := [error for each in planned for error in each.errors]:
+        raise KeymintError.of(errors)
+    return tuple(each.step for each in planned if each.step)
+
+
+def state_after(state: State, stage: str, planned: Sequence[PackagePlan], removed: Iterable[str] = ()) -> State:
+    """Return the state with the stamps and the keys of some plans, and without the stamps of what is removed."""
+    removed = {*removed, *(each.name for each in planned if each.step and each.step.action is Action.REMOVED)}
+    state = state.updated(stage, {each.name: each.stamp for each in planned if each.stamp}, removed)
+    fingerprints = {each.name: each.fingerprint for each in planned if each.fingerprint}
+    return with_recorded_keys(state, IDENTITY_KEYS, fingerprints)
+
+
+def session_after(session: Session, stage: str, planned: Sequence[PackagePlan]) -> Session:
+    """Return a session as it is once the plans of a stage are carried out; errors as :func:`steps_of`."""
+    return session.after(Plan(steps_of(planned), state_after(session.state, stage, planned)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,18 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The build types of a package, and what they say about its enclave."""
+"""The build types of a package, and what they say about its enclave; and the documents over all packages of one.
+
+These documents are one more package, whose name is :func:`record_key`: its inputs are all packages of the build type.
+They hold the rights of everybody, so each run brings them up to date, whichever packages it is about.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, MutableMapping
+import contextlib
+from collections.abc import Collection, Iterable, Iterator, Mapping, MutableMapping, Sequence
 
-from comarmor.errors import Diagnostic
+from comarmor.errors import Defects, Diagnostic
 from keymint.api import Artifact, AuthorityRole, BuildType, Package
 from keymint.errors import KeymintError
+from keymint.names import subject_of
 from keymint.view.stamps import digest
 from keymint.workspace.session import Session, once, once_of_sources
 
 BUILD = "build"
 """Key of the record of built packages."""
+SHARED = "shared.d"
+"""Folder of the build space with the documents over all packages; a dot is illegal in names of packages."""
 
 
 def build_types_of(session: Session, package: Package) -> Mapping[str, BuildType]:
@@ -119,14 +127,18 @@ def inputs_digest(session: Session, name: str, build_types: Iterable[str] | None
 
     Args:
         session: the workspace and its profile.
-        name: the package.
+        name: the package, or the key of the record of the documents over all packages of a build type.
         build_types: its build types; by default those that it had when it was built.
     """
+    if shared := shared_type(name):
+        members = users(session)[shared]
+        parts = (part for each in members for part in (each, inputs_digest(session, each)))
+        return digest(session.profile.layout, *parts)
     if build_types is None:
         stamp = session.state.stamp(BUILD, name)
         build_types = stamp.build_types if stamp is not None else ()
-    shared = any(shared_builder(session, each) for each in build_types)
-    places = (str(session.workspace.install),) if shared else ()
+    shares = any(shared_builder(session, each) for each in build_types)
+    places = (str(session.workspace.install),) if shares else ()
     return _inputs_digest(session, session.sources_digest(name), *places)
 
 
@@ -163,3 +175,81 @@ def may_share(session: Session, names: Iterable[str]) -> bool:
     marker = session.package_type.MARKER
     manifests = {session.tree.try_read(session.workspace.src / name / marker) or b"" for name in names}
     return any(text in manifest for manifest in manifests for text in texts)
+
+
+# -- documents over all packages of a build type ---------------------------------------------------------------------
+
+
+def record_key(build_type: str) -> str:
+    """Return the key of the record of a build type's shared documents; it is no name of a package."""
+    return f"{SHARED}/{build_type}"
+
+
+def shared_type(name: str) -> str:
+    """Return the build type whose shared documents have a key of the record; empty for the name of a package."""
+    return name.removeprefix(f"{SHARED}/") if name.startswith(f"{SHARED}/") else ""
+
+
+@once
+def users(session: Session) -> Mapping[str, tuple[str, ...]]:
+    """Return the packages of each build type that has shared documents, sorted; only build types that have packages.
+
+    Packages that did not change since they were built are not loaded.
+
+    Raises:
+        KeymintError: which build types a package has is unknown, because its sources have defects.
+    """
+    names, before = session.packages(), session.state.stamps.get(BUILD, {})
+    found: dict[str, tuple[str, ...]] = {}
+    for name in names:
+        with contextlib.suppress(KeymintError):  # raised below, if there are shared documents
+            known = before[name].build_types if name in before else ()
+            found[name] = known or tuple(build_types_of(session, session.package(name)))
+    if not (shared := _sharing(session, found)):
+        return {}
+    defects = Defects()
+    for name in names:
+        if name not in found or (name in before and not is_build_current(session, name)):
+            with defects, _blocking(session, shared, name):
+                found[name] = tuple(build_types_of(session, session.package(name)))
+    defects.require_none()
+    return {
+        build_type: tuple(name for name in names if build_type in found[name])
+        for build_type in _sharing(session, found)
+    }
+
+
+def _sharing(session: Session, build_types: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return the build types of some packages that have shared documents, sorted."""
+    known = {build_type for of_package in build_types.values() for build_type in of_package}
+    return sorted(build_type for build_type in known if shared_builder(session, build_type))
+
+
+def load_packages(session: Session, build_type: str) -> tuple[Package, ...]:
+    """Return the packages of a build type that has shared documents.
+
+    Raises:
+        KeymintError: the sources of a package have defects, so the shared documents cannot be built.
+    """
+    loaded: list[Package] = []
+    defects = Defects()
+    for name in users(session)[build_type]:
+        with defects, _blocking(session, [build_type], name):
+            loaded.append(session.package(name))
+    defects.require_none()
+    return tuple(loaded)
+
+
+@contextlib.contextmanager
+def _blocking(session: Session, build_types: Iterable[str], name: str) -> Iterator[None]:
+    """Say of the defects of a package that they block the shared documents of some build types; a context."""
+    try:
+        yield
+    except KeymintError as error:
+        of_types = ", ".join(build_types)
+        message = (
+            f"the sources of {subject_of(name)} have defects, so the shared documents of {of_types} cannot be built"
+        )
+        where, help_ = session.package_marker(name), "fix it: they hold the rights of all packages"
+        blocked = Diagnostic.error("shared-blocked", message, where, help_)
+        raise KeymintError.of((blocked, *error.diagnostics)) from None

@@ -29,9 +29,8 @@ from keymint.output.report import Report, findings_if, merged_diagnostics
 from keymint.output.sarif import of_diagnostics
 from keymint.output.sarif import sarif as sarif_log
 from keymint.run.run import Run
-from keymint.stages.policy_drift import subjects_without_package
-from keymint.stages.proof.proof_diagnostics import effort_of, proof_findings
-from keymint.stages.proof.proof_results import ProofEffort
+from keymint.stages.create import subjects_without_package
+from keymint.stages.proof.proof_results import ProofEffort, proof_findings
 from keymint.stages.proof.prove import NO_PROVER, STAGE
 from keymint.view.stamps import State
 from keymint.workspace.policy_loading import lazy_policy
@@ -83,7 +82,7 @@ def check(
         findings, state = list(find(session, chosen, within, pool)), session.state
         if not no_prove:
             known = {(each.code, each.where and each.where.file) for each in findings}
-            effort = effort_of(run.setting.monotonic, standard_only=allow_vendor_specific)
+            effort = ProofEffort(run.setting.monotonic, standard_only=allow_vendor_specific)
             enclaves = with_enclaves(session, chosen, names)
             state, found = _proven(session, enclaves, effort, pool, fresh=fresh, strict=strict)
             findings += (each for each in found if (each.code, each.where and each.where.file) not in known)

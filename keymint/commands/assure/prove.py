@@ -29,9 +29,8 @@ from keymint.life.workspace_register import has_register, with_enclaves
 from keymint.output.json import line_json
 from keymint.output.report import Report, findings_exit, findings_if
 from keymint.run.run import Run
-from keymint.stages.policy_drift import subjects_without_package
-from keymint.stages.proof.proof_diagnostics import STATES, effort_of, proof_findings
-from keymint.stages.proof.proof_results import EnclaveProof, ProofResults
+from keymint.stages.create import subjects_without_package
+from keymint.stages.proof.proof_results import STATES, EnclaveProof, ProofEffort, ProofResults, proof_findings
 from keymint.stages.proof.prove import NO_PROVER, STAGE
 from keymint.store.changes import Action, Step
 from keymint.workspace.installed_enclaves import orphan_findings
@@ -88,7 +87,7 @@ def prove(
     except KeymintError as error:
         return _without_policy(run, session, chosen, error)
     with run.console.progress(len(chosen), run.setting.monotonic) as advance, run.pool() as pool:
-        effort = effort_of(run.setting.monotonic, states, seconds, standard_only=allow_vendor_specific)
+        effort = ProofEffort(run.setting.monotonic, states, seconds, standard_only=allow_vendor_specific)
         results = keystore.proven_keystore(
             session, chosen, policy, effort,
             lambda name: advance(Step(STAGE, name, Action.UNCHANGED)), pool,

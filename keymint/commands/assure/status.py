@@ -15,7 +15,7 @@ from keymint.api import LoadedPolicy
 from keymint.command_line.options import strict_option
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError
-from keymint.examine import keys
+from keymint.examine.authorities import elsewhere, exposed_keys
 from keymint.examine.keystore import not_examined
 from keymint.examine.rights import has_earlier, presented_rights
 from keymint.life.terms import days_left
@@ -25,7 +25,7 @@ from keymint.output.report import Report, findings_if, members
 from keymint.run.run import Run
 from keymint.stages.create import packages_to_create
 from keymint.stages.package_status import StatusRow, package_rows, shared_rows
-from keymint.stages.proof.proof_diagnostics import effort_of
+from keymint.stages.proof.proof_results import ProofEffort
 from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Session
 
@@ -74,7 +74,7 @@ def status(run: Run, kind: str, strict: bool) -> Report:
     }
     unexamined = tuple(not_examined(session))
     outliving = _outliving(run, session, policy) if policy else ()
-    diagnostics += (*keys.elsewhere(session), *keys.exposed_keys(session), *outliving, *unexamined)
+    diagnostics += (*elsewhere(session), *exposed_keys(session), *outliving, *unexamined)
     result["not_examined"] = len(unexamined)
     exit_code = findings_if(strict and outliving)
     return run.report(result, diagnostics, exit_code, workspace=session.workspace, notes=True)
@@ -85,7 +85,7 @@ def _outliving(run: Run, session: Session, policy: LoadedPolicy) -> tuple[Diagno
     try:
         if not has_earlier(session):  # then none can permit more than the one in force
             return ()
-        return presented_rights(session, session.state, policy, effort_of(run.setting.monotonic)).outliving
+        return presented_rights(session, session.state, policy, ProofEffort(run.setting.monotonic)).outliving
     except KeymintError:  # a package has defects, which its row shows
         return ()
 

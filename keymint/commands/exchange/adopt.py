@@ -30,7 +30,7 @@ from keymint.examine.nodes import NODE_NOTES, node_notes, of_documents
 from keymint.output.keystores import as_json, summary
 from keymint.output.report import Report, findings_exit
 from keymint.run.run import Run
-from keymint.stages.proof.proof_diagnostics import effort_of
+from keymint.stages.proof.proof_results import ProofEffort
 from keymint.store.changes import Plan
 from keymint.workspace.session import Inputs
 from keymint.workspace.workspace import Workspace
@@ -119,7 +119,7 @@ def _policy(
     if policy is None:
         return None, ()
     own = named_policy(run, policy, workspace, options, [each.subject for each in found.enclaves], *reading)
-    effort = effort_of(run.setting.monotonic, STATES)
+    effort = ProofEffort(run.setting.monotonic, STATES)
     return own, document_comparisons(reader, found.enclaves, own.rules, options.distro or DEFAULT_DISTRO, effort)
 
 

@@ -12,7 +12,7 @@ from keymint.api import FoundKeystore, ImportRequest, KeystoreFiles, KeystoreRea
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions
 from keymint.run.run import Run
-from keymint.stages.proof.proof_diagnostics import effort_of
+from keymint.stages.proof.proof_results import ProofEffort
 from keymint.stages.workspace_start import policy_path
 from keymint.workspace.policy_loading import foreign_policy
 from keymint.workspace.workspace import Workspace
@@ -84,7 +84,7 @@ def learned_policy(
         KeymintError: no policy can say what a document grants, or the proof fails.
     """
     name = f"{FOLDER}/adopted.xml"
-    effort = effort_of(run.setting.monotonic, STATES)
+    effort = ProofEffort(run.setting.monotonic, STATES)
     file = str(workspace.profile / name)
     learning = Learning(reader, options.policy_type, Policies(run, options).distro, file, effort)
     learned = learned_from(run.plugins, files, found, learning)

@@ -21,7 +21,7 @@ from keymint.errors import KeymintError
 from keymint.examine.nodes import node_notes
 from keymint.output.report import Report
 from keymint.run.run import Run
-from keymint.stages.proof.proof_diagnostics import STATES, effort_of
+from keymint.stages.proof.proof_results import ProofEffort
 from keymint.workspace.policy_loading import foreign_policy
 
 
@@ -119,7 +119,7 @@ def proofs_of(
     reader = run.plugins.build_type(build_type_name).keystores
     if reader is None:
         raise KeymintError(f"the build type {build_type_name} compares no documents", code="import-unproven")
-    effort = effort_of(run.setting.monotonic, STATES)
+    effort = ProofEffort(run.setting.monotonic)
     proofs = []
     for each in subjects:
         with effort.limit(each.rules.rules):

@@ -15,7 +15,7 @@ from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions
 from keymint.output.report import Report
 from keymint.run.run import Run
-from keymint.stages.proof.proof_diagnostics import STATES, effort_of
+from keymint.stages.proof.proof_results import ProofEffort
 
 
 def from_keystore(
@@ -40,7 +40,7 @@ def from_keystore(
     policies = Policies(run, policy_options)
     policies.shipped()  # an unknown distribution is wrong usage, whatever the keystore is
     _, reader, files, found = found_in(run.plugins, run.setting.cwd / keystore, str(keystore), run.setting.now)
-    effort = effort_of(run.setting.monotonic, STATES)
+    effort = ProofEffort(run.setting.monotonic)
     name = str(output or "policy.xml")
     learning = Learning(reader, policy_options.policy_type, policies.distro, name, effort)
     learned = learned_from(run.plugins, files, found, learning)

@@ -18,9 +18,8 @@ from keymint.life.register import REASONS, SUPERSEDED, IssuedCertificate
 from keymint.names import package_name, subject_list, subject_of
 from keymint.output.report import Report, members
 from keymint.run.run import Run
-from keymint.stages.install_request import InstallRequest
 from keymint.stages.pipeline import Request, conduct, updated_packages
-from keymint.stages.work import Work
+from keymint.stages.work import InstallRequest, Work
 from keymint.store.changes import Plan
 from keymint.workspace.installed_enclaves import INSTALLED
 from keymint.workspace.session import Session

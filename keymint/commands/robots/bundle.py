@@ -19,15 +19,14 @@ from keymint.command_line.bundle_files import bundle_output_option, require_outp
 from keymint.command_line.options import complete_package
 from keymint.command_line.verb import verb
 from keymint.errors import KeymintError
-from keymint.examine.issued import of_enclaves
+from keymint.examine.keystore import of_enclaves
 from keymint.life.workspace_register import withdrawn
 from keymint.names import package_name, subject_of
 from keymint.output.report import Report
 from keymint.robots.bundle_making import MadeBundle, plan_bundles
 from keymint.run.run import Run
 from keymint.stages.install import is_current, would_stay
-from keymint.stages.rollover_phases import require_staged
-from keymint.stages.second_keystore import session_ahead
+from keymint.stages.rollover_phases import require_staged, session_ahead
 from keymint.store.changes import Plan
 from keymint.workspace.installed_enclaves import enclave_names
 from keymint.workspace.session import Session

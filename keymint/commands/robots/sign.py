@@ -23,9 +23,8 @@ from keymint.robots import certification_request as requests
 from keymint.robots.bundle_making import MadeBundle, plan_bundles
 from keymint.robots.request_decisions import Given, plan_requests
 from keymint.run.run import Run
-from keymint.stages.install_request import InstallRequest
 from keymint.stages.pipeline import Request, conduct
-from keymint.stages.work import Work
+from keymint.stages.work import InstallRequest, Work
 from keymint.store.changes import Plan
 from keymint.workspace.session import Session
 

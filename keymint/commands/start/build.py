@@ -25,10 +25,9 @@ from keymint.errors import KeymintError
 from keymint.names import subject_of
 from keymint.output.report import Report
 from keymint.run.run import Run
-from keymint.stages.install_request import InstallRequest
+from keymint.stages.create import policy_changed
 from keymint.stages.pipeline import Request, conduct
-from keymint.stages.policy_drift import policy_changed
-from keymint.stages.work import Work
+from keymint.stages.work import InstallRequest, Work
 from keymint.store.changes import Action, Plan, Step
 from keymint.workspace.package_build_types import BUILD
 from keymint.workspace.policy_loading import load_policy

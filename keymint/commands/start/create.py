@@ -13,9 +13,8 @@ from keymint.names import no_subject, package_name
 from keymint.output.report import Report
 from keymint.run.run import Run
 from keymint.stages.create import packages_to_create
-from keymint.stages.install_request import InstallRequest
 from keymint.stages.pipeline import CREATE, Request, conduct
-from keymint.stages.work import Work
+from keymint.stages.work import InstallRequest, Work
 from keymint.store.changes import Plan
 from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Session

@@ -14,10 +14,9 @@ from keymint.commands.start.build import no_packages
 from keymint.errors import ExitCode
 from keymint.output.report import Report, findings_exit
 from keymint.run.run import Run, exit_code_of
-from keymint.stages.install_request import InstallRequest
+from keymint.stages.create import UNCREATED, policy_changed, subjects_without_package
 from keymint.stages.pipeline import INSTALL, Request, conduct
-from keymint.stages.policy_drift import UNCREATED, policy_changed, subjects_without_package
-from keymint.stages.work import Work
+from keymint.stages.work import InstallRequest, Work
 from keymint.store.changes import Plan
 from keymint.workspace.policy_loading import lazy_policy
 from keymint.workspace.session import Session

@@ -25,9 +25,8 @@ from keymint.names import no_subject
 from keymint.output.report import Report
 from keymint.run.run import Run
 from keymint.stages.create import packages_to_create
-from keymint.stages.install_request import InstallRequest
 from keymint.stages.pipeline import CREATE, INSTALL, Request, conduct
-from keymint.stages.work import Work
+from keymint.stages.work import InstallRequest, Work
 from keymint.stages.workspace_start import plan_init, plan_policy, policy_path, refuse_unsupported
 from keymint.store.changes import Plan
 from keymint.workspace.package_build_types import BUILD

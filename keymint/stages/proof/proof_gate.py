@@ -11,14 +11,10 @@ from comarmor.errors import Diagnostic, Severity
 from keymint.api import LoadedPolicy, Proof
 from keymint.errors import ExitCode, KeymintError
 from keymint.names import name_of
-from keymint.stages.built_documents import HAND_EDITED
-from keymint.stages.install_request import InstallRequest
-from keymint.stages.package_stage import Crew
-from keymint.stages.proof.proof_diagnostics import dated_of, diagnostics_of, effort_of, merged_packages
-from keymint.stages.proof.proof_results import EnclaveProof
+from keymint.stages.documents import HAND_EDITED, affected_packages
+from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, dated_of, diagnostics_of, merged_packages
 from keymint.stages.proof.prove import NO_PROVER, STAGE, ProofStage
-from keymint.stages.shared_install import affected_packages
-from keymint.stages.work import Work
+from keymint.stages.work import Crew, InstallRequest, Work
 from keymint.store.changes import Action, Plan
 from keymint.workspace.installed_enclaves import INSTALLED
 from keymint.workspace.session import Session
@@ -32,7 +28,7 @@ def proof_stage(crew: Crew, policy: LoadedPolicy, request: InstallRequest) -> Ca
         policy: the policy to prove.
         request: what the user asks for.
     """
-    effort = effort_of(crew.monotonic, standard_only=request.allow_vendor_specific)
+    effort = ProofEffort(crew.monotonic, standard_only=request.allow_vendor_specific)
     return partial(ProofStage, policy=policy, effort=effort, unsigned=True)
 
 

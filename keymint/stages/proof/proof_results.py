@@ -1,23 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a proof may cost, and its results: for an enclave, for a package and its record, and for all of them."""
+"""What a proof may cost, and its results: their record, and the report of claims that are refuted or unknown.
+
+The record has the claims about an enclave that were all proven, as the outputs of a stamp; the report has one line per
+cause.
+"""
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import datetime
+from functools import lru_cache
 
-from comarmor.errors import Diagnostic
+from comarmor.errors import Diagnostic, Origin
 from comarmor.patterns import glob
 from comarmor.patterns.steps import StepLimitError, step_limit
 from comarmor.values import dataclass
-from keymint.api import Claim, ValidityTerm
+from keymint.api import Claim, Counterexample, DomainRange, Proof, ValidityTerm
 from keymint.errors import KeymintError
-from keymint.ir import Rule
-from keymint.view.stamps import Stamp, State
+from keymint.ir import Rule, SubjectRules
+from keymint.keymake.kinds import Kind, kind_of
+from keymint.life import terms
+from keymint.names import name_of
+from keymint.view.stamps import Stamp, State, digest
+from keymint.workspace.session import Session
 
 STEPS = 30_000_000
 """Steps (:mod:`comarmor.patterns.steps`) that the proof of an enclave may take: a minute at most."""
+STATES = 500_000
 _STEPS_PER_STATE = 60
 _SHOWN = 3
 
@@ -27,14 +40,21 @@ class ProofEffort:
     """What is claimed, and the limits of the search.
 
     Attributes:
+        monotonic: returns seconds.
         states: states that one search may visit.
-        deadline: called for each enclave; returns a function that tells whether to continue.
+        seconds: the most seconds for each enclave.
         standard_only: accept differences between vendors and claim only what the standard says; nothing is recorded.
     """
 
-    states: int
-    deadline: Callable[[], Callable[[], bool]]
+    monotonic: Callable[[], float]
+    states: int = STATES
+    seconds: float = math.inf
     standard_only: bool = False
+
+    def deadline(self) -> Callable[[], bool]:
+        """Return a function that tells whether to continue with the enclave that is about to be proven."""
+        end = self.monotonic() + self.seconds
+        return lambda: self.monotonic() < end
 
     @contextmanager
     def limit(self, rules: Iterable[Rule]) -> Iterator[None]:
@@ -120,3 +140,222 @@ class ProofResults:
     def all(self) -> tuple[EnclaveProof, ...]:
         """The results for all enclaves, and those across subjects."""
         return (*self.enclaves, *self.shared)
+
+
+def merged_packages(diagnostics: Iterable[Diagnostic], shown: Callable[[str], str]) -> Iterator[Diagnostic]:
+    """Yield diagnostics, merging those with the same cause in several packages.
+
+    Args:
+        diagnostics: the diagnostics of enclaves.
+        shown: returns the directory of a package's documents as messages print it.
+    """
+    groups: dict[tuple[str, str, str], list[Diagnostic]] = {}
+    for diagnostic in diagnostics:
+        folder = shown(name_of(diagnostic.subject))
+        text = diagnostic.message.removeprefix(diagnostic.subject).replace(f"{folder}/", "")
+        place = str(diagnostic.where).removeprefix(f"{folder}/") if diagnostic.where else ""
+        groups.setdefault((diagnostic.code, text, place), []).append(diagnostic)
+    for group in groups.values():
+        count = len({diagnostic.subject for diagnostic in group if diagnostic.subject})
+        yield group[0] if count <= 1 else replace(group[0], message=f"{group[0].message} [{count} packages]")
+
+
+def proof_findings(session: Session, results: ProofResults, *, strict: bool) -> tuple[Diagnostic, ...]:
+    """Return what a proof found: open claims, what is not valid now, and earlier rights that are wider.
+
+    Args:
+        session: the workspace and its profile.
+        results: the proof.
+        strict: exceptions of claims are errors.
+    """
+    found = (*diagnostics_of(results, strict=strict), *dated_of(results))
+    of_packages = merged_packages(found, lambda name: session.workspace.shown(session.enclave_folder(name)))
+    return (*of_packages, *results.outliving)
+
+
+def dated_of(results: ProofResults) -> Iterator[Diagnostic]:
+    """Yield certificates and grants that are not valid at the time of the claims."""
+    for enclave in results.enclaves:
+        yield from terms.findings(enclave.terms, results.now, enclave.subject)
+
+
+def diagnostics_of(results: ProofResults, *, strict: bool = False) -> list[Diagnostic]:
+    """Return the diagnostics of all enclaves, each once.
+
+    Args:
+        results: their proofs.
+        strict: exceptions of claims are errors.
+    """
+    return list(dict.fromkeys(each for enclave in results.all for each in _of_enclave(enclave, strict=strict)))
+
+
+def _of_enclave(enclave: EnclaveProof, *, strict: bool) -> Iterator[Diagnostic]:
+    """Yield the diagnostics of an enclave, merging the same result of several models."""
+    yield from enclave.diagnostics
+    who = enclave.subject or "all subjects"
+    excepted = dict.fromkeys(exception for claim in enclave.claims for exception in claim.excepted) if strict else ()
+    for exception in excepted:
+        message = f"{who}: not part of the proof: {exception}"
+        help_ = "change the policy or the sources, or accept it without --strict"
+        yield Diagnostic.error("proof-exception", message, None, help_, enclave.subject)
+    together: dict[tuple[object, ...], list[Claim]] = {}
+    for claim in enclave.claims:
+        if claim.counterexample is not None:
+            found = claim.counterexample
+            key = (found.endpoint, found.policy, found.document.allowed, found.document.where, found.document.reason)
+            together.setdefault(key, []).append(claim)
+        elif claim.proof is Proof.UNKNOWN:
+            together.setdefault((claim.reason,), []).append(claim)
+    for claims in together.values():
+        models = ", ".join(dict.fromkeys(claim.model for claim in claims))
+        counterexample = claims[0].counterexample
+        if counterexample is None:
+            actions = " and ".join(dict.fromkeys(claim.action for claim in claims))
+            message = f"{who}, {actions}: not proven for {models}: {claims[0].reason}"
+            help_ = f"write fewer wildcards; or search longer: 'keymint prove --states {10 * STATES}'"
+            help_ = help_ if claims[0].spent else ""
+            yield Diagnostic.error("not-proven", message, None, help_, enclave.subject)
+        else:
+            yield _refutation(enclave.subject, counterexample, models)
+
+
+def _refutation(subject: str, counterexample: Counterexample, models: str) -> Diagnostic:
+    endpoint, policy, document = counterexample.endpoint, counterexample.policy, counterexample.document
+    who = subject or endpoint.subject or "all subjects"
+    where = policy.where or counterexample.cause
+    by_document = f"{document.where}: {document.reason}" if document.where else document.reason
+    if counterexample.difference:
+        message = f"{who}: {counterexample.difference}; {by_document} [{models}]"
+        return Diagnostic.error("counterexample", message, where, counterexample.help, subject)
+    may = "permits" if document.allowed else "does not permit"
+    allows = "allows" if policy.allowed else "does not allow"
+    name = f"{endpoint.name!r}" + "".join(f" in the partition {p!r}" for p in endpoint.partitions)
+    meant = counterexample.meaning and counterexample.meaning.object
+    ros = f" (the {meant.kind.replace('ros_', 'ROS ')} {meant.name})" if meant else ""
+    domain = f" in domain {endpoint.domain}" if endpoint.domain else ""
+    message = (
+        f"{who}: the document {may} it to {endpoint.action} {name}{ros}{domain}, but the policy {allows} it: "
+        f"{policy.reason}; {by_document} [{models}]"
+    )
+    deviation = f"; docs/vendors.md, {document.deviation}" if document.deviation else ""
+    help_ = f"a shortest counterexample{deviation}{f'; {counterexample.help}' if counterexample.help else ''}"
+    return Diagnostic.error("counterexample", message, where, help_, subject)
+
+
+_RULES, _CLAIMS, _TERMS, _WRITTEN = "rules", "claims", "terms", "written"
+"""Keys of the outputs."""
+
+
+def dump_proof(
+    claims: Sequence[Claim], terms: Sequence[ValidityTerm], rules: Iterable[SubjectRules], folder: str
+) -> Mapping[str, str]:
+    """Return the outputs of a stamp.
+
+    Args:
+        claims: the proven claims.
+        terms: when the documents are in force.
+        rules: the rules of the policy that the claims are about.
+        folder: the folder of the documents, as messages show it; recorded places are relative to it.
+    """
+    rows = [
+        (
+            term.code,
+            term.what,
+            term.where.file.removeprefix(f"{folder}/"),
+            term.where.line,
+            [(_date(first), _date(last)) for first, last in term.periods],
+            term.models,
+        )
+        for term in terms
+    ]
+    return {_CLAIMS: dump_claims(tuple(claims)), _RULES: _rules_digest(rules), _TERMS: _json(rows)}
+
+
+_json = json.JSONEncoder(separators=(",", ":")).encode
+_date = lru_cache(maxsize=64)(datetime.isoformat)
+_moment = lru_cache(maxsize=64)(datetime.fromisoformat)
+
+
+# The claims about most enclaves are the same.
+@lru_cache(maxsize=64)
+def dump_claims(claims: tuple[Claim, ...]) -> str:
+    """Return proven claims as text."""
+    return _json(
+        [
+            (each.model, each.action, [(of.first, of.last) for of in each.domains], each.universe, each.excepted)
+            for each in claims
+        ]
+    )
+
+
+def load_proof(stamp: Stamp, folder: str) -> tuple[tuple[Claim, ...], tuple[ValidityTerm, ...]] | None:
+    """Return the recorded claims and terms, or None if the stamp has no legible ones."""
+    try:
+        return load_claims(stamp.outputs.get(_CLAIMS, "")), _load_terms(stamp.outputs.get(_TERMS, ""), folder)
+    except (ValueError, TypeError):
+        return None
+
+
+def has_rules(stamp: Stamp, rules: Iterable[SubjectRules]) -> bool:
+    """Tell whether a proof was made of the same rules, wherever they are written."""
+    return stamp.outputs.get(_RULES) == _rules_digest(rules)
+
+
+def with_proof_digest(outputs: Mapping[str, str], rules: str) -> Mapping[str, str]:
+    """Return the outputs of a stamp with a digest of the rules and of their files, if there is one."""
+    return {**outputs, _WRITTEN: rules} if rules else outputs
+
+
+def has_written(stamp: Stamp, rules: str) -> bool:
+    """Tell whether a proof was made of the same rules in the same files; takes their digest."""
+    return bool(rules) and stamp.outputs.get(_WRITTEN) == rules
+
+
+def _rules_digest(rules: Iterable[SubjectRules]) -> str:
+    """Return a digest of rules, independent of where they are written."""
+    return digest(
+        *(
+            part
+            for of_subject in rules
+            for kind, names in [kind_of(of_subject.rules)]
+            for part in (_kind_digest(kind), *names)
+        )
+    )
+
+
+@lru_cache(maxsize=1 << 12)
+def _kind_digest(kind: Kind) -> str:
+    return digest(repr(kind))
+
+
+@lru_cache(maxsize=64)
+def load_claims(text: str) -> tuple[Claim, ...]:
+    """Return the claims of :func:`dump_claims`.
+
+    Raises:
+        ValueError, TypeError: the text was not written by it.
+    """
+    return tuple(
+        Claim(
+            str(model),
+            str(action),
+            tuple(DomainRange(int(first), int(last)) for first, last in domains),
+            str(universe),
+            Proof.PROVEN,
+            excepted=tuple(map(str, excepted)),
+        )
+        for model, action, domains, universe, excepted in json.loads(text)
+    )
+
+
+def _load_terms(text: str, folder: str) -> tuple[ValidityTerm, ...]:
+    return tuple(
+        ValidityTerm(
+            str(code),
+            str(what),
+            Origin(f"{folder}/{file}", int(line)),
+            tuple((_moment(first), _moment(last)) for first, last in periods),
+            tuple(map(str, models)),
+        )
+        for code, what, file, line, periods, models in json.loads(text)
+    )

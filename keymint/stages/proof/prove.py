@@ -29,14 +29,29 @@ from keymint.executors import Pool
 from keymint.ir import SubjectRules
 from keymint.life import terms
 from keymint.names import name_of, subject_of
-from keymint.stages import shared_install
-from keymint.stages.proof import proof_record
-from keymint.stages.proof.proof_results import EnclaveProof, ProofEffort, ProofResults, costliest
+from keymint.stages.documents import documents_digest, enclaves_of, installed_documents
+from keymint.stages.proof.proof_results import (
+    EnclaveProof,
+    ProofEffort,
+    ProofResults,
+    costliest,
+    dump_proof,
+    has_rules,
+    has_written,
+    load_proof,
+    with_proof_digest,
+)
 from keymint.stages.proof.trust_anchors import anchors_of, contradictions_for, shared_anchors, unread_of
-from keymint.stages.shared_documents import load_packages, record_key, shared_folder, users
-from keymint.view.stamps import Stamp, digest
+from keymint.view.stamps import Stamp, digest, digest_files
 from keymint.workspace.installed_enclaves import enclave_digests, enclave_files, not_installed
-from keymint.workspace.package_build_types import build_types_of, inputs_digest
+from keymint.workspace.package_build_types import (
+    SHARED,
+    build_types_of,
+    inputs_digest,
+    load_packages,
+    record_key,
+    users,
+)
 from keymint.workspace.session import Session
 
 STAGE = "prove"
@@ -109,7 +124,7 @@ class ProofStage:
         self._chains_digest = chains_digest(session)
         self._digested = policy if isinstance(policy, DigestedPolicy) else None
         workspace = session.workspace
-        self._shared_folder = workspace.shown(shared_folder(session) if unsigned else workspace.install)
+        self._shared_folder = workspace.shown(workspace.build / SHARED if unsigned else workspace.install)
         self._asked: list[tuple[Prover, object]] | None = None
         """What other machines are to prove; None while it is proven here."""
 
@@ -160,13 +175,10 @@ class ProofStage:
         if contradictions := contradictions_for(session, name):
             return EnclaveProof(name, subject_of(name), diagnostics=contradictions)
         stamp, folder = session.state.stamp(STAGE, name), self._shown(name)
-        current = stamp is not None and stamp.inputs == self._inputs_digest(name, digests, stamp.build_types)
-        cached = proof_record.load(stamp, folder) if stamp and current else None
-        if stamp and cached and self._same_rules(stamp, [subject_of(name)]):
-            claims, validity = cached
-            # The cache does not depend on the clock: whether documents are in force is checked at each run.
-            proof = EnclaveProof(name, subject_of(name), claims, cached=True, terms=validity)
-            return replace(proof, build_types=stamp.build_types, stamp=self._of_policy(stamp, [subject_of(name)]))
+        known = self._inputs_digest(name, digests, stamp.build_types) if stamp else ""
+        if recorded := self._recorded(name, (subject_of(name),), known, folder):
+            # The record does not depend on the clock: whether documents are in force is checked at each run.
+            return replace(recorded, subject=subject_of(name))
         package = session.package(name)
         files = enclave_files(session, name)[0] if files is None else files
         build_types = tuple(build_types_of(session, package)) if files else ()
@@ -176,7 +188,7 @@ class ProofStage:
         return self._kept(proof, (rules,), Stamp(inputs, {}, build_types=build_types), folder)
 
     def _across(self, names: Collection[str]) -> Iterator[EnclaveProof]:
-        """Prove the claims across subjects of the build types that some packages have, unless these are cached."""
+        """Prove the claims across subjects of the build types that some packages have, unless these are on record."""
         for name, of_type in users(self._session).items():
             if not set(names).isdisjoint(of_type):
                 yield self._prove_across(name, of_type)
@@ -184,13 +196,11 @@ class ProofStage:
     def _prove_across(self, name: str, names: Sequence[str]) -> EnclaveProof:
         session, key, folder = self._session, record_key(name), self._shared_folder
         build_type = session.plugins.build_type(name)
-        enclaves = shared_install.enclaves_of(session, name)
-        inputs = shared_install.claims_digest(session, name, enclaves)
-        stamp, subjects = session.state.stamp(STAGE, key), [subject_of(each) for each in names]
-        cached = proof_record.load(stamp, folder) if stamp and stamp.inputs == inputs else None
-        if stamp and cached and self._same_rules(stamp, subjects):
-            proof = EnclaveProof(key, "", cached[0], cached=True, build_types=(name,))
-            return replace(proof, stamp=self._of_policy(stamp, subjects))
+        enclaves = enclaves_of(session, name)
+        digests = {subject: digest_files(files) for subject, files in enclaves.items()}
+        inputs, subjects = self._inputs_digest(key, digests, (name,)), [subject_of(each) for each in names]
+        if recorded := self._recorded(key, subjects, inputs, folder):
+            return recorded
         rules = {subject: self._rules(subject) for subject in subjects}
         try:
             packages = load_packages(session, name)
@@ -199,7 +209,7 @@ class ProofStage:
                 rules,
                 enclaves,
                 session.workspace.shown(session.workspace.build if self._unsigned else session.enclaves),
-                shared_install.installed_documents(session, name),
+                installed_documents(session, name),
                 folder,
                 shared_anchors(session, packages, build_type),
                 self._effort.states,
@@ -213,6 +223,15 @@ class ProofStage:
             proof = EnclaveProof(key, "", diagnostics=tuple(error.diagnostics))
         return self._kept(proof, rules.values(), Stamp(inputs, {}, build_types=(name,)), folder)
 
+    def _recorded(self, name: str, subjects: Sequence[str], inputs: str, folder: str) -> EnclaveProof | None:
+        """Return the proof on record if it is of the same files and the same rules of some subjects, else None."""
+        stamp = self._session.state.stamp(STAGE, name)
+        known = load_proof(stamp, folder) if stamp and stamp.inputs == inputs else None
+        if stamp is None or known is None or not self._same_rules(stamp, subjects):
+            return None
+        proof = EnclaveProof(name, "", known[0], cached=True, terms=known[1], build_types=stamp.build_types)
+        return replace(proof, stamp=self._of_policy(stamp, subjects))
+
     def _kept(self, proof: EnclaveProof, rules: Collection[SubjectRules], stamp: Stamp, folder: str) -> EnclaveProof:
         """Return a proof with its record if all its claims are proven."""
         proof = replace(proof, build_types=stamp.build_types)
@@ -220,15 +239,15 @@ class ProofStage:
             return proof
         if proof.diagnostics or any(claim.proof is not Proof.PROVEN for claim in proof.claims):
             return replace(proof, refuted=True)
-        stamp = replace(stamp, outputs=proof_record.dump(proof.claims, proof.terms, rules, folder))
+        stamp = replace(stamp, outputs=dump_proof(proof.claims, proof.terms, rules, folder))
         return replace(proof, stamp=self._of_policy(stamp, [each.subject for each in rules]))
 
     def _same_rules(self, stamp: Stamp, subjects: Iterable[str]) -> bool:
         """Tell whether the policy has the same rules for some subjects as when the stamp was made."""
         return (
             stamp.context == self._policy_digest
-            or proof_record.has_written(stamp, self._written(subjects))
-            or proof_record.has_rules(stamp, [self._rules(subject) for subject in subjects])
+            or has_written(stamp, self._written(subjects))
+            or has_rules(stamp, [self._rules(subject) for subject in subjects])
         )
 
     def _written(self, subjects: Iterable[str]) -> str:
@@ -242,7 +261,7 @@ class ProofStage:
         """Return a stamp as the present policy has it, or None if it is that already."""
         if stamp.context == self._policy_digest:
             return None
-        outputs = proof_record.with_proof_digest(stamp.outputs, self._written(subjects))
+        outputs = with_proof_digest(stamp.outputs, self._written(subjects))
         return replace(stamp, context=self._policy_digest, outputs=outputs)
 
     def _shown(self, name: str) -> str:
@@ -275,7 +294,7 @@ class ProofStage:
                     self._effort.deadline(),
                     self._effort.standard_only,
                     self._unsigned,
-                    shared_install.installed_documents(self._session, name),
+                    installed_documents(self._session, name),
                     self._shared_folder,
                 )
                 own = _with_rules(self._claims(prover, task), (rules,))
@@ -306,7 +325,7 @@ class ProofStage:
 
     def _inputs_digest(self, name: str, digests: Mapping[str, str], build_types: Iterable[str]) -> str:
         """Return the digest of everything that a proof depends on, except the policy."""
-        shared = (shared_install.documents_digest(self._session, each) for each in build_types)
+        shared = (documents_digest(self._session, each) for each in build_types)
         files = (part for item in sorted(digests.items()) for part in item)
         of_vendors = filter(None, [self._session.vendors_of])
         built = inputs_digest(self._session, name)

@@ -18,7 +18,7 @@ from keymint.authority.authority_files import AuthorityFiles, trusted_chains
 from keymint.errors import KeymintError
 from keymint.pki import certificates
 from keymint.pki.keys import PublicKey
-from keymint.stages.shared_install import shared_roles
+from keymint.stages.documents import shared_roles
 from keymint.workspace.installed_enclaves import INSTALLED
 from keymint.workspace.package_build_types import is_build_current, issuers_of, suffixes_read
 from keymint.workspace.session import Inputs, Session, once

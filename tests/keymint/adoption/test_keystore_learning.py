@@ -22,7 +22,7 @@ from tests import sros2_keystore
 
 POLICY = """<policy version="0.2.0"><enclaves><enclave path="/a"><profiles><profile ns="/" node="a">
 <topics publish="ALLOW"><topic>x</topic></topics></profile></profiles></enclave></enclaves></policy>"""
-EFFORT = ProofEffort(10_000, lambda: lambda: True)
+EFFORT = ProofEffort(lambda: 0.0, 10_000)
 LEARNING = Learning(build_type.keystores, "keymint_ros2_comarmor", "jazzy", "p.xml", EFFORT)
 
 

@@ -14,8 +14,7 @@ from keymint_ros import permissions
 from keymint_ros2_dds import DdsSecurity
 
 from keymint.examine import enclaves
-from keymint.executors.pool import divide
-from keymint.executors.processes import Processes
+from keymint.executors.pool import Processes, divide
 from tests.conftest import NOW, snapshot
 
 DAY = 86_400

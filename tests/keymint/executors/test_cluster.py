@@ -251,7 +251,7 @@ def test_without_the_guard_dask_reads_such_pickles(folder: Path, cluster: Cluste
     cluster.order.write_text("exception")
     client = f"""
 import os, distributed
-from keymint.executors import worker
+from keymint.executors import cluster as worker
 client = distributed.Client("tcp://{cluster.address}", serializers=["msgpack"], deserializers=["msgpack"])
 try: client.submit(worker.carry_out, b"").result()
 except Exception: pass

@@ -16,10 +16,9 @@ from hypothesis import strategies as st
 
 from keymint.api.plugin_loader import Plugins
 from keymint.errors import ExitCode, KeymintError
-from keymint.executors import worker
+from keymint.executors import cluster as worker
 from keymint.executors.cluster import cluster
-from keymint.executors.pool import divide, in_order
-from keymint.executors.processes import Processes
+from keymint.executors.pool import Processes, divide, in_order
 from tests.conftest import CHECKOUT
 
 
@@ -60,9 +59,7 @@ def test_no_more_tasks_wait_than_allowed() -> None:
 
 def run(code: str) -> subprocess.CompletedProcess[str]:
     """Run code in a process that may fork."""
-    begin = (
-        "import os\nfrom keymint.executors.processes import Processes\nfrom keymint.api.plugin_loader import Plugins\n"
-    )
+    begin = "import os\nfrom keymint.executors.pool import Processes\nfrom keymint.api.plugin_loader import Plugins\n"
     begin += "from keymint.errors import KeymintError\npool = Processes(Plugins(()), 2)\n"
     return subprocess.run(
         [sys.executable, "-c", begin + code], cwd=CHECKOUT, capture_output=True, text=True, check=False

@@ -13,7 +13,7 @@ import pytest
 from comarmor.errors import Diagnostic, Severity
 from keymint.errors import ExitCode
 from keymint.output.report import Report
-from keymint.run.answer_recording import next_report
+from keymint.run.execution import next_report
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.view.stamps import State
 from keymint.workspace.session import Inputs, Session

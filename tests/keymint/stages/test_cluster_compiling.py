@@ -17,8 +17,7 @@ from keymint.api.plugin_loader import Plugins
 from keymint.executors.cluster import Cluster
 from keymint.pki.tokens.pin_sources import Pins
 from keymint.pki.tokens.token_sessions import Tokens
-from keymint.run.cluster_compiling import compile_elsewhere
-from keymint.stages.build import BuildStage
+from keymint.stages.build import BuildStage, compile_elsewhere
 from keymint.view.stamps import State
 from keymint.view.tree import Tree
 from keymint.workspace.session import Inputs, Session
