@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import field, replace
-from datetime import datetime, timedelta
+from datetime import datetime
 
 from cryptography import x509
 
@@ -21,15 +21,10 @@ from keymint.authority.authorities import (
     plan_authority_issuance,
 )
 from keymint.errors import KeymintError
-from keymint.pki import certificates, distinguished_names, foreign_authorities, keys
+from keymint.pki import certificates, distinguished_names, foreign_authorities, keys, periods
 from keymint.store.changes import Action, FolderChange, Plan, Step, folder_changes, secret_file
 from keymint.workspace.session import Session
 from keymint.workspace.stored_keys import AUTHORITY_KEYS, password, with_recorded_keys
-
-
-def begin_of(now: datetime) -> datetime:
-    """Return the begin of a validity that is counted from now: a midnight at least a day ago, as in ADR 0008."""
-    return now.replace(hour=0, minute=0, second=0, microsecond=0) - timedelta(days=1)
 
 
 def plan_renewal(session: Session, name: str) -> Plan:
@@ -51,7 +46,7 @@ def plan_renewal(session: Session, name: str) -> Plan:
         message = f"the profile has the RDNs of {own!r} in another order, so its certificate is used as it is"
         help_ = f"write <subject_name>{own}</subject_name> for this authority, then renew it"
         raise KeymintError(message, where=authority.certificate.origin, help=help_, code="authority-reordered")
-    issuance = replace(authority.issuance, renewed=begin_of(session.now))
+    issuance = replace(authority.issuance, renewed=periods.begin(session.now))
     if authority.issuance.adopted:
         issuance = replace(issuance, adopted=_adopted_again(session, authority, minted))
     plan = plan_authority_issuance(session, name, issuance, f"{name} renewed on {session.now:%Y-%m-%d}")
@@ -74,7 +69,7 @@ def _adopted_again(session: Session, authority: Authority, minted: MintedAuthori
 def _later_end(session: Session, authority: Authority, certificate: x509.Certificate) -> datetime:
     """Return the end of an imported certificate that is issued again: it is as long as before."""
     begin = authority.issuance.renewed or certificate.not_valid_before_utc
-    return begin_of(session.now) + (certificate.not_valid_after_utc - begin)
+    return periods.begin(session.now) + (certificate.not_valid_after_utc - begin)
 
 
 def issued_like(session: Session, authority: Authority, certificate: x509.Certificate, key: keys.PrivateKey) -> bytes:

@@ -29,10 +29,10 @@ from keymint.authority.authorities import (
     plan_authorities,
     plan_authority_issuance,
 )
-from keymint.authority.authority_changes import GivenAuthority, begin_of, cert_and_key, issued_like, issuer_of
+from keymint.authority.authority_changes import GivenAuthority, cert_and_key, issued_like, issuer_of
 from keymint.authority.authority_files import FORMER, NEXT
 from keymint.errors import KeymintError
-from keymint.pki import certificates, extensions, keys
+from keymint.pki import certificates, extensions, keys, periods
 from keymint.store.changes import Action, File, FolderChange, Plan, Step, secret_file
 from keymint.workspace.session import Session
 from keymint.workspace.stored_keys import AUTHORITY_KEYS, password, with_recorded_keys
@@ -203,7 +203,7 @@ def _made(session: Session, authority: Authority) -> tuple[bytes, bytes]:
             help="leave <serial_number> empty for a random one",
             code="serial-taken",
         )
-    renewed = replace(authority.issuance, renewed=begin_of(session.now))
+    renewed = replace(authority.issuance, renewed=periods.begin(session.now))
     after = session.after(plan_authority_issuance(session, name, renewed, "")).session()
     issuer = issuer_of(session, authority)
     return certificates.issue_authority(authority_named(after, name).certificate, key, issuer).pem, pem

@@ -14,12 +14,12 @@ _SHORT = timedelta(days=10)
 """A shorter period begins a tenth of its length before now, so that most of it lies ahead."""
 
 
-def begin(now: datetime, length: timedelta) -> datetime:
+def begin(now: datetime, length: timedelta = _SHORT) -> datetime:
     """Return the begin of a period of validity that is given now.
 
     Args:
         now: the clock, UTC.
-        length: from begin to end.
+        length: from begin to end; by default one that is not short.
 
     Returns:
         The first moment of the day before, so that all that is given on one day has the same dates; for a period of

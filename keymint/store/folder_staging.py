@@ -60,9 +60,9 @@ class FolderContent:
     order: int = 0
     own: int = 0
 
-    def writes(self) -> bool:
-        """Tell whether a file is written here or below."""
-        return bool(self.files) or any(inner.writes() for inner in self.folders.values())
+    def size(self) -> int:
+        """Return the number of files that are written here or below."""
+        return len(self.files) + sum(inner.size() for inner in self.folders.values())
 
     def removes(self) -> bool:
         """Tell whether a file is removed here or below."""
@@ -137,7 +137,7 @@ def _carry(old: int, new: int, shown: str, content: FolderContent, carried: dict
 def _add_folders(parent: int, shown: str, content: FolderContent, staged: Collection[str] = ()) -> None:
     """Create the new subfolders of a staged folder."""
     for name, inner in content.folders.items():
-        if inner.writes() and name not in staged:
+        if inner.size() and name not in staged:
             add(parent, name, f"{shown}/{name}", inner)
 
 

@@ -69,7 +69,6 @@ class Staging:
         self._trees: dict[str, FolderContent] = {}
         self._kept: list[tuple[int, str, FolderChange, bool]] = []
         """Changes in folders that are never replaced, each with its number, folder, and whether that is private."""
-        self._checked: set[str] = set()
         self._exchanges: list[Exchange] = []
 
     def stage(self, changes: Iterable[FolderChange]) -> tuple[Exchange, ...]:
@@ -85,7 +84,7 @@ class Staging:
             try:
                 for root, tree in self._trees.items():
                     # What is only removed creates no root.
-                    if tree.writes() or os.path.lexists(root):
+                    if tree.size() or os.path.lexists(root):
                         self._inside(folders.open(root), root, tree)
                 for order, folder, change, private in self._kept:
                     self._inside_kept(order, folder, change, folders, private=private)
@@ -99,7 +98,7 @@ class Staging:
     def _add(self, order: int, change: FolderChange) -> None:
         folder = str(change.folder)
         for name in (*change.files, *change.removed):
-            self._check(name, folder)
+            check_component(name, folder)
         if not change.files and not change.removed:
             return
         root = self._roots.of(folder)
@@ -112,7 +111,7 @@ class Staging:
         for part in folder[len(root) + 1 :].split("/"):
             inner = content.folders.get(part)
             if inner is None:
-                self._check(part, folder)
+                check_component(part, folder)
                 inner = content.folders[part] = FolderContent(mode=0o700 if closed else 0o755, order=order)
             content = inner
         content.own = order
@@ -123,11 +122,6 @@ class Staging:
         content.removed.update(change.removed)
         content.private = content.private or private
 
-    def _check(self, name: str, folder: str) -> None:
-        if name not in self._checked:
-            check_component(name, folder)
-            self._checked.add(name)
-
     # -- how it is staged ----------------------------------------------------------------------------------------
 
     def _inside(self, opened: int, shown: str, content: FolderContent) -> None:
@@ -136,8 +130,7 @@ class Staging:
             try:
                 old = os.open(name, FOLDER, dir_fd=opened)
             except FileNotFoundError:
-                if inner.writes():
-                    written = sum(value is not None for _, value in inner.changed())
+                if written := inner.size():
                     with self._staging(opened, Exchange(inner.order, shown, name, temporary(), size=written)) as staged:
                         add(opened, staged, f"{shown}/{name}", inner)
                 continue
@@ -152,7 +145,7 @@ class Staging:
         shown = f"{around}/{name}"
         with reported(shown):
             if content.removes():
-                if not content.writes() and _is_emptied(old, content):
+                if not content.size() and _is_emptied(old, content):
                     gone = dict(content.changed())
                     self._exchanges.append(Exchange(content.order, around, name, None, replaces=True, changed=gone))
                     return

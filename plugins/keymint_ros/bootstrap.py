@@ -12,6 +12,7 @@ from string import Template
 from comarmor.data import locate
 from keymint.api import Bootstrap, Role, Validity
 from keymint.errors import KeymintError
+from keymint.pki import periods
 from keymint_ros import distros, validity
 from keymint_ros.manifest import BUILD_TYPE, MARKER
 
@@ -88,8 +89,7 @@ def bootstrap(request: Bootstrap) -> Mapping[str, bytes]:
             code="domain-range",
         )
     _check_line("name of the profile", request.name)
-    # Start a day early: clocks may be slow, and some vendors read dates without zone as local time.
-    start = request.now.replace(hour=0, minute=0, second=0, microsecond=0) - timedelta(days=1)
+    start = periods.begin(request.now)
     issuer, signer = _ONE_AUTHORITY if distros.has_one_authority(request.distro, layout) else _TWO_AUTHORITIES
     if request.authority:
         issuer = signer = request.authority

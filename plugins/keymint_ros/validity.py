@@ -12,6 +12,7 @@ from comarmor.text import quoted
 from keymint.api import Validity
 from keymint.api.source_documents import place, text
 from keymint.errors import KeymintError
+from keymint.pki import periods
 
 if TYPE_CHECKING:
     from lxml import etree
@@ -69,8 +70,6 @@ def begin_of_period(duration: str, now: datetime) -> str:
     Raises:
         KeymintError: not a duration, or one that ends before it begins or after the year 9999.
     """
-    from keymint.pki import periods  # noqa: PLC0415 - only needed to write new files
-
     return date_text(periods.begin(now, _sum(now, duration) - now))
 
 
