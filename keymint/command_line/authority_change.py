@@ -8,8 +8,7 @@ from pathlib import Path
 
 from comarmor.errors import Diagnostic, Origin
 from keymint.authority.authorities import plan_authorities
-from keymint.authority.authority_changes import GivenAuthority
-from keymint.authority.authority_uses import refusing_implementations
+from keymint.authority.authority_changes import GivenAuthority, refusing_implementations
 from keymint.command_line.named_files import read_input
 from keymint.errors import KeymintError
 from keymint.life.revocation_lists_in_force import list_of

@@ -19,8 +19,7 @@ from keymint.run.workers import Workers
 from keymint.store.changes import Action, File, FolderChange, Plan, Step
 from keymint.store.journal import Intent
 from keymint.store.staged import Exchange
-from keymint.store.store import Store
-from keymint.store.workspace_lock import clock
+from keymint.store.store import Store, clock
 from keymint.view.folder_status import Sight
 from keymint.view.recorded_answers import Answer, Call, is_recordable, name_of, record
 from keymint.view.stamps import State

@@ -31,7 +31,7 @@ from keymint.run.workers import Workers
 from keymint.stages.work import Crew
 from keymint.store.changes import File, Plan, Step
 from keymint.store.journal import Intent, Journal, intent_of
-from keymint.store.workspace_lock import LOCK, clock, folder_lock, read_lock
+from keymint.store.store import LOCK, clock, folder_lock, read_lock
 from keymint.view.folder_status import Sight
 from keymint.view.recorded_answers import Call
 from keymint.view.stamps import MAX_RECORD, State

@@ -19,9 +19,8 @@ from comarmor.values import dataclass
 from keymint.api import Phase
 from keymint.authority import rollover
 from keymint.authority.authorities import MintedAuthority, authority_named, plan_authorities
-from keymint.authority.authority_changes import GivenAuthority
+from keymint.authority.authority_changes import GivenAuthority, refusing_implementations
 from keymint.authority.authority_files import NEXT
-from keymint.authority.authority_uses import refusing_implementations
 from keymint.authority.rollover import phase_of, plan_switch, staged_session
 from keymint.errors import KeymintError, usage_error
 from keymint.life.revocation_lists_in_force import plan_lists

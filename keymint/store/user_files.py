@@ -15,7 +15,7 @@ from pathlib import Path
 from keymint.store.changes import File, file_mode
 from keymint.store.file_writing import NEW_FILE, give, reported, require_regular, write_all
 from keymint.store.open_folders import OpenFolders, Roots
-from keymint.store.workspace_lock import wait_for_lock
+from keymint.store.store import wait_for_lock
 
 
 def write_files(

@@ -15,7 +15,7 @@ from cryptography import x509
 from comarmor.text import counted
 from keymint.authority import authority_files
 from keymint.authority.authorities import authority_named
-from keymint.authority.authority_uses import uses
+from keymint.authority.authority_changes import uses
 from keymint.command_line.options import complete_authority
 from keymint.command_line.verb import verb
 from keymint.examine.weaknesses import lacks

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from keymint.authority.authority_uses import Use, implementations, refusing_implementations, uses
+from keymint.authority.authority_changes import Use, implementations, refusing_implementations, uses
 from keymint.errors import ExitCode, KeymintError
 from keymint.workspace.session import Session
 from tests.keymint.stages.sessions import session_of

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from keymint.store.store import Store
-from keymint.store.workspace_lock import LOCK, folder_lock, read_lock
+from keymint.store.store import LOCK, Store, folder_lock, read_lock
 
 
 def never() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 from keymint_ros import package_type
-from keymint_ros.permissions_of_2018 import differences
+from keymint_ros.package_writer import _differences_of_2018 as differences
 
 from comarmor.errors import Origin
 from comarmor.rules import Effect
