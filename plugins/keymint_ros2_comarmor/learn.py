@@ -30,10 +30,9 @@ from keymint_ros2_comarmor.policy_documents import (
     document,
     fold,
     fragment,
-    fragment_size,
     literal,
     needs_of,
-    profile_size,
+    profiles,
     templates,
 )
 
@@ -47,13 +46,13 @@ def share(needs: Mapping[str, set[Need]]) -> tuple[CommonPart, ...]:
     """
     remaining = {subject: set(own_needs) for subject, own_needs in needs.items()}
     parts: list[CommonPart] = []
-    for subjects, shared in sorted(_candidates(remaining).items(), key=lambda item: (-len(item[0]), item[0])):
+    for _, shared in sorted(_candidates(remaining).items(), key=lambda item: (-len(item[0]), item[0])):
         covered = {subject: frozenset(by_template.values()) for subject, by_template in shared.items()}
         common = frozenset(next(iter(shared.values())))
-        if _saved_bytes(subjects, common, covered, remaining) > 0:
+        if _saved_bytes(common, covered, remaining) > 0:
             for subject, own_needs in covered.items():
                 remaining[subject] -= own_needs
-            parts.append(CommonPart(_NAME.format(number=len(parts) + 1), subjects, common, covered))
+            parts.append(CommonPart(_NAME.format(number=len(parts) + 1), common, covered))
     return tuple(parts)
 
 
@@ -85,18 +84,18 @@ def _shared_by_all(subjects: tuple[str, ...], group: Mapping[str, Mapping[Need, 
 
 
 def _saved_bytes(
-    subjects: tuple[str, ...],
-    common: frozenset[Need],
-    covered: Mapping[str, frozenset[Need]],
-    remaining: Mapping[str, set[Need]],
+    common: frozenset[Need], covered: Mapping[str, frozenset[Need]], remaining: Mapping[str, set[Need]]
 ) -> int:
     """Return the bytes that a common part saves."""
-    saved = -fragment_size(fold(common))
-    for subject in subjects:
-        before = profile_size(fold(map(literal, remaining[subject])))
-        after = profile_size(fold(map(literal, remaining[subject] - covered[subject])))
+    saved = -len(fragment(common))
+    for subject, own in covered.items():
+        before, after = (_profile_size(needs) for needs in (remaining[subject], remaining[subject] - own))
         saved += before - after - INCLUDE_SIZE
     return saved
+
+
+def _profile_size(needs: Iterable[Need]) -> int:
+    return len(profiles({"p": fold(map(literal, needs))}))
 
 
 _Need = tuple[str, str, str, tuple[str, ...]]
@@ -217,7 +216,7 @@ def learn(graph: Graph, existing: LoadedPolicy | None, fragments: str) -> Learne
     parts = share(needs) if fragments else ()
     return LearnedPolicy(
         document=document(needs, parts, fragments, _domain_note(graph)) if needs else b"",
-        fragments={part.name: fragment(part) for part in parts},
+        fragments={part.name: fragment(part.needs, part.name.removesuffix(".xml")) for part in parts},
         missing=tuple(missing),
         conflicts=tuple(dict.fromkeys(conflicts)),
         unused=tuple(unused_rule_notes(policy, graph)) if policy else (),

@@ -44,13 +44,11 @@ class CommonPart:
 
     Attributes:
         name: file name.
-        subjects: the subjects that include it.
         needs: the shared needs, as attachments that may contain ``{namespace}`` and ``{name}``.
-        covered: for each subject, its own needs (with names) that the file covers.
+        covered: for each subject that includes it, its own needs (with names) that the file covers.
     """
 
     name: str
-    subjects: tuple[str, ...]
     needs: frozenset[Need]
     covered: Mapping[str, frozenset[Need]] = field(repr=False)
 
@@ -139,52 +137,38 @@ def document(needs: Mapping[str, set[Need]], parts: Sequence[CommonPart], folder
         folder: folder of the included files, relative to the policy.
         note: a comment to insert before the root element; empty for none.
     """
-    root = etree.Element("profiles", nsmap={"xi": XINCLUDE} if parts else None)
+    rules: dict[str, tuple[ProfileRule, ...]] = {}
+    includes: dict[str, list[str]] = {}
     for subject, own_needs in needs.items():
-        covered = {need for part in parts for need in part.covered.get(subject, ())}
-        rules = fold(map(literal, own_needs - covered))
-        profile = _profile(name_of(subject), escape(subject), rules)
-        root.append(profile)
-        for part in reversed(parts):
-            if subject in part.subjects:
-                profile.insert(1, etree.Element(INCLUDE, href=f"{folder}/{part.name}", parse="xml"))
-    return _noted(root, note)
+        own_parts = [part for part in parts if subject in part.covered]
+        rules[subject] = fold(map(literal, own_needs.difference(*(part.covered[subject] for part in own_parts))))
+        includes[subject] = [f"{folder}/{part.name}" for part in own_parts]
+    return profiles(rules, note, includes if parts else {})
 
 
-def fragment(part: CommonPart) -> bytes:
-    """Return the file of a common part: a rule, or for several rules a profile that applies to any subject."""
-    return _fragment(fold(part.needs), part.name.removesuffix(".xml"))
-
-
-def _fragment(rules: tuple[ProfileRule, ...], name: str) -> bytes:
+def fragment(needs: Iterable[Need], name: str = "common_1") -> bytes:
+    """Return an included file: a rule, or for several rules a profile that applies to any subject."""
+    rules = fold(needs)
     profile = _profile(name, _ANY_SUBJECT, rules)
     return formatting.document(profile if len(rules) > 1 else profile[1]).encode()
 
 
-def fragment_size(rules: tuple[ProfileRule, ...]) -> int:
-    """Return the size in bytes of an included file with these rules."""
-    return len(_fragment(rules, "common_1"))
-
-
-def profile_size(rules: tuple[ProfileRule, ...]) -> int:
-    """Return the size in bytes of a policy with one profile of these rules."""
-    return len(profiles({"p": rules}))
-
-
-def profiles(subjects: Mapping[str, tuple[ProfileRule, ...]], note: str = "") -> bytes:
+def profiles(
+    subjects: Mapping[str, tuple[ProfileRule, ...]], note: str = "", includes: Mapping[str, Sequence[str]] | None = None
+) -> bytes:
     """Return a policy document with one profile of rules for each subject.
 
     Args:
         subjects: the rules of each subject.
         note: a comment to insert before the root element; empty for none.
+        includes: the files that the profile of each subject includes, if there are any.
     """
-    root = etree.Element("profiles")
+    root = etree.Element("profiles", nsmap={"xi": XINCLUDE} if includes else None)
     for subject, rules in subjects.items():
-        root.append(_profile(name_of(subject), escape(subject), rules))
-    return _noted(root, note)
-
-
-def _noted(root: etree._Element, note: str) -> bytes:
+        profile = _profile(name_of(subject), escape(subject), rules)
+        root.append(profile)
+        for href in reversed(includes[subject] if includes else ()):
+            profile.insert(1, etree.Element(INCLUDE, href=href, parse="xml"))
     policy = formatting.document(root).encode()
     return policy.replace(b"<profiles", f"<!-- {note} -->\n<profiles".encode(), 1) if note else policy
 

@@ -17,18 +17,7 @@ from lxml import etree
 from comarmor.errors import ComArmorError, Diagnostic
 from comarmor.rules import Effect, is_subject
 from comarmor.text import quoted
-from keymint_ros2_sros2.syntax import (
-    GRAPH_TOPIC,
-    Entry,
-    NodeGroup,
-    RosNode,
-    RuleList,
-    SourcePolicy,
-    Sros2Enclave,
-    as_read,
-    enforced_name,
-    expression,
-)
+from keymint_ros2_sros2 import syntax
 
 _LONGEST_PATH = 1024
 _LONGEST_SEGMENT = 255
@@ -41,7 +30,7 @@ ACCEPTABLE = frozenset((
 """The codes of what has a meaning as it reads, which ``--accept`` takes."""
 
 
-def deviations(policy: SourcePolicy) -> tuple[Diagnostic, ...]:
+def deviations(policy: syntax.SourcePolicy) -> tuple[Diagnostic, ...]:
     """Return errors about what SROS2 enforces differently from what the policy says, and what cannot be taken over.
 
     Each is about an enclave, and needs a decision of the policy's owner.
@@ -58,8 +47,8 @@ def deviations(policy: SourcePolicy) -> tuple[Diagnostic, ...]:
     return tuple(found)
 
 
-def _doubled(policy: SourcePolicy) -> Iterator[Diagnostic]:
-    first: dict[str, Sros2Enclave] = {}
+def _doubled(policy: syntax.SourcePolicy) -> Iterator[Diagnostic]:
+    first: dict[str, syntax.Sros2Enclave] = {}
     for enclave in policy.enclaves:
         before = first.setdefault(enclave.path, enclave)
         if before is not enclave:
@@ -71,7 +60,7 @@ def _doubled(policy: SourcePolicy) -> Iterator[Diagnostic]:
             yield Diagnostic.error("sros2-path-twice", message, enclave.where, help_, enclave.path)
 
 
-def _of_path(enclave: Sros2Enclave) -> Iterator[Diagnostic]:
+def _of_path(enclave: syntax.Sros2Enclave) -> Iterator[Diagnostic]:
     path = enclave.path
     if is_subject(path) and len(path) <= _LONGEST_PATH and max(map(len, path.split("/"))) <= _LONGEST_SEGMENT:
         return
@@ -83,7 +72,7 @@ def _of_path(enclave: Sros2Enclave) -> Iterator[Diagnostic]:
     yield Diagnostic.error("sros2-path", message, enclave.where, help_, enclave.path)
 
 
-def _of_groups(enclave: Sros2Enclave) -> Iterator[Diagnostic]:
+def _of_groups(enclave: syntax.Sros2Enclave) -> Iterator[Diagnostic]:
     if len(enclave.groups) > 1:
         message = (
             f"the enclave {quoted(enclave.path)} has {len(enclave.groups)} <profiles>: SROS2 writes a grant for each,"
@@ -93,7 +82,7 @@ def _of_groups(enclave: Sros2Enclave) -> Iterator[Diagnostic]:
         yield Diagnostic.error("sros2-two-profiles", message, enclave.groups[1].where, help_, enclave.path)
 
 
-def _of_node(enclave: Sros2Enclave, node: RosNode) -> Iterator[Diagnostic]:
+def _of_node(enclave: syntax.Sros2Enclave, node: syntax.RosNode) -> Iterator[Diagnostic]:
     if node.ns and not node.ns.startswith("/"):
         message = f"the namespace {quoted(node.ns)} does not begin with '/': SROS2 writes topics that no node has"
         help_ = f"write ns={quoted('/' + node.ns.strip())}; --accept reads it so"
@@ -104,14 +93,14 @@ def _of_node(enclave: Sros2Enclave, node: RosNode) -> Iterator[Diagnostic]:
             yield Diagnostic.error("sros2-padded", message, node.where, "remove it; --accept reads it so", enclave.path)
 
 
-def _of_entry(enclave: Sros2Enclave, node: RosNode, entry: Entry) -> Iterator[Diagnostic]:
+def _of_entry(enclave: syntax.Sros2Enclave, node: syntax.RosNode, entry: syntax.Entry) -> Iterator[Diagnostic]:
     text, trimmed = entry.text, entry.text.strip()
     if not trimmed:
         help_ = "write a name, or remove the element"
         yield Diagnostic.error("sros2-empty", "the name is empty", entry.where, help_, enclave.path)
         return
     try:
-        expression(as_read(node, text), entry)
+        syntax.expression(syntax.as_read(node, text), entry)
     except ComArmorError as error:
         yield from (replace(each, subject=enclave.path) for each in error.diagnostics)
         return
@@ -128,8 +117,8 @@ def _of_entry(enclave: Sros2Enclave, node: RosNode, entry: Entry) -> Iterator[Di
         yield Diagnostic.error("sros2-backslash", message, entry.where, help_, enclave.path)
 
 
-def _names(node: RosNode, text: str) -> str:
-    return f"SROS2 enforces {quoted(enforced_name(node, text))}, not {quoted(as_read(node, text))}"
+def _names(node: syntax.RosNode, text: str) -> str:
+    return f"SROS2 enforces {quoted(syntax.enforced_name(node, text))}, not {quoted(syntax.as_read(node, text))}"
 
 
 _XSI = "http://www.w3.org/2001/XMLSchema-instance"
@@ -144,12 +133,12 @@ _Topic = tuple[str, str]
 """What may be done, and the DDS topic."""
 
 
-def subject_name(enclave: Sros2Enclave) -> str:
+def subject_name(enclave: syntax.Sros2Enclave) -> str:
     """Return the subject name of an enclave's certificate and grants."""
     return f"CN={enclave.path}"
 
 
-def permissions_document(enclave: Sros2Enclave, *, graph: bool) -> bytes:
+def permissions_document(enclave: syntax.Sros2Enclave, *, graph: bool) -> bytes:
     """Return the permissions document that SROS2 writes for an enclave, for domain 0.
 
     Args:
@@ -165,7 +154,7 @@ def permissions_document(enclave: Sros2Enclave, *, graph: bool) -> bytes:
     return etree.tostring(root, encoding="UTF-8", xml_declaration=True)
 
 
-def _grant(enclave: Sros2Enclave, group: NodeGroup, *, graph: bool) -> etree._Element:
+def _grant(enclave: syntax.Sros2Enclave, group: syntax.NodeGroup, *, graph: bool) -> etree._Element:
     grant = etree.Element("grant", name=enclave.path)
     etree.SubElement(grant, "subject_name").text = subject_name(enclave)
     validity = etree.SubElement(grant, "validity")
@@ -177,7 +166,7 @@ def _grant(enclave: Sros2Enclave, group: NodeGroup, *, graph: bool) -> etree._El
     if topics[Effect.ALLOW]:
         grant.append(_rule("allow_rule", topics[Effect.ALLOW]))
     if graph:
-        grant.append(_rule("allow_rule", {("publish", GRAPH_TOPIC), ("subscribe", GRAPH_TOPIC)}))
+        grant.append(_rule("allow_rule", {("publish", syntax.GRAPH_TOPIC), ("subscribe", syntax.GRAPH_TOPIC)}))
     etree.SubElement(grant, "default").text = "DENY"
     return grant
 
@@ -194,7 +183,7 @@ def _rule(tag: str, topics: Iterable[_Topic]) -> etree._Element:
     return rule
 
 
-def _topics(group: NodeGroup, effect: Effect) -> Iterator[_Topic]:
+def _topics(group: syntax.NodeGroup, effect: Effect) -> Iterator[_Topic]:
     for node in group.nodes:
         for rules in node.lists:
             for permission, given in rules.effects.items():
@@ -202,9 +191,9 @@ def _topics(group: NodeGroup, effect: Effect) -> Iterator[_Topic]:
                     yield from _of_list(node, rules, permission)
 
 
-def _of_list(node: RosNode, rules: RuleList, permission: str) -> Iterator[_Topic]:
+def _of_list(node: syntax.RosNode, rules: syntax.RuleList, permission: str) -> Iterator[_Topic]:
     for entry in rules.entries:
-        name = enforced_name(node, entry.text)
+        name = syntax.enforced_name(node, entry.text)
         if permission in {"ros_publish", "ros_subscribe"}:
             yield permission.removeprefix("ros_"), f"rt{name}"
             continue

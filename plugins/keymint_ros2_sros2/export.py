@@ -26,21 +26,11 @@ from comarmor.values import dataclass
 from keymint.api import ExportedPolicy, ImportedSubject
 from keymint.errors import KeymintError, UnsayableError
 from keymint.ir import SubjectRules
+from keymint_ros2_sros2 import syntax
 from keymint_ros2_sros2.deviations import permissions_document, subject_name
-from keymint_ros2_sros2.syntax import (
-    GRAPH_TOPIC,
-    KINDS,
-    NEW,
-    PERMISSIONS,
-    Entry,
-    NodeGroup,
-    RosNode,
-    RuleList,
-    Sros2Enclave,
-)
 
-_TAGS = {kind: tag for tag, kind in KINDS.items()}
-_RAW = PERMISSIONS["topics"]
+_TAGS = {kind: tag for tag, kind in syntax.KINDS.items()}
+_RAW = syntax.PERMISSIONS["topics"]
 _PREFIX = "rt"
 """What stands before the names of ROS topics in the names of DDS topics."""
 _SERVICES = ("rq/", "rr/")
@@ -51,22 +41,11 @@ _MEMBERS = " \"#$%&'()*+,-./:;<=>?@_`{|}~"
 _SPECIAL = "*?["
 
 
-@dataclass(frozen=True, slots=True)
-class PolicyName:
-    """A name in a list.
-
-    Attributes:
-        tag: the list: ``topics``, ``services`` or ``actions``.
-        permission: what its attribute means, as ComArmor calls it.
-        text: the name.
-    """
-
-    tag: str
-    permission: str
-    text: str
+_Name = tuple[str, str, str]
+"""The list of a name (``topics``, ``services`` or ``actions``), what its attribute means for ComArmor, and the name."""
 
 
-def expressed_names(rule: Rule, permission: str, expression: str) -> Iterator[PolicyName]:
+def expressed_names(rule: Rule, permission: str, expression: str) -> Iterator[_Name]:
     """Yield the names that say exactly what a rule says of one permission and one expression.
 
     Raises:
@@ -84,13 +63,13 @@ def expressed_names(rule: Rule, permission: str, expression: str) -> Iterator[Po
         return
     parts = PARTS.get((rule.kind, permission))
     if parts is None or (rule.kind in _TAGS and glob.prefix(pattern).startswith("/")):
-        yield from (PolicyName(_TAGS[rule.kind], permission, text) for text in _names(pattern, ""))
+        yield from ((_TAGS[rule.kind], permission, text) for text in _names(pattern, ""))
         return
     for kind, part, suffix in parts:
-        yield from (PolicyName(_TAGS[kind], part, text) for text in _names(pattern, suffix))
+        yield from ((_TAGS[kind], part, text) for text in _names(pattern, suffix))
 
 
-def services(rules: Iterable[Rule]) -> Mapping[tuple[Effect, str, str], tuple[PolicyName, ...]]:
+def services(rules: Iterable[Rule]) -> Mapping[tuple[Effect, str, str], tuple[_Name, ...]]:
     """Return what raw rules say whose DDS topics are together those of a service (``rq/sRequest`` and ``rr/sReply``).
 
     Args:
@@ -107,7 +86,7 @@ def services(rules: Iterable[Rule]) -> Mapping[tuple[Effect, str, str], tuple[Po
         for permission in rule.permissions
         for expression in rule.expressions
     }
-    found: dict[tuple[Effect, str, str], tuple[PolicyName, ...]] = {}
+    found: dict[tuple[Effect, str, str], tuple[_Name, ...]] = {}
     for effect, permission, expression in raw:
         match = _REQUEST.fullmatch(expression)
         back = "subscribe" if permission == "publish" else "publish"
@@ -115,7 +94,7 @@ def services(rules: Iterable[Rule]) -> Mapping[tuple[Effect, str, str], tuple[Po
         if match and permission in _RAW and reply in raw:
             means = "ros_call" if permission == "publish" else "ros_execute"
             try:
-                names = tuple(PolicyName("services", means, text) for text in _names(glob.parse(match[1]), ""))
+                names = tuple(("services", means, text) for text in _names(glob.parse(match[1]), ""))
             except UnsayableError:
                 return {}
             found[effect, permission, expression] = names
@@ -130,7 +109,7 @@ def is_raw(rule: Rule) -> bool:
 
 def is_graph(rule: Rule, permission: str, expression: str) -> bool:
     """Tell whether SROS2 says it by itself: it allows the topic of the graph."""
-    return rule.effect is Effect.ALLOW and is_raw(rule) and permission in _RAW and expression == GRAPH_TOPIC
+    return rule.effect is Effect.ALLOW and is_raw(rule) and permission in _RAW and expression == syntax.GRAPH_TOPIC
 
 
 def _denies_nothing(rule: Rule, permission: str) -> bool:
@@ -140,16 +119,16 @@ def _denies_nothing(rule: Rule, permission: str) -> bool:
     return permission.endswith("relay") or bool(rule.partitions and not any(matches(p, "") for p in rule.partitions))
 
 
-def _raw(effect: Effect, permission: str, pattern: Glob) -> Iterator[PolicyName]:
+def _raw(effect: Effect, permission: str, pattern: Glob) -> Iterator[_Name]:
     """Yield the ROS topics whose DDS topics a raw rule names, if it names no others that a policy of SROS2 allows."""
     if effect is Effect.ALLOW and not glob.prefix(pattern).startswith(f"{_PREFIX}/"):
         raise UnsayableError("SROS2 has no rules on DDS topics that are not those of ROS topics")
-    if matching(pattern, GRAPH_TOPIC):
+    if matching(pattern, syntax.GRAPH_TOPIC):
         raise UnsayableError("SROS2 allows the topic of the graph by itself")
     if any(glob.left_quotient(pattern, prefix) for prefix in _SERVICES):
         raise UnsayableError("SROS2 has no rules on DDS topics of services")
     for rest in glob.left_quotient(pattern, f"{_PREFIX}/"):
-        yield PolicyName("topics", _RAW[permission], _text(glob.surround("/", rest, "")))
+        yield ("topics", _RAW[permission], _text(glob.surround("/", rest, "")))
 
 
 def _names(pattern: Glob, suffix: str) -> Iterator[str]:
@@ -219,20 +198,20 @@ class _Exporter:
     kept: dict[str, SubjectRules] = field(default_factory=dict)
     graph: set[str] = field(default_factory=set)
 
-    def enclave(self, subject: SubjectRules) -> Sros2Enclave:
+    def enclave(self, subject: SubjectRules) -> syntax.Sros2Enclave:
         """Return the enclave of a subject, with one node of the same name, and with full names."""
         path = subject.subject
         where = subject.rules[0].origin if subject.rules else Origin("policy.xml")
         if not is_subject(path) or len(path) > _LONGEST:
             message = f"the subject {quoted(path)} is no path of an enclave of at most {_LONGEST} characters"
             self.errors.append(Diagnostic.error("sros2-path", message, where, "rename it", path))
-        lists: list[RuleList] = []
+        lists: list[syntax.RuleList] = []
         kept: list[Rule] = []
         graph: set[str] = set()
         pairs = services(subject.rules)
         for rule in subject.rules:
             self._audit(rule, path)
-            names: dict[PolicyName, None] = {}
+            names: dict[_Name, None] = {}
             for permission in rule.permissions:
                 for expression in rule.expressions:
                     try:
@@ -255,8 +234,8 @@ class _Exporter:
             self.warnings.append(Diagnostic.warning("sros2-graph", message, where, help_, path))
         self.kept[path] = SubjectRules(path, tuple(kept))
         parent, _, name = path.rpartition("/")
-        node = RosNode(parent or "/", name or _ROOT_NODE, tuple(lists), where)
-        return Sros2Enclave(path, (NodeGroup((node,), where),), where)
+        node = syntax.RosNode(parent or "/", name or _ROOT_NODE, tuple(lists), where)
+        return syntax.Sros2Enclave(path, (syntax.NodeGroup((node,), where),), where)
 
     def _audit(self, rule: Rule, path: str) -> None:
         if rule.audit:
@@ -278,25 +257,25 @@ class _Exporter:
             self.errors.append(Diagnostic.error(code, message, rule.origin, help_, path))
 
 
-def _lists(rule: Rule, names: dict[PolicyName, None]) -> list[RuleList]:
+def _lists(rule: Rule, names: dict[_Name, None]) -> list[syntax.RuleList]:
     """Return the lists of a rule: one for each tag and set of permissions."""
     by_name: dict[tuple[str, str], list[str]] = {}
-    for each in names:
-        by_name.setdefault((each.tag, each.text), []).append(each.permission)
+    for tag, permission, text in names:
+        by_name.setdefault((tag, text), []).append(permission)
     groups: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     for (tag, text), given in by_name.items():
         groups.setdefault((tag, tuple(given)), []).append(text)
     return [
-        RuleList(
+        syntax.RuleList(
             tag, MappingProxyType(dict.fromkeys(given, rule.effect)),
-            tuple(Entry(text, rule.origin) for text in texts), rule.origin,
+            tuple(syntax.Entry(text, rule.origin) for text in texts), rule.origin,
         )
         for (tag, given), texts in groups.items()
     ]  # fmt: skip
 
 
-def _document(enclaves: Iterable[Sros2Enclave]) -> bytes:
-    root = etree.Element("policy", version=NEW)
+def _document(enclaves: Iterable[syntax.Sros2Enclave]) -> bytes:
+    root = etree.Element("policy", version=syntax.NEW)
     parent = etree.SubElement(root, "enclaves")
     for enclave in enclaves:
         profiles = etree.SubElement(etree.SubElement(parent, "enclave", path=enclave.path), "profiles")
@@ -304,7 +283,7 @@ def _document(enclaves: Iterable[Sros2Enclave]) -> bytes:
             profile = etree.SubElement(profiles, "profile", ns=node.ns, node=node.name)
             for rules in node.lists:
                 listed = etree.SubElement(profile, rules.tag)
-                for attribute, permission in PERMISSIONS[rules.tag].items():
+                for attribute, permission in syntax.PERMISSIONS[rules.tag].items():
                     if permission in rules.effects:
                         listed.set(attribute, rules.effects[permission].value)
                 for entry in rules.entries:

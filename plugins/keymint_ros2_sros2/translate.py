@@ -33,19 +33,10 @@ from keymint.api import ImportedPolicy, ImportedSubject, ImportRequest, PolicySo
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 from keymint.names import name_of
+from keymint_ros2_sros2 import syntax
 from keymint_ros2_sros2.deviations import ACCEPTABLE, deviations, permissions_document, subject_name
 from keymint_ros2_sros2.parse import parse
-from keymint_ros2_sros2.syntax import (
-    GRAPH_TOPIC,
-    KINDS,
-    RosNode,
-    RuleList,
-    SourcePolicy,
-    Sros2Enclave,
-    as_read,
-    expression,
-    rules_of,
-)
+from keymint_ros2_sros2.syntax import expression
 
 
 def load(
@@ -74,14 +65,14 @@ def load(
     return ComArmorPolicy(comarmor.Policy(tuple(profiles.values()), seen=MappingProxyType(seen)))
 
 
-def _loaded_profile(enclave: Sros2Enclave, *, graph: bool) -> Profile:
+def _loaded_profile(enclave: syntax.Sros2Enclave, *, graph: bool) -> Profile:
     rules = (
         ProfileRule(
             rule.effect, rule.kind, rule.permissions,
             tuple(Attachment(expression, rule.origin) for expression in rule.expressions),
             rule.partitions, rule.audit, rule.origin,
         )
-        for rule in rules_of([enclave], graph=graph)
+        for rule in syntax.rules_of([enclave], graph=graph)
     )  # fmt: skip
     where = enclave.where
     return Profile(enclave.path, False, (Attachment(enclave.path, where),), (), tuple(rules), where)
@@ -135,12 +126,14 @@ def _policies(library: Path) -> tuple[tuple[str, Policy], ...]:
 
 
 _INCLUDE = f"{{{XINCLUDE}}}include"
-_GRAPH: frozenset[Atom] = frozenset((Effect.ALLOW, "topic", each, GRAPH_TOPIC) for each in ("publish", "subscribe"))
+_GRAPH: frozenset[Atom] = frozenset(
+    (Effect.ALLOW, "topic", each, syntax.GRAPH_TOPIC) for each in ("publish", "subscribe")
+)
 """What SROS2 allows by itself."""
 
 
 def comarmor_document(
-    enclaves: Iterable[Sequence[Sros2Enclave]], closing: Iterable[str], library: Path, *, graph: bool
+    enclaves: Iterable[Sequence[syntax.Sros2Enclave]], closing: Iterable[str], library: Path, *, graph: bool
 ) -> bytes:
     """Return a policy as a ComArmor document.
 
@@ -160,11 +153,11 @@ def comarmor_document(
     return canonical_form(content, "the new policy") or content  # comments have the indentation of the old policy
 
 
-def _profile(enclaves: Sequence[Sros2Enclave], library: Path, *, graph: bool) -> etree._Element:
+def _profile(enclaves: Sequence[syntax.Sros2Enclave], library: Path, *, graph: bool) -> etree._Element:
     path = enclaves[0].path
     profile = etree.Element("profile", name=name_of(path))
     etree.SubElement(profile, "attachment").text = escape(path)
-    own = atoms([rule for rule in rules_of(enclaves, graph=False) if rule.origin.chain])
+    own = atoms([rule for rule in syntax.rules_of(enclaves, graph=False) if rule.origin.chain])
     shared = common_files(library, path, own | _GRAPH if graph else own)
     for name in shared:
         etree.SubElement(profile, _INCLUDE, href=name, parse="xml")
@@ -179,11 +172,11 @@ def _profile(enclaves: Sequence[Sros2Enclave], library: Path, *, graph: bool) ->
         _comment(profile, enclave.closing)
     if graph and not written >= _GRAPH:
         _comment(profile, [" SROS2 allows this to every enclave "])
-        profile.append(_rule(Effect.ALLOW, "topic", ("publish", "subscribe"), [(GRAPH_TOPIC, ())]))
+        profile.append(_rule(Effect.ALLOW, "topic", ("publish", "subscribe"), [(syntax.GRAPH_TOPIC, ())]))
     return profile
 
 
-def _node(profile: etree._Element, node: RosNode, written: set[Atom]) -> None:
+def _node(profile: etree._Element, node: syntax.RosNode, written: set[Atom]) -> None:
     """Add the rules of a node; what the profile has of included files is not written twice."""
     _comment(profile, [*node.comments, f" the node {node.name} in the namespace {node.ns or '/'} "])
     for rules in node.lists:
@@ -196,10 +189,10 @@ def _node(profile: etree._Element, node: RosNode, written: set[Atom]) -> None:
     _comment(profile, node.closing)
 
 
-def _rules(node: RosNode, rules: RuleList, written: set[Atom]) -> Iterator[etree._Element]:
+def _rules(node: syntax.RosNode, rules: syntax.RuleList, written: set[Atom]) -> Iterator[etree._Element]:
     """Yield the rules of a list: one for each effect, and for each set of permissions that names still need."""
-    kind = KINDS[rules.tag]
-    names = [(expression(as_read(node, entry.text), entry), entry.comments) for entry in rules.entries]
+    kind = syntax.KINDS[rules.tag]
+    names = [(expression(syntax.as_read(node, entry.text), entry), entry.comments) for entry in rules.entries]
     for effect in Effect:
         given = [permission for permission, each in rules.effects.items() if each is effect]
         needs: dict[tuple[str, ...], list[tuple[str, tuple[str, ...]]]] = {}
@@ -264,14 +257,14 @@ def translate_policy(request: ImportRequest) -> ImportedPolicy:
     return ImportedPolicy(document, subjects, (*accepted, *_notes(policy)))
 
 
-def _by_path(policy: SourcePolicy) -> Mapping[str, list[Sros2Enclave]]:
-    found: dict[str, list[Sros2Enclave]] = {}
+def _by_path(policy: syntax.SourcePolicy) -> Mapping[str, list[syntax.Sros2Enclave]]:
+    found: dict[str, list[syntax.Sros2Enclave]] = {}
     for enclave in policy.enclaves:
         found.setdefault(enclave.path, []).append(enclave)
     return found
 
 
-def _notes(policy: SourcePolicy) -> Iterator[Diagnostic]:
+def _notes(policy: syntax.SourcePolicy) -> Iterator[Diagnostic]:
     """Yield a note for what is lost, for lists without meaning, and for logs that stay in a namespace."""
     yield from policy.lost
     for enclave in policy.enclaves:
@@ -281,7 +274,7 @@ def _notes(policy: SourcePolicy) -> Iterator[Diagnostic]:
                     message = f"<{rules.tag}> has no qualifier, so that it allows and denies nothing"
                     yield Diagnostic.note("sros2-no-qualifier", message, rules.where, "", enclave.path)
                 for entry in rules.entries:
-                    name = as_read(node, entry.text)
+                    name = syntax.as_read(node, entry.text)
                     if rules.tag == "topics" and entry.text.strip() == "rosout" and name != "/rosout":
                         message = f"'rosout' is {name} here, but nodes publish their log to /rosout"
                         help_ = "allow /rosout as well"

@@ -20,16 +20,7 @@ from comarmor.errors import ComArmorError, Origin
 from comarmor.language.attachments import strip
 from comarmor.text import did_you_mean, quoted
 from comarmor.xml.sandboxed_paths import path_text, read_bounded, read_failure
-from keymint_ros2_table.rows import (
-    COLUMNS,
-    MOST_ROWS,
-    REQUIRED,
-    TableRow,
-    column_order,
-    is_header,
-    row_origin,
-    rows_of_csv,
-)
+from keymint_ros2_table import rows
 
 NAME = "rule"
 MAGIC = b"SQLite format 3\0"
@@ -56,7 +47,7 @@ _TYPES = {type(None): "NULL", int: "INTEGER", float: "REAL", bytes: "BLOB", str:
 _READING = frozenset((sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE))
 
 
-def rows_of_database(content: bytes, file: str) -> Iterator[TableRow | ComArmorError]:
+def rows_of_database(content: bytes, file: str) -> Iterator[rows.TableRow | ComArmorError]:
     """Yield the rows; the error of a row in place of it.
 
     Args:
@@ -84,16 +75,16 @@ def rows_of_database(content: bytes, file: str) -> Iterator[TableRow | ComArmorE
             ]
             if not header:
                 raise _missing(database, where)
-            order = column_order(header, where)
+            order = rows.column_order(header, where)
             database.set_authorizer(guard.authorize)
             database.set_progress_handler(guard.progress, _STEPS_BETWEEN)
             database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MOST_BYTES)
             guard.most_memory = _memory() + _MOST_GROWTH
-            chosen = ", ".join(name if at >= 0 else "NULL" for name, at in zip(COLUMNS, order, strict=True))
+            chosen = ", ".join(name if at >= 0 else "NULL" for name, at in zip(rows.COLUMNS, order, strict=True))
             for number, values in enumerate(database.execute(f"SELECT {chosen} FROM {NAME}"), 1):  # noqa: S608 - constants
-                if number > MOST_ROWS:
+                if number > rows.MOST_ROWS:
                     raise ComArmorError(
-                        f"{NAME} has more than the {MOST_ROWS:,} rows allowed", where=where, code="table-limit"
+                        f"{NAME} has more than the {rows.MOST_ROWS:,} rows allowed", where=where, code="table-limit"
                     )
                 guard.most_memory += 1
                 yield _row(values, file, number)
@@ -159,20 +150,20 @@ def _missing(database: sqlite3.Connection, where: Origin) -> ComArmorError:
     ]
     return ComArmorError(
         f"the database has no table or view {NAME}", where=where, code="table-header",
-        help=did_you_mean(NAME, names, f"create a view {NAME}({', '.join(COLUMNS)})"),
+        help=did_you_mean(NAME, names, f"create a view {NAME}({', '.join(rows.COLUMNS)})"),
     )  # fmt: skip
 
 
-def _row(values: Sequence[object], file: str, number: int) -> TableRow | ComArmorError:
+def _row(values: Sequence[object], file: str, number: int) -> rows.TableRow | ComArmorError:
     *required, audit, source = values
     try:
-        where = row_origin(file, number, strip(source) if isinstance(source, str) else "")
+        where = rows.row_origin(file, number, strip(source) if isinstance(source, str) else "")
         if not isinstance(source, str | None):
             raise _type_error("source", source, where)
         if not isinstance(audit, str | int | None):
             raise _type_error("audit", audit, where)
         texts = []
-        for name, value in zip(REQUIRED, required, strict=True):
+        for name, value in zip(rows.REQUIRED, required, strict=True):
             if not isinstance(value, str):
                 raise _type_error(name, value, where)
             texts.append(strip(value))
@@ -180,7 +171,7 @@ def _row(values: Sequence[object], file: str, number: int) -> TableRow | ComArmo
         return error
     # The column tells rows of one source apart where a line would; it is not shown.
     origin = Origin(where.file, 0, (), number) if source else where
-    return TableRow.of([*texts, "" if audit is None else strip(str(audit))], where, origin)
+    return rows.TableRow.of([*texts, "" if audit is None else strip(str(audit))], where, origin)
 
 
 def _type_error(column: str, value: object, where: Origin) -> ComArmorError:
@@ -198,7 +189,7 @@ _INACTIVE = b"\0" * 8
 """What a journal begins with that was kept after its transaction ended."""
 
 
-def read(path: Path) -> tuple[Iterator[TableRow | ComArmorError], Mapping[Path, bytes]]:
+def read(path: Path) -> tuple[Iterator[rows.TableRow | ComArmorError], Mapping[Path, bytes]]:
     """Return the rows of a table, with errors in place of defect ones, and the fingerprints of all its files.
 
     Args:
@@ -227,7 +218,7 @@ def read(path: Path) -> tuple[Iterator[TableRow | ComArmorError], Mapping[Path, 
             f"the table has more than the {most:,} bytes allowed", where=Origin(file), code="table-limit"
         )
     if not is_database:
-        return rows_of_csv(content, file), seen
+        return rows.rows_of_csv(content, file), seen
     for suffix in (_LOG, _JOURNAL):
         beside = real.with_name(f"{real.name}{suffix}")
         seen[beside] = _require_none(beside, file)
@@ -247,7 +238,7 @@ def recognises(path: Path) -> bool:
     if begin.startswith(MAGIC) or path.suffix.lower() == _CSV:
         return True
     first = begin.decode("utf-8-sig", "replace").lstrip("\r\n").splitlines()[:1]
-    return is_header("".join(first))
+    return rows.is_header("".join(first))
 
 
 def _require_none(beside: Path, file: str) -> bytes:

@@ -24,8 +24,8 @@ from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from comarmor.errors import Origin
 from comarmor.values import dataclass
+from keymint.api import Verdict
 from keymint.errors import KeymintError
 from keymint.pki import certificates, certification_path, extensions
 from keymint_ros2_zenoh.documents.configuration import AccessControl, AclRule, AclSubject, Flow, Message, Permission
@@ -49,23 +49,6 @@ class Link:
     interface: str = ""
     protocol: str = ""
     zid: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class AccessDecision:
-    """A decision, and what decided.
-
-    Attributes:
-        allowed: the decision.
-        reason: one line, without the place.
-        rule: the rule that decided, or None for the default.
-        where: place of that rule; of the access control if the default decided; None if no document was read.
-    """
-
-    allowed: bool
-    reason: str
-    rule: AclRule | None = None
-    where: Origin | None = None
 
 
 _Entry = Sequence[AclRule]
@@ -173,8 +156,8 @@ class LinkAccess:
             ]
         return self._found[message, flow]
 
-    def decide(self, message: Message, flow: Flow, key_expr: str) -> AccessDecision:
-        """Return the decision on a message.
+    def decide(self, message: Message, flow: Flow, key_expr: str) -> Verdict:
+        """Return the decision on a message, with the place of the rule that decided, or of the access control.
 
         Args:
             message: the message.
@@ -183,25 +166,25 @@ class LinkAccess:
         """
         control = self._control
         if not control.enabled:
-            return AccessDecision(allowed=True, reason="access control is off", where=control.where)
+            return Verdict(allowed=True, reason="access control is off", where=control.where)
         default = control.default_permission is Permission.ALLOW
         if not self._entries:
             reason = f"no subject has the link's certificate; the default is {control.default_permission}"
-            return AccessDecision(default, reason, where=control.where)
+            return Verdict(default, reason, control.where)
         asked = parse(key_expr)
-        denial: AccessDecision | None = None
+        denial: Verdict | None = None
         for allowing, denying in self._about(message, flow):
             deny = _including(denying, asked)
             allow = None if deny else _including(allowing, asked)
             if allow:
-                return AccessDecision(allowed=True, reason=_reason(allow), rule=allow[0], where=allow[0].where)
+                return Verdict(True, _reason(allow), allow[0].where)
             if deny is None and default:
                 reason = f"no deny rule includes {key_expr}; the default is allow"
-                return AccessDecision(allowed=True, reason=reason, where=control.where)
+                return Verdict(True, reason, control.where)
             if deny and denial is None:
-                denial = AccessDecision(allowed=False, reason=_reason(deny), rule=deny[0], where=deny[0].where)
+                denial = Verdict(False, _reason(deny), deny[0].where)
         reason = f"no rule for {message} {flow} includes {key_expr}; the default is deny"
-        return denial or AccessDecision(allowed=False, reason=reason, where=control.where)
+        return denial or Verdict(False, reason, control.where)
 
 
 def _properties(subject: AclSubject) -> Iterable[_Properties]:

@@ -39,11 +39,6 @@ def install(
     return files
 
 
-def shared_files(artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -> Mapping[str, Artifact]:  # noqa: ARG001
-    """Return nothing: the layout has no copies of enclaves' files."""
-    return {}
-
-
 def install_shared(
     packages: Sequence[Package],  # noqa: ARG001 - an interface
     documents: Mapping[str, bytes],

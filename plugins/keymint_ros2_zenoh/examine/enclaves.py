@@ -8,7 +8,7 @@ An enclave cannot vouch for itself, and no session or router looks at the signat
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from datetime import timedelta
 from functools import lru_cache
@@ -105,11 +105,6 @@ def terms(
 def check(inspection: Inspection) -> tuple[Diagnostic, ...]:
     """Return findings on one installed enclave; codes are stable."""
     return tuple(_EnclaveCheck(inspection).findings())
-
-
-def check_all(inspections: Sequence[Inspection]) -> tuple[Diagnostic, ...]:  # noqa: ARG001 - an interface
-    """Return nothing: what concerns several enclaves stands in the router's file."""
-    return ()
 
 
 def check_shared(inspection: SharedInspection) -> tuple[Diagnostic, ...]:

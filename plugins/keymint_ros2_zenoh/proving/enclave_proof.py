@@ -30,18 +30,10 @@ from keymint_ros2_zenoh.examine import configurations
 from keymint_ros2_zenoh.examine.enclaves import differences
 from keymint_ros2_zenoh.identities import common_name, router_of
 from keymint_ros2_zenoh.keyexpr import KeyExpr, includes, intersects, key_exprs
+from keymint_ros2_zenoh.lowering import permissions
 from keymint_ros2_zenoh.lowering.key_rules import domain_ids, slot_rules
 from keymint_ros2_zenoh.lowering.name_rules import NameRules, name_rules
-from keymint_ros2_zenoh.lowering.permissions import (
-    GRAPH_SLOTS,
-    USERS,
-    Place,
-    Slot,
-    action,
-    graph_key,
-    name_key,
-    own_tokens_key,
-)
+from keymint_ros2_zenoh.lowering.permissions import action
 from keymint_ros2_zenoh.proving import policy_evaluator
 from keymint_ros2_zenoh.proving.key_search import Automaton, Side, difference, side_of
 from keymint_ros2_zenoh.settings import is_router
@@ -65,14 +57,17 @@ class PolicySide:
         What is permitted beside data and for the graph is part of the first entry: no key belongs to two of these, so
         that a denial of one concerns no other.
         """
-        data, beside = ([*self._of(Slot(message, flow, place))] for place in (Place.DATA, Place.ADVANCED))
+        data, beside = (
+            [*self._of(permissions.Slot(message, flow, place))]
+            for place in (permissions.Place.DATA, permissions.Place.ADVANCED)
+        )
         (allowed, denied), *others = data or [((), ())]
         for more_allowed, more_denied in beside:
             allowed, denied = (*allowed, *more_allowed), (*denied, *more_denied)
         return ((*allowed, *self._graph(message, flow)), denied), *others
 
-    def _of(self, slot: Slot) -> Iterator[tuple[tuple[KeyExpr, ...], tuple[KeyExpr, ...]]]:
-        for permission in sorted(USERS[slot]):
+    def _of(self, slot: permissions.Slot) -> Iterator[tuple[tuple[KeyExpr, ...], tuple[KeyExpr, ...]]]:
+        for permission in sorted(permissions.USERS[slot]):
             allowed, denied = (self.names.patterns(effect, permission) for effect in (Effect.ALLOW, Effect.DENY))
             yield self._keys(slot.place, allowed), self._keys(slot.place, denied)
 
@@ -98,9 +93,9 @@ class PolicySide:
                 return f"the key expressions of {exact(pattern)!r} are not proven to match the same names: {result}"
         return ""
 
-    def _keys(self, place: Place, patterns: Sequence[Glob]) -> tuple[KeyExpr, ...]:
+    def _keys(self, place: permissions.Place, patterns: Sequence[Glob]) -> tuple[KeyExpr, ...]:
         return tuple(
-            name_key(domain, name, place)
+            permissions.name_key(domain, name, place)
             for pattern in patterns
             for name in key_exprs(pattern)
             for domain in self.domains
@@ -109,9 +104,9 @@ class PolicySide:
     def _graph(self, message: Message, flow: Flow) -> Iterator[KeyExpr]:
         for domain in self.domains:
             if (message, flow) == (Message.LIVELINESS_TOKEN, Flow.INGRESS):
-                yield own_tokens_key(domain, self.names.subject)
-            if (message, flow) in GRAPH_SLOTS:
-                yield graph_key(domain)
+                yield permissions.own_tokens_key(domain, self.names.subject)
+            if (message, flow) in permissions.GRAPH_SLOTS:
+                yield permissions.graph_key(domain)
 
 
 def proven_exact(pattern: Glob, states: int) -> ProofResult:
@@ -132,7 +127,7 @@ def proven_exact(pattern: Glob, states: int) -> ProofResult:
 def _decided(pattern: Glob, states: int) -> ProofResult:
     automaton = Automaton()
     names = frozenset(automaton.names(0, rest) for rest in glob.left_quotient(pattern, "/"))
-    keys = frozenset(automaton.key_expr(name_key(0, each)) for each in key_exprs(pattern))
+    keys = frozenset(automaton.key_expr(permissions.name_key(0, each)) for each in key_exprs(pattern))
     left, right = (side_of(((nodes, frozenset()),)) for nodes in (names, keys))
     result = difference(automaton, left, right, SearchBudget(states))
     if isinstance(result, Unknown):

@@ -165,7 +165,7 @@ class Automaton:
             if first == ANY_CHUNKS:
                 node = self._any_chunks(rest)
             elif first == ANY_CHUNK:
-                node = self._sets(((START, self._repeat(IN_CHUNK, self._text("/", rest))),))
+                node = self._node({}, ((START, self._repeat(IN_CHUNK, self._text("/", rest))),))
             else:
                 node = self._chunk(first, self._text("/", rest))
             self._known[key] = node
@@ -175,7 +175,7 @@ class Automaton:
         """Return the node of a chunk with text."""
         first, *parts = chunk.split(ANY_CHARACTERS)
         if parts and chunk.startswith(VERBATIM):
-            return self._sets(())  # compared as it is, and no literal key has a "$*"
+            return self._node({}, ())  # compared as it is, and no literal key has a "$*"
         for part in reversed(parts):
             rest = self._repeat(IN_CHUNK, rest) if not part else self._repeat(IN_CHUNK, self._text(part, rest))
         return self._text(first, rest) if first else self._not_verbatim(rest)
@@ -191,20 +191,18 @@ class Automaton:
             return self._text(first, self._rest(rest, starts=first == "/"))
         sets = ((first.intersection(_ROS_SEGMENT), self._rest(rest, starts=False)),)
         chars = {"/": (self._rest(rest, starts=True),)} if "/" in first else {}
-        return self._add(_Node(chars, sets, accepts=False))
+        return self._node(chars, sets)
 
     def _text(self, text: str, rest: int) -> int:
         for char in reversed(text):
-            key = ("char", char, rest)
-            if key not in self._known:
-                self._known[key] = self._add(_Node({char: (rest,)}, (), accepts=False))
-            rest = self._known[key]
+            rest = self._node({char: (rest,)}, ())
         return rest
 
-    def _sets(self, sets: tuple[tuple[Charset, int], ...]) -> int:
-        key = ("sets", sets)
+    def _node(self, chars: Mapping[str, tuple[int, ...]], sets: tuple[tuple[Charset, int], ...]) -> int:
+        """Return the node with these transitions, which does not accept the empty word."""
+        key = (*chars.items(), *sets)
         if key not in self._known:
-            self._known[key] = self._add(_Node({}, sets, accepts=False))
+            self._known[key] = self._add(_Node(chars, sets, accepts=False))
         return self._known[key]
 
     def _repeat(self, members: Charset, rest: int) -> int:
@@ -219,13 +217,9 @@ class Automaton:
 
     def _not_verbatim(self, rest: int) -> int:
         """Return the node of a rest that begins within a chunk, for words whose chunk is not verbatim."""
-        key = ("not verbatim", rest)
-        if key not in self._known:
-            own = self._nodes[rest]
-            chars = {char: after for char, after in own.chars.items() if char not in (VERBATIM, "/")}
-            sets = tuple((members.intersection(START), after) for members, after in own.sets)
-            self._known[key] = self._add(_Node(chars, sets, accepts=False))
-        return self._known[key]
+        own = self._nodes[rest]
+        chars = {char: after for char, after in own.chars.items() if char not in (VERBATIM, "/")}
+        return self._node(chars, tuple((members.intersection(START), after) for members, after in own.sets))
 
     def _any_chunks(self, rest: int) -> int:
         """Return the node of any number of chunks that are not verbatim, and the rest."""

@@ -17,16 +17,7 @@ from keymint.api.graph import Edge, Object
 from keymint.ir import Rule, SubjectRules
 from keymint_ros2_zenoh.documents.configuration import Flow, Message
 from keymint_ros2_zenoh.keyexpr import ALPHABET, VERBATIM
-from keymint_ros2_zenoh.lowering.permissions import (
-    ADVANCED,
-    GRAPH,
-    GRAPH_SLOTS,
-    TOKEN_ENCLAVE,
-    TYPE_AND_HASH,
-    USERS,
-    Place,
-    Slot,
-)
+from keymint_ros2_zenoh.lowering import permissions
 
 _KIND = {
     "ros_publish": "ros_topic", "ros_subscribe": "ros_topic", "ros_call": "ros_service", "ros_execute": "ros_service",
@@ -46,16 +37,16 @@ class KeyMeaning:
 
     domain: int
     name: str
-    place: Place
+    place: permissions.Place
 
 
 def meaning_of(key: str) -> KeyMeaning | None:
     """Return the name that a key is about, or None for a key that no topic or service has."""
     chunks = key.split("/")
-    place = Place.DATA
-    if ADVANCED in chunks:
-        chunks, place = chunks[: chunks.index(ADVANCED)], Place.ADVANCED
-    domain, *name = chunks[: -len(TYPE_AND_HASH)] or ("",)
+    place = permissions.Place.DATA
+    if permissions.ADVANCED in chunks:
+        chunks, place = chunks[: chunks.index(permissions.ADVANCED)], permissions.Place.ADVANCED
+    domain, *name = chunks[: -len(permissions.TYPE_AND_HASH)] or ("",)
     if not name or not domain.isdecimal() or any(chunk.startswith(VERBATIM) for chunk in chunks):
         return None
     return KeyMeaning(int(domain), f"/{'/'.join(name)}", place) if str(int(domain)) == domain else None
@@ -65,14 +56,14 @@ def edges(subject: str, key: str, message: Message, flow: Flow) -> Iterator[Edge
     """Yield the edges that need a message on a key, topics before services."""
     meaning = meaning_of(key)
     if meaning is not None:
-        users = USERS[Slot(message, flow, meaning.place)]
+        users = permissions.USERS[permissions.Slot(message, flow, meaning.place)]
         for permission in (each for each in _KIND if each in users):
             yield Edge(subject, permission, Object(_KIND[permission], meaning.name), meaning.domain)
 
 
 def decide(rules: SubjectRules, domains: tuple[int, ...], key: str, message: Message, flow: Flow) -> PolicyDecision:
     """Return the policy's decision on a message with a literal key."""
-    if key.startswith(f"{GRAPH}/"):
+    if key.startswith(f"{permissions.GRAPH}/"):
         return _of_graph(rules.subject, domains, key, message, flow)
     denial: PolicyDecision | None = None
     for edge in edges(rules.subject, key, message, flow):
@@ -112,9 +103,9 @@ def _of_graph(subject: str, domains: tuple[int, ...], key: str, message: Message
     """Decide about a token of the graph: an enclave reads all of its domains, and announces its own nodes."""
     chunks = key.split("/")
     known = chunks[1] in map(str, domains) and not any(chunk.startswith(VERBATIM) for chunk in chunks[1:])
-    reads = (message, flow) in GRAPH_SLOTS
+    reads = (message, flow) in permissions.GRAPH_SLOTS
     announces = (message, flow) == (Message.LIVELINESS_TOKEN, Flow.INGRESS)
-    own = chunks[TOKEN_ENCLAVE : TOKEN_ENCLAVE + 1] == [subject.replace("/", "%")]
+    own = chunks[permissions.TOKEN_ENCLAVE : permissions.TOKEN_ENCLAVE + 1] == [subject.replace("/", "%")]
     allowed = known and (reads or (announces and own))
     reason = "every enclave may do so" if allowed else "no enclave may do so"
     return PolicyDecision(allowed, None, Reason((reason,)))

@@ -16,6 +16,7 @@ from functools import lru_cache
 from comarmor.values import dataclass
 from keymint.api import Claim, Package, Proof, SharedProofTask
 from keymint.errors import KeymintError
+from keymint_ros2_zenoh import keyexpr
 from keymint_ros2_zenoh.decision import LinkAccess, first_common_name
 from keymint_ros2_zenoh.documents.configuration import Configuration, Flow, Message
 from keymint_ros2_zenoh.documents.configuration_reader import read
@@ -23,18 +24,6 @@ from keymint_ros2_zenoh.enclave_layout import CERTIFICATE, ROUTER
 from keymint_ros2_zenoh.examine import configurations
 from keymint_ros2_zenoh.examine.enclaves import router_differences
 from keymint_ros2_zenoh.identities import common_name
-from keymint_ros2_zenoh.keyexpr import (
-    ANY_CHARACTERS,
-    ANY_CHUNK,
-    ANY_CHUNKS,
-    VERBATIM,
-    KeyExpr,
-    KeyExprError,
-    includes,
-    intersects,
-    of_chunks,
-    parse,
-)
 from keymint_ros2_zenoh.lowering.permissions import ADVANCED, TYPE_AND_HASH
 from keymint_ros2_zenoh.proving.enclave_proof import MODEL, configuration_claim, router_access
 from keymint_ros2_zenoh.settings import ACCESS, is_router
@@ -51,8 +40,8 @@ class Rights:
     """
 
     subject: str
-    allowed: tuple[KeyExpr, ...]
-    denied: tuple[KeyExpr, ...]
+    allowed: tuple[keyexpr.KeyExpr, ...]
+    denied: tuple[keyexpr.KeyExpr, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +57,8 @@ class Leak:
 
     sender: str
     receiver: str
-    denied: KeyExpr
-    key: KeyExpr | None
+    denied: keyexpr.KeyExpr
+    key: keyexpr.KeyExpr | None
 
 
 def leaks(senders: Iterable[Rights], receivers: Sequence[Rights]) -> Iterator[Leak]:
@@ -78,18 +67,18 @@ def leaks(senders: Iterable[Rights], receivers: Sequence[Rights]) -> Iterator[Le
     for sender in senders:
         wild = [each for each in sender.allowed if not each.is_literal]
         for denied in sender.denied:
-            around = [each for each in wild if intersects(each, denied) and not includes(denied, each)]
+            around = [each for each in wild if keyexpr.intersects(each, denied) and not keyexpr.includes(denied, each)]
             if around:
                 yield from _first(_past(sender, denied, around, groups))
 
 
-_Group = tuple[tuple[KeyExpr, ...], tuple[KeyExpr, ...], list[str]]
+_Group = tuple[tuple[keyexpr.KeyExpr, ...], tuple[keyexpr.KeyExpr, ...], list[str]]
 """Key expressions with wildcards that are allowed, those that are denied, and the subjects that have both."""
 
 
 def _groups(receivers: Iterable[Rights]) -> list[_Group]:
     """Return the receivers by what they may receive: many have the same rights."""
-    groups: dict[tuple[tuple[KeyExpr, ...], tuple[KeyExpr, ...]], list[str]] = {}
+    groups: dict[tuple[tuple[keyexpr.KeyExpr, ...], tuple[keyexpr.KeyExpr, ...]], list[str]] = {}
     for each in receivers:
         wild = tuple(allowed for allowed in each.allowed if not allowed.is_literal)
         if wild:
@@ -109,46 +98,48 @@ def _first(found: Iterable[Leak]) -> Iterator[Leak]:
         yield unknown
 
 
-def _past(sender: Rights, denied: KeyExpr, around: list[KeyExpr], groups: Iterable[_Group]) -> Iterator[Leak]:
+def _past(
+    sender: Rights, denied: keyexpr.KeyExpr, around: list[keyexpr.KeyExpr], groups: Iterable[_Group]
+) -> Iterator[Leak]:
     """Yield the leaks past a denied key expression, one for each right of each group."""
-    sent = [key for key in (*wider(denied), *around) if any(includes(each, key) for each in around)]
+    sent = [key for key in (*wider(denied), *around) if any(keyexpr.includes(each, key) for each in around)]
     for allowed, hidden, subjects in groups:
         receiver = next((subject for subject in subjects if subject != sender.subject), None)
         for right in allowed if receiver else ():
-            if not intersects(right, denied) or includes(denied, right):
+            if not keyexpr.intersects(right, denied) or keyexpr.includes(denied, right):
                 continue
-            fitting = [key for key in sent if includes(right, key)]
-            fitting += [right] * any(includes(each, right) for each in around)
+            fitting = [key for key in sent if keyexpr.includes(right, key)]
+            fitting += [right] * any(keyexpr.includes(each, right) for each in around)
             denials = (*sender.denied, *hidden)
-            key = next((key for key in fitting if not any(includes(each, key) for each in denials)), None)
-            meeting = any(intersects(each, right) for each in around)
+            key = next((key for key in fitting if not any(keyexpr.includes(each, key) for each in denials)), None)
+            meeting = any(keyexpr.intersects(each, right) for each in around)
             if key is not None or fitting or (meeting and not _is_plain(denied)):
                 yield Leak(sender.subject, str(receiver), denied, key)
 
 
-def _is_plain(denied: KeyExpr) -> bool:
+def _is_plain(denied: keyexpr.KeyExpr) -> bool:
     """Return whether only type and hash of a denied key expression are open, and what follows a verbatim chunk."""
     chunks = denied.chunks
-    if len(chunks) > 1 and chunks[-2].startswith(VERBATIM):
+    if len(chunks) > 1 and chunks[-2].startswith(keyexpr.VERBATIM):
         chunks = chunks[:-2]
     return not any("*" in chunk for chunk in chunks[: -len(TYPE_AND_HASH)])
 
 
 @lru_cache(maxsize=1 << 12)
-def wider(denied: KeyExpr) -> tuple[KeyExpr, ...]:
+def wider(denied: keyexpr.KeyExpr) -> tuple[keyexpr.KeyExpr, ...]:
     """Return a key expression with one ``$*`` or ``**`` inserted, at each place where this makes a wider one."""
-    found: dict[KeyExpr, None] = {}
+    found: dict[keyexpr.KeyExpr, None] = {}
     chunks = denied.chunks
     for at, chunk in enumerate(chunks):
-        if chunk in (ANY_CHUNK, ANY_CHUNKS) or chunk.startswith(VERBATIM):
+        if chunk in (keyexpr.ANY_CHUNK, keyexpr.ANY_CHUNKS) or chunk.startswith(keyexpr.VERBATIM):
             continue
         for split in range(len(chunk) + 1):
-            with suppress(KeyExprError):  # within a "$*"
-                inserted = f"{chunk[:split]}{ANY_CHARACTERS}{chunk[split:]}"
-                found[of_chunks((*chunks[:at], inserted, *chunks[at + 1 :]))] = None
+            with suppress(keyexpr.KeyExprError):  # within a "$*"
+                inserted = f"{chunk[:split]}{keyexpr.ANY_CHARACTERS}{chunk[split:]}"
+                found[keyexpr.of_chunks((*chunks[:at], inserted, *chunks[at + 1 :]))] = None
     for at in range(len(chunks) + 1):
-        found[of_chunks((*chunks[:at], ANY_CHUNKS, *chunks[at:]))] = None
-    return tuple(each for each in found if not includes(denied, each))
+        found[keyexpr.of_chunks((*chunks[:at], keyexpr.ANY_CHUNKS, *chunks[at:]))] = None
+    return tuple(each for each in found if not keyexpr.includes(denied, each))
 
 
 ROUTE, IDENTIFY, ADDRESS = "route", "identify", "address"
@@ -227,9 +218,10 @@ def _without_answer(link: LinkAccess, leak: Leak) -> bool:
     chunks = leak.denied.chunks
     if ADVANCED not in chunks:
         return False
-    data = parse("/".join(chunks[: chunks.index(ADVANCED)]))
+    data = keyexpr.parse("/".join(chunks[: chunks.index(ADVANCED)]))
     return all(
-        any(includes(each, data) for each in denied) or not any(intersects(each, data) for each in allowed)
+        any(keyexpr.includes(each, data) for each in denied)
+        or not any(keyexpr.intersects(each, data) for each in allowed)
         for allowed, denied in link.keys(Message.REPLY, Flow.EGRESS)
     )
 

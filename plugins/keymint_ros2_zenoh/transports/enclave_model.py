@@ -20,7 +20,7 @@ from keymint.api.transports import EnclavesBySubject, installed_file
 from keymint.errors import KeymintError
 from keymint.pki import certificates
 from keymint_ros2_zenoh import decision
-from keymint_ros2_zenoh.decision import AccessDecision, AccessModel, Link
+from keymint_ros2_zenoh.decision import AccessModel, Link
 from keymint_ros2_zenoh.documents import configuration_reader as documents
 from keymint_ros2_zenoh.documents.configuration import Configuration
 from keymint_ros2_zenoh.enclave_layout import ROUTER, SESSION
@@ -150,11 +150,11 @@ class ZenohEnclaveModel:
         self.router_access = router.access.on(Link(known, interface="lo", protocol="tls"))
         self.session_access = self.files.access.on(Link(others_name, interface="lo", protocol="tls"))
 
-    def at_router(self, request: OperationRequest) -> AccessDecision:
+    def at_router(self, request: OperationRequest) -> Verdict:
         """Return what the router decides about a message."""
         return self.router_access.decide(request.message, request.flow, request.key)
 
-    def at_session(self, request: OperationRequest) -> AccessDecision:
+    def at_session(self, request: OperationRequest) -> Verdict:
         """Return what the session's own access control decides about it."""
         return self.session_access.decide(request.message, request.flow.opposite, request.key)
 
@@ -176,7 +176,7 @@ class ZenohEnclaveModel:
         return edge_verdict(operations(edge), self.decide, self.decide_at_router)
 
 
-def _verdict(request: OperationRequest, decision: AccessDecision, file: str) -> Verdict:
+def _verdict(request: OperationRequest, decision: Verdict, file: str) -> Verdict:
     return Verdict(decision.allowed, f"{request}: {decision.reason}", decision.where or Origin(file))
 
 

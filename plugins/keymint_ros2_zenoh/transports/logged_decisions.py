@@ -17,7 +17,6 @@ from keymint.api import Verdict
 from keymint.api.graph import Edge
 from keymint.errors import KeymintError
 from keymint.host.vendor_process import ProcessFailedError
-from keymint_ros2_zenoh.decision import AccessDecision
 from keymint_ros2_zenoh.documents.configuration import Flow
 from keymint_ros2_zenoh.lowering.permissions import Operation, OperationRequest, operations
 from keymint_ros2_zenoh.transports.enclave_model import (
@@ -221,7 +220,7 @@ class LoggedSession:
         router = self._at_router.allows(request.message, request.flow, request.key)
         return self._verdict(router, "the router", request, self._model.at_router(request))
 
-    def _verdict(self, allowed: bool, who: str, request: OperationRequest, modelled: AccessDecision) -> Verdict:
+    def _verdict(self, allowed: bool, who: str, request: OperationRequest, modelled: Verdict) -> Verdict:
         """Return a verdict with the place of the rule by which the model decides the same."""
         where = modelled.where if modelled.allowed == allowed else None
         return Verdict(allowed, f"{who} {'permits' if allowed else 'denies'} {request}", where)

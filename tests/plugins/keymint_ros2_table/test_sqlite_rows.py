@@ -82,7 +82,7 @@ def test_a_view_must_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_there_may_be_no_more_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(files, "MOST_ROWS", 1)
+    monkeypatch.setattr("keymint_ros2_table.rows.MOST_ROWS", 1)
     assert message(database(tmp_path, f"{SELECT.format(1)} UNION ALL {SELECT.format(2)}")).endswith(
         "rule has more than the 1 rows allowed"
     )
