@@ -39,7 +39,7 @@ def transport(vendor_name: str) -> Transport:
 
 @pytest.fixture
 def model(vendor_name: str) -> Transport:
-    return Simulated(variation(TRANSPORTS[vendor_name][1]), environment())
+    return Simulated(variation(TRANSPORTS[vendor_name][1]).name, environment())
 
 
 def enclave(authorities: Authorities, folder: Path, rules: str = "", **more: str) -> Path:

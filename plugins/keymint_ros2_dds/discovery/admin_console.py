@@ -18,7 +18,7 @@ from comarmor.text import quoted
 from comarmor.xml.reader import line, parse
 from keymint.api import DiscoveredGraph
 from keymint.errors import KeymintError
-from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, DiscoveredParticipant, discovered_graph
+from keymint_ros2_dds.discovery.capture import DiscoveredEndpoint, DiscoveredParticipant, discovered_graph
 
 MAX_DOMAIN = 232
 _NUMBER = lazy_regex(r"[0-9]{1,9}")
@@ -48,7 +48,7 @@ def read(content: bytes, name: str, names: Mapping[str, str]) -> DiscoveredGraph
         raise reader.error(
             root, f"the root is <{root.tag}>, expected <system>", "export the system from RTI Admin Console"
         )
-    return discovered_graph(reader.capture(root), names)
+    return discovered_graph(*reader.capture(root), names)
 
 
 class _AdminConsoleReader:
@@ -58,7 +58,8 @@ class _AdminConsoleReader:
     def error(self, element: etree._Element, message: str, hint: str = "") -> KeymintError:
         return KeymintError(message, where=Origin(self._name, line(element)), help=hint, code="capture")
 
-    def capture(self, root: etree._Element) -> Capture:
+    def capture(self, root: etree._Element) -> tuple[list[DiscoveredParticipant], list[DiscoveredEndpoint]]:
+        """Return the participants and their endpoints."""
         participants = {each.guid: each for each in map(self._participant, root.iter("participant_data"))}
         endpoints: dict[DiscoveredEndpoint, None] = {}
         for data in (data for tag in _ENDPOINTS for data in root.iter(tag)):
@@ -68,7 +69,7 @@ class _AdminConsoleReader:
             endpoints[endpoint] = None
         if not participants:
             raise self.error(root, "no participant in this file", "export the system from RTI Admin Console")
-        return Capture(tuple(participants.values()), tuple(endpoints))
+        return [*participants.values()], [*endpoints]
 
     def _participant(self, data: etree._Element) -> DiscoveredParticipant:
         above = data.getparent()

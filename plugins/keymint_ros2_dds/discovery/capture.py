@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping
 
 from comarmor.errors import Diagnostic, Severity
 from comarmor.regex import lazy_regex
@@ -76,14 +76,6 @@ class DiscoveredEndpoint:
         return Object("topic", self.topic, partitions(set(self.partitions)))
 
 
-@dataclass(frozen=True, slots=True)
-class Capture:
-    """Participants and endpoints, in any order; an endpoint's participant is one of them."""
-
-    participants: tuple[DiscoveredParticipant, ...]
-    endpoints: tuple[DiscoveredEndpoint, ...]
-
-
 _GUID = lazy_regex(r"[0-9a-f]{8,32}\Z")
 _PARAMETERS, _TYPES = "/get_parameters", "/get_type_description"
 _ASKED = "--subject GUID=NAME"
@@ -92,7 +84,7 @@ _MOST = 4
 
 
 def name_participants(
-    participants: Sequence[DiscoveredParticipant], endpoints: Iterable[DiscoveredEndpoint], given: Mapping[str, str]
+    participants: Collection[DiscoveredParticipant], endpoints: Iterable[DiscoveredEndpoint], given: Mapping[str, str]
 ) -> tuple[dict[str, str], list[Diagnostic]]:
     """Return the subject of each participant by GUID, and notes about the origin of its name.
 
@@ -197,7 +189,7 @@ def _fields(user_data: bytes) -> dict[str, str]:
     return {name: value for name, equals, value in (item.partition("=") for item in text.split(";")) if equals}
 
 
-def _given(participants: Sequence[DiscoveredParticipant], given: Mapping[str, str]) -> dict[str, str]:
+def _given(participants: Collection[DiscoveredParticipant], given: Mapping[str, str]) -> dict[str, str]:
     names: dict[str, str] = {}
     for typed, name in given.items():
         guid = re.sub(r"[.:|\s]", "", typed).lower()
@@ -217,23 +209,26 @@ def _refused(message: str, hint: str) -> KeymintError:
     return KeymintError(message, help=hint, code="usage", exit_code=ExitCode.USAGE)
 
 
-def discovered_graph(capture: Capture, names: Mapping[str, str]) -> DiscoveredGraph:
-    """Return a capture as a graph whose objects are DDS topics.
+def discovered_graph(
+    participants: Collection[DiscoveredParticipant], endpoints: Collection[DiscoveredEndpoint], names: Mapping[str, str]
+) -> DiscoveredGraph:
+    """Return what was discovered as a graph whose objects are DDS topics.
 
     Args:
-        capture: the capture.
+        participants: the participants, in any order.
+        endpoints: their endpoints, in any order.
         names: subjects that the user gives, by GUID or the beginning of one.
     """
-    sound = [seen for seen in capture.endpoints if _sound(seen)]
-    subjects, diagnostics = name_participants(capture.participants, sound, names)
-    domains = {participant.guid: participant.domain for participant in capture.participants}
+    sound = [seen for seen in endpoints if _sound(seen)]
+    subjects, diagnostics = name_participants(participants, sound, names)
+    domains = {participant.guid: participant.domain for participant in participants}
     diagnostics += [
         Diagnostic.warning(
             "endpoint-odd",
             f"an endpoint of {subjects[guid]} is left out: its topic, type or partition is no name, or too long",
             subject=subjects[guid],
         )
-        for guid in sorted({seen.participant for seen in capture.endpoints if not _sound(seen)})
+        for guid in sorted({seen.participant for seen in endpoints if not _sound(seen)})
     ]
     edges = [
         Edge(subjects[seen.participant], seen.permission, seen.object, domains[seen.participant]) for seen in sound

@@ -18,7 +18,7 @@ from typing import Any, Self
 from comarmor.errors import Diagnostic
 from keymint.api import Availability, DiscoveredGraph
 from keymint.errors import KeymintError
-from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, DiscoveredParticipant, discovered_graph
+from keymint_ros2_dds.discovery.capture import DiscoveredEndpoint, DiscoveredParticipant, discovered_graph
 
 LIBRARY = "libddsc.so.0debian"
 INSTALL = "apt-get install libddsc0debian"
@@ -142,7 +142,7 @@ def observe(domain: int, go_on: Callable[[], bool], names: Mapping[str, str]) ->
         pause = Event()
         while go_on():
             pause.wait(_PAUSE)
-        observed = discovered_graph(observer.capture(), names)
+        observed = discovered_graph(*observer.capture(), names)
     if observed.graph.subjects:
         return observed
     nothing = Diagnostic.warning(
@@ -205,7 +205,7 @@ class _Observer:
             guid, topic, type_ = str(sample.participant), _text(sample.topic), _text(sample.type)
             self._endpoints[DiscoveredEndpoint(guid, permission, topic, type_, _partitions(sample.qos))] = None
 
-    def capture(self) -> Capture:
+    def capture(self) -> tuple[list[DiscoveredParticipant], list[DiscoveredEndpoint]]:
         """Return everything observed but the observer itself; a participant that was missed has no name."""
         for reader, take in self._readers:
             take(reader)
@@ -214,9 +214,9 @@ class _Observer:
         participants, endpoints = self._participants.copy(), list(self._endpoints.copy())
         for endpoint in endpoints:
             participants.setdefault(endpoint.participant, DiscoveredParticipant(endpoint.participant, self._domain))
-        return Capture(
-            tuple(participant for guid, participant in participants.items() if guid != str(own)),
-            tuple(endpoint for endpoint in endpoints if endpoint.participant != str(own)),
+        return (
+            [participant for guid, participant in participants.items() if guid != str(own)],
+            [endpoint for endpoint in endpoints if endpoint.participant != str(own)],
         )
 
 

@@ -321,44 +321,37 @@ class EnclaveModels:
             self._models[key] = EnclaveModel(enclave, self._environment, domain)
         return self._models[key]
 
-    def admitted(self, subject: str, variation: Variation, endpoints: Column) -> bytes:
-        """Decide about many endpoints of a subject at once, one byte each: 1 admitted, 0 refused.
 
-        Raises:
-            KeymintError: the subject has no enclave.
-        """
-        domains = {each.domain for each in endpoints.requests}
-        if len(domains) == 1:
-            return self.of(subject, *domains).admitted(variation, endpoints)
-        return bytes(self.of(subject, each.domain).decide(variation, each).allowed for each in endpoints.requests)
-
-
-@dataclass(frozen=True, slots=True)
 class Simulated:
-    """A transport that decides as the standard, or as the model of a vendor."""
+    """A transport that decides as the standard, or as the model of a vendor.
 
-    variation: Variation
-    environment: Environment
+    Args:
+        name: the model's.
+        environment: the clock, and what was read before in this run.
+    """
+
+    def __init__(self, name: str, environment: Environment) -> None:
+        self._variation = VARIATIONS[name]
+        self._environment = environment
 
     def usable(self) -> Availability:
         """Return that it is usable."""
-        version = "1.1" if self.variation is OMG else self.variation.name.rpartition("-")[2]
+        version = "1.1" if self._variation is OMG else self._variation.name.rpartition("-")[2]
         return Availability(usable=True, version=version, tiers=(Tier.DECISION,))
 
     def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`."""
         del tier
-        models = EnclaveModels(enclaves, self.environment)
+        models = EnclaveModels(enclaves, self._environment)
         for edge in edges:
             needed = endpoints(models.enclaves[edge.subject].distro, edge)
-            yield edge, models.of(edge.subject, edge.domain).verdict(self.variation, needed)
+            yield edge, models.of(edge.subject, edge.domain).verdict(self._variation, needed)
 
     def admitted(self, enclave: Enclave, endpoints: Column, tier: Tier) -> bytes:
         """See :meth:`keymint.api.EndpointTransport.admitted`."""
         del tier
-        return EnclaveModels([enclave], self.environment).admitted(enclave.subject, self.variation, endpoints)
-
-
-def simulated_transport(name: str, environment: Environment) -> Simulated:
-    """Return the simulated transport of this name."""
-    return Simulated(VARIATIONS[name], environment)
+        models, domains = EnclaveModels([enclave], self._environment), {each.domain for each in endpoints.requests}
+        if len(domains) == 1:
+            return models.of(enclave.subject, *domains).admitted(self._variation, endpoints)
+        asked = ((models.of(enclave.subject, each.domain), each) for each in endpoints.requests)
+        return bytes(model.decide(self._variation, each).allowed for model, each in asked)

@@ -6,12 +6,12 @@ The installed Cyclone DDS 0.10 also decides by its access-control plugin alone.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import ClassVar
+from typing import NamedTuple
 
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.api.graph import Column, Edge
@@ -23,33 +23,50 @@ from keymint_ros2_dds.transports.enclave_model import EnclaveModel, EnclaveModel
 from keymint_ros2_dds.transports.trials import Opener, exchange
 from keymint_ros2_dds.vendors import probe_builds
 from keymint_ros2_dds.vendors.cyclone_access_control import CycloneAccessControl
-from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, Vendor
+from keymint_ros2_dds.vendors.participants import CycloneDDS, FastDDS, FastDDS3, Vendor
 from keymint_ros2_dds.vendors.probe_builds import inherited_variables, unpacked_version
+
+
+class Software(NamedTuple):
+    """What a transport asks.
+
+    Attributes:
+        model: the model of the vendor, to explain what it decides.
+        vendor: how participants are started, and how their programs are built.
+        version: the header and macro of the vendor's version on the machine.
+        unpacked: versions in the cache, the best first, if it is not the machine's; then it is used only when named.
+    """
+
+    model: Variation
+    vendor: type[Vendor]
+    version: tuple[str, str] = ("", "")
+    unpacked: tuple[str, ...] = ()
+
+
+SOFTWARE: Mapping[str, Software] = {
+    "cyclonedds": Software(CYCLONEDDS_0_10, CycloneDDS, ("dds/version.h", "DDS_VERSION")),
+    "cyclonedds-0.10.5": Software(CYCLONEDDS_0_10, CycloneDDS, unpacked=("cyclonedds-0.10.5",)),
+    "fastdds": Software(FASTDDS_2_9, FastDDS, ("fastrtps/config.h", "FASTRTPS_VERSION_STR")),
+    "fastdds-3": Software(FASTDDS_3_3, FastDDS3, unpacked=("fastdds-3.3.0", "fastdds-3.1.2")),
+}
+"""By transport. Access control of Fast DDS cannot be asked without a participant: *decision* and *admission* are one.
+
+So it is for Cyclone DDS 0.10.5, because Keymint's process cannot load the access-control plugin of another version.
+"""
 
 
 class ParticipantsTransport(VendorTransport):
     """Implements :class:`keymint.api.Transport` with participants of a vendor.
 
-    Attributes:
-        NAME: the transport's name.
-        MODEL: the model of the vendor, to explain what it decides.
-        VENDOR: how participants are started.
-        PROBE: how to build their program.
-        VERSION: the header and macro of the vendor's version.
-        NONCONFORMING: how to build the library that makes a participant ignore its own permissions.
-        UNPACKED: versions in the cache, the best first, if it is not the version of the machine; used only when named.
+    Args:
+        name: the transport's name.
+        environment: the cache, and the environment variables of processes.
     """
 
-    NAME: ClassVar[str]
-    MODEL: ClassVar[Variation]
-    VENDOR: ClassVar[type[CycloneDDS | FastDDS]]
-    PROBE: ClassVar[probe_builds.Probe]
-    VERSION: ClassVar[tuple[str, str]]
-    NONCONFORMING: ClassVar[probe_builds.Probe]
-    UNPACKED: ClassVar[tuple[str, ...]] = ()
-
-    def __init__(self, environment: Environment) -> None:
+    def __init__(self, name: str, environment: Environment) -> None:
         super().__init__(environment)
+        self._name = name
+        self._software = SOFTWARE[name]
         self._vendors: dict[bool, Vendor] = {}
 
     def _installed(self) -> Availability:
@@ -58,23 +75,24 @@ class ParticipantsTransport(VendorTransport):
         Raises:
             MissingVendorError: one that every tier needs is missing.
         """
-        if self.UNPACKED:
-            version = unpacked_version(self._environment.cache, self.UNPACKED).version
-            self.PROBE.compiler(self._environment.variables)
+        probe, variables = self._software.vendor.PROBE, self._environment.variables
+        if self._software.unpacked:
+            version = unpacked_version(self._environment.cache, self._software.unpacked).version
+            probe.compiler(variables)
             return Availability(usable=True, version=version, tiers=tuple(Tier), by_default=False)
-        version = self.PROBE.version(*self.VERSION, self._environment.variables)
+        version = probe.version(*self._software.version, variables)
         return Availability(usable=True, version=version, tiers=tuple(Tier))
 
     def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
         """See :meth:`keymint.api.Transport.label`."""
-        self.usable().require(tier, self.NAME)
+        self.usable().require(tier, self._name)
         models = EnclaveModels(enclaves, self._environment, keep_all=tier is Tier.EXCHANGE)
         if tier is not Tier.EXCHANGE:
-            return trials.edge_verdicts(self._opener(tier), self.MODEL, models, edges)
+            return trials.edge_verdicts(self._opener(tier), self._software.model, models, edges)
         vendor = self._vendor(nonconforming=True)
         for enclave in enclaves:
             enclave_files.refuse_unusable_key(enclave)
-        return exchange(vendor, self.MODEL, models, edges)
+        return exchange(vendor, self._software.model, models, edges)
 
     def admitted(self, enclave: Enclave, endpoints: Column, tier: Tier) -> bytes:
         """See :meth:`keymint.api.EndpointTransport.admitted`."""
@@ -87,9 +105,11 @@ class ParticipantsTransport(VendorTransport):
                 if each.domain == domain and not trials.name_defect(each)
             ]
             named = [endpoints.requests[at] for at in creatable]
-            answers = trials.endpoint_admissions(opener, models, enclave.subject, domain, named)
-            for at, allowed in zip(creatable, answers, strict=False):
-                admitted[at] = allowed
+            with opener(models, enclave.subject, domain) as opened:
+                if not isinstance(opened, str):
+                    answers = opened.allow((e.permission, e.object.name, e.object.partitions) for e in named)
+                    for at, allowed in zip(creatable, answers, strict=True):
+                        admitted[at] = allowed
         return bytes(admitted)
 
     def _opener(self, tier: Tier) -> Opener:
@@ -101,12 +121,13 @@ class ParticipantsTransport(VendorTransport):
         """Return the vendor with its built programs; the compiler is asked once whether they are up to date."""
         if nonconforming not in self._vendors:
             cache, environment = self._environment.cache / "probes", inherited_variables(self._environment.variables)
-            probe, library, version = self.PROBE, self.NONCONFORMING, None
+            vendor, unpacked = self._software.vendor, self._software.unpacked
+            probe, library, version = vendor.PROBE, vendor.NONCONFORMING, None
             try:
-                if self.UNPACKED:
-                    version = unpacked_version(self._environment.cache, self.UNPACKED)
+                if unpacked:
+                    version = unpacked_version(self._environment.cache, unpacked)
                     probe, library = version.built(probe), version.built(library)
-                self._vendors[nonconforming] = self.VENDOR(
+                self._vendors[nonconforming] = vendor(
                     probe.build(cache, environment),
                     environment,
                     library.build(cache, environment) if nonconforming else None,
@@ -117,46 +138,8 @@ class ParticipantsTransport(VendorTransport):
         return self._vendors[nonconforming]
 
 
-class FastDDSTransport(ParticipantsTransport):
-    """Fast DDS 2.9; its access control cannot be asked without a participant: *decision* and *admission* are one."""
-
-    NAME = "fastdds"
-    MODEL = FASTDDS_2_9
-    VENDOR = FastDDS
-    PROBE = probe_builds.FASTDDS
-    VERSION = ("fastrtps/config.h", "FASTRTPS_VERSION_STR")
-    NONCONFORMING = probe_builds.FASTDDS_NONCONFORMING
-
-
-class FastDDS3Transport(FastDDSTransport):
-    """Fast DDS 3, unpacked into the cache."""
-
-    NAME = "fastdds-3"
-    MODEL = FASTDDS_3_3
-    PROBE = probe_builds.FASTDDS_3
-    UNPACKED = ("fastdds-3.3.0", "fastdds-3.1.2")
-
-
-class CycloneDDS0105Transport(ParticipantsTransport):
-    """Cyclone DDS 0.10.5, unpacked into the cache: Keymint's process cannot load its access-control plugin."""
-
-    NAME = "cyclonedds-0.10.5"
-    MODEL = CYCLONEDDS_0_10
-    VENDOR = CycloneDDS
-    PROBE = probe_builds.CYCLONEDDS
-    NONCONFORMING = probe_builds.CYCLONEDDS_NONCONFORMING
-    UNPACKED = ("cyclonedds-0.10.5",)
-
-
 class CycloneDDSTransport(ParticipantsTransport):
-    """Cyclone DDS, whose access-control plugin decides without participants."""
-
-    NAME = "cyclonedds"
-    MODEL = CYCLONEDDS_0_10
-    VENDOR = CycloneDDS
-    PROBE = probe_builds.CYCLONEDDS
-    VERSION = ("dds/version.h", "DDS_VERSION")
-    NONCONFORMING = probe_builds.CYCLONEDDS_NONCONFORMING
+    """The installed Cyclone DDS, whose access-control plugin decides without participants."""
 
     def _installed(self) -> Availability:
         """Without compiler and headers only the tier *decision* is usable."""

@@ -123,26 +123,6 @@ def edge_verdicts(
                     yield edge, enclave_model.verdict(model, needed, answers(opened, needed))
 
 
-def endpoint_admissions(
-    opener: Opener, models: EnclaveModels, subject: str, domain: int, endpoints: Sequence[Edge]
-) -> Sequence[bool]:
-    """Return which endpoints a vendor allows; nothing if it refuses the enclave.
-
-    Args:
-        opener: opens an enclave.
-        models: the enclaves.
-        subject: the enclave's.
-        domain: DDS domain id.
-        endpoints: edges of kind ``topic`` whose names can be said.
-
-    Raises:
-        KeymintError: the vendor's process fails.
-    """
-    topics = [(each.permission, each.object.name, each.object.partitions) for each in endpoints]
-    with opener(models, subject, domain) as opened:
-        return () if isinstance(opened, str) else opened.allow(topics)
-
-
 def answers(vendor: ProbeParticipant | CycloneAccessControl, needed: Iterable[Edge]) -> Iterator[tuple[bool, str]]:
     """Yield whether a vendor admits each endpoint, and why not."""
     for endpoint in needed:

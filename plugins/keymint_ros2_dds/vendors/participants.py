@@ -27,13 +27,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import field
 from pathlib import Path
-from typing import Self
+from typing import ClassVar, Self
 
 from comarmor.values import dataclass
 from keymint.host.vendor_process import CommandProcess, ProcessFailedError
 from keymint_ros2_dds.enclave_layout import CRL
-from keymint_ros2_dds.vendors import cyclone_access_control
-from keymint_ros2_dds.vendors.probe_builds import Unpacked
+from keymint_ros2_dds.vendors import cyclone_access_control, probe_builds
+from keymint_ros2_dds.vendors.probe_builds import Probe, Unpacked
 
 PORTS = 40
 """Ports of a system: the first ten are not for participants, each of which then has two (RTPS 2.2, 9.6.1.1)."""
@@ -62,8 +62,12 @@ class Vendor(ABC):
         environment: environment variables of every process.
         nonconforming: the built library that makes a participant ignore its own permissions, if any.
         version: the version in the cache that the programs are built from, if it is not the machine's.
+        PROBE: how to build the program.
+        NONCONFORMING: how to build the library.
     """
 
+    PROBE: ClassVar[Probe]
+    NONCONFORMING: ClassVar[Probe]
     program: Path
     environment: Mapping[str, str] = field(default_factory=dict, repr=False)
     nonconforming: Path | None = None
@@ -105,6 +109,9 @@ def cyclonedds_on_loopback(index: str, most: int, more: str = "") -> str:
 class CycloneDDS(Vendor):
     """Participants of Cyclone DDS; the transport is configured as for any application, by ``CYCLONEDDS_URI``."""
 
+    PROBE = probe_builds.CYCLONEDDS
+    NONCONFORMING = probe_builds.CYCLONEDDS_NONCONFORMING
+
     def start(self, first_port: int, index: int, *, conforming: bool) -> tuple[Mapping[str, str], tuple[str, ...]]:
         """Return the configuration (unicast, loopback and ports of this system only) and the plugins' folder."""
         ports = f"<Ports><Base>{first_port}</Base><DomainGain>0</DomainGain></Ports>"
@@ -122,12 +129,21 @@ class FastDDS(Vendor):
     The process's time zone is UTC, because Fast DDS reads the dates of permissions as local time.
     """
 
+    PROBE = probe_builds.FASTDDS
+    NONCONFORMING = probe_builds.FASTDDS_NONCONFORMING
+
     def start(self, first_port: int, index: int, *, conforming: bool) -> tuple[Mapping[str, str], tuple[str, ...]]:
         """Return the time zone, and the first port of participants followed by the participant's number."""
         environment = {**self.environment, "TZ": "UTC"}
         if not conforming:
             environment["LD_PRELOAD"] = str(self.nonconforming)
         return environment, (str(first_port + FIRST_PARTICIPANT), str(index))
+
+
+class FastDDS3(FastDDS):
+    """Participants of Fast DDS 3."""
+
+    PROBE = probe_builds.FASTDDS_3
 
 
 class System(ExitStack):

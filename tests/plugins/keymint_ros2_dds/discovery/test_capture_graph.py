@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, DiscoveredParticipant, discovered_graph
+from keymint_ros2_dds.discovery.capture import DiscoveredEndpoint, DiscoveredParticipant, discovered_graph
 
 from comarmor.errors import Severity
 from keymint.api import DiscoveredGraph
@@ -24,7 +24,7 @@ def test_endpoints_are_edges_in_the_domain_of_their_participant() -> None:
         DiscoveredEndpoint(ONE, "publish", "rt/chatter", "std_msgs::msg::dds_::String_"),
         DiscoveredEndpoint(OTHER, "subscribe", "chatter", "", ("q", "p", "q")),
     )
-    found = discovered_graph(Capture(PARTICIPANTS, endpoints), NAMES)
+    found = discovered_graph(PARTICIPANTS, endpoints, NAMES)
     assert set(found.graph.edges) == {
         Edge("/talker", "publish", Object("topic", "rt/chatter"), 0),
         Edge("/listener", "subscribe", Object("topic", "chatter", ("p", "q")), 7),
@@ -35,8 +35,8 @@ def test_endpoints_are_edges_in_the_domain_of_their_participant() -> None:
 
 def test_the_order_of_a_capture_makes_no_difference() -> None:
     endpoints = tuple(DiscoveredEndpoint(guid, "publish", topic) for guid in (ONE, OTHER) for topic in ("b", "a"))
-    assert discovered_graph(Capture(PARTICIPANTS, endpoints), NAMES) == discovered_graph(
-        Capture(PARTICIPANTS[::-1], endpoints[::-1]), NAMES
+    assert discovered_graph(PARTICIPANTS, endpoints, NAMES) == discovered_graph(
+        PARTICIPANTS[::-1], endpoints[::-1], NAMES
     )
 
 
@@ -51,6 +51,6 @@ def test_the_order_of_a_capture_makes_no_difference() -> None:
 )
 def test_names_that_are_not_legal_are_left_out_with_a_warning(odd: DiscoveredEndpoint) -> None:
     sound = DiscoveredEndpoint(ONE, "publish", "sound")
-    found = discovered_graph(Capture(PARTICIPANTS, (odd, odd, sound)), NAMES)
+    found = discovered_graph(PARTICIPANTS, (odd, odd, sound), NAMES)
     assert [edge.object.name for edge in found.graph.edges] == ["sound"]
     assert warnings(found) == [("endpoint-odd", "/talker")]

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import pytest
-from keymint_ros2_dds.discovery.capture import Capture, DiscoveredEndpoint, DiscoveredParticipant, discovered_graph
+from keymint_ros2_dds.discovery.capture import DiscoveredEndpoint, DiscoveredParticipant, discovered_graph
 
 from comarmor.errors import Severity
 from keymint.errors import KeymintError
@@ -16,7 +16,7 @@ OTHER = "0110a5a5deadbeef00000002000001c1"
 def named(
     participant: DiscoveredParticipant, *endpoints: DiscoveredEndpoint, names: dict[str, str] | None = None
 ) -> str:
-    (subject,) = discovered_graph(Capture((participant,), endpoints), names or {}).graph.subjects
+    (subject,) = discovered_graph((participant,), endpoints, names or {}).graph.subjects
     return subject
 
 
@@ -78,12 +78,12 @@ def test_the_user_knows_better() -> None:
 
 
 def test_the_beginning_of_a_guid_names_all_that_begin_so() -> None:
-    capture = Capture((DiscoveredParticipant(GUID, 0), DiscoveredParticipant(OTHER, 0)), ())
-    assert discovered_graph(capture, {"0110a5a5": "/both"}).graph.subjects == ("/both",)
+    participants = (DiscoveredParticipant(GUID, 0), DiscoveredParticipant(OTHER, 0))
+    assert discovered_graph(participants, (), {"0110a5a5": "/both"}).graph.subjects == ("/both",)
 
 
 def test_a_name_that_is_made_up_is_warned_of() -> None:
-    found = discovered_graph(Capture((DiscoveredParticipant(GUID, 7),), ()), {})
+    found = discovered_graph((DiscoveredParticipant(GUID, 7),), (), {})
     (said,) = found.diagnostics
     assert (said.code, said.severity) == ("subject-unknown", Severity.WARNING)
     assert GUID in said.message
@@ -101,7 +101,7 @@ def test_what_no_name_can_hold_is_left_out_with_a_warning() -> None:
     odd = [DiscoveredEndpoint(GUID, "publish", name) for name in ("", "a\x01", "x" * 5000)]
     odd.append(DiscoveredEndpoint(GUID, "publish", "t", "", ("p\n",)))
     fine = DiscoveredEndpoint(GUID, "publish", "rt/fine", "T")
-    found = discovered_graph(Capture((DiscoveredParticipant(GUID, 0, "a"),), (*odd, fine)), {})
+    found = discovered_graph((DiscoveredParticipant(GUID, 0, "a"),), (*odd, fine), {})
     assert [edge.object.name for edge in found.graph.edges] == ["rt/fine"]
     assert [said.code for said in found.diagnostics if said.severity is Severity.WARNING] == ["endpoint-odd"]
 
@@ -140,7 +140,7 @@ THIRD = "0110a5a5deadbeef00000003000001c1"
 def test_participants_that_are_merged_are_reported(
     first: DiscoveredParticipant, second: DiscoveredParticipant, names: dict[str, str], expected: Severity | None
 ) -> None:
-    found = discovered_graph(Capture((first, second, DiscoveredParticipant(THIRD, 0, "alone")), ()), names)
+    found = discovered_graph((first, second, DiscoveredParticipant(THIRD, 0, "alone")), (), names)
     merged = [each for each in found.diagnostics if each.code == "subject-shared"]
     assert [each.severity for each in merged] == ([] if expected is None else [expected])
     for each in merged:
