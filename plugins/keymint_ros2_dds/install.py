@@ -11,27 +11,8 @@ from keymint import api
 from keymint.api import Artifact, EnclaveCredentials, Package
 from keymint.errors import KeymintError
 from keymint.pki import certificates, smime
-from keymint_ros2_dds import enclave_layout as roles
+from keymint_ros2_dds import enclave_layout as enclave
 from keymint_ros2_dds.documents import dds_xml
-from keymint_ros2_dds.enclave_layout import (
-    CA,
-    CERTIFICATE,
-    CRL,
-    GOVERNANCE,
-    GOVERNANCE_P7S,
-    GOVERNANCE_XML,
-    IDENTITY_CA,
-    KEY,
-    KEY_URI,
-    LAYOUTS,
-    PERMISSIONS,
-    PERMISSIONS_CA,
-    PERMISSIONS_P7S,
-    PERMISSIONS_XML,
-    enclave_files,
-    has_one_authority,
-    reads_revocations,
-)
 
 
 def install(
@@ -46,11 +27,12 @@ def install(
     Raises:
         KeymintError: a document is missing or not valid, or the layout has no place for two authorities.
     """
-    if layout not in LAYOUTS:
-        raise KeymintError(f"unknown layout {layout!r}", help=f"use {' or '.join(LAYOUTS)}", code="layout-unknown")
+    if layout not in enclave.LAYOUTS:
+        help_ = f"use {' or '.join(enclave.LAYOUTS)}"
+        raise KeymintError(f"unknown layout {layout!r}", help=help_, code="layout-unknown")
     if (
-        has_one_authority(layout, package.distro)
-        and credentials.chains[roles.IDENTITY_ROLE] != credentials.chains[roles.PERMISSIONS_ROLE]
+        enclave.has_one_authority(layout, package.distro)
+        and credentials.chains[enclave.IDENTITY_ROLE] != credentials.chains[enclave.PERMISSIONS_ROLE]
     ):
         raise KeymintError(
             f"{package.subject} has one authority for identities and another for permissions, but the layout 'flat' "
@@ -59,20 +41,23 @@ def install(
             help="name one authority for both, or use the layout 'sros2'",
             code="layout-authorities",
         )
-    permissions, governance = (_document(package, documents, kind) for kind in (PERMISSIONS, GOVERNANCE))
+    permissions, governance = (
+        _document(package, documents, kind) for kind in (enclave.PERMISSIONS, enclave.GOVERNANCE)
+    )
     files = {
-        IDENTITY_CA: Artifact(credentials.chains[roles.IDENTITY_ROLE]),
-        PERMISSIONS_CA: Artifact(credentials.chains[roles.PERMISSIONS_ROLE]),
-        CA: Artifact(credentials.chains[roles.PERMISSIONS_ROLE]),
-        CERTIFICATE: Artifact(credentials.certificate),
-        KEY: Artifact(credentials.key, secret=True),
-        PERMISSIONS_XML: Artifact(permissions),
-        PERMISSIONS_P7S: Artifact(_signed(permissions, PERMISSIONS, credentials, installed)),
-        GOVERNANCE_P7S: Artifact(_signed(governance, GOVERNANCE, credentials, installed)),
+        enclave.IDENTITY_CA: Artifact(credentials.chains[enclave.IDENTITY_ROLE]),
+        enclave.PERMISSIONS_CA: Artifact(credentials.chains[enclave.PERMISSIONS_ROLE]),
+        enclave.CA: Artifact(credentials.chains[enclave.PERMISSIONS_ROLE]),
+        enclave.CERTIFICATE: Artifact(credentials.certificate),
+        enclave.KEY: Artifact(credentials.key, secret=True),
+        enclave.PERMISSIONS_XML: Artifact(permissions),
+        enclave.PERMISSIONS_P7S: Artifact(_signed(permissions, enclave.PERMISSIONS, credentials, installed)),
+        enclave.GOVERNANCE_P7S: Artifact(_signed(governance, enclave.GOVERNANCE, credentials, installed)),
     }
-    chosen = {name: files[name] for name in enclave_files(layout, package.distro) if name != KEY or credentials.key}
+    needed = enclave.enclave_files(layout, package.distro)
+    chosen = {name: files[name] for name in needed if name != enclave.KEY or credentials.key}
     if uri := package.identity.key.uri:  # ROS 2 reads one word; the end of the line is for people
-        chosen[KEY_URI] = Artifact(f"{uri}\n".encode())
+        chosen[enclave.KEY_URI] = Artifact(f"{uri}\n".encode())
     if credentials.revocations:
         chosen |= revocation_files(package.distro, layout, credentials.revocations)
     return chosen
@@ -80,7 +65,7 @@ def install(
 
 def revocation_files(distro: str, layout: str, revocations: bytes) -> Mapping[str, Artifact]:
     """Return the file of a revocation list; see :meth:`keymint.api.BuildType.revocation_files`."""
-    return {CRL: Artifact(revocations)} if reads_revocations(distro, layout) else {}
+    return {enclave.CRL: Artifact(revocations)} if enclave.reads_revocations(distro, layout) else {}
 
 
 def _document(package: Package, documents: Mapping[str, bytes], kind: str) -> bytes:
@@ -100,11 +85,11 @@ def _document(package: Package, documents: Mapping[str, bytes], kind: str) -> by
 def _signed(content: bytes, kind: str, credentials: EnclaveCredentials, installed: Mapping[str, bytes]) -> bytes:
     """Return a signed document: the installed one if it is still current, else a new one."""
     present = installed.get(f"{kind}.p7s")
-    in_force = certificates.load_bundle(credentials.chains[roles.PERMISSIONS_ROLE])[0]
+    in_force = certificates.load_bundle(credentials.chains[enclave.PERMISSIONS_ROLE])[0]
     if present is not None and smime.is_current(present, content, in_force):
         return present
-    sign = _sign_once if kind == GOVERNANCE else _sign
-    return sign(content, credentials.signers[roles.PERMISSIONS_ROLE])  # whose key may be elsewhere
+    sign = _sign_once if kind == enclave.GOVERNANCE else _sign
+    return sign(content, credentials.signers[enclave.PERMISSIONS_ROLE])  # whose key may be elsewhere
 
 
 def _sign(content: bytes, authority: api.SigningAuthority) -> bytes:
@@ -126,21 +111,21 @@ def shared_files(artifacts: Mapping[str, Mapping[str, Artifact]], layout: str) -
         artifacts: artifacts by subject, then file name; enclaves of other build types are ignored.
         layout: ``sros2`` or ``flat``; the latter keeps nothing.
     """
-    enclaves = [files for _, files in sorted(artifacts.items()) if GOVERNANCE_P7S in files]
+    enclaves = [files for _, files in sorted(artifacts.items()) if enclave.GOVERNANCE_P7S in files]
     if layout != "sros2" or not enclaves:
         return {}
     result: dict[str, Artifact] = {}
-    for name in (IDENTITY_CA, PERMISSIONS_CA):
+    for name in (enclave.IDENTITY_CA, enclave.PERMISSIONS_CA):
         contents = {files[name].content for files in enclaves if name in files}
         if len(contents) == 1:
             result[f"public/{name}"] = Artifact(contents.pop())
     if len(result) == 2 and len({artifact.content for artifact in result.values()}) == 1:  # noqa: PLR2004 - both
-        result[f"public/{CA}"] = result[f"public/{IDENTITY_CA}"]
-    signed = [files[GOVERNANCE_P7S].content for files in enclaves]
+        result[f"public/{enclave.CA}"] = result[f"public/{enclave.IDENTITY_CA}"]
+    signed = [files[enclave.GOVERNANCE_P7S].content for files in enclaves]
     documents = {_content(one) for one in dict.fromkeys(signed)}
     if len(documents) == 1 and (content := documents.pop()) is not None:
-        result[f"enclaves/{GOVERNANCE_XML}"] = Artifact(content)
-        result[f"enclaves/{GOVERNANCE_P7S}"] = Artifact(signed[0])
+        result[f"enclaves/{enclave.GOVERNANCE_XML}"] = Artifact(content)
+        result[f"enclaves/{enclave.GOVERNANCE_P7S}"] = Artifact(signed[0])
     return result
 
 

@@ -7,7 +7,7 @@ It is read from a package's document and its defaults.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import field, replace
+from dataclasses import MISSING, field, fields, replace
 from datetime import UTC, datetime
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
@@ -37,23 +37,6 @@ if TYPE_CHECKING:
 
 BUILD_TYPE = "keymint_ros2_dds"
 """The name by which packages ask for this build type."""
-STRICT_DOMAIN: Mapping[str, Any] = {
-    "allow_unauthenticated_participants": False,
-    "enable_join_access_control": True,
-    "discovery_protection_kind": "ENCRYPT",
-    "liveliness_protection_kind": "ENCRYPT",
-    "rtps_protection_kind": "SIGN",
-}
-"""Settings of a domain rule in the order of a document, and what holds where neither a package nor its defaults say."""
-STRICT_TOPIC: Mapping[str, Any] = {
-    "enable_discovery_protection": True,
-    "enable_liveliness_protection": True,
-    "enable_read_access_control": True,
-    "enable_write_access_control": True,
-    "metadata_protection_kind": "ENCRYPT",
-    "data_protection_kind": "ENCRYPT",
-}
-"""The same for a topic rule."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,13 +54,13 @@ class TopicProtection:
 
     kind: str
     expression: str
-    enable_discovery_protection: bool
-    enable_liveliness_protection: bool
-    enable_read_access_control: bool
-    enable_write_access_control: bool
-    metadata_protection_kind: str
-    data_protection_kind: str
     origin: Origin = field(compare=False)
+    enable_discovery_protection: bool = True
+    enable_liveliness_protection: bool = True
+    enable_read_access_control: bool = True
+    enable_write_access_control: bool = True
+    metadata_protection_kind: str = "ENCRYPT"
+    data_protection_kind: str = "ENCRYPT"
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,14 +73,22 @@ class DomainRule:
     """
 
     domains: tuple[DomainRange, ...]
-    allow_unauthenticated_participants: bool
-    enable_join_access_control: bool
-    discovery_protection_kind: str
-    liveliness_protection_kind: str
-    rtps_protection_kind: str
     topic_rules: tuple[TopicProtection, ...]
     origin: Origin = field(compare=False)
     domains_origin: Origin | None = field(default=None, compare=False)
+    allow_unauthenticated_participants: bool = False
+    enable_join_access_control: bool = True
+    discovery_protection_kind: str = "ENCRYPT"
+    liveliness_protection_kind: str = "ENCRYPT"
+    rtps_protection_kind: str = "SIGN"
+
+
+def _strict(rule: type[TopicProtection | DomainRule]) -> Mapping[str, Any]:
+    return {each.name: each.default for each in fields(rule) if each.compare and each.default is not MISSING}
+
+
+STRICT_DOMAIN, STRICT_TOPIC = _strict(DomainRule), _strict(TopicProtection)
+"""Settings in the order of a document, and what holds where neither a package nor its defaults say."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +144,7 @@ _NAME = "CN=/subject"
 """Any subject name that is one: what names of subjects become is decided by the settings of a package."""
 _EVERYWHERE = (DomainRange(0, 0),)
 _ANYWHERE = Origin(BUILD_TYPE)
-_PROTECTION = DomainRule(_EVERYWHERE, False, True, "ENCRYPT", "ENCRYPT", "ENCRYPT", (), _ANYWHERE)
+_PROTECTION = DomainRule(_EVERYWHERE, (), _ANYWHERE, rtps_protection_kind="ENCRYPT")
 
 
 def package_of(rules: SubjectRules, distro: str) -> Package:
@@ -263,7 +254,7 @@ def _base(content: bytes, file: str) -> tuple[DomainRule, Mapping[str, Any], str
         domains=domains(root.find("domains")) or DEFAULT_DOMAINS,
         topic_rules=(),
         origin=Origin(file, line(root)),
-        **{**STRICT_DOMAIN, **_settings(root, STRICT_DOMAIN)},
+        **_settings(root, STRICT_DOMAIN),
     )
     topics = root.findall("topic_access_rules/*")
     general: Mapping[str, Any] = next(
@@ -298,8 +289,8 @@ def _domain_rule(element: etree._Element, file: str, base: DomainRule, general: 
 
 
 def _topic_protection(element: etree._Element, general: Mapping[str, Any], file: str) -> TopicProtection:
-    settings = {**STRICT_TOPIC, **general, **_settings(element, STRICT_TOPIC)}
-    return TopicProtection(*_kind_and_expression(element), origin=Origin(file, line(element)), **settings)
+    settings = {**general, **_settings(element, STRICT_TOPIC)}
+    return TopicProtection(*_kind_and_expression(element), Origin(file, line(element)), **settings)
 
 
 def _kind_and_expression(element: etree._Element) -> tuple[str, str]:

@@ -113,8 +113,8 @@ def compiled(policy: Path, subject: str) -> tuple[str, str]:
     name, domains = f"CN={subject}", (DomainRange(0, 0),)
     identity = CertificateSpec(name, validity, None, "identity", "SHA256", KeySpec("ec", "SECP256R1"), (), _HERE)
     permissions = Grant("permissions", subject, name, validity, domains, rules, _HERE)
-    everything = TopicProtection("topic", "*", True, True, True, True, "ENCRYPT", "ENCRYPT", _HERE)
-    domain_rule = DomainRule(domains, False, True, "ENCRYPT", "ENCRYPT", "SIGN", (everything,), _HERE)
+    everything = TopicProtection("topic", "*", _HERE)
+    domain_rule = DomainRule(domains, (everything,), _HERE)
     governance = Governance("permissions", (domain_rule,))
     package = Package(
         subject[1:], subject, "humble", identity, permissions, (BUILD_TYPE,), {BUILD_TYPE: DdsSettings(governance)}

@@ -24,12 +24,12 @@ def rule(effect: str, kind: str, permissions: str, *expressions: str, partitions
 
 
 def protection(kind: str = "topic", expression: str = "*", **fields) -> TopicProtection:
-    every = TopicProtection(kind, expression, True, True, True, True, "ENCRYPT", "ENCRYPT", ORIGIN)
+    every = TopicProtection(kind, expression, ORIGIN)
     return replace(every, **fields)
 
 
 def domain_rule(*topics: TopicProtection, **fields) -> DomainRule:
-    usual = DomainRule(DOMAIN, False, True, "ENCRYPT", "ENCRYPT", "SIGN", topics or (protection(),), ORIGIN)
+    usual = DomainRule(DOMAIN, topics or (protection(),), ORIGIN)
     return replace(usual, **fields)
 
 
