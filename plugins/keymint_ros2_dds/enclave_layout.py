@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
 
 from keymint.api import AuthorityRole, EnvironmentVariable, Implementation, Layout, Package
 
@@ -47,6 +48,11 @@ COPIED = (IDENTITY_CA, PERMISSIONS_CA, GOVERNANCE_P7S)
 def has_one_authority(layout: str, distro: str) -> bool:
     """Tell whether an enclave has one file for both authorities, as the nodes of a distribution look for it."""
     return layout == "flat" and distro not in _FLAT_WITH_TWO
+
+
+def authority_file(folder: Path, name: str) -> str:
+    """Return the file with an authority in an enclave; the layout of Ardent has one file for both."""
+    return name if (folder / name).exists() else CA
 
 
 def enclave_files(layout: str, distro: str) -> tuple[str, ...]:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from comarmor.errors import Origin
-from comarmor.values import dataclass
 from keymint.api import Claim, ComparisonTask, Proof, ProofTask, TrustAnchors, ValidityTerm
 from keymint.errors import KeymintError
 from keymint.pki import smime
@@ -17,26 +16,20 @@ from keymint_ros2_dds.decision.semantics import OMG, shipped_models
 from keymint_ros2_dds.enclave_layout import CERTIFICATE, GOVERNANCE, PERMISSIONS
 from keymint_ros2_dds.examine.enclave_rules import differences
 from keymint_ros2_dds.proving import grant_periods
-from keymint_ros2_dds.proving.claims import know, prove_content
+from keymint_ros2_dds.proving.claims import prove_content, remember
 from keymint_ros2_dds.proving.enclave_governance import EnclaveGovernance
 from keymint_ros2_dds.transports.enclave_files import subject_name
+
+_Question = tuple[ComparisonTask, EnclaveGovernance, tuple[str, ...]]
+"""What the claims about an enclave depend on, once its files are verified: document, governance, and models."""
 
 
 def prove(task: ProofTask) -> tuple[Claim, ...]:
     """Return the claims about an enclave, by model, action and domains; see :func:`question`."""
-    return _proven(question(task))
+    return _proven(*question(task))
 
 
-@dataclass(frozen=True, slots=True)
-class EnclaveQuestion:
-    """What the claims about an enclave depend on, once its files are verified; the arguments of ``prove_content``."""
-
-    task: ComparisonTask
-    governance: EnclaveGovernance
-    models: tuple[str, ...]
-
-
-def question(task: ProofTask) -> EnclaveQuestion:
+def question(task: ProofTask) -> _Question:
     """Verify the files of an enclave, and return what is to be proven.
 
     Nothing is claimed about an enclave whose trust anchors differ from the workspace's.
@@ -58,17 +51,17 @@ def question(task: ProofTask) -> EnclaveQuestion:
     )
     signed = _signed(files, folder, task.anchors, GOVERNANCE, unsigned=task.unsigned)
     models = (OMG.name,) if task.standard_only else shipped_models(task.anchors.distro or package.distro)
-    return EnclaveQuestion(held, EnclaveGovernance(*signed, package), models)
+    return held, EnclaveGovernance(*signed, package), models
 
 
-def _proven(asked: EnclaveQuestion) -> tuple[Claim, ...]:
-    return prove_content(asked.task, models=asked.models, governance=asked.governance)
+def _proven(task: ComparisonTask, governance: EnclaveGovernance, models: tuple[str, ...]) -> tuple[Claim, ...]:
+    return prove_content(task, models=models, governance=governance)
 
 
-def remote_question(task: ProofTask) -> EnclaveQuestion:
+def remote_question(task: ProofTask) -> _Question:
     """See :meth:`keymint.api.Prover.question`: signatures and keys are verified here, not where it is proven."""
-    asked = question(task)
-    return replace(asked, task=replace(asked.task, go_on=_always))
+    held, governance, models = question(task)
+    return replace(held, go_on=_always), governance, models
 
 
 def _always() -> bool:
@@ -80,22 +73,23 @@ def part_prover() -> Callable[..., Sequence[Sequence[Claim]]]:
     return prove_part
 
 
-def prove_part(_plugins: object, asked: Sequence[EnclaveQuestion]) -> tuple[tuple[Claim, ...], ...]:
+def prove_part(_plugins: object, asked: Sequence[_Question]) -> tuple[tuple[Claim, ...], ...]:
     """Prove claims on a worker; none about a document that cannot be read, which is found again where the user is."""
     return tuple(map(_proven_or_none, asked))
 
 
-def _proven_or_none(asked: EnclaveQuestion) -> tuple[Claim, ...]:
+def _proven_or_none(asked: _Question) -> tuple[Claim, ...]:
     try:
-        return _proven(asked)
+        return _proven(*asked)
     except KeymintError:
         return ()
 
 
-def receive(asked: EnclaveQuestion, claims: tuple[Claim, ...]) -> None:
+def receive(asked: _Question, claims: tuple[Claim, ...]) -> None:
     """Keep claims that are all proven; others are decided again here, with their places."""
     if claims and all(claim.proof is Proof.PROVEN for claim in claims):
-        know(asked.task, asked.governance, asked.models, claims)
+        task, governance, models = asked
+        remember(task, claims, None, models, governance)
 
 
 def terms(

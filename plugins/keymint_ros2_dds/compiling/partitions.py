@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
-from typing import Self
 
 from comarmor.patterns import glob as globs
 from comarmor.patterns.expression import exact
@@ -28,7 +27,6 @@ from comarmor.patterns.relations import (
     sort_key,
 )
 from comarmor.patterns.tokens import STAR, Star
-from comarmor.values import dataclass
 from keymint_ros2_dds.lowering.lowered_rules import DEFAULT, EVERY, Partitions
 
 MAX_PATTERNS = 128
@@ -147,7 +145,7 @@ def decision_list(allow: Sequence[Step], deny: Sequence[Step]) -> list[Step]:
     literals = sorted(pattern for pattern in patterns if literal(pattern) is not None)
     denials = maximal(pattern for pattern, listed in deny if not listed and literal(pattern) is None)
     narrowed = [pattern for pattern, listed in deny if listed and literal(pattern) is None]
-    allowed, denied = _Side.of(allow), _Side.of(deny)
+    allowed, denied = _Side(allow), _Side(deny)
     steps: list[Step] = [
         *((pattern, _effective(pattern, allowed, denied)) for pattern in literals),
         *((pattern, ()) for pattern in denials),
@@ -261,24 +259,17 @@ def _needed(steps: Sequence[Step]) -> list[Step]:
     return kept[::-1]
 
 
-@dataclass(frozen=True, slots=True)
 class _Side:
     """Patterns with their partitions; literals separately, since there may be many."""
 
-    exact: Mapping[Glob, Sequence[Partitions]]
-    wild: Sequence[Step]
-
-    @classmethod
-    def of(cls, items: Iterable[Step]) -> Self:
-        """Return the side with these items."""
-        exact: dict[Glob, list[Partitions]] = {}
-        wild: list[Step] = []
+    def __init__(self, items: Iterable[Step]) -> None:
+        self.wild: list[Step] = []
+        self._exact: dict[Glob, list[Partitions]] = {}
         for pattern, listed in items:
             if literal(pattern) is None:
-                wild.append((pattern, listed))
+                self.wild.append((pattern, listed))
             else:
-                exact.setdefault(pattern, []).append(listed)
-        return cls(exact, wild)
+                self._exact.setdefault(pattern, []).append(listed)
 
     def covering(self, pattern: Glob) -> Iterator[Step]:
         """Yield the items that cover a pattern; a literal covers only itself.
@@ -286,7 +277,7 @@ class _Side:
         Raises:
             TooComplexError: the search exceeded its limit.
         """
-        for listed in self.exact.get(pattern, ()):
+        for listed in self._exact.get(pattern, ()):
             yield pattern, listed
         for item in self.wild:
             if exactly_covers(item[0], pattern):

@@ -86,20 +86,19 @@ def date(moment: datetime) -> str:
 
 
 def render(document: etree._Element, kind: str) -> bytes:
-    """Validate a document against its schema and return it as bytes.
+    """Return a document as bytes, valid against its schema.
 
     Raises:
         KeymintError: the document is not valid.
     """
-    validate(document, kind, f"{kind}.xml")
-    content = indented_if_small(lambda indentation: _serialize(document, indentation))
-    know_valid(content, kind)
+
+    def serialized(indentation: str) -> str:
+        etree.indent(document, indentation)
+        return etree.tostring(document, encoding="unicode")
+
+    content = indented_if_small(serialized)
+    require_valid(content, kind, f"{kind}.xml")
     return content
-
-
-def _serialize(document: etree._Element, indentation: str) -> str:
-    etree.indent(document, indentation)
-    return etree.tostring(document, encoding="unicode")
 
 
 def indented_if_small(write: Callable[[str], str]) -> bytes:
@@ -121,22 +120,7 @@ def know_valid(content: bytes, kind: str) -> None:
 
 
 def require_valid(content: bytes, kind: str, name: str) -> None:
-    """Validate a document against its schema, unless that was done before.
-
-    Raises:
-        KeymintError: the document cannot be read or is not valid; each defect with ``file:line``.
-    """
-    if _digest(content, kind) not in _valid:
-        read(content, kind, name)
-        know_valid(content, kind)
-
-
-def _digest(content: bytes, kind: str) -> bytes:
-    return hashlib.sha256(kind.encode() + content).digest()
-
-
-def read(content: bytes, kind: str, name: str) -> etree._Element:
-    """Parse a document, validate it against its schema, and return its root element.
+    """Validate a document against the schema of its kind, unless that was done before.
 
     Args:
         content: XML.
@@ -146,18 +130,13 @@ def read(content: bytes, kind: str, name: str) -> etree._Element:
     Raises:
         KeymintError: the document cannot be read or is not valid; each defect with ``file:line``.
     """
-    document = parse(content, name)
-    validate(document, kind, name)
-    return document
+    if _digest(content, kind) not in _valid:
+        schema.validate(parse(content, name), locate("keymint_ros2_dds", "schemas") / f"{kind}.xsd", name)
+        know_valid(content, kind)
 
 
-def validate(document: etree._Element, kind: str, name: str) -> None:
-    """Validate a document against the schema of its kind.
-
-    Raises:
-        KeymintError: the document is not valid; each defect with ``file:line``.
-    """
-    schema.validate(document, locate("keymint_ros2_dds", "schemas") / f"{kind}.xsd", name)
+def _digest(content: bytes, kind: str) -> bytes:
+    return hashlib.sha256(kind.encode() + content).digest()
 
 
 @lru_cache(maxsize=16)

@@ -18,7 +18,6 @@ from comarmor.patterns.steps import step_limit
 from comarmor.values import dataclass
 from keymint.api import BuildOptions, Claim, ComparisonTask, Grant, Package, Proof
 from keymint.errors import KeymintError
-from keymint.keymake.kinds import kind_of
 from keymint_ros2_dds.compiling.grant_compiler import Compiled, compile_rules, vendor_notes
 from keymint_ros2_dds.decision.semantics import OMG, VARIATIONS, shipped_models
 from keymint_ros2_dds.documents import dds_xml, permissions_document
@@ -157,20 +156,8 @@ def _reason(claim: Claim) -> str:
     return f"{claim.model} {verb} it to {claim.action} {example.endpoint.name!r}"
 
 
-@dataclass(frozen=True, slots=True)
-class Compilation:
-    """What the engine made of a package.
-
-    Attributes:
-        rules: the rules of its document.
-        plain_size: bytes of the plain form of the document.
-        claims: what is proven about the document.
-    """
-
-    rules: tuple[GrantRule[str], ...]
-    plain_size: int
-    claims: tuple[Claim, ...]
-
+Compilation = tuple[tuple[GrantRule[str], ...], int, tuple[Claim, ...]]
+"""What the engine made of a package: the rules of its document, the bytes of its plain form, and what is proven."""
 
 _received: dict[str, tuple[Package, BuildOptions, Compilation, bool]] = {}
 """By subject: what other machines compiled, and whether the user trusts them."""
@@ -193,12 +180,12 @@ def _compiled(package: Package, options: BuildOptions) -> Compilation | None:
         return None  # the error is found again where the user is
     if not emitted.is_usual(package.grant):
         return None
-    return Compilation(emitted.rules, emitted.plain_size, emitted.claims)
+    return emitted.rules, emitted.plain_size, emitted.claims
 
 
 def receive(package: Package, options: BuildOptions, compilation: object, *, trusted: bool) -> None:
     """Keep what a worker compiled for the build of the package."""
-    if isinstance(compilation, Compilation):
+    if isinstance(compilation, tuple):
         _received[package.subject] = package, options, compilation, trusted
 
 
@@ -207,22 +194,21 @@ def emit_received(package: Package, options: BuildOptions) -> Emitted | None:
     known = _received.pop(package.subject, None)
     if known is None or (known[0].grant, known[0].distro, known[1]) != (package.grant, package.distro, options):
         return None
-    _, _, compilation, trusted = known
-    rules = compilation.rules
+    _, _, (rules, plain_size, claimed), trusted = known
     if any(TopicAction.RELAY in rule.topics for rule in rules) or not is_remote(package):
         return None
     try:
         document = permissions_document.render(package.grant, rules)
         dds_xml.require_valid(document, PERMISSIONS, PERMISSIONS_XML)
         task = comparison(package, document)
-        claims = compilation.claims if trusted else prove_content(task)
+        claims = claimed if trusted else prove_content(task)
     except KeymintError:
         return None
     if not claims or any(claim.proof is not Proof.PROVEN for claim in claims) or signed_size(document) > TIGHT:
         return None
     if trusted:
-        remember(task, kind_of(package.grant.rules.rules), claims)
-    return Emitted(document, rules, compilation.plain_size, None, claims, tuple(vendor_notes(rules, package.grant)))
+        remember(task, claims)
+    return Emitted(document, rules, plain_size, None, claims, tuple(vendor_notes(rules, package.grant)))
 
 
 def is_remote(package: Package) -> bool:

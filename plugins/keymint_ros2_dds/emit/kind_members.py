@@ -262,7 +262,7 @@ def _by_renaming(package: Package, kind: Kind, arguments: Arguments, members: _M
     if signed_size(document) > TIGHT:
         return None
     dds_xml.know_valid(document, PERMISSIONS)
-    claims.remember(comparison(package, document), (kind, arguments), made.claims)
+    claims.remember(comparison(package, document), made.claims, (kind, arguments))
     notes = tuple(vendor_notes(rules, grant)) if made.notes else ()
     plain_size = len(document if plain == rules else permissions_document.render(grant, plain))
     return Emitted(document, rules, plain_size, None, made.claims, notes)

@@ -22,18 +22,9 @@ from keymint_ros2_dds.documents import dds_xml
 from keymint_ros2_dds.domains import merged_domains
 from keymint_ros2_dds.enclave_layout import PERMISSIONS
 from keymint_ros2_dds.lowering.lowered_rules import Lowered, lower
-from keymint_ros2_dds.proving import document_lists, enclave_governance, octets
+from keymint_ros2_dds.proving import document_lists as lists
+from keymint_ros2_dds.proving import enclave_governance, octets
 from keymint_ros2_dds.proving.counterexamples import Counterexamples, Situation
-from keymint_ros2_dds.proving.document_lists import (
-    NOTHING,
-    NOTHING_PERMITTED,
-    REFUSED,
-    WILDCARDS,
-    Permitted,
-    difference,
-    is_closed,
-    regions,
-)
 from keymint_ros2_dds.proving.enclave_governance import ACTIONS, EnclaveGovernance, unread_topic
 from keymint_ros2_dds.proving.grant_periods import grant_periods
 from keymint_ros2_dds.proving.questions import ProofQuestion
@@ -87,27 +78,25 @@ class _Comparator:
     def __init__(self, question: ProofQuestion) -> None:
         self._question = question
         opens = question.governance is not None and question.governance.opens()
-        self.pairs = opens or document_lists.has_partitions(question.lowered, question.document.grants)
+        self.pairs = opens or lists.has_partitions(question.lowered, question.document.grants)
         self._universe = octets.universe(pairs=self.pairs)
         self.independent = octets.is_independent(question.document, question.task.rules)
-        self._policy = {
-            action: document_lists.of_policy(question.lowered, action, pairs=self.pairs) for action in ACTIONS
-        }
+        self._policy = {action: lists.of_policy(question.lowered, action, pairs=self.pairs) for action in ACTIONS}
         self._known: dict[tuple[object, ...], ProofResult] = {}
 
-    def of(self, situation: Situation, permitted: Permitted) -> ProofResult:
+    def of(self, situation: Situation, permitted: lists.Permitted) -> ProofResult:
         """Compare what the policy allows with what the document permits."""
-        policy = self._policy[situation.action] if situation.inside else NOTHING
+        policy = self._policy[situation.action] if situation.inside else lists.NOTHING
         key = (policy, permitted)
         result = self._known.get(key)
         if result is None:
             result = self._known[key] = self._compared(policy, permitted)
         return result
 
-    def _compared(self, policy: DecisionList, permitted: Permitted) -> ProofResult:
+    def _compared(self, policy: DecisionList, permitted: lists.Permitted) -> ProofResult:
         budget = self._question.budget()
         if self._question.since is None:
-            return difference(policy, permitted, self._universe, budget)
+            return lists.difference(policy, permitted, self._universe, budget)
         found = escapes(permitted.lists, policy, self._universe, budget)
         return Witness(found.word, left=False) if isinstance(found, Witness) else found
 
@@ -176,8 +165,8 @@ class _Model:
         domain, semantics, governance = domains[0].first, self._semantics, self._governance
         rule = None if self._unmodelled else self._rule(domain)
         universe = octets.PAIRS if self._comparison.pairs else octets.TOPICS
-        if rule is not None and semantics.topic_rules_both_ways and not is_closed(rule, semantics):
-            universe += f"; without {' '.join(WILDCARDS)}, which topic rules of the governance are compared with"
+        if rule is not None and semantics.topic_rules_both_ways and not lists.is_closed(rule, semantics):
+            universe += f"; without {' '.join(lists.WILDCARDS)}, which topic rules of the governance are compared with"
         claim = partial(Claim, self._variation.name, action, domains, universe)
         if self._unmodelled:
             return claim(Proof.UNKNOWN, self._unmodelled)
@@ -201,30 +190,30 @@ class _Model:
         excepted = () if governance is None or rule is None else governance.excepted(rule, action, domain)
         return claim(Proof.PROVEN, excepted=tuple(excepted))
 
-    def _permitted(self, situation: Situation, semantics: Semantics) -> Permitted:
+    def _permitted(self, situation: Situation, semantics: Semantics) -> lists.Permitted:
         """Return what is permitted while a grant is in force; without a grant nothing is."""
         if situation.era is None:
-            return NOTHING_PERMITTED
+            return lists.NOTHING_PERMITTED
         action, domain, inside, grant = situation.action, situation.domain, situation.inside, situation.era.grant
         pairs, governance = self._comparison.pairs, self._governance
-        own = document_lists.of_grant(grant, domain, action, semantics, pairs=pairs)
+        own = lists.of_grant(grant, domain, action, semantics, pairs=pairs)
         if governance is None:
-            return Permitted(own)
+            return lists.Permitted(own)
         governed = DomainAccess(governance.document, domain, semantics)
         if governed.rule is None:
-            return Permitted(own, REFUSED) if inside else Permitted(own)
+            return lists.Permitted(own, lists.REFUSED) if inside else lists.Permitted(own)
         default = semantics.default_counts and grant.allows
         joins = default or any(rule.allows and semantics.applies(rule, domain) for rule in grant.rules)
         if not governed.admits(joins=joins):
-            return NOTHING_PERMITTED
-        if is_closed(governed.rule, semantics):
-            return Permitted(own)
+            return lists.NOTHING_PERMITTED
+        if lists.is_closed(governed.rule, semantics):
+            return lists.Permitted(own)
         if not inside and not semantics.domains_count:
-            own = (NOTHING,)  # by assumption the permissions are not used there
+            own = (lists.NOTHING,)  # by assumption the permissions are not used there
         accepted = governance.accepted_rule(domain)
-        exempt = NOTHING if accepted is None else regions(accepted, action, semantics, pairs=pairs).opened
-        topics = regions(governed.rule, action, semantics, pairs=pairs)
-        return Permitted(own, topics, exempt, semantics.topic_rules_both_ways)
+        exempt = lists.NOTHING if accepted is None else lists.regions(accepted, action, semantics, pairs=pairs).opened
+        topics = lists.regions(governed.rule, action, semantics, pairs=pairs)
+        return lists.Permitted(own, topics, exempt, semantics.topic_rules_both_ways)
 
     def _refuted(self, claim: Callable[..., Claim], witnesses: Sequence[tuple[Situation, Witness]]) -> Claim:
         """Return the claim with the shortest counterexample; between two bounds a witness may be none."""
@@ -277,36 +266,34 @@ def prove_content(
     question = ProofQuestion(document, task, lower(task.rules, task.distro) if lowered is None else lowered, governance)
     claims = prove_document(question, models=names)
     # Proofs do not depend on the place of the document; counterexamples name it.
-    if all(claim.proof is Proof.PROVEN for claim in claims):
-        _keep(key, claims)
+    if all(claim.proof is Proof.PROVEN for claim in claims) and len(_proven) < MOST:
+        _proven[key] = claims
     return claims
 
 
-def remember(task: ComparisonTask, rules: tuple[Kind, Arguments], claims: tuple[Claim, ...]) -> None:
-    """Remember what is proven about a document, by the models that its distribution ships and without its governance.
+def remember(
+    task: ComparisonTask,
+    claims: tuple[Claim, ...],
+    rules: tuple[Kind, Arguments] | None = None,
+    models: tuple[str, ...] | None = None,
+    governance: EnclaveGovernance | None = None,
+) -> None:
+    """Remember what is proven about a document.
 
     Args:
         task: the document, and what it must permit.
-        rules: the kind of its rules, and the names in these.
         claims: what is proven.
+        rules: the kind of its rules, and the names in these, if known.
+        models: by which models; None: those that its distribution ships.
+        governance: the governance beside it; None: all is under access control.
     """
-    _keep(_key(task, rules, shipped_models(task.distro)), claims)
-
-
-def know(
-    task: ComparisonTask, governance: EnclaveGovernance, models: tuple[str, ...], claims: tuple[Claim, ...]
-) -> None:
-    """Remember what is proven about a document by some models, together with its governance."""
-    key = b"" if governance.transparent(task.domains) else governance.key
-    _keep(_key(task, kind_of(task.rules.rules), models, key), claims)
-
-
-def _keep(key: _Key, claims: tuple[Claim, ...]) -> None:
+    digest = b"" if governance is None or governance.transparent(task.domains) else governance.key
+    key = _key(task, rules or kind_of(task.rules.rules), models or shipped_models(task.distro), digest)
     if len(_proven) < MOST:
         _proven[key] = claims
 
 
-def _key(task: ComparisonTask, rules: tuple[Kind, Arguments], models: tuple[str, ...], governance: bytes = b"") -> _Key:
+def _key(task: ComparisonTask, rules: tuple[Kind, Arguments], models: tuple[str, ...], governance: bytes) -> _Key:
     """Return everything that proven claims depend on."""
     digest = hashlib.sha256(task.document).digest()
     return digest, governance, *rules, task.subject_name, task.rules.subject, task.distro, task.domains, models

@@ -15,17 +15,8 @@ from keymint.api import Enclave, Environment
 from keymint.api.transports import installed_file
 from keymint.errors import KeymintError
 from keymint.pki import certificates, mime, smime
+from keymint_ros2_dds import enclave_layout as layout
 from keymint_ros2_dds import subject_names
-from keymint_ros2_dds.enclave_layout import (
-    CA,
-    CERTIFICATE,
-    GOVERNANCE_P7S,
-    KEY,
-    KEY_URI,
-    PERMISSIONS_CA,
-    PERMISSIONS_P7S,
-    PERMISSIONS_XML,
-)
 from keymint_ros2_dds.lowering.name_mapping import DDS_TOPICS
 from keymint_ros2_dds.reading import signed_governance, signed_permissions
 from keymint_ros2_dds.reading.signed_governance import GovernanceDocument
@@ -48,22 +39,21 @@ def signed_documents(folder: Path, environment: Environment) -> SignedDocuments:
     Raises:
         KeymintError: a file cannot be read, or a signature is not valid.
     """
-    # The layout of Ardent has one file for both authorities.
-    authority = installed_file(folder / (PERMISSIONS_CA if (folder / PERMISSIONS_CA).exists() else CA))
-    permissions, governance = installed_file(folder / PERMISSIONS_P7S), installed_file(folder / GOVERNANCE_P7S)
-    certificate = installed_file(folder / CERTIFICATE)
+    names = layout.PERMISSIONS_P7S, layout.GOVERNANCE_P7S, layout.CERTIFICATE
+    authority = installed_file(folder / layout.authority_file(folder, layout.PERMISSIONS_CA))
+    permissions, governance, certificate = (installed_file(folder / name) for name in names)
     files = (authority, permissions, governance, certificate)
     key = b"".join(hashlib.sha256(file).digest() for file in files)
     documents = environment.opened.get(key)
     if not isinstance(documents, SignedDocuments):
         verified = [
             smime.verify(signed, authority, at=environment.now, where=Origin(name))
-            for name, signed in ((PERMISSIONS_P7S, permissions), (GOVERNANCE_P7S, governance))
+            for name, signed in ((layout.PERMISSIONS_P7S, permissions), (layout.GOVERNANCE_P7S, governance))
         ]
         documents = environment.opened[key] = SignedDocuments(
             signed_permissions.read(verified[0]),
             signed_governance.read(verified[1]),
-            subject_name(certificate, Origin(CERTIFICATE)),
+            subject_name(certificate, Origin(layout.CERTIFICATE)),
         )
     return documents
 
@@ -74,8 +64,8 @@ def unverified_permissions(folder: Path) -> PermissionsDocument:
     Raises:
         KeymintError: it cannot be read.
     """
-    signed = installed_file(folder / PERMISSIONS_P7S)
-    return signed_permissions.read(smime.signed_content(signed, Origin(PERMISSIONS_P7S)))
+    signed = installed_file(folder / layout.PERMISSIONS_P7S)
+    return signed_permissions.read(smime.signed_content(signed, Origin(layout.PERMISSIONS_P7S)))
 
 
 def crash(permissions: PermissionsDocument) -> str:
@@ -93,8 +83,8 @@ def document_topics(enclave: Enclave) -> tuple[tuple[str, tuple[str, ...]], ...]
     with suppress(KeymintError):
         found |= dict.fromkeys(_permitted_topics(unverified_permissions(enclave.folder)))
     with suppress(KeymintError):
-        signed = installed_file(enclave.folder / GOVERNANCE_P7S)
-        governance = signed_governance.read(smime.signed_content(signed, Origin(GOVERNANCE_P7S)))
+        signed = installed_file(enclave.folder / layout.GOVERNANCE_P7S)
+        governance = signed_governance.read(smime.signed_content(signed, Origin(layout.GOVERNANCE_P7S)))
         expressions = (rule.expression for each in governance.domain_rules for rule in each.topic_rules)
         found |= {(expression, ()): None for expression in expressions if expression != "*"}
     return tuple(found)
@@ -117,8 +107,8 @@ def distro_of(paths: Iterable[str], content: Callable[[str], bytes | None]) -> s
     """
     for path in paths:
         with suppress(KeymintError):
-            found = content(path) if path.endswith(f"/{PERMISSIONS_P7S}") else None
-            grants = signed_permissions.read(smime.signed_content(found), PERMISSIONS_P7S).grants if found else ()
+            found = content(path) if path.endswith(f"/{layout.PERMISSIONS_P7S}") else None
+            grants = signed_permissions.read(smime.signed_content(found)).grants if found else ()
             criteria = (one for grant in grants for rule in grant.rules for one in rule.criteria)
             if any(name.partition("/")[0] in _OF_ARDENT for one in criteria for name in one.partitions or ()):
                 return "ardent"
@@ -127,7 +117,7 @@ def distro_of(paths: Iterable[str], content: Callable[[str], bytes | None]) -> s
 
 def rules_file(folder: Path) -> Path:
     """Return the permissions document of an enclave: the unsigned one if it is there, else the signed one."""
-    return folder / (PERMISSIONS_XML if (folder / PERMISSIONS_XML).exists() else PERMISSIONS_P7S)
+    return folder / (layout.PERMISSIONS_XML if (folder / layout.PERMISSIONS_XML).exists() else layout.PERMISSIONS_P7S)
 
 
 def subject_name(certificate: bytes, where: Origin) -> str:
@@ -145,13 +135,13 @@ def refuse_unusable_key(enclave: Enclave) -> None:
     Raises:
         KeymintError: that is so.
     """
-    if (enclave.folder / KEY_URI).is_file():
+    if (enclave.folder / layout.KEY_URI).is_file():
         raise KeymintError(
             f"the private key of {enclave.subject} lies in a token of its robot, so no participant can be started here",
             help="use transports that need no key: -t omg -t fastdds-2.9",
             code="key-in-token",
         )
-    if (enclave.folder / KEY).is_file() and b"ENCRYPTED" in installed_file(enclave.folder / KEY):
+    if (enclave.folder / layout.KEY).is_file() and b"ENCRYPTED" in installed_file(enclave.folder / layout.KEY):
         raise KeymintError(
             f"the private key of {enclave.subject} is encrypted, and participants cannot be given the password",
             help="use transports that need no key: -t omg -t cyclonedds-0.10 -t fastdds-2.9",

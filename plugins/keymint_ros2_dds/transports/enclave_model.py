@@ -19,25 +19,15 @@ from cryptography import x509
 
 from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
-from comarmor.values import dataclass
 from keymint.api import Availability, Enclave, Environment, Tier, Verdict
 from keymint.api.graph import Column, Edge
 from keymint.api.transports import EnclavesBySubject, installed_file
 from keymint.errors import KeymintError
 from keymint.pki import certificates, revocation_lists
+from keymint_ros2_dds import enclave_layout as layout
 from keymint_ros2_dds.decision import semantics
 from keymint_ros2_dds.decision.evaluator import DocumentEvaluator, DomainAccess, topic_rule
 from keymint_ros2_dds.decision.semantics import OMG, VARIATIONS, Semantics, Variation
-from keymint_ros2_dds.enclave_layout import (
-    CA,
-    CERTIFICATE,
-    CRL,
-    IDENTITY_CA,
-    KEY,
-    KEY_URI,
-    PERMISSIONS_XML,
-    reads_revocations,
-)
 from keymint_ros2_dds.lowering.endpoints import endpoints
 from keymint_ros2_dds.reading import dialects
 from keymint_ros2_dds.reading.signed_governance import DocumentDomainRule, DocumentTopicRule
@@ -46,46 +36,51 @@ from keymint_ros2_dds.transports import enclave_files
 _LIST = lazy_regex(rb"-----BEGIN X509 CRL-----.*?-----END X509 CRL-----", re.DOTALL)
 
 
-@dataclass(frozen=True, slots=True)
 class Authentication:
     """What the participant of an enclave authenticates with.
 
+    Args:
+        enclave: the enclave.
+        now: the clock, UTC.
+
     Attributes:
         certificate: its own.
-        authorities: the certificates in the file of the identity authority, in the file's order.
-        listed: its revocation list, or None.
-        unread: it has a file for that, which is no revocation list.
-        among: the revocation lists in the file of the identity authority.
-        in_token: its private key lies in a token, and in no file.
-        now: the clock, UTC.
+
+    Raises:
+        KeymintError: a file cannot be read, or is no certificate.
     """
 
-    certificate: x509.Certificate
-    authorities: tuple[x509.Certificate, ...]
-    listed: x509.CertificateRevocationList | None
-    unread: bool
-    among: tuple[x509.CertificateRevocationList, ...]
-    in_token: bool
-    now: datetime
+    def __init__(self, enclave: Enclave, now: datetime) -> None:
+        folder = enclave.folder
+        trusted = layout.authority_file(folder, layout.IDENTITY_CA)
+        bundle, reads = installed_file(folder / trusted), layout.reads_revocations(enclave.distro)
+        self.certificate = certificates.load(installed_file(folder / layout.CERTIFICATE), Origin(layout.CERTIFICATE))
+        self._now = now
+        self._authorities = certificates.load_bundle(bundle, Origin(trusted))
+        has_list = reads and (folder / layout.CRL).exists()
+        self._listed = revocation_lists.first(installed_file(folder / layout.CRL)) if has_list else None
+        self._unread = has_list and self._listed is None
+        self._among = tuple(map(revocation_lists.first, _LIST.findall(bundle)))
+        self._in_token = (folder / layout.KEY_URI).exists() and not (folder / layout.KEY).exists()
 
     def refusal(self, semantics: Semantics) -> str:
         """Return why the participant is not created, or an empty text."""
-        if self.in_token and not semantics.keys_in_tokens:
-            return f"{KEY} is missing, and {KEY_URI} is not read"
+        if self._in_token and not semantics.keys_in_tokens:
+            return f"{layout.KEY} is missing, and {layout.KEY_URI} is not read"
         return self.refuses(self.certificate, semantics)
 
     def refuses(self, certificate: x509.Certificate, semantics: Semantics) -> str:
         """Return why a certificate is refused, in a handshake or at creation; or an empty text."""
-        trusted = self.authorities[:1] if semantics.one_authority else self.authorities
+        trusted = self._authorities[:1] if semantics.one_authority else self._authorities
         issuer = next((each for each in trusted if _is_issued_by(certificate, each)), None)
         if issuer is None:
-            return f"{CERTIFICATE} is by no authority that is trusted"
+            return f"{layout.CERTIFICATE} is by no authority that is trusted"
         period = certificates.period(certificate)
-        lists = (self.listed, *(self.among if semantics.lists_among_authorities else ()))
+        lists = (self._listed, *(self._among if semantics.lists_among_authorities else ()))
         return (
-            _outside(f"the certificate in {CERTIFICATE}", *period, self.now)
-            or (f"{CRL} is not a revocation list" if self.unread else "")
-            or _revoked(certificate, issuer, [each for each in lists if each is not None], self.now)
+            _outside(f"the certificate in {layout.CERTIFICATE}", *period, self._now)
+            or (f"{layout.CRL} is not a revocation list" if self._unread else "")
+            or _revoked(certificate, issuer, [each for each in lists if each is not None], self._now)
         )
 
 
@@ -105,43 +100,17 @@ def _revoked(
         return ""
     found = next((each for each in lists if revocation_lists.is_by(each, issuer)), None)
     if found is None:
-        return f"the revocation list in {CRL} is by another authority"
-    if problem := _outside(f"the revocation list in {CRL}", *revocation_lists.period(found), now):
+        return f"the revocation list in {layout.CRL} is by another authority"
+    if problem := _outside(f"the revocation list in {layout.CRL}", *revocation_lists.period(found), now):
         return problem
     revoked = found.get_revoked_certificate_by_serial_number(certificate.serial_number)
-    return "" if revoked is None else f"{CRL} revokes the certificate"
+    return "" if revoked is None else f"{layout.CRL} revokes the certificate"
 
 
 def _outside(what: str, begin: datetime, end: datetime, now: datetime) -> str:
     if now > end:
         return f"{what} has expired"
     return f"{what} is not yet valid" if now < begin else ""
-
-
-def load(enclave: Enclave, now: datetime) -> Authentication:
-    """Read what the participant of an enclave authenticates with.
-
-    Args:
-        enclave: the enclave.
-        now: the clock, UTC.
-
-    Raises:
-        KeymintError: a file cannot be read, or is no certificate.
-    """
-    folder = enclave.folder
-    trusted = IDENTITY_CA if (folder / IDENTITY_CA).exists() else CA  # the layout of Ardent has one file for both
-    bundle = installed_file(folder / trusted)
-    reads = reads_revocations(enclave.distro) and (folder / CRL).exists()
-    listed = revocation_lists.first(installed_file(folder / CRL)) if reads else None
-    return Authentication(
-        certificates.load(installed_file(folder / CERTIFICATE), Origin(CERTIFICATE)),
-        certificates.load_bundle(bundle, Origin(trusted)),
-        listed,
-        reads and listed is None,
-        tuple(each for each in map(revocation_lists.first, _LIST.findall(bundle)) if each is not None),
-        (folder / KEY_URI).exists() and not (folder / KEY).exists(),
-        now,
-    )
 
 
 class EnclaveModel:
@@ -171,7 +140,7 @@ class EnclaveModel:
         self.refusal = ""
         try:
             documents = enclave_files.signed_documents(enclave.folder, environment)
-            self._authentication = load(enclave, environment.now)
+            self._authentication = Authentication(enclave, environment.now)
             self.documents = documents
         except KeymintError as error:
             enclave_files.raise_if_unread(error, enclave.folder)
@@ -271,7 +240,7 @@ class EnclaveModel:
 
 def _line(modelled: Verdict) -> int:
     """Return the line of the permissions that decided; 0 if none did."""
-    return modelled.where.line if modelled.where and modelled.where.file == PERMISSIONS_XML else 0
+    return modelled.where.line if modelled.where and modelled.where.file == layout.PERMISSIONS_XML else 0
 
 
 def _reason(modelled: Verdict) -> str:

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from comarmor.values import dataclass
+from keymint_ros2_dds.enclave_layout import PERMISSIONS_CA, authority_file
 
 Document = Path | bytes | str
 """A file, the content itself, or a URI (``file:`` or ``data:,``) as the property of a participant has it."""
@@ -194,10 +195,9 @@ class CycloneAccessControl:
     @classmethod
     def of_enclave(cls, folder: Path, domain: int = 0) -> Self:
         """Open an enclave in the layout of sros2, current or of Ardent (``ca.cert.pem`` for both authorities)."""
-        authority = folder / "permissions_ca.cert.pem"
         return cls(
             certificate=folder / "cert.pem",
-            permissions_ca=authority if authority.exists() else folder / "ca.cert.pem",
+            permissions_ca=folder / authority_file(folder, PERMISSIONS_CA),
             governance=folder / "governance.p7s",
             permissions=folder / "permissions.p7s",
             domain=domain,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 from cryptography import x509
 from keymint_ros2_dds.decision.semantics import CYCLONEDDS_0_10, FASTDDS_2_9, OMG, VARIATIONS, Variation
-from keymint_ros2_dds.transports.enclave_model import EnclaveModel, load
+from keymint_ros2_dds.transports.enclave_model import Authentication, EnclaveModel
 
 from keymint.api import Enclave, Environment
 from keymint.api.graph import Column, Edge, Object
@@ -42,7 +42,7 @@ def put(enclave: Enclave, name: str, content: bytes) -> None:
 
 
 def refusal(enclave: Enclave, variation: Variation = OMG, now: datetime = NOW) -> str:
-    return load(enclave, now).refusal(variation.semantics)
+    return Authentication(enclave, now).refusal(variation.semantics)
 
 
 @pytest.mark.parametrize("variation", ALL, ids=lambda each: each.name)
