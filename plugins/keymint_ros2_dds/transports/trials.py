@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import replace
+from functools import partial
 from itertools import groupby, islice, repeat
 from typing import cast
 
@@ -33,7 +34,6 @@ from keymint_ros2_dds.vendors.cyclone_access_control import CycloneAccessControl
 from keymint_ros2_dds.vendors.participants import (
     CycloneDDS,
     DeniedError,
-    ProbeEndpoint,
     ProbeParticipant,
     RefusedError,
     System,
@@ -229,8 +229,8 @@ def _deliver(vendor: Vendor, enclave: Enclave, trials: Sequence[_Trial]) -> None
         return
     with participants(vendor, enclave.subject) as system:
         pairs = _pairs(system, enclave, trials, conforming=True)
-        for trial, ends in pairs:
-            trial.delivered = ends is not None and ends.arrives(DELIVERY_SECONDS)
+        for trial, arrives in pairs:
+            trial.delivered = arrives is not None and arrives(DELIVERY_SECONDS)
 
 
 def _intrude(vendor: Vendor, enclave: Enclave, trials: Sequence[_Trial]) -> None:
@@ -241,35 +241,24 @@ def _intrude(vendor: Vendor, enclave: Enclave, trials: Sequence[_Trial]) -> None
     with participants(vendor, enclave.subject) as system:
         shown = [trial for trial in trials if trial.admitted and trial.delivered][:1]
         pairs = _pairs(system, enclave, [*denied, *shown], conforming=False)
-        known = any(ends is not None and trial.admitted and ends.arrives(DELIVERY_SECONDS) for trial, ends in pairs)
+        known = any(arrives is not None and trial.admitted and arrives(DELIVERY_SECONDS) for trial, arrives in pairs)
         seconds = SETTLE_SECONDS if known else SILENCE_SECONDS
-        for trial, ends in pairs:
-            if not trial.admitted and ends is not None:
-                trial.delivered = ends.arrives(seconds)
+        for trial, arrives in pairs:
+            if not trial.admitted and arrives is not None:
+                trial.delivered = arrives(seconds)
                 seconds = 0.01  # time has passed for all of them
 
 
-@dataclass(frozen=True, slots=True)
-class _SentSample:
-    """A sample that was written, and the reader that waits for it."""
-
-    reader: ProbeEndpoint
-    text: str
-
-    def arrives(self, seconds: float) -> bool:
-        """Wait until the sample arrives; skip samples of other writers on the topic."""
-        while (sample := self.reader.read(seconds)) is not None:
-            if sample == self.text:
-                return True
-        return False
+_Arrives = Callable[[float], bool]
+"""Waits some seconds until a sample that was written arrives."""
 
 
 def _pairs(
     system: System, enclave: Enclave, trials: Sequence[_Trial], *, conforming: bool
-) -> list[tuple[_Trial, _SentSample | None]]:
+) -> list[tuple[_Trial, _Arrives | None]]:
     """Create both ends of each endpoint, in order, and write a sample; None if an end cannot be created."""
     domain, peer = trials[0].endpoint.domain, cast("Enclave", trials[0].peer)
-    pairs: list[tuple[_Trial, _SentSample | None]] = []
+    pairs: list[tuple[_Trial, _Arrives | None]] = []
     try:
         other = open_participant(system, peer, domain)
         own = open_participant(system, enclave, domain, conforming=conforming)
@@ -287,7 +276,7 @@ def _pairs(
         writer, reader = (near, far) if permission == "publish" else (far, near)
         text = f"{trial.endpoint.subject} {number}"
         writer.write(text)
-        pairs.append((trial, _SentSample(reader, text)))
+        pairs.append((trial, partial(reader.receives, text)))
     return pairs
 
 

@@ -238,6 +238,13 @@ class ProbeEndpoint:
         answer, text = self._process.ask("READ", self._name, str(round(seconds * 1000)), seconds=seconds)
         return text if answer == "SAMPLE" else None
 
+    def receives(self, text: str, seconds: float) -> bool:
+        """Wait until a sample arrives; skip samples of other writers on the topic."""
+        while (sample := self.read(seconds)) is not None:
+            if sample == text:
+                return True
+        return False
+
 
 class ProbeProcess(CommandProcess):
     """A probe's process."""
