@@ -288,7 +288,8 @@ def remember(
         governance: the governance beside it; None: all is under access control.
     """
     digest = b"" if governance is None or governance.transparent(task.domains) else governance.key
-    key = _key(task, rules or kind_of(task.rules.rules), models or shipped_models(task.distro), digest)
+    names = shipped_models(task.distro) if models is None else models
+    key = _key(task, rules or kind_of(task.rules.rules), names, digest)
     if len(_proven) < MOST:
         _proven[key] = claims
 
