@@ -17,10 +17,7 @@ def rule(
 
 
 def names(kind: str, permission: str, text: str, *more) -> set[tuple[str, str, str]]:
-    return {
-        (each.tag, each.permission, each.text)
-        for each in expressed_names(rule(kind, permission, text, *more), permission, text)
-    }
+    return set(expressed_names(rule(kind, permission, text, *more), permission, text))
 
 
 @pytest.mark.parametrize(
