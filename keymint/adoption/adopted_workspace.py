@@ -19,7 +19,6 @@ from comarmor.values import dataclass
 from keymint.adoption.keystore_policy import AdoptedPolicy
 from keymint.api import (
     AdoptedSources,
-    AdoptingPackageType,
     Bootstrap,
     BuildOptions,
     DomainRange,
@@ -117,12 +116,7 @@ def _profile(inputs: Inputs, adoption: Adoption) -> Plan:
 
 def _sources(session: Session, adoption: Adoption) -> Plan:
     """Plan the source package and the private key of each enclave."""
-    package_type, issuance_files = session.package_type, session.issuance_files
-    if not isinstance(package_type, AdoptingPackageType) or issuance_files is None:
-        raise KeymintError(
-            f"packages of the type {session.profile.package_type!r} cannot describe what another tool made",
-            where=session.profile_marker(), help="use the profile type keymint_ros", code="adopt-unsupported",
-        )  # fmt: skip
+    package_type = session.package_type
     own_domain = (DomainRange(adoption.request.domain, adoption.request.domain),)
     steps = []
     for enclave in adoption.found.enclaves:
@@ -150,11 +144,14 @@ def _sources(session: Session, adoption: Adoption) -> Plan:
             certificate=certificates.to_pem(certificate),
             exposed=certificates.fingerprint(certificate) if enclave.exposed else "",
         )
-        files = {
-            **issuance_files.with_issuance(decided),
-            **package_type.adopted_sources(session.profile, sources),
-        }
-        changes = [FolderChange(session.workspace.src / name, marker_last(session.package_type, files))]
+        described = package_type.adopted_sources(session.profile, sources)
+        if described is None or not package_type.ISSUANCE:
+            raise KeymintError(
+                f"packages of the type {session.profile.package_type!r} cannot describe what another tool made",
+                where=session.profile_marker(), help="use the profile type keymint_ros", code="adopt-unsupported",
+            )  # fmt: skip
+        files = {**package_type.with_issuance(decided), **described}
+        changes = [FolderChange(session.workspace.src / name, marker_last(package_type, files))]
         if enclave.key:
             changes.append(secret_file(session.workspace.identity_key(name), enclave.key))
         steps.append(Step(STAGE, name, Action.CREATED, tuple(changes)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from keymint.api import HardenedPackageType, HardenedProfileType, Validity
+from keymint.api import Validity
 from keymint.authority.authorities import authority_named
 from keymint.errors import KeymintError
 from keymint.store.changes import Action, Plan, Step, folder_changes
@@ -20,12 +20,11 @@ def plan_names(session: Session, names: Sequence[str]) -> Plan:
     Raises:
         KeymintError: the sources are written in another way than Keymint writes them.
     """
-    package_type = session.package_type
-    if not isinstance(package_type, HardenedPackageType):
-        raise _unsupported(session, f"packages of the type {session.profile.package_type!r}")
     steps = []
     for name in names:
-        new = package_type.with_unique_name(session.profile, name, session.package_files(name))
+        new = session.package_type.with_unique_name(session.profile, name, session.package_files(name))
+        if new is None:
+            raise _unsupported(session, f"packages of the type {session.profile.package_type!r}")
         changes = folder_changes(session.tree, session.workspace.src / name, new)
         steps.append(Step(STAGE, name, Action.UPDATED if changes else Action.UNCHANGED, changes, "unique subject name"))
     return Plan(tuple(steps), session.state)
@@ -38,10 +37,9 @@ def plan_authority(session: Session, former: str) -> Plan:
         KeymintError: the profile is written in another way than Keymint writes it, or has such an authority.
     """
     profile = session.profile
-    profile_type: object = session.profile_type
-    if not isinstance(profile_type, HardenedProfileType):
+    name = session.profile_type.SIGNER
+    if not name:
         raise _unsupported(session, f"profiles of the type {profile.profile_type!r}")
-    name = profile_type.SIGNER
     if name in {each.name for each in profile.authorities}:
         raise KeymintError(
             f"the profile has an authority {name!r} already", where=session.profile_marker(),
@@ -49,7 +47,7 @@ def plan_authority(session: Session, former: str) -> Plan:
         )  # fmt: skip
 
     def plan(validity: Validity | None) -> Plan:
-        edited = profile_type.with_own_signer(profile, former, validity)
+        edited = session.profile_type.with_own_signer(profile, former, validity)
         changes = folder_changes(session.tree, session.workspace.profile, edited)
         return Plan((Step(STAGE, "", Action.UPDATED, changes, f"{name} signs in place of {former}"),), session.state)
 

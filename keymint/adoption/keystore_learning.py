@@ -16,7 +16,6 @@ from keymint.api import (
     GrantedRules,
     KeystoreFiles,
     KeystoreReader,
-    PolicyWriter,
     Relation,
 )
 from keymint.api.plugin_loader import Plugins
@@ -80,9 +79,7 @@ def learned_from(plugins: Plugins, files: KeystoreFiles, found: FoundKeystore, l
         KeymintError: a signature does not verify, a document grants what no policy can say, or the proof fails; each
             with its place.
     """
-    writer: object = plugins.policy_type(learning.policy_type)
-    if not isinstance(writer, PolicyWriter):
-        raise KeymintError(f"the policy type {learning.policy_type!r} cannot write rules", code="learn-unsupported")
+    writer = plugins.policy_type(learning.policy_type)
     if refused := [each for each in found.diagnostics if each.code in _REFUSED]:
         raise KeymintError.of(refused)
     granted: list[GrantedRules] = []
@@ -96,12 +93,15 @@ def learned_from(plugins: Plugins, files: KeystoreFiles, found: FoundKeystore, l
     if errors:
         raise KeymintError.of(errors)
     policy = writer.policy_of([each.rules for each in granted], learning.name, _NOTE)
-    if unproven := list(_unproven(granted, policy.subjects, learning)):
+    if policy is None:
+        raise KeymintError(f"the policy type {learning.policy_type!r} cannot write rules", code="learn-unsupported")
+    document, subjects = policy
+    if unproven := list(_unproven(granted, subjects, learning)):
         raise KeymintError.of(unproven)
     defects = (each for each in found.diagnostics if each.severity is Severity.ERROR)
     warnings = (replace(each, severity=Severity.WARNING) for each in defects)
     diagnostics = (*warnings, *(diagnostic for each in granted for diagnostic in each.diagnostics))
-    return LearnedKeystore(policy.document, tuple(granted), policy.subjects, diagnostics)
+    return LearnedKeystore(document, tuple(granted), subjects, diagnostics)
 
 
 def _check_name(files: KeystoreFiles, enclave: FoundEnclave) -> None:

@@ -43,7 +43,6 @@ from keymint.analysis.subject_patterns import (
     profile_subjects,
     representatives,
     rules_of,
-    structure,
 )
 from keymint.api import LoadedPolicy, PolicyStructure, WrittenRule
 
@@ -147,7 +146,7 @@ class ChannelSearch:
 
         No result proves that there is none. Writer and reader are patterns of subjects.
         """
-        written = structure(self._policy)
+        written = self._policy.structure()
         if written is None:
             return
         for send, receive in FLOWS:

@@ -21,7 +21,7 @@ from keymint.analysis.permission_changes import (
 )
 from keymint.analysis.rule_lists import SEPARATOR, pattern_text
 from keymint.analysis.subject_classes import ClassFinder
-from keymint.analysis.subject_patterns import EVERY, ROOT_ENCLAVE, SubjectClass, structure
+from keymint.analysis.subject_patterns import EVERY, ROOT_ENCLAVE, SubjectClass
 from keymint.analysis.symbolic_rules import SymbolicRules, exact_halves, fill_placeholders
 from keymint.analysis.symbolic_search import QueryBudget
 from keymint.api import LoadedPolicy
@@ -73,7 +73,7 @@ def diff_policies(old: LoadedPolicy, new: LoadedPolicy, budget: QueryBudget | No
         budget: limit of the search; undecided changes are returned as unknown.
     """
     budget = budget or QueryBudget()
-    written = [structure(policy) for policy in (old, new)]
+    written = [policy.structure() for policy in (old, new)]
     books = [SymbolicRules(each) for each in written if each]
     named = {*old.subjects(), *new.subjects()}.union(*(book.singles for book in books))
     own = {subject: _of_subject(old, new, subject, budget) for subject in sorted(named | {ROOT_ENCLAVE})}

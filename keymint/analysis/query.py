@@ -27,7 +27,7 @@ from keymint.analysis.rule_lists import (
     query_pattern,
     rule_patterns,
 )
-from keymint.analysis.subject_patterns import can_exist, named_subjects, rules_of, structure
+from keymint.analysis.subject_patterns import can_exist, named_subjects, rules_of
 from keymint.analysis.symbolic_rules import EVERYBODY, Entries, SymbolicEntry, SymbolicRules
 from keymint.analysis.symbolic_search import QueryBudget, find_subject
 from keymint.api import LoadedPolicy
@@ -144,7 +144,7 @@ def who_can(policy: LoadedPolicy, within: Glob, kind: str, permission: str, name
         permission: a permission of that kind.
         name: pattern of the objects; for kind ``topic`` with the partition.
     """
-    written = structure(policy) if literal(within) is None else None
+    written = policy.structure() if literal(within) is None else None
     rules = SymbolicRules(written) if written else None
     singles = (
         [subject for subject in rules.singles if matches(within, subject) and can_exist((subject,))] if rules else []

@@ -22,7 +22,7 @@ from comarmor.rules import is_fully_qualified, is_subject
 from comarmor.text import did_you_mean
 from comarmor.values import dataclass
 from keymint.analysis.rule_lists import allow_only, find_permitted, overlap, pattern_text
-from keymint.api import LoadedPolicy, PolicyStructure, StructuredPolicy, WrittenProfile, WrittenRule
+from keymint.api import LoadedPolicy, WrittenProfile, WrittenRule
 from keymint.ir import Rule
 
 ROOT_ENCLAVE = "/"
@@ -57,11 +57,6 @@ class SubjectClass:
         """Return the overlaps of patterns with the class, without those that the class surely excludes."""
         pieces = (piece for one in patterns for piece in overlap(self.like, one))
         return [piece for piece in pieces if not any(covers(each, piece) for each in self.excluded)]
-
-
-def structure(policy: LoadedPolicy) -> PolicyStructure | None:
-    """Return the structure of a policy, or None if its type does not provide it."""
-    return policy.structure() if isinstance(policy, StructuredPolicy) else None
 
 
 def rules_of(policy: LoadedPolicy, subject: str) -> tuple[Rule, ...]:
@@ -137,7 +132,7 @@ def pattern_examples(policy: LoadedPolicy, given_up: list[str] | None = None) ->
         policy: the policy.
         given_up: receives a text for each reason why a pattern may have no example.
     """
-    written = structure(policy)
+    written = policy.structure()
     if written is None:
         return {}
     wild: dict[Glob, None] = {}
@@ -271,7 +266,7 @@ def unknown_subject(policy: LoadedPolicy, pattern: Glob) -> str:
 def representatives(policy: LoadedPolicy, pattern: Glob) -> tuple[str, ...]:
     """Return the subjects of :func:`named_subjects`, or if there are none an example for each profile."""
     named = named_subjects(policy, pattern)
-    written = None if named else structure(policy)
+    written = None if named else policy.structure()
     examples: dict[str, None] = {}
     for profile in written.profiles if written else ():
         chain = profile_chain(profile)

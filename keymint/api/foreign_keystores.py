@@ -4,17 +4,16 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import field
 from datetime import datetime
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 from comarmor.errors import Diagnostic
 from comarmor.values import dataclass
 from keymint.api.certificates import KeySpec, Validity
-from keymint.api.foreign_policies import ImportedSubject
 from keymint.api.packages import DomainRange, Package
-from keymint.api.profiles import WorkspaceProfile
+from keymint.api.policy_types import ImportedSubject
 from keymint.api.rights import Comparison, ComparisonTask, DocumentComparison
 from keymint.ir import SubjectRules
 
@@ -177,53 +176,6 @@ class AdoptedSources:
     documents: Mapping[str, bytes] = field(repr=False)
 
 
-@runtime_checkable
-class AdoptingPackageType(Protocol):
-    """Optional capability of a package type: its sources describe enclaves that another tool made."""
-
-    def adopted_sources(self, profile: WorkspaceProfile, sources: AdoptedSources) -> Mapping[str, bytes]:
-        """Return the files of a new package, by name."""
-
-
-@runtime_checkable
-class HardenedPackageType(Protocol):
-    """Optional capability of a package type: gives a subject a name that no other name is taken for."""
-
-    def with_unique_name(self, profile: WorkspaceProfile, name: str, files: Mapping[str, bytes]) -> Mapping[str, bytes]:
-        """Return the files of a package that change, by name, so that its subject name has a second, unique RDN.
-
-        Args:
-            profile: the profile of the workspace.
-            name: the package.
-            files: its files by name.
-
-        Raises:
-            KeymintError: its owner wrote them in another way.
-        """
-
-
-@runtime_checkable
-class HardenedProfileType(Protocol):
-    """Optional capability of a profile type: gives the signature of documents to an authority of its own."""
-
-    SIGNER: str
-    """Name of that authority."""
-
-    def with_own_signer(
-        self, profile: WorkspaceProfile, former: str, validity: Validity | None = None
-    ) -> Mapping[str, bytes]:
-        """Return the files of a profile that change, by path, so that a new authority signs the documents.
-
-        Args:
-            profile: the profile.
-            former: the authority that signs them now.
-            validity: the period of the new authority's certificate; None for that of the defaults.
-
-        Raises:
-            KeymintError: its owner wrote them in another way.
-        """
-
-
 # -- learn a policy from documents in force: a build type reads their rules, and a policy type writes them ------------
 
 
@@ -248,36 +200,6 @@ class GrantedRules:
     subject_name: str
     domains: tuple[DomainRange, ...]
     diagnostics: tuple[Diagnostic, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class PolicyOfRules:
-    """A policy that was written from rules, and read again.
-
-    Attributes:
-        document: the policy.
-        subjects: the rules of each subject as the document gives them.
-    """
-
-    document: bytes = field(repr=False)
-    subjects: tuple[SubjectRules, ...]
-
-
-@runtime_checkable
-class PolicyWriter(Protocol):
-    """Optional capability of a policy type: writes rules as a policy."""
-
-    def policy_of(self, subjects: Sequence[SubjectRules], name: str, note: str = "") -> PolicyOfRules:
-        """Write a policy in which each subject has its rules, and read it again.
-
-        Args:
-            subjects: rules of kinds and permissions that policies have; of several of one kind, the fewest are written.
-            name: path of the new policy, as the user would type it, for the places of its rules.
-            note: a comment for its head; empty for none.
-
-        Raises:
-            KeymintError: the format cannot express a rule.
-        """
 
 
 class KeystoreReader(ABC):

@@ -1,26 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
+# ruff: noqa: ARG002 - defaults ignore their arguments
 """Package types: create and load source packages."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
-from typing import Protocol, runtime_checkable
 
 from comarmor.errors import Diagnostic, Origin
 from keymint.api.build_types import BuildType
+from keymint.api.foreign_keystores import AdoptedSources
 from keymint.api.packages import Issuance, Package, Role
 from keymint.api.profiles import WorkspaceProfile
 from keymint.ir import SubjectRules
 
 
-class PackageType(Protocol):
-    """Creates and loads source packages."""
+class PackageType(ABC):
+    """Creates and loads source packages. What has a default is optional."""
 
     API: str
     MARKER: str
     """Name of the file that marks a folder as a package, e.g. ``keymint_package.xml``."""
+    ISSUANCE: str = ""
+    """Name of the file that has what an authority decided about the certificate, relative to the folder of a package.
 
+    A package without it has the defaults; empty if the packages keep nothing about it.
+    """
+
+    @abstractmethod
     def create(
         self, profile: WorkspaceProfile, rules: SubjectRules, existing: Mapping[str, bytes], *, force: bool
     ) -> Mapping[str, bytes]:
@@ -34,6 +42,7 @@ class PackageType(Protocol):
                 False.
         """
 
+    @abstractmethod
     def create_infrastructure(
         self, profile: WorkspaceProfile, name: str, build_type: str, existing: Mapping[str, bytes]
     ) -> Mapping[str, bytes]:
@@ -46,9 +55,11 @@ class PackageType(Protocol):
             existing: the package's present files; empty for a new package.
         """
 
+    @abstractmethod
     def role(self, manifest: bytes) -> Role:
         """Return why a package exists, from the file :attr:`MARKER`; that of a subject if this has defects."""
 
+    @abstractmethod
     def load(
         self,
         profile: WorkspaceProfile,
@@ -57,6 +68,8 @@ class PackageType(Protocol):
         files: Mapping[str, bytes],
         build_types: Callable[[str, Origin], BuildType],
         install_space: str,
+        *,
+        built: bool = False,
     ) -> Package:
         """Load a package from its files; omitted settings are taken from the profile's defaults.
 
@@ -70,42 +83,12 @@ class PackageType(Protocol):
             files: the package's files by name.
             build_types: returns a build type by its name, which is written at a place.
             install_space: absolute path of the install space on this machine.
+            built: it was built from these files, so they have no defects. Its rules may be read when they are first
+                asked for, and whether they were edited by hand (:attr:`keymint.api.Grant.edited`) may not be known.
 
         Raises:
             KeymintError: with ``file:line`` of each defect.
         """
-
-
-@runtime_checkable
-class BuiltPackageType(Protocol):
-    """Optional capability of a package type: loads a package that was built without reading its rules."""
-
-    def load_built(
-        self,
-        profile: WorkspaceProfile,
-        name: str,
-        folder: str,
-        files: Mapping[str, bytes],
-        build_types: Callable[[str, Origin], BuildType],
-        install_space: str,
-    ) -> Package:
-        """Return what :meth:`PackageType.load` returns, but the rules are read when they are first asked for.
-
-        Whether they were edited by hand (:attr:`keymint.api.Grant.edited`) may not be known.
-
-        Args:
-            profile: the profile of the workspace.
-            name: package name.
-            folder: its folder as the user would type it, for messages.
-            files: the package's files by name, from which it was built before: they have no defects.
-            build_types: returns a build type by its name, which is written at a place.
-            install_space: absolute path of the install space on this machine.
-        """
-
-
-@runtime_checkable
-class FormerRules(Protocol):
-    """Optional capability of a package type: compares documents of former versions before they are replaced."""
 
     def former_rules(self, rules: SubjectRules, files: Mapping[str, bytes]) -> Sequence[Diagnostic]:
         """Return what documents that will be replaced say and the rules do not, or the other way, as warnings.
@@ -114,14 +97,10 @@ class FormerRules(Protocol):
             rules: the policy's rules for the subject.
             files: the package's files by name; may have defects.
         """
+        return ()
 
-
-@runtime_checkable
-class RuleLocator(Protocol):
-    """Optional capability of a package type: locates the rules of a package in its files."""
-
-    def rule_places(self, name: str, folder: str, files: Mapping[str, bytes]) -> Sequence[Origin]:
-        """Return the place of each rule in the package's own document, in their order.
+    def rule_places(self, name: str, folder: str, files: Mapping[str, bytes]) -> Sequence[Origin] | None:
+        """Return the place of each rule in the package's own document, in their order; None if it has none.
 
         Args:
             name: package name.
@@ -131,14 +110,7 @@ class RuleLocator(Protocol):
         Raises:
             KeymintError: with ``file:line`` of each defect.
         """
-
-
-@runtime_checkable
-class IssuanceFiles(Protocol):
-    """Optional capability of a package type: keeps in a package what an authority decided about its certificate."""
-
-    ISSUANCE: str
-    """Name of the file that has it, relative to the folder of a package; a package without it has the defaults."""
+        return None
 
     def issuance(self, folder: str, files: Mapping[str, bytes]) -> Issuance:
         """Return what the authority decided about a package; the defaults if its files have nothing about it.
@@ -150,22 +122,16 @@ class IssuanceFiles(Protocol):
         Raises:
             KeymintError: with ``file:line`` of each defect.
         """
+        return Issuance()
 
     def with_issuance(self, issuance: Issuance) -> Mapping[str, bytes]:
         """Return the files to write into a package's folder, by name, so that it has this."""
-
-
-@runtime_checkable
-class OwnValidity(Protocol):
-    """Optional capability of a package type: gives the certificate and the grant of a package a validity of their own.
-
-    It differs from the defaults of the profile, and stands in the package's own documents.
-    """
+        return {}
 
     def with_validity(
         self, profile: WorkspaceProfile, rules: SubjectRules, files: Mapping[str, bytes], valid_for: str, now: datetime
-    ) -> Mapping[str, bytes]:
-        """Return the files of a package that change, by name; none if it has this length of validity already.
+    ) -> Mapping[str, bytes] | None:
+        """Give the certificate and the grant of a package a validity of their own, in its own documents.
 
         Args:
             profile: the profile of the workspace.
@@ -174,6 +140,32 @@ class OwnValidity(Protocol):
             valid_for: the length, an ISO 8601 duration such as ``P90D``.
             now: the clock, UTC.
 
+        Returns:
+            The files of the package that change, by name; empty if it has this length of validity already. None if
+            packages have the validity of the profile only.
+
         Raises:
             KeymintError: its owner gave it another validity, or edited the documents by hand.
         """
+        return None
+
+    def with_unique_name(
+        self, profile: WorkspaceProfile, name: str, files: Mapping[str, bytes]
+    ) -> Mapping[str, bytes] | None:
+        """Return the files of a package that change, by name, so that its subject name has a second, unique RDN.
+
+        None if it cannot give a subject a name that no other name is taken for.
+
+        Args:
+            profile: the profile of the workspace.
+            name: the package.
+            files: its files by name.
+
+        Raises:
+            KeymintError: its owner wrote them in another way.
+        """
+        return None
+
+    def adopted_sources(self, profile: WorkspaceProfile, sources: AdoptedSources) -> Mapping[str, bytes] | None:
+        """Return the files of a new package for an enclave that another tool made; None if it cannot describe one."""
+        return None

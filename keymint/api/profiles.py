@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
+# ruff: noqa: ARG002 - defaults ignore their arguments
 """Profile types: bootstrap and load the profile of a workspace."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import field
 from datetime import datetime
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 from comarmor.values import dataclass
-from keymint.api.certificates import Authority, AuthorityIssuance
+from keymint.api.certificates import Authority, AuthorityIssuance, Validity
 from keymint.api.policies import PolicySource
 
 
@@ -115,13 +116,18 @@ class Bootstrap:
     policy_type: str = ""
 
 
-class ProfileType(Protocol):
-    """Creates and loads the profile space of a workspace."""
+class ProfileType(ABC):
+    """Creates and loads the profile space of a workspace. What has a default is optional."""
 
     API: str
     BUILD_TYPES: tuple[str, ...]
     """Build types of a new profile whose request names none."""
+    PLACES: Mapping[str, tuple[str, ...]] = {}
+    """Files that give a setting together, relative to the profile space; those not listed are in the marker."""
+    SIGNER: str = ""
+    """Name of the authority that :meth:`with_own_signer` makes; empty if it makes none."""
 
+    @abstractmethod
     def bootstrap(self, request: Bootstrap) -> Mapping[str, bytes]:
         """Return the files of a new profile by path relative to the profile space.
 
@@ -129,15 +135,19 @@ class ProfileType(Protocol):
             KeymintError: the distro or layout is unknown.
         """
 
+    @abstractmethod
     def library(self, distro: str) -> Path:
         """Return the folder of the policy library for a distro, which ``bootstrap`` copies into the profile."""
 
+    @abstractmethod
     def with_distro(self, profile: WorkspaceProfile, distro: str) -> WorkspaceProfile:
         """Return a profile that names no distribution with one, and with its layout unless it names that."""
 
+    @abstractmethod
     def recognises(self, files: Mapping[str, bytes]) -> bool:
         """Whether the files of a profile space are of this type."""
 
+    @abstractmethod
     def load(self, root: Path, files: Mapping[str, bytes]) -> WorkspaceProfile:
         """Load a profile from its files.
 
@@ -149,6 +159,7 @@ class ProfileType(Protocol):
             KeymintError: with ``file:line`` of each defect.
         """
 
+    @abstractmethod
     def with_policy(self, files: Mapping[str, bytes], policy: str) -> Mapping[str, bytes]:
         """Return the files that change when the profile is set to another policy path.
 
@@ -156,49 +167,47 @@ class ProfileType(Protocol):
             KeymintError: the profile's list of policies was edited by hand, and is not overwritten.
         """
 
-
-@runtime_checkable
-class ProfileSettings(Protocol):
-    """Optional capability of a profile type: returns the settings that ``keymint init`` has options for."""
-
-    PLACES: Mapping[str, tuple[str, ...]]
-    """Files that give a setting together, relative to the profile space; those not listed are in the marker."""
-
     def settings(self, profile: WorkspaceProfile) -> Mapping[str, str]:
-        """Return the current value of each option as text, by the option's name (``distro``, ``domain``, …).
+        """Return the current value of each option of ``keymint init`` as text, by the option's name.
 
-        Options that the profile type does not have are omitted.
+        The names are ``distro``, ``domain``, …. Options that the profile type does not have are omitted.
 
         Raises:
             KeymintError: with ``file:line`` of a defect.
         """
+        return {}
 
+    def with_authority_issuance(self, issuance: Mapping[str, AuthorityIssuance]) -> Mapping[str, bytes] | None:
+        """Return the files to write into the profile space so that it has this; None if it keeps none of it.
 
-@runtime_checkable
-class AuthorityIssuanceFiles(Protocol):
-    """Optional capability of a profile type: keeps what was decided about the authorities' certificates.
-
-    :meth:`ProfileType.load` returns it as :attr:`keymint.api.Authority.issuance`, applied to the certificate.
-    """
-
-    def with_authority_issuance(self, issuance: Mapping[str, AuthorityIssuance]) -> Mapping[str, bytes]:
-        """Return the files to write into the profile space so that it has this.
+        :meth:`load` returns it as :attr:`keymint.api.Authority.issuance`, applied to the certificate.
 
         Args:
             issuance: what was decided, by authority; those without any decision may be omitted.
         """
+        return None
 
-
-@runtime_checkable
-class AcceptedPackageFiles(Protocol):
-    """Optional capability of a profile type: keeps what the owner accepted of the profiles that ROS packages ship.
-
-    :meth:`ProfileType.load` returns it as :attr:`WorkspaceProfile.packages`.
-    """
-
-    def with_packages(self, packages: Mapping[str, AcceptedPackage]) -> Mapping[str, bytes]:
+    def with_packages(self, packages: Mapping[str, AcceptedPackage]) -> Mapping[str, bytes] | None:
         """Return the files to write into the profile space so that it has this, beside the copies.
+
+        None if it keeps none of it. :meth:`load` returns it as :attr:`WorkspaceProfile.packages`.
 
         Args:
             packages: what was accepted, by package.
         """
+        return None
+
+    def with_own_signer(
+        self, profile: WorkspaceProfile, former: str, validity: Validity | None = None
+    ) -> Mapping[str, bytes]:
+        """Return the files of a profile that change, by path, so that a new authority signs the documents.
+
+        Args:
+            profile: the profile.
+            former: the authority that signs them now.
+            validity: the period of the new authority's certificate; None for that of the defaults.
+
+        Raises:
+            KeymintError: its owner wrote them in another way.
+        """
+        raise NotImplementedError

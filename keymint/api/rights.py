@@ -89,6 +89,11 @@ class Comparison:
     diagnostics: tuple[Diagnostic, ...]
 
 
+def standard_claims(claims: Sequence[Claim]) -> tuple[Claim, ...]:
+    """Return the claims by the first model, which is the standard."""
+    return tuple(claim for claim in claims if claim.model == claims[0].model)
+
+
 # -- documents in force, and who may present them -------------------------------------------------------------------
 
 

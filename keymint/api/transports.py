@@ -1,18 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Transports, simulated and real, and their decisions."""
+"""Transports, simulated and real, and their decisions; sources of graphs, which observe them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
 from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
 from typing import NoReturn, Protocol, runtime_checkable
 
-from comarmor.errors import Origin
+from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
-from keymint.api.graph import Column, Edge
+from keymint.api.graph import Column, Edge, Graph
 from keymint.errors import KeymintError
 
 
@@ -201,6 +202,72 @@ class TransportType(Protocol):
 
     def open(self, environment: Environment) -> Transport:
         """Return the transport; its method ``usable`` reports whether it can be used. Never raises."""
+
+
+@dataclass(frozen=True, slots=True)
+class DiscoveredGraph:
+    """An observed graph, and findings on it (e.g. how its subjects were named)."""
+
+    graph: Graph
+    diagnostics: tuple[Diagnostic, ...] = ()
+
+
+class GraphSource(ABC):
+    """Discovers access graphs in a running system or in a capture file.
+
+    Attributes:
+        API: version of the plugin interface.
+        CAPTURES: what :meth:`read` reads, for messages, e.g. ``XML of an administration console``.
+    """
+
+    API: str
+    CAPTURES: str
+
+    @abstractmethod
+    def usable(self) -> Availability:
+        """Return whether a running system can be observed on this machine; never raises."""
+
+    @abstractmethod
+    def observe(self, domain: int, go_on: Callable[[], bool], names: Mapping[str, str]) -> DiscoveredGraph:
+        """Observe a domain, and return its graph in the transport's terms (objects of kind ``topic``).
+
+        An empty graph comes with a diagnostic that says where to look.
+
+        Args:
+            domain: domain id.
+            go_on: polled; the observation ends when it returns False.
+            names: subjects by an identifier in the running system, or the beginning of one, which override discovered
+                names.
+
+        Raises:
+            KeymintError: software that the observation needs is missing or fails.
+        """
+
+    @abstractmethod
+    def recognises(self, content: bytes) -> bool:
+        """Whether a file is a capture that :meth:`read` can read."""
+
+    @abstractmethod
+    def read(self, content: bytes, name: str, names: Mapping[str, str]) -> DiscoveredGraph:
+        """Return the graph in a capture, in the transport's terms.
+
+        Args:
+            content: the file.
+            name: its path as the user would type it, for messages.
+            names: as for :meth:`observe`.
+
+        Raises:
+            KeymintError: with ``file:line`` of the defect.
+        """
+
+    @abstractmethod
+    def interpret(self, graph: Graph, *, fold: bool) -> Graph:
+        """Translate a graph into application names; edges that have none, or are translated already, stay unchanged.
+
+        Args:
+            graph: objects of any kind.
+            fold: True to merge complete sets of parts into composite permissions, False to split these into parts.
+        """
 
 
 # -- installed enclaves and their files, as transports look for them --------------------------------------------------

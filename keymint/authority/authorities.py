@@ -13,7 +13,7 @@ from cryptography import x509
 
 from comarmor.errors import Defects, Diagnostic
 from comarmor.values import dataclass
-from keymint.api import Authority, AuthorityIssuance, AuthorityIssuanceFiles, SigningAuthority
+from keymint.api import Authority, AuthorityIssuance, SigningAuthority
 from keymint.authority import authority_files
 from keymint.authority.authority_files import AuthorityFiles
 from keymint.errors import KeymintError, known_authority
@@ -48,16 +48,16 @@ def plan_authority_issuance(session: Session, name: str, new: AuthorityIssuance,
         KeymintError: the type of the profile cannot keep it.
     """
     profile = session.profile
-    plugin = session.profile_type
-    if not isinstance(plugin, AuthorityIssuanceFiles):
+    issuance = {**{each.name: each.issuance for each in profile.authorities}, name: new}
+    files = session.profile_type.with_authority_issuance(issuance)
+    if files is None:
         raise KeymintError(
             f"the profile type {profile.profile_type!r} cannot keep what is decided about authorities",
             where=session.profile_marker(),
             help="change the dates in the profile instead, and run 'keymint install'",
             code="profile-without-issuance",
         )
-    issuance = {**{each.name: each.issuance for each in profile.authorities}, name: new}
-    changes = folder_changes(session.tree, session.workspace.profile, plugin.with_authority_issuance(issuance))
+    changes = folder_changes(session.tree, session.workspace.profile, files)
     if not changes:
         return Plan((), session.state)
     return Plan((Step(STAGE, "", Action.UPDATED, changes, detail),), session.state)

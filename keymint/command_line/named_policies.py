@@ -15,7 +15,6 @@ from keymint.errors import KeymintError
 from keymint.run.run import Run
 from keymint.workspace.policy_loading import accepted_policy, foreign_policy, load_policy
 from keymint.workspace.session import Session
-from keymint.workspace.shipped_profiles import load_with
 from keymint.workspace.workspace import Workspace
 
 
@@ -81,7 +80,7 @@ class Policies:
         source, plugins, name = PolicySource(typed, path, Origin(typed)), self._run.plugins, self._options.policy_type
         packages = InstalledPackages(self._run.setting.environment, None if self._options.trust_links else frozenset())
         try:
-            return load_with(plugins.policy_type(name), [source], self.shipped(), library_shown, packages)
+            return plugins.policy_type(name).load([source], self.shipped(), library_shown, packages)
         except KeymintError as error:
             found = foreign_policy(plugins, [path], name)
             if found is None:

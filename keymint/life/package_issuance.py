@@ -29,10 +29,8 @@ _CREATE = "create"
 
 def place_of(session: Session, name: str) -> Origin:
     """Return the place of what the authority decided about a package, or of the package's manifest if it has none."""
-    files = session.issuance_files
-    if files is None:
-        return session.package_marker(name)
-    return session.workspace.origin(session.workspace.src / name / files.ISSUANCE)
+    file = session.package_type.ISSUANCE or session.package_type.MARKER
+    return session.workspace.origin(session.workspace.src / name / file)
 
 
 def plan_issuance(session: Session, stage: str, new: Mapping[str, Issuance], detail: str = "") -> Plan:
@@ -48,8 +46,7 @@ def plan_issuance(session: Session, stage: str, new: Mapping[str, Issuance], det
         KeymintError: the type of the packages keeps no such decisions, a generation falls, or the certificate of a
             package would get a serial number twice.
     """
-    files = session.issuance_files
-    if files is None:
+    if not session.package_type.ISSUANCE:
         raise KeymintError(
             f"packages of the type {session.profile.package_type!r} do not keep what an authority decides, so they can "
             "neither be renewed nor revoked",
@@ -62,7 +59,7 @@ def plan_issuance(session: Session, stage: str, new: Mapping[str, Issuance], det
     steps: list[Step] = []
     state, stamps = session.state, {}
     for name, issuance in new.items():
-        written = files.with_issuance(issuance)
+        written = session.package_type.with_issuance(issuance)
         changes = folder_changes(session.tree, session.workspace.src / name, written)
         steps.append(Step(stage, name, Action.UPDATED if changes else Action.UNCHANGED, changes, detail))
         # The stage that made the package must not take the file for an edit of its owner.

@@ -9,13 +9,9 @@ from dataclasses import replace
 from comarmor.errors import Diagnostic, Severity
 from comarmor.text import counted, did_you_mean, first_few
 from keymint.api import (
-    DigestedPolicy,
-    FormerRules,
     InfrastructurePackage,
     Issuance,
-    IssuanceFiles,
     LoadedPolicy,
-    OwnValidity,
     PackageType,
     Role,
 )
@@ -115,7 +111,6 @@ class CreateStage:
         seen = (part for path, value in sorted(policy.seen.items()) for part in (str(path), value))
         self._inputs = digest(digest(*seen), session.profile_digest)
         self._package_type = session.package_type
-        self._digested = policy if isinstance(policy, DigestedPolicy) else None
 
     def subjects(self, names: Sequence[str]) -> tuple[str, ...]:
         """Return the names that are packages of subjects, not of infrastructure.
@@ -187,24 +182,23 @@ class CreateStage:
 
     def _former(self, rules: SubjectRules, files: Mapping[str, bytes]) -> tuple[Diagnostic, ...]:
         """Return the warnings about documents of former versions that are replaced."""
-        package_type = self._package_type
-        if not files or not isinstance(package_type, FormerRules):
-            return ()
-        return tuple(with_place(each, self._session.workspace.src) for each in package_type.former_rules(rules, files))
+        found = self._package_type.former_rules(rules, files) if files else ()
+        return tuple(with_place(each, self._session.workspace.src) for each in found)
 
     def _with_validity(self, rules: SubjectRules, files: Mapping[str, bytes]) -> Mapping[str, bytes]:
         """Return the files of a package that change so that it has the requested validity."""
-        session, package_type = self._session, self._package_type
+        session = self._session
         if not self._valid_for:
             return {}
-        if not isinstance(package_type, OwnValidity):
+        changed = self._package_type.with_validity(session.profile, rules, files, self._valid_for, session.now)
+        if changed is None:
             raise KeymintError(
                 f"packages of the type {session.profile.package_type!r} have no validity of their own",
                 where=session.profile_marker(),
                 help="leave out --valid-for, and write it into their sources",
                 code="validity-unsupported",
             )
-        return package_type.with_validity(session.profile, rules, files, self._valid_for, session.now)
+        return changed
 
     def _with_generation(self, name: str) -> Mapping[str, bytes]:
         """Return the file that makes a new package go on where certificates of its name ended."""
@@ -214,14 +208,12 @@ class CreateStage:
         from keymint.life.workspace_register import register_of  # noqa: PLC0415 - imports cryptography, which takes 0.1 s
 
         generation = register_of(session).generation(name)
-        if not generation or not isinstance(package_type, IssuanceFiles):
-            return {}
-        decided = package_type.with_issuance(Issuance(generation))
+        decided = package_type.with_issuance(Issuance(generation)) if generation else {}
         return {file: content for file, content in decided.items() if file not in session.file_digests(name)}
 
     def _rules_digest(self, subject: str) -> str:
         """Return the digest of everything that the sources of a subject are made of; empty if it is not known."""
-        rules = self._digested.rules_digest(subject) if self._digested else None
+        rules = self._policy.rules_digest(subject)
         return digest(rules, self._session.profile_digest) if rules else ""
 
     def _infrastructure(self, name: str, build_type: str) -> PackagePlan:

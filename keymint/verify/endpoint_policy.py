@@ -17,7 +17,7 @@ from functools import lru_cache
 from comarmor.patterns import glob
 from comarmor.patterns.glob import matcher
 from comarmor.values import dataclass
-from keymint.api import LoadedPolicy, NameMapping, PolicyDecision, RowPolicy
+from keymint.api import LoadedPolicy, NameMapping, PolicyDecision
 from keymint.api.graph import Column, Edge
 
 RAW = "topic"
@@ -194,15 +194,12 @@ class EndpointPolicy:
         """
         labels = bytearray(len(row))
         requests = row.column.requests
-        single: Sequence[int] = range(len(row))
-        if isinstance(self._policy, RowPolicy):
-            plain, single = _by_permission(row.column)
-            for (kind, permission), (positions, names) in plain.items():
-                decided = self._policy.allowed(row.subject, kind, permission, names)
-                for at, allowed in zip(positions, decided, strict=True):
-                    labels[at] = allowed
-            single = [*single, *self._meeting_raw_rules(row)]
-        for at in single:
+        plain, single = _by_permission(row.column)
+        for (kind, permission), (positions, names) in plain.items():
+            decided = self._policy.allowed(row.subject, kind, permission, names)
+            for at, allowed in zip(positions, decided, strict=True):
+                labels[at] = allowed
+        for at in [*single, *self._meeting_raw_rules(row)]:
             labels[at] = self.decide(row.edge(requests[at])).allowed
         return bytes(labels)
 

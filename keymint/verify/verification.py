@@ -11,7 +11,7 @@ from dataclasses import astuple, field, replace
 from itertools import chain
 
 from comarmor.values import dataclass
-from keymint.api import DivisiblePolicy, Enclave, EndpointTransport, LoadedPolicy, PolicyDecision, Tier, Transport
+from keymint.api import Enclave, EndpointTransport, LoadedPolicy, PolicyDecision, Tier, Transport
 from keymint.api.graph import ConfusionMatrix, Edge, Graph, Object
 from keymint.api.plugin_loader import Plugins
 from keymint.executors import Pool
@@ -117,10 +117,11 @@ class VerificationPart:
         part = replace(
             self, scope=self.scope.about(subjects), graph=graph, asking=replace(self.asking, on_subject=_unseen)
         )
-        if not elsewhere or not isinstance(self.policy, DivisiblePolicy):
+        policy = self.policy.about(subjects) if elsewhere else None
+        if policy is None:
             return part
         copies = self.copies.about(subjects)
-        return replace(part, policy=self.policy.about(subjects), copies=copies, files=copies.public_files())
+        return replace(part, policy=policy, copies=copies, files=copies.public_files())
 
 
 def verify_part(plugins: Plugins, part: VerificationPart) -> tuple[bytes, tuple[EdgeComparison, ...]]:
@@ -166,7 +167,7 @@ def verified_in_parts(
     subjects, rows = whole.rows()
     objects = len(graph.objects) if graph else len(common)
     divided = pool.parts(subjects, -(-LEAST // max(1, objects * len(modelled))))
-    if len(divided) < 2 if pool.shares_memory else not (modelled and isinstance(policy, DivisiblePolicy)):  # noqa: PLR2004
+    if len(divided) < 2 if pool.shares_memory else not modelled or policy.about(()) is None:  # noqa: PLR2004
         return whole.verified(plugins, transports)
     others = {name: each for name, each in transports.items() if name not in modelled}
     compared = {each.transport: each for each in (whole.verified(plugins, others).comparisons if others else ())}

@@ -21,7 +21,6 @@ from keymint.api import (
     Package,
     PolicyDecision,
     Role,
-    RuleLocator,
     Tier,
     Transport,
 )
@@ -253,11 +252,9 @@ def _labels(
 
 def _rules_of_package(session: Session, package: Package, edges: Sequence[Edge]) -> Sequence[MatchedRule]:
     """Return the rules of a source package that apply to a request."""
-    rules, package_type = package.grant.rules.rules, session.package_type
-    if isinstance(package_type, RuleLocator):
-        folder = session.workspace.shown(session.workspace.src / package.name)
-        places = package_type.rule_places(package.name, folder, session.package_files(package.name))
-    else:  # only the policy's own places are known
+    rules, folder = package.grant.rules.rules, session.workspace.shown(session.workspace.src / package.name)
+    places = session.package_type.rule_places(package.name, folder, session.package_files(package.name))
+    if places is None:  # only the policy's own places are known
         places = [rule.origin for rule in rules]
     return [MatchedRule(rules[at], places[at]) for at in matching_rules(rules, edges)]
 

@@ -13,13 +13,9 @@ from comarmor.values import dataclass
 from comarmor.xml.package_folders import CopiedPackages, PackageFolders
 from keymint.api import (
     AppliedProfile,
-    DigestedPolicy,
     LoadedPolicy,
     PolicyDecision,
-    PolicyImporter,
     PolicyStructure,
-    RecognisedPolicy,
-    StructuredPolicy,
 )
 from keymint.api.graph import Edge
 from keymint.api.plugin_loader import Plugins
@@ -30,7 +26,7 @@ from keymint.store.changes import Plan
 from keymint.view.stamps import Stamp, State, digest
 from keymint.workspace import shipped_profiles
 from keymint.workspace.session import Session
-from keymint.workspace.shipped_profiles import installed_packages, load_with, refuse_unaccepted
+from keymint.workspace.shipped_profiles import installed_packages, refuse_unaccepted
 
 _STAGE, _FILES, _SUBJECTS = "policy", "seen", "subjects"
 """Keys of the record of the policy: the paths that it was read from, and the subjects that it names."""
@@ -103,7 +99,7 @@ def _load(session: Session, folders: PackageFolders) -> LoadedPolicy:
     if library is not None and not library.is_dir():
         library, shown = session.profile_type.library(profile.distro), library
     try:
-        return load_with(session.policy_type, profile.policies, library, shown, folders)
+        return session.policy_type.load(profile.policies, library, shown, folders)
     except KeymintError as error:
         paths = [source.path for source in profile.policies]
         foreign = foreign_policy(session.plugins, paths, profile.policy_type)
@@ -193,8 +189,10 @@ def locations_digest(session: Session) -> str:
     return digest(session.profile_digest, str(profile.library), *map(str, paths))
 
 
-class _LazyPolicy:
+class _LazyPolicy(LoadedPolicy):
     """A policy whose subjects come from the record; the policy itself is loaded at the first question about rules."""
+
+    seen: Mapping[Path, bytes] = {}
 
     def __init__(self, seen: Mapping[Path, bytes], subjects: tuple[str, ...], load: Callable[[], LoadedPolicy]) -> None:
         self.seen = seen
@@ -211,8 +209,7 @@ class _LazyPolicy:
 
     def rules_digest(self, subject: str) -> str | None:
         """Return the digest of the rules of a subject, if the type of the policy knows it."""
-        policy = self._load()
-        return policy.rules_digest(subject) if isinstance(policy, DigestedPolicy) else None
+        return self._load().rules_digest(subject)
 
     def profiles(self, subject: str) -> Sequence[AppliedProfile]:
         """Return the profiles that apply to a subject."""
@@ -220,8 +217,7 @@ class _LazyPolicy:
 
     def structure(self) -> PolicyStructure | None:
         """Return the structure of the policy, if its type provides one."""
-        policy = self._load()
-        return policy.structure() if isinstance(policy, StructuredPolicy) else None
+        return self._load().structure()
 
     def decide(self, edge: Edge) -> PolicyDecision:
         """Return the policy's decision about an edge."""
@@ -268,16 +264,11 @@ def foreign_policy(plugins: Plugins, paths: Iterable[Path], expected: str = "") 
         paths: files, and folders with policies directly in them.
         expected: name of the policy type that could not load them; empty if none was tried.
     """
-    policy_types: Mapping[str, object] = plugins.policy_types()
-    known = {
-        name: policy_type
-        for name, policy_type in policy_types.items()
-        if name != expected and isinstance(policy_type, RecognisedPolicy)
-    }
+    known = {name: policy_type for name, policy_type in plugins.policy_types().items() if name != expected}
     for path in (file for each in paths for file in _files(each)):
         for name, policy_type in known.items():
             if policy_type.recognises(path):
-                return ForeignPolicy(path, name, policy_type.NOUN, isinstance(policy_type, PolicyImporter))
+                return ForeignPolicy(path, name, policy_type.NOUN, bool(policy_type.TOOL))
     return None
 
 

@@ -16,10 +16,8 @@ from comarmor.values import dataclass
 from keymint import __version__
 from keymint.api import (
     BuildType,
-    BuiltPackageType,
     InfrastructurePackage,
     Issuance,
-    IssuanceFiles,
     Layout,
     Package,
     PackageType,
@@ -304,7 +302,7 @@ class Session(Inputs):
 
         Args:
             name: the package.
-            built: it was built from these files; see :class:`keymint.api.BuiltPackageType`.
+            built: it was built from these files; see :meth:`keymint.api.PackageType.load`.
         """
         package = self._load(name, built=built)
         needs = package.role is not Role.INFRASTRUCTURE
@@ -345,15 +343,8 @@ class Session(Inputs):
             generation = self.issuance(name).generation
         except KeymintError:  # reported when the package is loaded
             return whole
-        file = self.issuance_files.ISSUANCE if self.issuance_files else ""
-        own = (item for item in sorted(found.items()) if item[0] != file)
+        own = (item for item in sorted(found.items()) if item[0] != self.package_type.ISSUANCE)
         return digest(*(part for item in own for part in item), *((str(generation),) if generation else ()))
-
-    @property
-    @once
-    def issuance_files(self) -> IssuanceFiles | None:
-        """The type of the packages, if it keeps what an authority decided about them."""
-        return self.package_type if isinstance(self.package_type, IssuanceFiles) else None
 
     @once_of_sources
     def issuance(self, name: str) -> Issuance:
@@ -362,12 +353,11 @@ class Session(Inputs):
         Raises:
             KeymintError: the file has defects, with ``file:line`` of each.
         """
-        files = self.issuance_files
-        if files is None or files.ISSUANCE not in self.file_digests(name):
+        file = self.package_type.ISSUANCE
+        if file not in self.file_digests(name):
             return Issuance()
         folder = self.workspace.src / name
-        content = self.tree.read(folder / files.ISSUANCE) or b""
-        return files.issuance(self.workspace.shown(folder), {files.ISSUANCE: content})
+        return self.package_type.issuance(self.workspace.shown(folder), {file: self.tree.read(folder / file) or b""})
 
     def role(self, name: str) -> Role:
         """Return why a package exists; the role of a subject if there is none or its manifest has defects."""
@@ -396,19 +386,16 @@ class Session(Inputs):
                 needed[each.name] = (each, build_type)
         return needed
 
-    @property
-    @once
-    def _loader(self) -> Callable[..., Package]:
-        """What loads a package that was built."""
-        own = self.package_type
-        return own.load_built if isinstance(own, BuiltPackageType) else own.load
-
     def _load(self, name: str, *, built: bool = False) -> Package:
         key = (name, self._sources(name)[1], built)
         if key not in self._packages:
-            load = self._loader if built else self.package_type.load
-            files = self.package_files(name)
-            folder = self.workspace.shown(self.workspace.src / name)
-            install_space = str(self.workspace.install)
-            self._packages[key] = load(self.profile, name, folder, files, self.plugins.build_type, install_space)
+            self._packages[key] = self.package_type.load(
+                self.profile,
+                name,
+                self.workspace.shown(self.workspace.src / name),
+                self.package_files(name),
+                self.plugins.build_type,
+                str(self.workspace.install),
+                built=built,
+            )
         return self._packages[key]

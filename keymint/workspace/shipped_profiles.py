@@ -10,16 +10,8 @@ from pathlib import Path
 
 from comarmor.errors import Diagnostic
 from comarmor.text import counted, did_you_mean, first_few, quoted
-from comarmor.xml.package_folders import InstalledPackages, PackageFolders, ShippedFile
-from keymint.api import (
-    AcceptedPackage,
-    AcceptedPackageFiles,
-    LoadedPolicy,
-    PackageIncludes,
-    PolicySource,
-    PolicyType,
-    PolicyWithPackages,
-)
+from comarmor.xml.package_folders import InstalledPackages, ShippedFile
+from keymint.api import AcceptedPackage, LoadedPolicy
 from keymint.errors import ExitCode, KeymintError
 from keymint.store.changes import Action, FolderChange, Plan, Step, folder_changes
 from keymint.workspace.session import Session
@@ -41,19 +33,6 @@ class UnacceptedPackagesError(KeymintError):
     after: LoadedPolicy
 
 
-def load_with(
-    policy_type: PolicyType,
-    sources: Sequence[PolicySource],
-    library: Path | None,
-    library_shown: Path | None,
-    packages: PackageFolders,
-) -> LoadedPolicy:
-    """Load policies that may include files of packages, if their type can; errors as :meth:`PolicyType.load`."""
-    if isinstance(policy_type, PackageIncludes):
-        return policy_type.load_with_packages(sources, library, library_shown, packages)
-    return policy_type.load(sources, library, library_shown)
-
-
 def installed_packages(session: Session, named: Iterable[str] = (), *, trust_links: bool = False) -> InstalledPackages:
     """Return the installed packages.
 
@@ -64,11 +43,6 @@ def installed_packages(session: Session, named: Iterable[str] = (), *, trust_lin
     """
     accepted = (name for name, each in session.profile.packages.items() if each.follows_links)
     return InstalledPackages(session.environment, None if trust_links else frozenset((*accepted, *named)))
-
-
-def shipped_files(policy: LoadedPolicy) -> Sequence[ShippedFile]:
-    """Return the files of packages that a policy was read from."""
-    return policy.shipped if isinstance(policy, PolicyWithPackages) else ()
 
 
 def refuse_unaccepted(session: Session, policy: LoadedPolicy, before: Callable[[], LoadedPolicy]) -> None:
@@ -83,7 +57,7 @@ def refuse_unaccepted(session: Session, policy: LoadedPolicy, before: Callable[[
         UnacceptedPackagesError: there are such files.
         KeymintError: a copy of what was accepted was edited.
     """
-    shipped = shipped_files(policy)
+    shipped = policy.shipped
     if not shipped:
         return
     _refuse_edited_copies(session, shipped)
@@ -127,8 +101,7 @@ def plan_acceptance(
             profile cannot keep it.
     """
     profile = session.profile
-    plugin = session.profile_type
-    if not isinstance(plugin, AcceptedPackageFiles) or profile.package_copies is None:
+    if session.profile_type.with_packages({}) is None or profile.package_copies is None:
         raise KeymintError(
             f"the profile type {profile.profile_type!r} cannot keep what was accepted of packages",
             where=session.profile_marker(),
@@ -136,7 +109,7 @@ def plan_acceptance(
             code="profile-without-packages",
         )
     by_package: dict[str, list[ShippedFile]] = {}
-    for each in shipped_files(load(installed_packages(session, named if trust_links else ()))):
+    for each in load(installed_packages(session, named if trust_links else ())).shipped or ():
         by_package.setdefault(each.package, []).append(each)
     accepted = dict(profile.packages)
     steps: list[Step] = []
@@ -163,15 +136,13 @@ def plan_acceptance(
         action = Action.UPDATED if changes or accepted[name] != before else Action.UNCHANGED
         detail = f"accepted {counted(len(files), 'file')} of the package {name}"
         steps.append(Step(STAGE, "", action, changes, detail))
-    return _with_lock(session, plugin, steps, accepted)
+    return _with_lock(session, steps, accepted)
 
 
-def _with_lock(
-    session: Session, plugin: AcceptedPackageFiles, steps: list[Step], accepted: Mapping[str, AcceptedPackage]
-) -> Plan:
+def _with_lock(session: Session, steps: list[Step], accepted: Mapping[str, AcceptedPackage]) -> Plan:
     """Return a plan of some steps, of which the last one that changes copies also writes what was accepted."""
     root = session.workspace.profile
-    lock = plugin.with_packages(accepted)
+    lock = session.profile_type.with_packages(accepted) or {}
     written = folder_changes(session.tree, root, lock) if accepted else (FolderChange(root, removed=tuple(lock)),)
     last = max((at for at, step in enumerate(steps) if step.action is Action.UPDATED), default=None)
     if last is not None:
@@ -189,14 +160,10 @@ def plan_release(session: Session, policy: LoadedPolicy) -> Plan:
         policy: its policy. One that is not loaded has not changed, and drops nothing.
     """
     profile = session.profile
-    plugin = session.profile_type
-    if (
-        not profile.packages
-        or not isinstance(policy, PolicyWithPackages)
-        or not isinstance(plugin, AcceptedPackageFiles)
-    ):
+    shipped = policy.shipped
+    if not profile.packages or shipped is None:
         return Plan((), session.state)
-    included = {(each.package, each.path) for each in policy.shipped}
+    included = {(each.package, each.path) for each in shipped}
     kept: dict[str, AcceptedPackage] = {}
     steps: list[Step] = []
     for name, each in profile.packages.items():
@@ -206,7 +173,7 @@ def plan_release(session: Session, policy: LoadedPolicy) -> Plan:
         if dropped := [path for path in each.files if path not in files]:
             detail = f"dropped {counted(len(dropped), 'file')} of the package {name}, no longer included"
             steps.append(Step(STAGE, "", Action.UPDATED, tuple(_removed(session, name, dropped)), detail))
-    return _with_lock(session, plugin, steps, kept)
+    return _with_lock(session, steps, kept)
 
 
 def _removed(session: Session, name: str, paths: Iterable[str]) -> Iterator[FolderChange]:

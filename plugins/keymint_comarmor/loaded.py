@@ -17,14 +17,14 @@ from comarmor.language.policy import Ruling
 from comarmor.rules import Effect
 from comarmor.values import dataclass
 from comarmor.xml.package_folders import ShippedFile
-from keymint.api import AppliedProfile, PolicyDecision, PolicyStructure, WrittenProfile, WrittenRule
+from keymint.api import AppliedProfile, LoadedPolicy, PolicyDecision, PolicyStructure, WrittenProfile, WrittenRule
 from keymint.api.graph import Edge
 from keymint.ir import SubjectRules
 
 
 @dataclass(frozen=True, slots=True)
-class ComArmorPolicy:
-    """A loaded ComArmor policy, as :class:`keymint.api.LoadedPolicy`."""
+class ComArmorPolicy(LoadedPolicy):
+    """A loaded ComArmor policy."""
 
     policy: comarmor.Policy
 
@@ -35,7 +35,7 @@ class ComArmorPolicy:
 
     @property
     def shipped(self) -> tuple[ShippedFile, ...]:
-        """See :attr:`keymint.api.PolicyWithPackages.shipped`."""
+        """See :attr:`keymint.api.LoadedPolicy.shipped`."""
         return self.policy.shipped
 
     def subjects(self) -> tuple[str, ...]:
@@ -49,7 +49,7 @@ class ComArmorPolicy:
         return SubjectRules(subject, self.policy.rules(subject))
 
     def rules_digest(self, subject: str) -> str | None:
-        """See :meth:`keymint.api.DigestedPolicy.rules_digest`."""
+        """See :meth:`keymint.api.LoadedPolicy.rules_digest`."""
         return self.policy.rules_digest(subject)
 
     def profiles(self, subject: str) -> tuple[AppliedProfile, ...]:
@@ -69,12 +69,12 @@ class ComArmorPolicy:
         return _decision(row.ruling(requested.name, requested.partitions))
 
     def about(self, subjects: Collection[str]) -> ComArmorPolicy:
-        """See :meth:`keymint.api.DivisiblePolicy.about`."""
+        """See :meth:`keymint.api.LoadedPolicy.about`."""
         applicable = {id(profile) for subject in subjects for profile in self.policy.applicable(subject)}
         return ComArmorPolicy(comarmor.Policy(tuple(each for each in self.policy.profiles if id(each) in applicable)))
 
     def allowed(self, subject: str, kind: str, permission: str, names: Iterable[str]) -> bytes:
-        """See :meth:`keymint.api.RowPolicy.allowed`."""
+        """See :meth:`keymint.api.LoadedPolicy.allowed`."""
         return self.policy.row(subject, kind, permission).allowed(names)
 
 

@@ -3,26 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
-from keymint.api import API_VERSION
+from keymint.api import API_VERSION, PackageType, ProfileType
 from keymint.api.lazy import lazy
 from keymint_ros.manifest import BUILD_TYPE, ISSUANCE, MARKER, SIGNER
 
 __all__ = ["RosPackageType", "RosProfileType", "package_type", "profile_type"]
 
 
-class RosProfileType:
-    """Profiles.
-
-    Implements :class:`keymint.api.ProfileType`, :class:`keymint.api.ProfileSettings`,
-    :class:`keymint.api.AuthorityIssuanceFiles` and :class:`keymint.api.AcceptedPackageFiles`.
-    """
+class RosProfileType(ProfileType):
+    """Profiles."""
 
     API = API_VERSION
 
     BUILD_TYPES = (BUILD_TYPE,)
-    PLACES: Mapping[str, tuple[str, ...]] = {
+    PLACES = {  # noqa: RUF012 - nobody changes it
         "domain": ("package.defaults/permissions.xml", "package.defaults/governance.xml"),
         "subject-format": ("package.defaults/permissions.xml", "package.defaults/identities.xml"),
         "valid-for": ("package.defaults/permissions.xml", "package.defaults/identities.xml"),
@@ -42,13 +36,8 @@ class RosProfileType:
     with_packages = lazy("keymint_ros.decisions:with_packages")
 
 
-class RosPackageType:
-    """Source packages.
-
-    Implements :class:`keymint.api.PackageType`, :class:`keymint.api.BuiltPackageType`,
-    :class:`keymint.api.RuleLocator`, :class:`keymint.api.IssuanceFiles`, :class:`keymint.api.FormerRules`,
-    :class:`keymint.api.OwnValidity` and :class:`keymint.api.AdoptingPackageType`.
-    """
+class RosPackageType(PackageType):
+    """Source packages."""
 
     API = API_VERSION
     MARKER = MARKER
@@ -58,7 +47,6 @@ class RosPackageType:
     create_infrastructure = lazy("keymint_ros.package_writer:create_infrastructure")
     role = lazy("keymint_ros.manifest:role")
     load = lazy("keymint_ros.package_reader:load")
-    load_built = lazy("keymint_ros.package_reader:load_built")
     former_rules = lazy("keymint_ros.package_writer:former_rules")
     rule_places = lazy("keymint_ros.package_reader:rule_places")
     with_validity = lazy("keymint_ros.package_writer:with_validity")

@@ -114,13 +114,13 @@ _read_issuance = Reader("keymint_ros", "issuance", lambda root: Issuance(**_valu
 
 
 def issuance(folder: str, files: Mapping[str, bytes]) -> Issuance:
-    """Return what the authority decided: see :meth:`keymint.api.IssuanceFiles.issuance`."""
+    """Return what the authority decided: see :meth:`keymint.api.PackageType.issuance`."""
     content = files.get(ISSUANCE)
     return Issuance() if content is None else _read_issuance(content, f"{folder}/{ISSUANCE}")
 
 
 def with_issuance(issued: Issuance) -> Mapping[str, bytes]:
-    """Return the document: see :meth:`keymint.api.IssuanceFiles.with_issuance`.
+    """Return the document: see :meth:`keymint.api.PackageType.with_issuance`.
 
     Raises:
         KeymintError: the generation is negative or has more than nine digits, or the public key is none.
@@ -184,7 +184,7 @@ def spec_after_decision(spec: CertificateSpec, issued: AuthorityIssuance) -> Cer
 
 
 def with_authority_issuance(issuances: Mapping[str, AuthorityIssuance]) -> Mapping[str, bytes]:
-    """Return the document: see :meth:`keymint.api.AuthorityIssuanceFiles.with_authority_issuance`."""
+    """Return the document: see :meth:`keymint.api.ProfileType.with_authority_issuance`."""
     lines: list[str] = []
     for name, each in issuances.items():
         if each != AuthorityIssuance():
@@ -232,7 +232,7 @@ def accepted_packages(files: Mapping[str, bytes], folder: str) -> Mapping[str, A
 
 
 def with_packages(packages: Mapping[str, AcceptedPackage]) -> Mapping[str, bytes]:
-    """Return the document: see :meth:`keymint.api.AcceptedPackageFiles.with_packages`."""
+    """Return the document: see :meth:`keymint.api.ProfileType.with_packages`."""
     lines: list[str] = []
     for name, package in sorted(packages.items()):
         links = ' links="follow"' if package.follows_links else ""

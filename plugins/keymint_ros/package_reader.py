@@ -220,7 +220,7 @@ def load(
     *,
     built: bool = False,
 ) -> Package:
-    """Load a package: see :meth:`keymint.api.PackageType.load` and, if it was built, `load_built`."""
+    """Load a package: see :meth:`keymint.api.PackageType.load`."""
     file = f"{folder}/{MARKER}"
     package_manifest = manifest.read(file_in(files, MARKER, Origin(folder), "package"), file)
     if not manifest.is_name_of(package_manifest.name, name):
@@ -277,9 +277,6 @@ def load(
     )
 
 
-load_built = partial(load, built=True)
-
-
 def _renewed(issued: _Issued | None, issuance_: Issuance) -> _Issued | None:
     """Return a certificate or a grant with the validity that it has since it was renewed."""
     if issued is None or issued.validity is None or issuance_.renewed is None:
@@ -313,7 +310,7 @@ def _issuers(profile: WorkspaceProfile, name: str) -> Iterator[Authority]:
 
 
 def rule_places(name: str, folder: str, files: Mapping[str, bytes]) -> tuple[Origin, ...]:
-    """Return the place in the package of each of its rules: see :meth:`keymint.api.RuleLocator.rule_places`."""
+    """Return the place in the package of each of its rules: see :meth:`keymint.api.PackageType.rule_places`."""
     path = manifest.path_of("permissions", folder, files)
     grant = permissions.read(files.get(path, b""), f"{folder}/{path}", subject_of(name))
     return tuple(Origin(f"{folder}/{path}", place.line) for place in grant.places)

@@ -45,7 +45,7 @@ def create(
 
 
 def former_rules(rules: SubjectRules, files: Mapping[str, bytes]) -> Sequence[Diagnostic]:
-    """Return what permissions of 2018 say differently: see :meth:`keymint.api.FormerRules.former_rules`."""
+    """Return what permissions of 2018 say differently: see :meth:`keymint.api.PackageType.former_rules`."""
     name = name_of(rules.subject)
     try:
         path = _permissions_path(files, name)
@@ -135,7 +135,7 @@ _read_grant_length = Reader("keymint_ros", "permissions", validity.length)
 def with_validity(
     profile: WorkspaceProfile, rules: SubjectRules, files: Mapping[str, bytes], valid_for: str, now: datetime
 ) -> Mapping[str, bytes]:
-    """Return the files that change: see :meth:`keymint.api.OwnValidity.with_validity`."""
+    """Return the files that change: see :meth:`keymint.api.PackageType.with_validity`."""
     name = name_of(rules.subject)
     begin = validity.begin_of_period(valid_for, now)
     element = f"<validity><not_before>{begin}</not_before><duration>{valid_for}</duration></validity>"

@@ -254,7 +254,7 @@ def _as_written(policy: str) -> bytes:
 
 
 def settings(profile: WorkspaceProfile) -> Mapping[str, str]:
-    """Return the value of each option of ``init``: see :meth:`keymint.api.ProfileSettings.settings`."""
+    """Return the value of each option of ``init``: see :meth:`keymint.api.ProfileType.settings`."""
     found: dict[str, str] = {}
     for file, read in ((_IDENTITY_DEFAULTS, _read_identity_settings), (_GRANT_DEFAULTS, _read_grant_settings)):
         if content := profile.files.get(file):

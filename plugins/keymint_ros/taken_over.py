@@ -31,7 +31,7 @@ def adopted_documents(files: Mapping[str, bytes]) -> Mapping[str, bytes]:
 
 
 def adopted_sources(profile: WorkspaceProfile, sources: AdoptedSources) -> Mapping[str, bytes]:
-    """Return the files of a package: see :meth:`keymint.api.AdoptingPackageType.adopted_sources`."""
+    """Return the files of a package: see :meth:`keymint.api.PackageType.adopted_sources`."""
     domains = [_domains(sources.domains)] if sources.domains else []
     name = [f"<subject_name>{sources.subject_name.translate(_SPECIAL)}</subject_name>"] if sources.subject_name else []
     cert = (*name, validity.element(sources.validity))
@@ -76,7 +76,7 @@ _COMMENT = lazy_regex(r"<!--.*?-->", re.DOTALL)
 
 
 def with_unique_name(profile: WorkspaceProfile, name: str, files: Mapping[str, bytes]) -> Mapping[str, bytes]:
-    """Return the files that change: see :meth:`keymint.api.HardenedPackageType.with_unique_name`."""
+    """Return the files that change: see :meth:`keymint.api.PackageType.with_unique_name`."""
     del profile
     element = f"<subject_name>{bootstrap.SUBJECT_NAMES['unique']}</subject_name>"
     edits = {_NAME: element, _VALIDITY: rf"\1{element}\n"}
@@ -88,7 +88,7 @@ def with_unique_name(profile: WorkspaceProfile, name: str, files: Mapping[str, b
 
 
 def with_own_signer(profile: WorkspaceProfile, former: str, period: Validity | None = None) -> Mapping[str, bytes]:
-    """Return the files that change: see :meth:`keymint.api.HardenedProfileType.with_own_signer`."""
+    """Return the files that change: see :meth:`keymint.api.ProfileType.with_own_signer`."""
     base = base_of(profile)
     wanted = f"<issuer_name>{SIGNER}</issuer_name>"
     added = "".join(f"    {line}\n" for line in bootstrap.authority(SIGNER, period))

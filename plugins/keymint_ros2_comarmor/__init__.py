@@ -11,7 +11,7 @@ from keymint_comarmor import require_policies
 
 import comarmor
 from comarmor.xml.package_folders import PackageFolders
-from keymint.api import API_VERSION, PolicySource
+from keymint.api import API_VERSION, PolicySource, PolicyType
 from keymint.api.lazy import lazy
 
 if TYPE_CHECKING:
@@ -20,25 +20,19 @@ if TYPE_CHECKING:
 __all__ = ["ComArmorPolicyType", "policy_type"]
 
 
-class ComArmorPolicyType:
+class ComArmorPolicyType(PolicyType):
     """Loads policies in the ComArmor language."""
 
     API = API_VERSION
 
     def load(
-        self, sources: Sequence[PolicySource], library: Path | None, library_shown: Path | None = None
-    ) -> ComArmorPolicy:
-        """See :meth:`keymint.api.PolicyType.load`."""
-        return self.load_with_packages(sources, library, library_shown, None)
-
-    def load_with_packages(
         self,
         sources: Sequence[PolicySource],
         library: Path | None,
-        library_shown: Path | None,
-        packages: PackageFolders | None,
+        library_shown: Path | None = None,
+        packages: PackageFolders | None = None,
     ) -> ComArmorPolicy:
-        """See :meth:`keymint.api.PackageIncludes.load_with_packages`; without packages none of their files is found."""
+        """See :meth:`keymint.api.PolicyType.load`."""
         require_policies(sources, "a ComArmor file, or a directory of *.xml files")
         from keymint_comarmor.loaded import ComArmorPolicy  # noqa: PLC0415 - a run without changes loads no policy
 

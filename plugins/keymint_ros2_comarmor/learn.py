@@ -188,7 +188,7 @@ def _note(code: str, place: Spot, message: str) -> Diagnostic:
 
 
 def learn(graph: Graph, existing: LoadedPolicy | None, fragments: str) -> LearnedPolicy:
-    """Return the rules that a graph needs in addition to an existing policy; see :class:`keymint.api.PolicyLearner`.
+    """Return the rules that a graph needs in addition to an existing policy; see :class:`keymint.api.PolicyType`.
 
     Raises:
         KeymintError: the existing policy is not of this type.

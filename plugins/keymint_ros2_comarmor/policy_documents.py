@@ -23,7 +23,6 @@ from comarmor.patterns.expression import escape
 from comarmor.rules import PERMISSIONS, Effect, Rule
 from comarmor.values import dataclass
 from comarmor.xml.reader import XINCLUDE
-from keymint.api import PolicyOfRules
 from keymint.api.generated_names import generalised
 from keymint.api.graph import Edge
 from keymint.errors import KeymintError
@@ -181,8 +180,8 @@ def _profile(name: str, attachment: str, rules: tuple[ProfileRule, ...]) -> etre
     )
 
 
-def policy_of(subjects: Sequence[SubjectRules], name: str, note: str = "") -> PolicyOfRules:
-    """Write a policy; see :meth:`keymint.api.PolicyWriter.policy_of`.
+def policy_of(subjects: Sequence[SubjectRules], name: str, note: str = "") -> tuple[bytes, tuple[SubjectRules, ...]]:
+    """Write a policy; see :meth:`keymint.api.PolicyType.policy_of`.
 
     Raises:
         KeymintError: an expression or the name of a subject cannot be written.
@@ -193,7 +192,7 @@ def policy_of(subjects: Sequence[SubjectRules], name: str, note: str = "") -> Po
         raise KeymintError.of(too_long)
     document = profiles({each.subject: _folded(each.rules) for each in subjects}, note.replace("--", "- -"))
     policy = _read(document, name)
-    return PolicyOfRules(document, tuple(SubjectRules(each.subject, policy.rules(each.subject)) for each in subjects))
+    return document, tuple(SubjectRules(each.subject, policy.rules(each.subject)) for each in subjects)
 
 
 def _folded(rules: Iterable[Rule]) -> tuple[ProfileRule, ...]:

@@ -6,9 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from keymint_comarmor import file_fingerprint
-
-from keymint.api import API_VERSION
+from keymint.api import API_VERSION, PolicyType
 from keymint.api.lazy import lazy
 
 __all__ = ["Sros2PolicyType", "policy_type"]
@@ -17,12 +15,8 @@ _BEGIN = 1 << 16
 """Bytes at the begin of a file that tell what it is."""
 
 
-class Sros2PolicyType:
-    """Reads SROS2 policies of the versions 0.1.0 and 0.2.0.
-
-    Implements :class:`keymint.api.PolicyType`, :class:`keymint.api.RecognisedPolicy`,
-    :class:`keymint.api.PolicyImporter` and :class:`keymint.api.PolicyExporter`.
-    """
+class Sros2PolicyType(PolicyType):
+    """Reads SROS2 policies of the versions 0.1.0 and 0.2.0."""
 
     API = API_VERSION
     NOUN = "an SROS2 policy"
@@ -30,7 +24,7 @@ class Sros2PolicyType:
     FORMAT = "sros2"
     BUILD_TYPE = "keymint_ros2_dds"
 
-    fingerprint = staticmethod(file_fingerprint)
+    fingerprint = lazy("keymint_comarmor:file_fingerprint")
     load = lazy("keymint_ros2_sros2.translate:load")
     exported = lazy("keymint_ros2_sros2.export:export_policy")
     translated = lazy("keymint_ros2_sros2.translate:translate_policy")

@@ -160,7 +160,7 @@ _ROOT_NODE = "root"
 
 
 def export_policy(subjects: Sequence[SubjectRules], *, lossy: bool = False) -> ExportedPolicy:
-    """Return a policy of SROS2; see :meth:`keymint.api.PolicyExporter.exported`.
+    """Return a policy of SROS2; see :meth:`keymint.api.PolicyType.exported`.
 
     Raises:
         KeymintError: something cannot be said; every such rule with its ``file:line``.
@@ -177,7 +177,7 @@ def export_policy(subjects: Sequence[SubjectRules], *, lossy: bool = False) -> E
         )
         for enclave in enclaves
     )
-    return ExportedPolicy(_document(enclaves), made, tuple(dict.fromkeys(exporter.warnings)))
+    return ExportedPolicy(_document(enclaves), tuple(dict.fromkeys(exporter.warnings)), made)
 
 
 @dataclass(slots=True)

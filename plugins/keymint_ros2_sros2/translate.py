@@ -39,15 +39,12 @@ from keymint_ros2_sros2.parse import parse
 from keymint_ros2_sros2.syntax import expression
 
 
-def load(
-    sources: Sequence[PolicySource], library: Path | None = None, library_shown: Path | None = None
-) -> ComArmorPolicy:
-    """Load policies as one; see :meth:`keymint.api.PolicyType.load`.
+def load(sources: Sequence[PolicySource], *_of_includes: object) -> ComArmorPolicy:
+    """Load policies as one; see :meth:`keymint.api.PolicyType.load`. Includes are in the policy's own folder.
 
     Raises:
         KeymintError: a policy is not valid, or SROS2 enforces something else than it reads; with ``file:line``.
     """
-    del library, library_shown  # includes are in the policy's own folder
     seen: dict[Path, bytes] = {}
     profiles: dict[str, Profile] = {}
     for source in sources:
@@ -228,7 +225,7 @@ def _comment(parent: etree._Element, texts: Iterable[str]) -> None:
 
 
 def translate_policy(request: ImportRequest) -> ImportedPolicy:
-    """Translate a policy; see :meth:`keymint.api.PolicyImporter.translated`.
+    """Translate a policy; see :meth:`keymint.api.PolicyType.translated`.
 
     Raises:
         KeymintError: the policy is not valid, cannot be expressed, or SROS2 enforces something else than it reads and

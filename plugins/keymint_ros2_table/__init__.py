@@ -3,20 +3,14 @@
 
 from __future__ import annotations
 
-from keymint_comarmor import file_fingerprint
-
-from keymint.api import API_VERSION
+from keymint.api import API_VERSION, PolicyType
 from keymint.api.lazy import lazy
 
 __all__ = ["TablePolicyType", "policy_type"]
 
 
-class TablePolicyType:
-    """Reads tables with the columns subject, kind, permission, object, qualifier, audit and source.
-
-    Implements :class:`keymint.api.PolicyType`, :class:`keymint.api.PolicyTypeWithTests` and
-    :class:`keymint.api.RecognisedPolicy`.
-    """
+class TablePolicyType(PolicyType):
+    """Reads tables with the columns subject, kind, permission, object, qualifier, audit and source."""
 
     API = API_VERSION
     NOUN = "a table of rules"
@@ -24,7 +18,7 @@ class TablePolicyType:
     load = lazy("keymint_ros2_table.policy:load")
     recognises = lazy("keymint_ros2_table.files:recognises")
     expectations = lazy("comarmor.language.loading:expectations")
-    fingerprint = staticmethod(file_fingerprint)
+    fingerprint = lazy("keymint_comarmor:file_fingerprint")
 
 
 policy_type = TablePolicyType()

@@ -37,7 +37,10 @@ _Part = ProfileRule | Inclusion
 
 
 def load(
-    sources: Sequence[PolicySource], library: Path | None = None, library_shown: Path | None = None
+    sources: Sequence[PolicySource],
+    library: Path | None = None,
+    library_shown: Path | None = None,
+    _packages: object = None,
 ) -> ComArmorPolicy:
     """Load tables as one policy; see :meth:`keymint.api.PolicyType.load`.
 

@@ -3,18 +3,18 @@
 
 from __future__ import annotations
 
-from keymint.api import API_VERSION
+from keymint.api import API_VERSION, PolicyFormat
 from keymint.api.lazy import lazy
 
 __all__ = ["XacmlPolicyFormat", "policy_format"]
 
 
-class XacmlPolicyFormat:
-    """Writes XACML 3.0; implements :class:`keymint.api.PolicyFormat`."""
+class XacmlPolicyFormat(PolicyFormat):
+    """Writes XACML 3.0."""
 
     API = API_VERSION
 
-    written = lazy("keymint_xacml.policy_set:written_policy")
+    exported = lazy("keymint_xacml.policy_set:written_policy")
 
 
 policy_format = XacmlPolicyFormat()

@@ -28,7 +28,7 @@ from comarmor.patterns.tokens import ANY, COMARMOR, MAX_CODE, Charset, Star, Tok
 from comarmor.rules import Effect, Rule, parts
 from comarmor.text import printable, quoted
 from comarmor.values import dataclass
-from keymint.api import WrittenPolicy
+from keymint.api import ExportedPolicy
 from keymint.errors import KeymintError, UnsayableError
 from keymint.ir import SubjectRules
 
@@ -166,7 +166,7 @@ class _XacmlRule:
     partitions: tuple[TextMatch, ...]
 
 
-def written_policy(subjects: Sequence[SubjectRules], *, lossy: bool = False) -> WrittenPolicy:
+def written_policy(subjects: Sequence[SubjectRules], *, lossy: bool = False) -> ExportedPolicy:
     """Return the rules as a policy set; see :meth:`keymint.api.PolicyFormat.written`.
 
     Raises:
@@ -176,7 +176,7 @@ def written_policy(subjects: Sequence[SubjectRules], *, lossy: bool = False) -> 
     said = [(each.subject, list(_rules(each, found, lossy=lossy))) for each in subjects]
     if any(each.severity is Severity.ERROR for each in found):
         raise KeymintError.of(dict.fromkeys(found))
-    return WrittenPolicy(_document(said), tuple(dict.fromkeys(found)))
+    return ExportedPolicy(_document(said), tuple(dict.fromkeys(found)))
 
 
 def _rules(subject: SubjectRules, found: list[Diagnostic], *, lossy: bool) -> Iterator[_XacmlRule]:

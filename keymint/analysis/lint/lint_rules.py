@@ -29,7 +29,6 @@ from keymint.analysis.subject_patterns import (
     pattern_examples,
     profile_subjects,
     rules_of,
-    structure,
     with_distinct_rules,
 )
 from keymint.api import BuildType, LoadedPolicy, PolicyStructure, WrittenProfile
@@ -54,7 +53,7 @@ CODES: Mapping[str, str] = {
 
 def lint(policy: LoadedPolicy) -> list[Diagnostic]:
     """Return the findings on a policy, sorted by place."""
-    written = structure(policy)
+    written = policy.structure()
     named = policy.subjects()
     given_up: list[str] = []
     subjects, complete = within_bounds((*named, *pattern_examples(policy, given_up)), partial(rules_of, policy))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from keymint.adoption.keystore_learning import Learning, learned_from
 from keymint.adoption.keystore_policy import AdoptedPolicy
-from keymint.api import FoundKeystore, ImportRequest, KeystoreFiles, KeystoreReader, PolicyImporter
+from keymint.api import FoundKeystore, ImportRequest, KeystoreFiles, KeystoreReader
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import PolicyOptions
 from keymint.run.run import Run
@@ -49,11 +49,11 @@ def named_policy(
     policies, place = Policies(run, options), run.setting.cwd / path
     library = policies.shipped()  # an unknown distribution is wrong usage, whatever the file is
     foreign = foreign_policy(run.plugins, [place], options.policy_type) if place.is_file() else None
-    importer: object = None if foreign is None else run.plugins.policy_type(foreign.policy_type)
-    if isinstance(importer, PolicyImporter):
+    if foreign and foreign.imported:
         name = f"{FOLDER}/{path.name.removesuffix('.xml').removesuffix('.policy')}.xml"
         file, shown = str(workspace.profile / name), workspace.profile / FOLDER
-        imported = importer.translated(ImportRequest(place, file, library, accept, implicit, shown))
+        request = ImportRequest(place, file, library, accept, implicit, shown)
+        imported = run.plugins.policy_type(foreign.policy_type).translated(request)
         rules = {each.rules.subject: each.rules for each in imported.subjects}
         return AdoptedPolicy(FOLDER, {name: imported.document}, rules, tuple(rules), diagnostics=imported.diagnostics)
     loaded = policies.at(place, str(path), library_shown=workspace.profile / FOLDER)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import codecs
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import click
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import did_you_mean, quoted
-from keymint.api import LoadedPolicy, PolicyExporter, PolicyFormat
+from keymint.api import LoadedPolicy, PolicyFormat, PolicyType
 from keymint.command_line.named_files import deliver, read_input, refuse_replacing
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import FILE, PATH, PolicyOptions, force_option, policy_options
@@ -73,24 +73,23 @@ def export(
 
 
 def _made(
-    run: Run, writer: PolicyExporter | PolicyFormat, subjects: Sequence[SubjectRules], distro: str, *, lossy: bool
+    run: Run, writer: PolicyType | PolicyFormat, subjects: Sequence[SubjectRules], distro: str, *, lossy: bool
 ) -> tuple[bytes, list[Diagnostic]]:
     """Return the policy in the other language, and what is to be said about it; it is proven if that is possible.
 
     Raises:
         KeymintError: a rule cannot be expressed, or what the other tool makes of it permits something else.
     """
-    if not isinstance(writer, PolicyExporter):
-        plain = writer.written(subjects, lossy=lossy)
-        return plain.document, list(plain.diagnostics)
     made = writer.exported(subjects, lossy=lossy)
+    if not writer.BUILD_TYPE:
+        return made.document, list(made.diagnostics)
     proofs = proofs_of(run, writer.BUILD_TYPE, made.subjects, distro)
     if refuted := unproven(proofs, writer.TOOL):
         raise KeymintError.of([*made.diagnostics, *refuted])
     return made.document, [*made.diagnostics, *diagnostics_of(proofs, writer.TOOL)]
 
 
-def _writer(run: Run, form: str) -> PolicyExporter | PolicyFormat:
+def _writer(run: Run, form: str) -> PolicyType | PolicyFormat:
     """Return what writes a format: a policy type that also reads it, or a plugin that only writes it.
 
     Raises:
@@ -99,8 +98,7 @@ def _writer(run: Run, form: str) -> PolicyExporter | PolicyFormat:
     formats = run.plugins.names(_FORMATS)
     if form in formats:
         return run.plugins.policy_format(form)
-    plugins: Iterable[object] = run.plugins.policy_types().values()
-    known = {each.FORMAT: each for each in plugins if isinstance(each, PolicyExporter)}
+    known = {each.FORMAT: each for each in run.plugins.policy_types().values() if each.FORMAT}
     if form not in known:
         every = sorted({*known, *formats})
         hint = did_you_mean(form, every, f"known: {', '.join(every) or 'none'}")

@@ -11,7 +11,7 @@ import click
 from comarmor.errors import Diagnostic, Origin
 from comarmor.text import counted, first_few
 from comarmor.xml.reader import looks_like_xml, parse
-from keymint.api import ImportedSubject, ImportRequest, PolicyImporter
+from keymint.api import ImportedSubject, ImportRequest, PolicyType
 from keymint.command_line.named_files import deliver, exists, read_input, refuse_replacing
 from keymint.command_line.named_policies import Policies
 from keymint.command_line.options import FILE, PATH, PolicyOptions, distro_option, force_option, library_option
@@ -89,7 +89,7 @@ def import_policy(
     return run.report({**delivered, "subjects": subjects}, diagnostics, notes=True)
 
 
-def _importer(run: Run, policy: Path) -> PolicyImporter:
+def _importer(run: Run, policy: Path) -> PolicyType:
     """Return the policy type that recognises and imports a file.
 
     Raises:
@@ -97,15 +97,14 @@ def _importer(run: Run, policy: Path) -> PolicyImporter:
     """
     content = read_input(run, policy)
     foreign = foreign_policy(run.plugins, [run.setting.cwd / policy])
-    importer: object = None if foreign is None else run.plugins.policy_type(foreign.policy_type)
     if foreign is None and looks_like_xml(content):
         parse(content, str(policy))  # raises an error if it is no document, which nothing recognises
-    if not isinstance(importer, PolicyImporter):
+    if foreign is None or not foreign.imported:
         raise KeymintError(
             "no plugin recognises this as a policy of another tool", where=Origin(str(policy)),
             help="'keymint lint' reads ComArmor policies as they are", code="import-unknown",
         )  # fmt: skip
-    return importer
+    return run.plugins.policy_type(foreign.policy_type)
 
 
 def proofs_of(

@@ -14,7 +14,7 @@ import click
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.xml.reader import looks_like_xml
-from keymint.api import LearnedPolicy, LoadedPolicy, PolicyLearner, graph_json
+from keymint.api import LearnedPolicy, LoadedPolicy, graph_json
 from keymint.api.generated_names import NAMES_DIFFER, differing
 from keymint.api.graph import Edge, Graph
 from keymint.command_line.named_files import read_input, show_written, write_outputs
@@ -78,8 +78,6 @@ def learn(
         )
     policies = Policies(run, policy_options)
     learner = run.plugins.policy_type(policy_options.policy_type)
-    if not isinstance(learner, PolicyLearner):
-        raise KeymintError(f"the policy type {policy_options.policy_type!r} cannot learn", code="learn-unsupported")
     if policy_options.distro:
         policies.shipped()  # an unknown distribution is an error even without --policy
     records = [_record(run, graph) for graph in graphs]
@@ -89,6 +87,8 @@ def learn(
         _refuse_overwriting(run, output, existing)
     folder = f"{output.stem}.d" if output else ""
     learned = learner.learn(wanted, existing, folder)
+    if learned is None:
+        raise KeymintError(f"the policy type {policy_options.policy_type!r} cannot learn", code="learn-unsupported")
     learned = replace(learned, unused=tuple(run.as_typed(rule) for rule in learned.unused))
     written: list[str] = []
     if output and learned.document:

@@ -11,7 +11,6 @@ import click
 
 from comarmor.errors import Diagnostic
 from keymint.analysis.lint.attachment_mistakes import attachment_mistakes
-from keymint.analysis.subject_patterns import structure
 from keymint.api import BuildOptions, LoadedPolicy
 from keymint.command_line.named_files import read_input
 from keymint.command_line.options import (
@@ -115,7 +114,7 @@ def policy_slips(session: Session, steps: Iterable[Step], policy: LoadedPolicy |
     if all(step.action is Action.UNCHANGED for step in steps):
         return ()
     try:
-        written = structure(policy or load_policy(session))
+        written = (policy or load_policy(session)).structure()
     except KeymintError:
         return ()  # 'create' reads the policy, and says what is wrong with it; a build takes what was created
     return tuple(attachment_mistakes(written)) if written else ()

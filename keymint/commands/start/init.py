@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import click
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
-from keymint.api import Bootstrap, ProfileSettings, WorkspaceProfile
+from keymint.api import Bootstrap, WorkspaceProfile
 from keymint.authority.authorities import plan_authorities
 from keymint.command_line.build_type_names import build_types_of, transports_of
 from keymint.command_line.options import (
@@ -184,14 +184,11 @@ def refuse_contradiction(run: Run, workspace: Workspace, given: ProfileOptions, 
     profile_type = run.plugins.profile_type(profile.profile_type)
     if given.distro is not None:
         profile_type.library(given.distro)  # an unknown distribution is a usage error, as for a new workspace
-    present = {"profile-type": profile.profile_type}
-    elsewhere: Mapping[str, tuple[str, ...]] = {}
-    if isinstance(profile_type, ProfileSettings):
-        present |= profile_type.settings(profile)
-        elsewhere = profile_type.PLACES
+    present = {"profile-type": profile.profile_type, **profile_type.settings(profile)}
     for option, value in values.items():
         if present.get(option) != value:
-            places = [place for place in elsewhere.get(option, ()) if place in profile.files] or [PROFILE_MARKER]
+            places = [place for place in profile_type.PLACES.get(option, ()) if place in profile.files]
+            places = places or [PROFILE_MARKER]
             has = f"has {option} {present[option]!r}" if option in present else f"exists and keeps its {option}"
             raise KeymintError(
                 f"the workspace {has}, so --{option} {value} cannot take effect",

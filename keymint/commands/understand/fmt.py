@@ -14,7 +14,7 @@ from comarmor.errors import Defects, Diagnostic, Origin
 from comarmor.text import counted
 from comarmor.values import dataclass
 from comarmor.xml.reader import looks_like_xml
-from keymint.api import PolicyTypeWithForm
+from keymint.api import PolicyType
 from keymint.command_line.named_files import is_folder, read_input, replace_inputs
 from keymint.command_line.options import PATH
 from keymint.command_line.verb import verb
@@ -116,7 +116,7 @@ def _formatted(run: Run, paths: Iterable[Path]) -> tuple[list[_Formatted], list[
     Raises:
         KeymintError: the errors of all files.
     """
-    types = [each for each in run.plugins.policy_types().values() if isinstance(each, PolicyTypeWithForm)]
+    types = [*run.plugins.policy_types().values()]
     files: list[_Formatted] = []
     skipped: list[Diagnostic] = []
     defects = Defects()
@@ -158,7 +158,7 @@ def _refused(run: Run, path: Path, name: str, content: bytes) -> KeymintError:
     return KeymintError(message, where=Origin(name), help=help_, code="format-unknown")
 
 
-def _files(run: Run, types: Sequence[PolicyTypeWithForm], paths: Iterable[Path]) -> Mapping[Path, bool]:
+def _files(run: Run, types: Sequence[PolicyType], paths: Iterable[Path]) -> Mapping[Path, bool]:
     """Return the files of some paths, each with whether it was named itself; each file once."""
     named: dict[Path, tuple[Path, bool]] = {}
     for path in tuple(paths) or (None,):
@@ -169,7 +169,7 @@ def _files(run: Run, types: Sequence[PolicyTypeWithForm], paths: Iterable[Path])
     return dict(named.values())
 
 
-def _found(run: Run, types: Sequence[PolicyTypeWithForm], path: Path | None) -> Iterator[tuple[Path, bool]]:
+def _found(run: Run, types: Sequence[PolicyType], path: Path | None) -> Iterator[tuple[Path, bool]]:
     """Yield the files that a path stands for, each with whether it was named itself."""
     for place in (path,) if path is not None and not is_folder(run, path) else _places(run, path):
         if not is_folder(run, place):

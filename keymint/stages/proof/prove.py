@@ -13,7 +13,6 @@ from comarmor.errors import Defects, Diagnostic
 from keymint import __version__
 from keymint.api import (
     Claim,
-    DigestedPolicy,
     LoadedPolicy,
     Package,
     Proof,
@@ -122,7 +121,6 @@ class ProofStage:
         self._unsigned = unsigned
         self._policy_digest = policy_digest(policy)
         self._chains_digest = chains_digest(session)
-        self._digested = policy if isinstance(policy, DigestedPolicy) else None
         workspace = session.workspace
         self._shared_folder = workspace.shown(workspace.build / SHARED if unsigned else workspace.install)
         self._asked: list[tuple[Prover, object]] | None = None
@@ -252,9 +250,7 @@ class ProofStage:
 
     def _written(self, subjects: Iterable[str]) -> str:
         """Return a digest that is the same if the rules of some subjects are, and their files; or an empty text."""
-        if self._digested is None:
-            return ""
-        digests = [self._digested.rules_digest(subject) for subject in subjects]
+        digests = [self._policy.rules_digest(subject) for subject in subjects]
         return "" if None in digests else digest(*map(str, digests))
 
     def _of_policy(self, stamp: Stamp, subjects: Iterable[str]) -> Stamp | None:

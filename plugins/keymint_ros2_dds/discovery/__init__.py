@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from keymint.api import API_VERSION
+from keymint.api import API_VERSION, GraphSource
 from keymint.api.lazy import lazy
 
 __all__ = ["DdsGraphs", "graph_source"]
 
 
-class DdsGraphs:
-    """Implements :class:`keymint.api.GraphSource` for ROS 2 on DDS; listing plugins must not load a vendor."""
+class DdsGraphs(GraphSource):
+    """Graphs of ROS 2 on DDS; listing plugins must not load a vendor."""
 
     API = API_VERSION
     CAPTURES = "XML of RTI Admin Console"

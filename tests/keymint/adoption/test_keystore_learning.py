@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from keymint_ros2_dds import build_type
+from keymint_ros2_sros2 import policy_type as sros2
 
 from comarmor.errors import Diagnostic, Severity
 from keymint.adoption.keystore_files import found_in
@@ -85,7 +86,7 @@ def test_a_policy_that_means_something_else_is_not_returned(keystore) -> None:
 
 def test_a_policy_type_that_cannot_do_it(keystore) -> None:
     with pytest.raises(KeymintError, match="cannot write rules"):
-        learned(keystore, Stand(object()))
+        learned(keystore, Stand(sros2))
 
 
 def test_findings_on_the_keystore_are_warnings_unless_they_concern_trust(keystore) -> None:

@@ -12,17 +12,15 @@ from typing import Any
 import pytest
 
 from comarmor.errors import Origin
-from comarmor.xml.package_folders import CopiedPackages, ShippedFile
+from comarmor.xml.package_folders import ShippedFile
 from keymint.api import AcceptedPackage
 from keymint.errors import KeymintError
 from keymint.store.changes import Action
 from keymint.workspace import shipped_profiles
 from keymint.workspace.shipped_profiles import (
     UnacceptedPackagesError,
-    load_with,
     plan_acceptance,
     refuse_unaccepted,
-    shipped_files,
 )
 from tests.keymint.stages.sessions import session_of
 
@@ -42,13 +40,6 @@ def policy(*shipped: ShippedFile) -> Any:
 
 def accepting(session: Any, **accepted: AcceptedPackage) -> Any:
     return replace(session, profile=replace(session.profile, packages=accepted))
-
-
-def test_a_policy_of_another_type_is_loaded_without_packages() -> None:
-    kind: Any = SimpleNamespace(load=lambda *arguments: arguments)
-    given: Any = load_with(kind, (), Path("library"), None, CopiedPackages(Path("x")))
-    assert given == ((), Path("library"), None)
-    assert shipped_files(given) == ()
 
 
 def test_what_was_accepted_is_not_refused(session: Any) -> None:

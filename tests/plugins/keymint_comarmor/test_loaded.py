@@ -11,12 +11,7 @@ from keymint_comarmor.loaded import ComArmorPolicy
 
 import comarmor
 from keymint.api import (
-    DigestedPolicy,
-    DivisiblePolicy,
     LoadedPolicy,
-    PolicyWithPackages,
-    RowPolicy,
-    StructuredPolicy,
 )
 from keymint.api.graph import Edge, Object
 
@@ -64,10 +59,3 @@ def test_a_part_of_it_can_be_sent_and_answers_alike(policy: ComArmorPolicy) -> N
     part = pickle.loads(pickle.dumps(policy.about(["/r/a"])))
     assert decided(part, "/r/a") == decided(policy, "/r/a")
     assert part.rules("/b") is None
-
-
-@pytest.mark.parametrize(
-    "capability", [DigestedPolicy, DivisiblePolicy, RowPolicy, StructuredPolicy, PolicyWithPackages]
-)
-def test_it_has_the_capability(policy: ComArmorPolicy, capability: type) -> None:
-    assert isinstance(policy, capability)

@@ -12,7 +12,7 @@ from keymint_ros import profile_type
 from keymint_ros.decisions import AUTHORITY_ISSUANCE as FILE
 
 from comarmor.data import locate
-from keymint.api import Authority, AuthorityIssuance, AuthorityIssuanceFiles, Phase, Rollover
+from keymint.api import Authority, AuthorityIssuance, Phase, Rollover
 from tests.keymint.commands.life.test_authority import outside
 
 from .workspaces import ROOT, Workspace, diagnostic_of
@@ -44,7 +44,6 @@ def written(**issuance: AuthorityIssuance) -> bytes:
 def test_what_is_written_is_valid_and_read_back(workspace: Workspace, issuance: AuthorityIssuance) -> None:
     content = written(identity_ca=issuance, permissions_ca=AuthorityIssuance(renewed=DATE))
     xmlschema.XMLSchema10(str(locate("keymint_ros", "schemas") / "authority_issuance.xsd")).validate(content.decode())
-    assert isinstance(profile_type, AuthorityIssuanceFiles)
     assert authority(workspace, content).issuance == issuance
     assert authority(workspace, content, "permissions_ca").issuance == AuthorityIssuance(renewed=DATE)
 

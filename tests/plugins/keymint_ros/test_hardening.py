@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 from keymint_ros import package_type, profile_type
 
-from keymint.api import AdoptedSources, HardenedPackageType, HardenedProfileType, KeySpec, WorkspaceProfile
+from keymint.api import AdoptedSources, KeySpec, WorkspaceProfile
 from keymint.errors import KeymintError
 from keymint.ir import SubjectRules
 
@@ -34,11 +34,6 @@ def adopted(workspace: Workspace, subject_name: str = "") -> dict[str, bytes]:
         {"permissions.xml": b"signed"},
     )  # fmt: skip
     return dict(package_type.adopted_sources(profile_of(workspace), sources))
-
-
-def test_the_capabilities_are_found() -> None:
-    assert isinstance(package_type, HardenedPackageType)
-    assert isinstance(profile_type, HardenedProfileType)
 
 
 @pytest.mark.parametrize("name", ["", "CN=/robot1/talker"])

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from unittest import mock
 
@@ -146,7 +147,7 @@ def test_a_package_that_was_built_is_the_same_but_its_rules_are_read_later(
     changed = workspace.edit("permissions.xml", old, new)
     usual = changed.load()
     with monkeypatch.context() as patch:
-        patch.setattr(workspaces, "package_type", SimpleNamespace(load=package_type.load_built))
+        patch.setattr(workspaces, "package_type", SimpleNamespace(load=partial(package_type.load, built=True)))
         read = mock.Mock(wraps=permissions.read)
         patch.setattr(permissions, "read", read)
         package = changed.load()

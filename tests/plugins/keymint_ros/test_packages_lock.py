@@ -12,7 +12,7 @@ from keymint_ros import profile_type
 from keymint_ros.decisions import PACKAGES_LOCK as FILE
 
 from comarmor.data import locate
-from keymint.api import AcceptedPackage, AcceptedPackageFiles
+from keymint.api import AcceptedPackage
 
 from .workspaces import ROOT, Workspace, diagnostic_of
 
@@ -32,10 +32,6 @@ def written(accepted: Mapping[str, AcceptedPackage]) -> bytes:
     [(file, content)] = profile_type.with_packages(accepted).items()
     assert file == FILE
     return content
-
-
-def test_it_is_a_capability() -> None:
-    assert isinstance(profile_type, AcceptedPackageFiles)
 
 
 @pytest.mark.parametrize("names", [(), ("nav2_bringup",), ("nav2_bringup", "Linked-1")])

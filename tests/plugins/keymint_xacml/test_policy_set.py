@@ -52,7 +52,7 @@ def written(path: Path) -> tuple[comarmor.Policy, tuple[str, ...], bytes]:
     """Return a policy, the subjects of its export, and the export."""
     policy = comarmor.load(path, library=LIBRARY)
     subjects = tuple(dict.fromkeys([*policy.subjects(), *(each for each in FURTHER if policy.applicable(each))]))
-    made = policy_format.written([SubjectRules(each, policy.rules(each)) for each in subjects])
+    made = policy_format.exported([SubjectRules(each, policy.rules(each)) for each in subjects])
     assert not made.diagnostics
     return policy, subjects, made.document
 
@@ -228,22 +228,22 @@ def _of(effect: Effect, *expressions: str) -> list[SubjectRules]:
 @pytest.mark.parametrize("effect", Effect)
 def test_what_xml_cannot_contain_is_refused(effect: Effect, expression: str) -> None:
     with pytest.raises(KeymintError) as error:
-        policy_format.written(_of(effect, expression))
+        policy_format.exported(_of(effect, expression))
     (diagnostic,) = error.value.diagnostics
     assert (diagnostic.code, str(diagnostic.where)) == ("xacml-unsayable", "p.xml:7")
     assert ("--lossy" in diagnostic.help) is (effect is Effect.ALLOW)
 
 
 def test_lossy_leaves_out_what_only_allows_something() -> None:
-    made = policy_format.written(_of(Effect.ALLOW, "a\x01"), lossy=True)
+    made = policy_format.exported(_of(Effect.ALLOW, "a\x01"), lossy=True)
     (diagnostic,) = made.diagnostics
     assert (diagnostic.severity, diagnostic.help) == (Severity.WARNING, "left out (--lossy)")
     assert evaluator(made.document)(request("/t", "topic", "publish", "b")).decision == PERMIT
     with pytest.raises(KeymintError):
-        policy_format.written(_of(Effect.DENY, "a\x01"), lossy=True)
+        policy_format.exported(_of(Effect.DENY, "a\x01"), lossy=True)
 
 
 def test_a_subject_without_rules_is_denied_everything() -> None:
-    made = policy_format.written([SubjectRules("/é t", ()), *_of(Effect.ALLOW, "a")])
+    made = policy_format.exported([SubjectRules("/é t", ()), *_of(Effect.ALLOW, "a")])
     assert b"/%C3%A9" not in made.document
     assert evaluator(made.document)(request("/é t", "topic", "publish", "a")).decision == DENY
