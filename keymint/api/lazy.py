@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What plugins name and do not load: functions and transports, which are imported when they are first used."""
+"""Functions that plugins name and do not load: their module is imported when they are first called."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache, partial
 from importlib import import_module
 from typing import Any
-
-from keymint.api import API_VERSION, Environment, Transport
 
 
 def lazy(target: str) -> Any:
@@ -24,18 +21,3 @@ def lazy(target: str) -> Any:
         return getattr(imported(), name)(*arguments, **options)
 
     return staticmethod(call)
-
-
-class LazyTransport:
-    """Implements :class:`keymint.api.TransportType`.
-
-    Args:
-        build_type: name of the build type whose files the transport reads.
-        make: returns the transport; imports its module, as :func:`lazy` does.
-    """
-
-    API = API_VERSION
-
-    def __init__(self, build_type: str, make: Callable[[Environment], Transport]) -> None:
-        self.BUILD_TYPE = build_type
-        self.open = make

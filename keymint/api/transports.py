@@ -9,7 +9,7 @@ from dataclasses import field
 from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import NoReturn, Protocol, runtime_checkable
+from typing import NoReturn
 
 from comarmor.errors import Diagnostic, Origin
 from comarmor.values import dataclass
@@ -140,12 +140,25 @@ class Environment:
     opened: dict[bytes, object] = field(default_factory=dict, repr=False, compare=False)
 
 
-class Transport(Protocol):
+class Transport(ABC):
     """Decides edges between installed enclaves, as a simulated or a real transport does."""
 
+    ADMITS: bool = False
+    """It decides about many endpoints at once by :meth:`admitted`, since its build type maps names.
+
+    It allows an edge if it admits all endpoints of the edge, and gives the reasons by :meth:`label`.
+    """
+    SELECTIVE: bool = False
+    """It cannot be asked about every edge: see :meth:`asked`.
+
+    ``verify`` then asks all transports of the run what these can be asked, and does not ask for single endpoints.
+    """
+
+    @abstractmethod
     def usable(self) -> Availability:
         """Return whether it can be used on this machine; never raises."""
 
+    @abstractmethod
     def label(self, enclaves: Sequence[Enclave], edges: Iterable[Edge], tier: Tier) -> Iterator[tuple[Edge, Verdict]]:
         """Yield the decision on each edge, in the order of the edges.
 
@@ -158,50 +171,38 @@ class Transport(Protocol):
             KeymintError: an enclave is refused completely (code ``enclave-refused``), or the transport fails.
         """
 
-
-@runtime_checkable
-class EndpointTransport(Transport, Protocol):
-    """Optional capability of a transport whose build type maps names: decides about many endpoints at once.
-
-    It allows an edge if it admits all endpoints of the edge, and gives the reasons by :meth:`Transport.label`.
-    """
-
     def admitted(self, enclave: Enclave, endpoints: Column, tier: Tier) -> bytes:
         """Return which endpoints it admits, one byte each: 1 admitted, 0 refused.
 
         Args:
             enclave: the enclave of the subject.
             endpoints: requests of kind ``topic``.
-            tier: one of those that :meth:`Transport.usable` returns, except *exchange*, which needs peers.
+            tier: one of those that :meth:`usable` returns, except *exchange*, which needs peers.
 
         Raises:
-            KeymintError: as of :meth:`Transport.label`.
+            KeymintError: as of :meth:`label`.
         """
-
-
-@runtime_checkable
-class SelectiveTransport(Transport, Protocol):
-    """Optional capability of a transport that cannot be asked about every edge.
-
-    ``verify`` then asks all transports of the run what these can be asked, and does not ask for single endpoints.
-    """
+        raise NotImplementedError
 
     def asked(self, enclave: Enclave, edge: Edge) -> Sequence[Edge]:
         """Return the edges that it can be asked about in place of an edge; none if there is none like it."""
+        del enclave
+        return (edge,)
 
 
-class TransportType(Protocol):
+class TransportType:
     """The registered entry point of a transport: opens it, without side effects.
 
-    Attributes:
-        BUILD_TYPE: name of the build type whose files the transport reads.
+    Args:
+        version: the version of the plugin interface that the transport is written for.
+        build_type: name of the build type whose files the transport reads.
+        make: returns the transport in an environment, and never raises; it tells itself whether it is usable.
     """
 
-    API: str
-    BUILD_TYPE: str
-
-    def open(self, environment: Environment) -> Transport:
-        """Return the transport; its method ``usable`` reports whether it can be used. Never raises."""
+    def __init__(self, version: str, build_type: str, make: Callable[[Environment], Transport]) -> None:
+        self.API = version
+        self.BUILD_TYPE = build_type
+        self.open = make
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,12 +8,12 @@ import select
 import subprocess
 import tempfile
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import IO, cast
 
-from keymint.api.transports import Availability, Environment
+from keymint.api.transports import Availability, Environment, Transport
 
 GRACE_SECONDS = 30.0
 """How long an answer may take beyond the time of its command before the process counts as hung."""
@@ -103,8 +103,8 @@ class CommandProcess:
                 continue
 
 
-class VendorTransport(ABC):
-    """What such transports have in common; a subclass has the other methods of :class:`keymint.api.Transport`.
+class VendorTransport(Transport):
+    """What such transports have in common.
 
     Args:
         environment: the cache, and the environment variables of processes.

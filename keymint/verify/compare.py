@@ -20,7 +20,7 @@ from itertools import chain, groupby
 from operator import and_, attrgetter
 
 from comarmor.values import dataclass
-from keymint.api import Enclave, EndpointTransport, Tier, Transport, Verdict
+from keymint.api import Enclave, Tier, Transport, Verdict
 from keymint.api.graph import ConfusionMatrix, Edge
 from keymint.errors import KeymintError
 from keymint.verify.endpoint_policy import EdgeRow, EndpointPolicy, MappedColumn, Naming, labelled_rows, mapped_column
@@ -168,17 +168,12 @@ def with_halves(
 
 
 def compare_endpoints(
-    asked: Asked,
-    transport: EndpointTransport,
-    rows: Iterable[EdgeRow],
-    labels: bytes | bytearray,
-    policy: EndpointPolicy,
+    asked: Asked, rows: Iterable[EdgeRow], labels: bytes | bytearray, policy: EndpointPolicy
 ) -> EdgeComparison:
     """Compare a transport that decides about all endpoints of a subject at once, halves included.
 
     Args:
         asked: the transport.
-        transport: the same.
         rows: the edges.
         labels: the policy's label of each edge: 1 allowed, 0 denied.
         policy: the policy on endpoints, with the naming of each subject.
@@ -191,7 +186,7 @@ def compare_endpoints(
     both = by_policy = by_transport = 0
     for row, expected in labelled_rows(rows, labels):
         column = mapped_column(row.column, policy.namings[row.subject])
-        admitted = _admitted(transport, asked.enclaves[row.subject], column, asked.asking.tier)
+        admitted = _admitted(asked.transport, asked.enclaves[row.subject], column, asked.asking.tier)
         decided = column.allowed(admitted)
         if halves := _halves(row, expected, column, admitted, policy):
             single[row.subject] = [(edge, True) for edge in halves]
@@ -247,7 +242,7 @@ def _halves(row: EdgeRow, labels: bytes, column: MappedColumn, admitted: bytes, 
     return [each for each in sorted(map(row.edge, column.halves(labels, admitted))) if not policy.decide(each).allowed]
 
 
-def _admitted(transport: EndpointTransport, enclave: Enclave, column: MappedColumn, tier: Tier) -> bytes:
+def _admitted(transport: Transport, enclave: Enclave, column: MappedColumn, tier: Tier) -> bytes:
     """Return which endpoints a transport admits; none of a refused enclave."""
     try:
         return transport.admitted(enclave, column.endpoints, tier)

@@ -19,7 +19,6 @@ from keymint.api import (
     LoadedPolicy,
     Package,
     Role,
-    SelectiveTransport,
     Transport,
 )
 from keymint.api.graph import LABELLED, Column, Edge, Graph, Object, column
@@ -179,7 +178,7 @@ def naming_of(inputs: Inputs, package: Package, build_type: str) -> Naming | Non
 
 def selective(scope: VerificationScope, transports: Iterable[Transport]) -> VerificationScope:
     """Return a scope with the edges that transports can be asked about; one of them at most selects."""
-    select = next((each.asked for each in transports if isinstance(each, SelectiveTransport)), None)
+    select = next((each.asked for each in transports if each.SELECTIVE), None)
     return replace(scope, select=select)
 
 

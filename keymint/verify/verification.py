@@ -11,7 +11,7 @@ from dataclasses import astuple, field, replace
 from itertools import chain
 
 from comarmor.values import dataclass
-from keymint.api import Enclave, EndpointTransport, LoadedPolicy, PolicyDecision, Tier, Transport
+from keymint.api import Enclave, LoadedPolicy, PolicyDecision, Tier, Transport
 from keymint.api.graph import ConfusionMatrix, Edge, Graph, Object
 from keymint.api.plugin_loader import Plugins
 from keymint.executors import Pool
@@ -103,8 +103,8 @@ class VerificationPart:
 
         def compared(name: str, transport: Transport) -> EdgeComparison:
             asked = Asked(name, transport, self.enclaves(), explain, asking)
-            if alone and isinstance(transport, EndpointTransport):
-                return compare_endpoints(asked, transport, rows(), labels, policy)
+            if alone and transport.ADMITS:
+                return compare_endpoints(asked, rows(), labels, policy)
             outcome = compare(asked, chain.from_iterable(rows()), labels)
             return with_halves(asked, outcome, rows(), labels, policy) if scope.select is None else outcome
 

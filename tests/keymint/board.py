@@ -21,12 +21,12 @@ from keymint.api import (
     BuildResult,
     Enclave,
     Endpoint,
-    Environment,
     InfrastructurePackage,
     Layout,
     Package,
     Tier,
     Transport,
+    TransportType,
     Verdict,
     WorkspaceProfile,
 )
@@ -78,8 +78,8 @@ def _lines(package: Package) -> Iterator[str]:
 
 
 @dataclass(frozen=True)
-class Board:
-    """Implements :class:`keymint.api.Transport`: decides by the board; a DENY overrides every ALLOW."""
+class Board(Transport):
+    """Decides by the board; a DENY overrides every ALLOW."""
 
     tiers: tuple[Tier, ...]
     reads_keys: bool
@@ -113,23 +113,9 @@ class Board:
         return decided
 
 
-class _Type:
-    """Implements :class:`keymint.api.TransportType`."""
-
-    API = API_VERSION
-    BUILD_TYPE = NAME
-
-    def __init__(self, transport: Transport) -> None:
-        self._transport = transport
-
-    def open(self, environment: Environment) -> Transport:
-        del environment
-        return self._transport
-
-
 build_type = BoardBuildType()
-simulated = _Type(Board((Tier.DECISION,), reads_keys=False))
-real = _Type(Board((Tier.DECISION, Tier.ADMISSION), reads_keys=True))
+simulated = TransportType(API_VERSION, NAME, lambda _: Board((Tier.DECISION,), reads_keys=False))
+real = TransportType(API_VERSION, NAME, lambda _: Board((Tier.DECISION, Tier.ADMISSION), reads_keys=True))
 
 ENTRIES = (
     PluginInfo("keymint.build_types", NAME, f"{__name__}:build_type"),

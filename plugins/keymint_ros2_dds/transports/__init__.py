@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from functools import partial
 
-from keymint.api.lazy import LazyTransport, lazy
+from keymint.api import API_VERSION, TransportType
+from keymint.api.lazy import lazy
 
 _SIMULATED = lazy("keymint_ros2_dds.transports.enclave_model:Simulated")
 _ARDENT = lazy("keymint_ros2_dds.transports.ardent_middleware:ArdentMiddleware")
 _PARTICIPANTS = lazy("keymint_ros2_dds.transports.participants_transport:ParticipantsTransport")
 _PLUGIN = lazy("keymint_ros2_dds.transports.participants_transport:CycloneDDSTransport")
-_dds = partial(LazyTransport, "keymint_ros2_dds")
+_dds = partial(TransportType, API_VERSION, "keymint_ros2_dds")
 
 omg = _dds(partial(_SIMULATED, "omg"))
 cyclonedds_0_10 = _dds(partial(_SIMULATED, "cyclonedds-0.10"))

@@ -46,8 +46,8 @@ def created_endpoints(distro: str, edge: Edge) -> tuple[Edge, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class ArdentMiddleware:
-    """Implements :class:`keymint.api.Transport`: asks a transport about the endpoints that the middleware creates."""
+class ArdentMiddleware(Transport):
+    """Asks a transport about the endpoints that the middleware creates."""
 
     transport: Transport
 

@@ -19,7 +19,7 @@ from cryptography import x509
 
 from comarmor.errors import Origin
 from comarmor.regex import lazy_regex
-from keymint.api import Availability, Enclave, Environment, Tier, Verdict
+from keymint.api import Availability, Enclave, Environment, Tier, Transport, Verdict
 from keymint.api.graph import Column, Edge
 from keymint.api.transports import EnclavesBySubject, installed_file
 from keymint.errors import KeymintError
@@ -291,13 +291,15 @@ class EnclaveModels:
         return self._models[key]
 
 
-class Simulated:
+class Simulated(Transport):
     """A transport that decides as the standard, or as the model of a vendor.
 
     Args:
         name: the model's.
         environment: the clock, and what was read before in this run.
     """
+
+    ADMITS = True
 
     def __init__(self, name: str, environment: Environment) -> None:
         self._variation = VARIATIONS[name]
@@ -317,7 +319,7 @@ class Simulated:
             yield edge, models.of(edge.subject, edge.domain).verdict(self._variation, needed)
 
     def admitted(self, enclave: Enclave, endpoints: Column, tier: Tier) -> bytes:
-        """See :meth:`keymint.api.EndpointTransport.admitted`."""
+        """See :meth:`keymint.api.Transport.admitted`."""
         del tier
         models, domains = EnclaveModels([enclave], self._environment), {each.domain for each in endpoints.requests}
         if len(domains) == 1:

@@ -56,12 +56,14 @@ So it is for Cyclone DDS 0.10.5, because Keymint's process cannot load the acces
 
 
 class ParticipantsTransport(VendorTransport):
-    """Implements :class:`keymint.api.Transport` with participants of a vendor.
+    """A transport with participants of a vendor.
 
     Args:
         name: the transport's name.
         environment: the cache, and the environment variables of processes.
     """
+
+    ADMITS = True
 
     def __init__(self, name: str, environment: Environment) -> None:
         super().__init__(environment)
@@ -95,7 +97,7 @@ class ParticipantsTransport(VendorTransport):
         return exchange(vendor, self._software.model, models, edges)
 
     def admitted(self, enclave: Enclave, endpoints: Column, tier: Tier) -> bytes:
-        """See :meth:`keymint.api.EndpointTransport.admitted`."""
+        """See :meth:`keymint.api.Transport.admitted`."""
         opener, models = self._opener(tier), EnclaveModels([enclave], self._environment)
         admitted = bytearray(len(endpoints.requests))
         for domain in {each.domain for each in endpoints.requests}:

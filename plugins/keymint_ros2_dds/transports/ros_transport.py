@@ -26,7 +26,9 @@ _LONGEST = 200
 
 
 class RosTransport(VendorTransport):
-    """Implements :class:`keymint.api.SelectiveTransport`: nodes of the ROS 2 that the user has sourced."""
+    """Nodes of the ROS 2 that the user has sourced."""
+
+    SELECTIVE = True
 
     def _installed(self) -> Availability:
         """Look for a ROS 2 that is sourced, and can be run apart from all others; it is never used by default."""
@@ -38,7 +40,7 @@ class RosTransport(VendorTransport):
         return Availability(usable=True, version=version, tiers=(Tier.ADMISSION,), by_default=False)
 
     def asked(self, enclave: Enclave, edge: Edge) -> Sequence[Edge]:
-        """See :meth:`keymint.api.SelectiveTransport.asked`: a node creates nothing but topics and services of ROS."""
+        """See :meth:`keymint.api.Transport.asked`: a node creates nothing but topics and services of ROS."""
         found = meanings(enclave.distro, edge) if edge.object.kind == "topic" else (edge,)
         return [each for each in found if not each.object.partitions and _is_legal(each.object.name)]
 

@@ -6,9 +6,14 @@ Each is imported when it is opened.
 
 from __future__ import annotations
 
-from keymint.api.lazy import LazyTransport, lazy
+from functools import partial
+
+from keymint.api import API_VERSION, TransportType
+from keymint.api.lazy import lazy
 
 __all__ = ["real_zenoh", "zenoh_1"]
 
-zenoh_1 = LazyTransport("keymint_ros2_zenoh", lazy("keymint_ros2_zenoh.transports.enclave_model:SimulatedZenoh"))
-real_zenoh = LazyTransport("keymint_ros2_zenoh", lazy("keymint_ros2_zenoh.transports.real_transport:RealZenoh"))
+_zenoh = partial(TransportType, API_VERSION, "keymint_ros2_zenoh")
+
+zenoh_1 = _zenoh(lazy("keymint_ros2_zenoh.transports.enclave_model:SimulatedZenoh"))
+real_zenoh = _zenoh(lazy("keymint_ros2_zenoh.transports.real_transport:RealZenoh"))

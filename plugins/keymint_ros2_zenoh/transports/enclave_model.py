@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 
 from comarmor.errors import Origin
 from comarmor.values import dataclass
-from keymint.api import Availability, Enclave, Environment, Tier, Verdict
+from keymint.api import Availability, Enclave, Environment, Tier, Transport, Verdict
 from keymint.api.graph import Edge
 from keymint.api.transports import EnclavesBySubject, installed_file
 from keymint.errors import KeymintError
@@ -279,8 +279,8 @@ def edge_verdict(
 
 
 @dataclass(frozen=True, slots=True)
-class SimulatedZenoh:
-    """Implements :class:`keymint.api.Transport` with the model of Zenoh 1.6 and later."""
+class SimulatedZenoh(Transport):
+    """A transport with the model of Zenoh 1.6 and later."""
 
     environment: Environment
 

@@ -92,7 +92,7 @@ def both(judge: EndpointPolicy, transport: Transport, rows: Sequence[EdgeRow], l
     outcome = compare(asked, chain.from_iterable(rows), labels)
     slow = with_halves(asked, outcome, rows, labels, judge)
     transport.asked.clear()
-    fast = compare_endpoints(asked, transport, rows, labels, judge)
+    fast = compare_endpoints(asked, rows, labels, judge)
     return [slow, fast]
 
 

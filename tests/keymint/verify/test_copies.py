@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from comarmor.errors import Origin
+from keymint import api
 from keymint.api import Availability, Enclave, Tier, Verdict
 from keymint.api.graph import Edge, Object
 from keymint.errors import ExitCode, KeymintError
@@ -21,7 +22,7 @@ EDGE = Edge("/a/b", "ros_publish", Object("ros_topic", "/x"))
 
 
 @dataclass(frozen=True)
-class Transport:
+class Transport(api.Transport):
     """Names the folder of its enclave as the reason, or in an error."""
 
     tiers: tuple[Tier, ...] = (Tier.DECISION,)
