@@ -59,7 +59,7 @@ def build(folder: Path, source: Path, transport: str) -> tuple[Path, float]:
 
 def without_rights(system: ZenohSystem, file: Path) -> Path:
     """Return a router's file with the baseline's access control."""
-    document = json5.parse(file.read_bytes(), str(file)).plain()
+    document = json5.parse(file.read_bytes(), str(file))[0]
     return system.file("bare.json5", json.dumps({**document, "access_control": OPEN}).encode())
 
 

@@ -67,5 +67,5 @@ class CompiledSpace(InstallSpace):
 
 
 def _read(file: Path) -> dict[str, Any]:
-    document: dict[str, Any] = json5.parse(file.read_bytes(), str(file)).plain()
+    document: dict[str, Any] = json5.parse(file.read_bytes(), str(file))[0]
     return document

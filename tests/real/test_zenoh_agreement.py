@@ -21,14 +21,14 @@ def test_the_model_agrees_on_random_configurations(zenoh_library: str) -> None:
 
 def test_a_wrong_model_would_be_seen(zenoh_library: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The comparison itself: with an inclusion that ignores ``@``, the model and the router differ."""
-    from keymint_ros2_zenoh.decision import message_access
+    from keymint_ros2_zenoh import decision
 
-    right = message_access.includes
+    right = decision.includes
 
     def wrong(outer, inner):
         from keymint_ros2_zenoh.keyexpr import parse
 
         return right(outer, inner) or right(outer, parse(inner.text.replace("@", "")))
 
-    monkeypatch.setattr(message_access, "includes", wrong)
+    monkeypatch.setattr(decision, "includes", wrong)
     assert any(text for _, text in disagreements(5, 10, seed=7))

@@ -105,7 +105,7 @@ class BuiltSpace(InstallSpace):
     built: bytes = b""
 
     def router(self) -> dict[str, Any]:
-        document: dict[str, Any] = json5.parse(self.built, ROUTER).plain()
+        document: dict[str, Any] = json5.parse(self.built, ROUTER)[0]
         return document
 
 

@@ -7,7 +7,7 @@ It refuses what Zenoh refuses at start, and every file that two readers could un
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -32,7 +32,6 @@ from keymint_ros2_zenoh.documents.configuration import (
     Message,
     Permission,
 )
-from keymint_ros2_zenoh.documents.json5 import Node
 
 _LISTS = {"rules": "rule", "subjects": "subject", "policies": "policy"}
 """The lists of an access control, and what an item of each is."""
@@ -51,9 +50,9 @@ def read(content: bytes, name: str) -> Configuration:
     Raises:
         KeymintError: not well-formed, or Zenoh would refuse it; every defect with its ``file:line``.
     """
-    root = json5.parse(content, name)
-    _validate(root, name)
-    return _Reading(root, name).configuration()
+    document, lines = json5.parse(content, name)
+    _validate(document, lines, name)
+    return _Reading(document, lines, name).configuration()
 
 
 @lru_cache(maxsize=1)
@@ -63,21 +62,21 @@ def _validator() -> Callable[[Any], Any]:
     return validator
 
 
-def _validate(root: Node, name: str) -> None:
+def _validate(document: Any, lines: Mapping[json5.Path, int], name: str) -> None:
     try:
-        _validator()(root.plain())
+        _validator()(document)
     except fastjsonschema.JsonSchemaValueException as error:
-        node = root
+        path: json5.Path = ()
         for step in error.path[1:]:
-            inner = node.value.get(step) if isinstance(node.value, dict) else node.value[int(step)]
-            if inner is None:
+            inner = (*path, int(step) if isinstance(document, list) else step)
+            if inner not in lines:
                 break
-            node = inner
+            path, document = inner, document[inner[-1]]
         place = "/".join(error.path[1:]) or "the file"
         what = error.message.removeprefix(error.name or "").strip()
         raise KeymintError(
             f"{quoted(place, 200)} {quoted(what, 200)}",
-            where=Origin(name, node.line),
+            where=Origin(name, lines[path]),
             help="Zenoh refuses it at start",
             code="zenoh-configuration",
         ) from None
@@ -87,29 +86,34 @@ class _Reading:
     """Turns a valid document into data.
 
     Args:
-        root: the document.
+        document: the document.
+        lines: the line of each value in it.
         name: path of the file.
     """
 
-    def __init__(self, root: Node, name: str) -> None:
+    def __init__(self, document: Any, lines: Mapping[json5.Path, int], name: str) -> None:
         self._name = name
-        self._found: dict[str, Node] = {}
+        self._lines = lines
+        self._found: dict[str, Any] = {}
         self._other: dict[str, Any] = {}
         self._places: dict[str, Origin] = {}
-        self._collect("", root)
+        self._collect((), document)
 
-    def _collect(self, path: str, node: Node) -> None:
-        for key, member in node.value.items():
-            inner = f"{path}{key}"
-            self._places[inner] = Origin(self._name, member.line)
+    def _place(self, *path: str | int) -> Origin:
+        return Origin(self._name, self._lines[path])
+
+    def _collect(self, path: tuple[str, ...], members: Mapping[str, Any]) -> None:
+        for key, member in members.items():
+            inner = "/".join((*path, key))
+            self._places[inner] = self._place(*path, key)
             if "/" in key:  # no setting of Zenoh, but it would read like the path of one
-                self._other[f"{path}{quoted(key)}"] = member.plain()
+                self._other["/".join((*path, quoted(key)))] = member
             elif inner in _MODELLED:
                 self._found[inner] = member
-            elif isinstance(member.value, dict) and (member.value or inner in _AROUND_MODELLED):
-                self._collect(f"{inner}/", member)
+            elif isinstance(member, dict) and (member or inner in _AROUND_MODELLED):
+                self._collect((*path, key), member)
             else:  # also {} and null: the name alone says which plugin to load
-                self._other[inner] = member.plain()
+                self._other[inner] = member
 
     def configuration(self) -> Configuration:
         """Return the configuration.
@@ -127,24 +131,25 @@ class _Reading:
 
     def _in_mode(self, path: str, mode: str) -> Any:
         """Return a setting that may have one value for all modes, or one for each; None if it has none."""
-        node = self._found.get(path)
-        value = None if node is None else node.plain()
+        value = self._found.get(path)
         return value.get(mode) if isinstance(value, dict) else value
 
     def _access_control(self) -> AccessControl:
-        node = self._found.get("access_control")
-        if node is None:
+        members = self._found.get("access_control")
+        if members is None:
             return AccessControl(enabled=False, default_permission=Permission.DENY)
-        members = node.value
         control = AccessControl(
-            enabled=_value(members, "enabled", False),
-            default_permission=Permission(_value(members, "default_permission", "deny")),
-            rules=tuple(self._rule(item) for item in _items(members, "rules")),
-            subjects=tuple(self._subject(item) for item in _items(members, "subjects")),
-            policies=tuple(self._policy(item) for item in _items(members, "policies")),
-            where=Origin(self._name, node.line),
+            enabled=members.get("enabled") or False,
+            default_permission=Permission(members.get("default_permission") or "deny"),
+            rules=tuple(self._rule(item, where) for item, where in self._items("rules")),
+            subjects=tuple(self._subject(item, where) for item, where in self._items("subjects")),
+            policies=tuple(
+                AclPolicy(_texts(item, "rules"), _texts(item, "subjects"), where)
+                for item, where in self._items("policies")
+            ),
+            where=self._place("access_control"),
         )
-        missing = [key for key in _LISTS if key not in members or members[key].value is None]
+        missing = [key for key in _LISTS if members.get(key) is None]
         if control.enabled and missing:
             raise KeymintError(
                 f"the access control has no {' and no '.join(missing)}",
@@ -152,41 +157,41 @@ class _Reading:
                 help="Zenoh refuses it at start: give all three lists",
                 code="zenoh-configuration",
             )
-        if defects := [*self._ids(control, members), *self._key_exprs(control)]:
+        if defects := [*self._ids(control), *self._key_exprs(control)]:
             raise KeymintError.of(defects)
         return control
 
-    def _rule(self, node: Node) -> AclRule:
-        members = node.value
+    def _items(self, key: str) -> Iterator[tuple[Mapping[str, Any], Origin]]:
+        """Yield the items of a list of the access control, each with its place."""
+        for at, item in enumerate(self._found["access_control"].get(key) or ()):
+            yield item, self._place("access_control", key, at)
+
+    @staticmethod
+    def _rule(item: Mapping[str, Any], where: Origin) -> AclRule:
         return AclRule(
-            id=members["id"].value,
-            messages=tuple(map(Message, _texts(members, "messages"))),
-            flows=tuple(map(Flow, _texts(members, "flows"))) or (Flow.EGRESS, Flow.INGRESS),
-            permission=Permission(members["permission"].value),
-            key_exprs=_texts(members, "key_exprs"),
-            where=Origin(self._name, node.line),
+            id=item["id"],
+            messages=tuple(map(Message, _texts(item, "messages"))),
+            flows=tuple(map(Flow, _texts(item, "flows"))) or (Flow.EGRESS, Flow.INGRESS),
+            permission=Permission(item["permission"]),
+            key_exprs=_texts(item, "key_exprs"),
+            where=where,
         )
 
-    def _subject(self, node: Node) -> AclSubject:
-        members = node.value
-        properties = {attribute: _texts(members, name) for name, attribute in PROPERTIES.items()}
-        return AclSubject(members["id"].value, **properties, where=Origin(self._name, node.line))
+    @staticmethod
+    def _subject(item: Mapping[str, Any], where: Origin) -> AclSubject:
+        properties = {attribute: _texts(item, name) for name, attribute in PROPERTIES.items()}
+        return AclSubject(item["id"], **properties, where=where)
 
-    def _policy(self, node: Node) -> AclPolicy:
-        members = node.value
-        return AclPolicy(_texts(members, "rules"), _texts(members, "subjects"), Origin(self._name, node.line))
-
-    def _ids(self, control: AccessControl, members: Mapping[str, Node]) -> Iterator[Diagnostic]:
+    def _ids(self, control: AccessControl) -> Iterator[Diagnostic]:
         """Yield ids that occur twice and ids that nothing has; Zenoh refuses both at start."""
         known: dict[str, set[str]] = {}
         for key, kind in _LISTS.items():
             own = known[kind] = set()
-            for item in _items(members, key):
-                name = _value(item.value, "id", None)
+            for item, where in self._items(key):
+                name = item.get("id")
                 if name is None:
                     continue  # a policy need not have one
                 if name in own:
-                    where = Origin(self._name, item.line)
                     yield self._defect(f"the {kind} {quoted(name)} occurs twice", where, "give each its own id")
                 own.add(name)
         for policy in control.policies:
@@ -210,15 +215,5 @@ class _Reading:
         return Diagnostic.error("zenoh-configuration", message, where, help_)
 
 
-def _items(members: Mapping[str, Node], key: str) -> Sequence[Node]:
-    items: Sequence[Node] = _value(members, key, ())
-    return items
-
-
-def _texts(members: Mapping[str, Node], key: str) -> tuple[str, ...]:
-    return tuple(item.value for item in _items(members, key))
-
-
-def _value(members: Mapping[str, Node], key: str, default: Any) -> Any:
-    node = members.get(key)
-    return default if node is None or node.value is None else node.value
+def _texts(item: Mapping[str, Any], key: str) -> tuple[str, ...]:
+    return tuple(item.get(key) or ())

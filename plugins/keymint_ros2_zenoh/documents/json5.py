@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import pyjson5
 
@@ -40,28 +40,12 @@ _CONSTANTS = {"true": True, "false": False, "null": None}
 _NEAR = lazy_regex(r"near (\d+)")
 
 
-class Node(NamedTuple):
-    """A value with its line.
-
-    Attributes:
-        value: a dictionary or list of nodes, a text, a number, a truth value, or None.
-        line: the line on which it begins; for a member of an object, the line of its key.
-    """
-
-    value: Any
-    line: int
-
-    def plain(self) -> Any:
-        """Return the value without lines."""
-        if isinstance(self.value, dict):
-            return {key: node.plain() for key, node in self.value.items()}
-        if isinstance(self.value, list):
-            return [node.plain() for node in self.value]
-        return self.value
+Path = tuple[str | int, ...]
+"""The keys and indices that lead from the root of a document to a value."""
 
 
-def parse(content: bytes, name: str) -> Node:
-    """Return the root of a JSON5 document.
+def parse(content: bytes, name: str) -> tuple[Any, Mapping[Path, int]]:
+    """Return a JSON5 document, and the line on which each value begins; for a member of an object, that of its key.
 
     Args:
         content: the document, UTF-8.
@@ -88,11 +72,11 @@ def parse(content: bytes, name: str) -> Node:
         raise _refused(f"values are nested more than {DEPTH} deep", name, code="json5-limit") from None
     except pyjson5.Json5DecoderException as error:
         raise _syntax(error, text, name) from None
-    root = _Json5Scanner(text, name).root()
-    own, theirs = (json.dumps(each, ensure_ascii=False) for each in (root.plain(), value))
+    scanner = _Json5Scanner(text, name)
+    own, theirs = (json.dumps(each, ensure_ascii=False) for each in (scanner.root(), value))
     if own != theirs:  # compared as texts, since 1 is not true, nor 1.0
         raise _refused("the file is not plain JSON5: readers may understand it differently", name)
-    return root
+    return value, scanner.lines
 
 
 def _refused(message: str, name: str, line: int = 0, help_: str = "", code: str = "json5-syntax") -> KeymintError:
@@ -113,23 +97,27 @@ class _Json5Scanner:
     Args:
         text: the document.
         name: path of the file, for messages.
+
+    Attributes:
+        lines: the lines that were found.
     """
 
     def __init__(self, text: str, name: str) -> None:
+        self.lines: dict[Path, int] = {}
         self._name = name
         self._line = 1
         self._parts = self._scan(text)
 
-    def root(self) -> Node:
+    def root(self) -> Any:
         """Return the value of the document.
 
         Raises:
             KeymintError: a key occurs twice, or a form that other readers may understand differently.
         """
-        node = self._value(*next(self._parts))
+        value = self._value((), *next(self._parts))
         if next(self._parts)[0] != "end":
             raise self._odd("more follows after the value")
-        return node
+        return value
 
     def _scan(self, text: str) -> Iterator[tuple[str, str]]:
         """Yield kind and text of each part; meanwhile the current line is that on which it begins."""
@@ -144,34 +132,35 @@ class _Json5Scanner:
                 self._line += part.count("\n")
         raise self._odd(f"{quoted(text[position : position + 1])} is not expected here")
 
-    def _value(self, kind: str, part: str) -> Node:
-        line = self._line
+    def _value(self, path: Path, kind: str, part: str) -> Any:
+        self.lines.setdefault(path, self._line)
         if kind == "text":
-            return Node(self._text(part), line)
+            return self._text(part)
         if part == "{":
-            return Node(self._members(), line)
+            return self._members(path)
         if part == "[":
-            return Node([self._value(*each) for each in self._each("]")], line)
+            return [self._value((*path, at), *each) for at, each in enumerate(self._each("]"))]
         if kind == "word" and part in _CONSTANTS:
-            return Node(_CONSTANTS[part], line)
+            return _CONSTANTS[part]
         if kind == "word" and _NUMBER.fullmatch(part):
             number = pyjson5.decode(part)
             if isinstance(number, float) or -(2**63) <= number < 2**64:
-                return Node(number, line)
+                return number
         raise self._odd(f"{quoted(part)} is not a value that all readers understand in the same way")
 
-    def _members(self) -> dict[str, Node]:
-        members: dict[str, Node] = {}
+    def _members(self, path: Path) -> dict[str, Any]:
+        members: dict[str, Any] = {}
         for kind, part in self._each("}"):
             line = self._line
             key = self._text(part) if kind == "text" else part
             if kind not in {"text", "word"} or (kind == "word" and "\\" in part):
                 raise self._odd(f"{quoted(part)} is not a key that all readers understand in the same way")
             if key in members:
-                message = f"the key {quoted(key)} occurs twice, first on line {members[key].line}"
+                message = f"the key {quoted(key)} occurs twice, first on line {self.lines[*path, key]}"
                 raise _refused(message, self._name, line, "remove one of them", "json5-doubled")
+            self.lines[*path, key] = line
             next(self._parts)  # the colon
-            members[key] = Node(self._value(*next(self._parts)).value, line)
+            members[key] = self._value((*path, key), *next(self._parts))
         return members
 
     def _each(self, end: str) -> Iterator[tuple[str, str]]:
