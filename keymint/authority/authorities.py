@@ -167,7 +167,9 @@ def _plan_authority(
     else:
         key = authority_files.load_private_key(inputs, files)
     if is_new:
-        certificate, warnings = _new_certificate(files, key, above)
+        message = f"{name!r} is a new authority: {authority_files.COST}"
+        new = Diagnostic.warning("authority-new", message, files.certificate_file)
+        certificate, warnings = _issued(files, key, above, [new] if files.known() else [])
     else:
         authority_files.require_rollover(files, key.public_key())
         authority_files.require_in_use(files, key.public_key())
@@ -199,15 +201,6 @@ def _require_replaceable(files: AuthorityFiles) -> None:
             help=f"use 'keymint authority replace {name}'",
             code="authority-not-minted",
         )
-
-
-def _new_certificate(
-    files: AuthorityFiles, key: keys.PrivateKey, above: MintedAuthority | None
-) -> tuple[bytes, Sequence[Diagnostic]]:
-    """Return a certificate for a new key, and warnings."""
-    message = f"{files.name!r} is a new authority: {authority_files.COST}"
-    new = Diagnostic.warning("authority-new", message, files.certificate_file)
-    return _issued(files, key, above, [new] if files.known() else [])
 
 
 def _issued(

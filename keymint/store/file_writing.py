@@ -87,13 +87,18 @@ def create(folder: int, shown: str | Path, name: str, file: File, owner: tuple[i
             return
         opened = os.open(name, NEW_FILE, 0o600, dir_fd=folder)
         try:
-            write_all(opened, file.content)
-            give(opened, owner)
-            os.fchmod(opened, file_mode(secret=file.secret) if file.mode is None else file.mode)
+            fill(opened, file, owner)
         finally:
             os.close(opened)
     except OSError as error:
         refuse(f"{shown}/{name}", error)
+
+
+def fill(opened: int, file: File, owner: tuple[int, int] | None) -> None:
+    """Write a new file that is open, and give it its owner and its mode; see :func:`create`."""
+    write_all(opened, file.content)
+    give(opened, owner)
+    os.fchmod(opened, file_mode(secret=file.secret) if file.mode is None else file.mode)
 
 
 def write_all(opened: int, content: bytes) -> None:

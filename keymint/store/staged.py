@@ -87,7 +87,10 @@ class Staging:
                     if tree.size() or os.path.lexists(root):
                         self._inside(folders.open(root), root, tree)
                 for order, folder, change, private in self._kept:
-                    self._inside_kept(order, folder, change, folders, private=private)
+                    if change.files or os.path.lexists(folder):
+                        opened = folders.open(folder, private=private and bool(change.files))
+                        for name in (*change.files, *change.removed):
+                            self._file(order, opened, folder, name, change.files.get(name))
             except BaseException:
                 remove_staged(self._exchanges, folders)
                 raise
@@ -169,15 +172,6 @@ class Staging:
         for file in changing:
             self._file(content.own, old, shown, file, content.files.get(file))
         self._inside(old, shown, content)
-
-    def _inside_kept(
-        self, order: int, folder: str, change: FolderChange, folders: OpenFolders, *, private: bool
-    ) -> None:
-        """Stage changes in a folder that is never replaced, file by file."""
-        if change.files or os.path.lexists(folder):
-            opened = folders.open(folder, private=private and bool(change.files))
-            for name in (*change.files, *change.removed):
-                self._file(order, opened, folder, name, change.files.get(name))
 
     def _file(self, order: int, folder: int, shown: str, name: str, file: File | None) -> None:
         """Stage one file of an existing folder."""

@@ -12,8 +12,8 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-from keymint.store.changes import File, file_mode
-from keymint.store.file_writing import NEW_FILE, give, reported, require_regular, write_all
+from keymint.store.changes import File
+from keymint.store.file_writing import NEW_FILE, fill, reported, require_regular
 from keymint.store.open_folders import OpenFolders, Roots
 from keymint.store.store import wait_for_lock
 
@@ -62,9 +62,7 @@ def _written(folders: OpenFolders, path: Path, file: File, on_wait: Callable[[],
         opened = _created(folder, name, on_wait)
     try:
         with reported(path):
-            write_all(opened, file.content)
-            give(opened, (replaced.st_uid, replaced.st_gid) if replaced else None)
-            os.fchmod(opened, file_mode(secret=file.secret) if file.mode is None else file.mode)
+            fill(opened, file, (replaced.st_uid, replaced.st_gid) if replaced else None)
             os.fsync(opened)
         yield
     except BaseException:

@@ -143,9 +143,10 @@ def record(
     elsewhere = (path for path in seen if not os.path.realpath(path).startswith(spaces))
     others = {path: path_status(path) for path in (*elsewhere, *_profiles_below(call, root))}
     own = path_status(state)
+    ticks = {newest: _TICK if newest % 1_000_000_000 else _COARSE_TICK for _, newest in others.values()}
     if (
         own[1] >= sight.clock
-        or not all(_is_older(newest, call.started) for _, newest in others.values())
+        or any(newest >= call.started - tick for newest, tick in ticks.items())
         or not all(_has_content(path, fingerprint) for path, fingerprint in seen.items())
     ):
         return None
@@ -233,10 +234,6 @@ def _status(path: str) -> str:
 def _digest(folders: Mapping[str, FolderStatus]) -> str:
     text = "\n".join(f"{folder} {status.digest}" for folder, status in sorted(folders.items()))
     return hashlib.sha256(text.encode(errors="surrogateescape")).hexdigest()
-
-
-def _is_older(newest: int, started: int) -> bool:
-    return newest < started - (_TICK if newest % 1_000_000_000 else _COARSE_TICK)
 
 
 def _has_content(path: str, fingerprint: str) -> bool:

@@ -305,16 +305,11 @@ class Session(Inputs):
             built: it was built from these files; see :meth:`keymint.api.PackageType.load`.
         """
         package = self._load(name, built=built)
-        needs = package.role is not Role.INFRASTRUCTURE
-        needing = self._needing_infrastructure(package.build_types) if needs else frozenset[str]()
-        if not needing:
+        needing = {each for each in package.build_types if self.plugins.build_type(each).INFRASTRUCTURE}
+        if not needing or package.role is Role.INFRASTRUCTURE:
             return package
         infrastructure = (self._load(each) for each in self.infrastructure())
         return replace(package, infrastructure=tuple(each for each in infrastructure if needing & {*each.build_types}))
-
-    @once
-    def _needing_infrastructure(self, build_types: tuple[str, ...]) -> frozenset[str]:
-        return frozenset(each for each in build_types if self.plugins.build_type(each).INFRASTRUCTURE)
 
     @once_of_sources
     def infrastructure(self) -> tuple[str, ...]:
@@ -389,13 +384,8 @@ class Session(Inputs):
     def _load(self, name: str, *, built: bool = False) -> Package:
         key = (name, self._sources(name)[1], built)
         if key not in self._packages:
-            self._packages[key] = self.package_type.load(
-                self.profile,
-                name,
-                self.workspace.shown(self.workspace.src / name),
-                self.package_files(name),
-                self.plugins.build_type,
-                str(self.workspace.install),
-                built=built,
-            )
+            files, folder = self.package_files(name), self.workspace.shown(self.workspace.src / name)
+            build_type, install = self.plugins.build_type, str(self.workspace.install)
+            loaded = self.package_type.load(self.profile, name, folder, files, build_type, install, built=built)
+            self._packages[key] = loaded
         return self._packages[key]
